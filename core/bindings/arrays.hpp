@@ -1,0 +1,26 @@
+// Numpy arrays in and out, as the bindings share them.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <cstddef>
+#include <span>
+#include <vector>
+
+namespace nb = nanobind;
+
+/// A float64 vector from Python, converted when it is a list or of another number type.
+using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+/// A float64 numpy array to Python.
+using Array = nb::ndarray<nb::numpy, double>;
+
+inline std::span<const double> to_span(const Vector& v) { return {v.data(), v.shape(0)}; }
+
+/// A numpy array that owns a copy of `values`.
+inline Array to_array(std::span<const double> values, std::vector<std::size_t> shape = {}) {
+  if (shape.empty()) shape = {values.size()};
+  auto* copy = new std::vector<double>(values.begin(), values.end());
+  const nb::capsule owner(copy, [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); });
+  return Array(copy->data(), shape.size(), shape.data(), owner);
+}

@@ -1,0 +1,138 @@
+// Kinematics: the interface and the backend on MuJoCo's Jacobians.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+#include <nanobind/trampoline.h>
+
+#include "arrays.hpp"
+#include "rcs/kinematics.hpp"
+
+using namespace nb::literals;
+
+namespace {
+
+using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+struct PyKinematics : rcs::Kinematics {
+  NB_TRAMPOLINE(rcs::Kinematics);
+  int dof() const override { NB_OVERRIDE_PURE_NAME("_dof", dof); }
+  rcs::Pose forward(std::span<const double> joints) override {
+    nb::detail::ticket ticket(nb_trampoline, "_forward", nb::detail::str_hash("_forward"), true);
+    return nb::cast<rcs::Pose>(nb_trampoline.base().attr(ticket.key)(to_array(joints)));
+  }
+  rcs::IkResult inverse(const rcs::Pose& target, std::span<const double> start,
+                        const rcs::IkOptions& options) override {
+    nb::detail::ticket ticket(nb_trampoline, "_inverse", nb::detail::str_hash("_inverse"), true);
+    return nb::cast<rcs::IkResult>(nb_trampoline.base().attr(ticket.key)(target, to_array(start), options));
+  }
+};
+
+nb::tuple solve_batch(rcs::DampedLeastSquares& self, const Rows& targets, const Rows& starts,
+                      const rcs::IkOptions& options, int threads) {
+  const std::size_t count = targets.shape(0), n = static_cast<std::size_t>(self.dof());
+  if (targets.shape(1) != 7 || starts.shape(0) != count || starts.shape(1) != n)
+    throw rcs::InvalidCommand("inverse_batch: targets must be (N, 7) and starts (N, " + std::to_string(n) + ")");
+  std::vector<double> joints(count * n);
+  auto* status = new std::vector<std::uint8_t>(count);
+  const nb::capsule owner(status, [](void* p) noexcept { delete static_cast<std::vector<std::uint8_t>*>(p); });
+  {
+    const nb::gil_scoped_release release;
+    rcs::inverse_batch(self, {targets.data(), 7 * count}, {starts.data(), n * count}, options, threads, joints, *status);
+  }
+  return nb::make_tuple(to_array(joints, {count, n}),
+                        nb::ndarray<nb::numpy, std::uint8_t>(status->data(), {count}, owner));
+}
+
+}  // namespace
+
+void bind_kinematics(nb::module_& m) {
+  nb::enum_<rcs::IkStatus>(m, "IkStatus", "What inverse kinematics found.")
+      .value("ok", rcs::IkStatus::ok, "The target is reached within the tolerances.")
+      .value("clamped", rcs::IkStatus::clamped, "A solution exists, the answer is the allowed step towards it.")
+      .value("infeasible", rcs::IkStatus::infeasible, "No solution inside the joint limits; the answer is the start.");
+  nb::class_<rcs::IkOptions>(m, "IkOptions", "How hard inverse kinematics tries, and what it may answer.")
+      .def("__init__",
+           [](rcs::IkOptions* self, double translation_tolerance, double rotation_tolerance, int iterations,
+              int restarts, double damping, double max_step, std::uint64_t seed) {
+             if (!(translation_tolerance > 0) || !(rotation_tolerance > 0) || iterations < 1 || restarts < 0 ||
+                 !(damping > 0) || !(max_step > 0))
+               throw rcs::InvalidCommand(
+                   "IkOptions: tolerances, iterations, damping and max_step must be positive, restarts not negative");
+             new (self) rcs::IkOptions{translation_tolerance, rotation_tolerance, iterations, restarts,
+                                       damping,               max_step,           seed};
+           },
+           nb::kw_only(), "translation_tolerance"_a = 1e-4, "rotation_tolerance"_a = 1e-4, "iterations"_a = 30,
+           "restarts"_a = 60, "damping"_a = 1e-4, "max_step"_a = std::numeric_limits<double>::infinity(), "seed"_a = 0)
+      .def_ro("translation_tolerance", &rcs::IkOptions::translation_tolerance, "m")
+      .def_ro("rotation_tolerance", &rcs::IkOptions::rotation_tolerance, "rad")
+      .def_ro("iterations", &rcs::IkOptions::iterations, "Per attempt.")
+      .def_ro("restarts", &rcs::IkOptions::restarts,
+              "Further attempts from random joints; 0 keeps to the branch of the start.")
+      .def_ro("damping", &rcs::IkOptions::damping, "Of the least squares.")
+      .def_ro("max_step", &rcs::IkOptions::max_step,
+              "Largest change of any joint from the start [rad]; a solution farther away is clamped to this step.")
+      .def_ro("seed", &rcs::IkOptions::seed, "Of the restarts: same seed, same answer.");
+  nb::class_<rcs::IkResult>(m, "IkResult", "The answer of inverse kinematics.")
+      .def("__init__",
+           [](rcs::IkResult* self, std::vector<double> joints, rcs::IkStatus status, double translation_error,
+              double rotation_error, int iterations) {
+             new (self) rcs::IkResult{std::move(joints), status, translation_error, rotation_error, iterations};
+           },
+           "joints"_a, "status"_a, "translation_error"_a = 0.0, "rotation_error"_a = 0.0, "iterations"_a = 0)
+      .def_prop_ro("joints", [](const rcs::IkResult& r) { return to_array(r.joints); }, "Inside the limits [rad].")
+      .def_ro("status", &rcs::IkResult::status)
+      .def_ro("translation_error", &rcs::IkResult::translation_error, "m, before any clamping.")
+      .def_ro("rotation_error", &rcs::IkResult::rotation_error, "rad, before any clamping.")
+      .def_ro("iterations", &rcs::IkResult::iterations);
+  nb::class_<rcs::Kinematics, PyKinematics>(
+      m, "Kinematics",
+      "Kinematics of one arm: TCP pose in the base frame from joints, and back. Subclasses override `_dof`, "
+      "`_forward(joints)` and `_inverse(target, start, options)`.")
+      .def(nb::init<>())
+      .def_prop_ro("dof", &rcs::Kinematics::dof)
+      .def(
+          "forward", [](rcs::Kinematics& self, Vector joints) { return self.forward(to_span(joints)); }, "joints"_a,
+          "Pose of the TCP in the base frame for joints [rad], shape (dof,).")
+      .def(
+          "inverse",
+          [](rcs::Kinematics& self, const rcs::Pose& target, Vector start, const rcs::IkOptions& options) {
+            return self.inverse(target, to_span(start), options);
+          },
+          "target"_a, "start"_a, "options"_a = rcs::IkOptions{},
+          "Joints [rad] that bring the TCP to `target` (in the base frame), looked for from `start`, shape (dof,).");
+  nb::class_<rcs::DampedLeastSquares, rcs::Kinematics>(
+      m, "DampedLeastSquares", "Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.")
+      .def("__init__",
+           [](rcs::DampedLeastSquares* self, std::uintptr_t model, std::vector<int> joints, int tcp_site,
+              int base_body) {
+             new (self) rcs::DampedLeastSquares(reinterpret_cast<const mjModel*>(model), std::move(joints), tcp_site,
+                                                base_body);
+           },
+           "model_address"_a, "joints"_a, "tcp_site"_a, "base_body"_a,
+           "Copy the model at `MjModel._address`; the ids of joints (base to tip), TCP site and base body are its.")
+      .def(
+          "jacobian",
+          [](rcs::DampedLeastSquares& self, Vector joints) {
+            return to_array(self.jacobian(to_span(joints)), {6, static_cast<std::size_t>(self.dof())});
+          },
+          "joints"_a, "Jacobian of the TCP in the base frame, (6, dof): translation [m/rad] above rotation [rad/rad].")
+      .def(
+          "forward_batch",
+          [](rcs::DampedLeastSquares& self, const Rows& joints) {
+            const std::size_t count = joints.shape(0), n = joints.shape(1);
+            std::vector<double> poses(7 * count);
+            for (std::size_t i = 0; i < count; ++i) {
+              const rcs::Pose pose = self.forward({joints.data() + i * n, n});
+              for (int k = 0; k < 3; ++k) poses[7 * i + k] = pose.translation()[k];
+              for (int k = 0; k < 4; ++k) poses[7 * i + 3 + k] = pose.quaternion()[k];
+            }
+            return to_array(poses, {count, 7});
+          },
+          "joints"_a, "TCP poses (N, 7) in the base frame for joints (N, dof): translation [m], quaternion xyzw.")
+      .def("inverse_batch", &solve_batch, "targets"_a, "starts"_a, "options"_a = rcs::IkOptions{}, "threads"_a = 1,
+           "Solve for targets (N, 7) from starts (N, dof).\n\nReturns joints (N, dof) and IkStatus values (N,) uint8. "
+           "The GIL is released.")
+      .def_prop_ro("joint_lower", [](const rcs::DampedLeastSquares& k) { return to_array(k.joint_lower()); }, "rad")
+      .def_prop_ro("joint_upper", [](const rcs::DampedLeastSquares& k) { return to_array(k.joint_upper()); }, "rad");
+}

@@ -1,0 +1,54 @@
+// The table of contents of `rcs._core`. Each topic is bound in a file of its own.
+#include <mujoco/mujoco.h>
+#include <nanobind/nanobind.h>
+
+#include <string>
+
+#include "rcs/result.hpp"
+
+namespace nb = nanobind;
+
+void bind_pose(nb::module_& m);
+void bind_arm(nb::module_& m);
+void bind_hand(nb::module_& m);
+void bind_camera(nb::module_& m);
+void bind_kinematics(nb::module_& m);
+void bind_world(nb::module_& m);
+void bind_sim_devices(nb::module_& m);
+void bind_render(nb::module_& m);
+
+namespace {
+
+void raise_as(const char* name, const char* message) {
+  // Python's own classes, so that one `except rcs.errors.X` catches the error from both languages.
+  const nb::object type = nb::module_::import_("rcs.errors").attr(name);
+  PyErr_SetString(type.ptr(), message);
+}
+
+}  // namespace
+
+NB_MODULE(_core, m) {
+  m.doc() = "The C++ core of the Robot Control Stack.";
+  if (mj_version() != mjVERSION_HEADER)
+    throw std::runtime_error("rcs was built for MuJoCo " + std::to_string(mjVERSION_HEADER) + " and found " +
+                             std::to_string(mj_version()) + "; reinstall robot-control-stack");
+  nb::register_exception_translator([](const std::exception_ptr& p, void*) {
+    try {
+      std::rethrow_exception(p);
+    } catch (const rcs::InvalidCommand& error) {
+      raise_as("InvalidAction", error.what());
+    } catch (const rcs::WrongOrder& error) {
+      raise_as("WrongOrder", error.what());
+    } catch (const rcs::DeviceFault& error) {
+      raise_as("DeviceFault", error.what());
+    }
+  });
+  bind_pose(m);
+  bind_arm(m);
+  bind_hand(m);
+  bind_camera(m);
+  bind_kinematics(m);
+  bind_world(m);
+  bind_sim_devices(m);
+  bind_render(m);
+}

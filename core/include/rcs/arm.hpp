@@ -1,0 +1,72 @@
+// The interface of a manipulator. Public calls check, the protected ones behind them act.
+#pragma once
+
+#include <span>
+#include <string>
+#include <vector>
+
+#include "rcs/device.hpp"
+
+namespace rcs {
+
+/// Limits of an arm, one value per joint.
+struct ArmLimits {
+  std::vector<double> joint_lower;     ///< rad
+  std::vector<double> joint_upper;     ///< rad
+  std::vector<double> joint_velocity;  ///< rad/s, positive
+};
+
+/// What an arm measures.
+struct ArmState {
+  std::vector<double> joints;            ///< rad
+  std::vector<double> joint_velocities;  ///< rad/s
+  double time = 0.0;                     ///< s, on the device's own monotonic clock
+};
+
+/// One manipulator. An implementation in C++ or Python overrides the `do_` functions; users call the others.
+class Arm {
+ public:
+  Arm(std::string name, ArmLimits limits);
+  virtual ~Arm() = default;
+  Arm(const Arm&) = delete;
+  Arm& operator=(const Arm&) = delete;
+
+  const std::string& name() const { return life_.name(); }
+  int dof() const { return static_cast<int>(limits_.joint_lower.size()); }
+  const ArmLimits& limits() const { return limits_; }
+  bool is_open() const { return life_.is_open(); }
+  /// The reason of the fault state, empty when there is none.
+  const std::string& fault() const { return life_.fault(); }
+
+  /// Connect. Nothing moves. Opening an open arm does nothing.
+  void open();
+  /// Measure joints and velocities.
+  ArmState state();
+  /// Set the joint target [rad] and return at once. Throws `InvalidCommand`, `WrongOrder`, `DeviceFault`; the arm then holds.
+  void command_joints(std::span<const double> joints);
+  /// Whether the last target is reached and the arm stands still.
+  bool has_arrived();
+  /// Stop where the arm is now and stay there. Allowed in the fault state.
+  void hold();
+  /// Enter the fault state: commands are refused until `recover`.
+  void set_fault(const std::string& reason);
+  /// Leave the fault state, holding the present position.
+  void recover();
+  /// Let go of the device. Closing twice is harmless.
+  void close();
+
+ protected:
+  virtual void do_open() {}
+  virtual ArmState do_state() = 0;
+  virtual void do_command_joints(std::span<const double> joints) = 0;
+  virtual bool do_has_arrived() = 0;
+  virtual void do_hold() = 0;
+  virtual void do_recover() {}
+  virtual void do_close() {}
+
+ private:
+  Lifecycle life_;
+  ArmLimits limits_;
+};
+
+}  // namespace rcs

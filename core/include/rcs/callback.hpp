@@ -1,0 +1,84 @@
+// What a world calls while it steps, and the callbacks that every robot needs.
+#pragma once
+
+#include <mujoco/mujoco.h>
+
+#include <cstdint>
+#include <vector>
+
+namespace rcs {
+
+/// One copy of a scene while it is stepped. MuJoCo's own structures, valid only during the call.
+struct StepView {
+  const mjModel* model;
+  mjData* data;
+  int copy;
+};
+
+/// A function run between physics steps, in C++ or Python. Copies are stepped on several threads: what a callback
+/// remembers it must keep per `view.copy`.
+class StepCallback {
+ public:
+  virtual ~StepCallback() = default;
+  /// The meaning of the result depends on how the callback was added to the world; periodic ones return anything.
+  virtual bool call(const StepView& view) = 0;
+  /// Forget what was remembered of a copy; its episode starts anew.
+  virtual void reset(int /*copy*/) {}
+};
+
+/// True when position-controlled joints stand at their targets.
+class JointsArrived final : public StepCallback {
+ public:
+  /// `joints` are hinge or slide joint ids, `actuators` the position servos whose controls are their targets.
+  JointsArrived(std::vector<int> joints, std::vector<int> actuators, double position_tolerance,
+                double velocity_tolerance)
+      : joints_(std::move(joints)),
+        actuators_(std::move(actuators)),
+        position_tolerance_(position_tolerance),
+        velocity_tolerance_(velocity_tolerance) {}
+  bool call(const StepView& view) override;
+
+ private:
+  std::vector<int> joints_;
+  std::vector<int> actuators_;
+  double position_tolerance_;  // rad or m
+  double velocity_tolerance_;  // rad/s or m/s
+};
+
+/// True when joints have stood still for a while: a gripper that closed on an object never reaches its target.
+class JointsAtRest final : public StepCallback {
+ public:
+  JointsAtRest(std::vector<int> joints, double velocity_tolerance, double duration, int copies)
+      : joints_(std::move(joints)),
+        velocity_tolerance_(velocity_tolerance),
+        duration_(duration),
+        since_(static_cast<std::size_t>(copies), -1.0) {}
+  bool call(const StepView& view) override;
+  void reset(int copy) override { since_[static_cast<std::size_t>(copy)] = -1.0; }
+
+ private:
+  std::vector<int> joints_;
+  double velocity_tolerance_;   // rad/s or m/s
+  double duration_;             // s
+  std::vector<double> since_;   // s, when the joints came to rest; negative while they move
+};
+
+/// True when a geom of one set touches a geom of the other with more than a given force.
+class Collision final : public StepCallback {
+ public:
+  /// `first` and `second` hold one flag per geom of the model; `force` is in N.
+  Collision(std::vector<std::uint8_t> first, std::vector<std::uint8_t> second, double force)
+      : first_(std::move(first)), second_(std::move(second)), force_(force) {}
+  bool call(const StepView& view) override;
+
+ private:
+  std::vector<std::uint8_t> first_;
+  std::vector<std::uint8_t> second_;
+  double force_;
+};
+
+/// Sum of the normal forces [N] between two sets of geoms, given as one flag per geom.
+double contact_force(const mjModel* model, const mjData* data, const std::vector<std::uint8_t>& first,
+                     const std::vector<std::uint8_t>& second);
+
+}  // namespace rcs

@@ -1,0 +1,69 @@
+// OpenGL without a window, from a library found at run time: EGL where there is one, else OSMesa.
+//
+// libmujoco keeps one table of OpenGL functions per process, so all contexts of a process share one backend: the first
+// context chooses it. A context is current in at most one thread at a time; `GlContext::Current` brackets each use.
+#pragma once
+
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+namespace rcs {
+
+/// What a look at one backend found.
+struct GlProbe {
+  std::string name;    ///< "egl" or "osmesa"
+  bool ok = false;     ///< whether a context could be made that MuJoCo can draw with
+  std::string detail;  ///< renderer and version, or why not and what to do
+};
+
+/// There is no usable OpenGL; the message has the reason and the remedy for each backend.
+struct GlUnavailable : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+/// Look at every backend by making a context and dropping it. Chooses none, so any may be asked for afterwards.
+std::vector<GlProbe> probe_gl();
+
+class GlLibrary;
+
+/// One OpenGL context that draws to its own framebuffers. Thread-safe to create; used by one thread at a time.
+class GlContext {
+ public:
+  /// `backend` is "auto" (what this process uses already, else EGL, else OSMesa), "egl" or "osmesa".
+  /// Throws `std::invalid_argument` for another name, `GlUnavailable` when there is no such context to be had.
+  explicit GlContext(const std::string& backend = "auto");
+  ~GlContext();
+  GlContext(const GlContext&) = delete;
+  GlContext& operator=(const GlContext&) = delete;
+
+  const std::string& backend() const { return backend_; }
+  /// Renderer and version, such as "llvmpipe (LLVM 15.0.6, 256 bits), OpenGL 4.5".
+  const std::string& description() const { return description_; }
+  /// Largest width and height of a framebuffer [pixels].
+  int max_size() const { return max_size_; }
+  /// Address of an OpenGL function, null when there is none.
+  void* function(const char* name) const;
+
+  /// Makes a context current in this thread for its own lifetime; within another of the same context it does nothing.
+  class Current {
+   public:
+    explicit Current(GlContext& context);
+    ~Current();
+    Current(const Current&) = delete;
+    Current& operator=(const Current&) = delete;
+
+   private:
+    GlContext& context_;
+    GlContext* outer_;
+  };
+
+ private:
+  std::string backend_;
+  std::string description_;
+  int max_size_ = 0;
+  GlLibrary* library_ = nullptr;
+  void* handle_ = nullptr;
+};
+
+}  // namespace rcs

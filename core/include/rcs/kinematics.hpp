@@ -1,0 +1,100 @@
+// The interface of forward and inverse kinematics of one arm, and the backend on MuJoCo's Jacobians.
+#pragma once
+
+#include <mujoco/mujoco.h>
+
+#include <array>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "rcs/pose.hpp"
+#include "rcs/result.hpp"
+
+namespace rcs {
+
+/// The answer of inverse kinematics.
+struct IkResult {
+  std::vector<double> joints;      ///< rad, always inside the joint limits
+  IkStatus status = IkStatus::infeasible;
+  double translation_error = 0.0;  ///< m, of the best solution found, before any clamping
+  double rotation_error = 0.0;     ///< rad, likewise
+  int iterations = 0;              ///< over all restarts
+};
+
+/// How hard inverse kinematics tries, and what it may answer.
+struct IkOptions {
+  double translation_tolerance = 1e-4;  ///< m
+  double rotation_tolerance = 1e-4;     ///< rad
+  int iterations = 30;                  ///< per attempt
+  int restarts = 60;                    ///< further attempts from random joints; 0 keeps to the branch of the start
+  double damping = 1e-4;                ///< of the least squares; smaller is faster and wilder near singularities
+  /// Largest change of any joint from the start [rad]; a solution farther away is `clamped` to this step towards it.
+  double max_step = std::numeric_limits<double>::infinity();
+  std::uint64_t seed = 0;               ///< of the restarts: same seed, same answer
+};
+
+/// Kinematics of one arm: TCP pose in the base frame from joints, and back. Implementable in C++ and Python.
+class Kinematics {
+ public:
+  virtual ~Kinematics() = default;
+  virtual int dof() const = 0;
+  /// Pose of the TCP in the base frame for joints [rad].
+  virtual Pose forward(std::span<const double> joints) = 0;
+  /// Joints that bring the TCP to `target` (in the base frame), looked for from `start` [rad].
+  virtual IkResult inverse(const Pose& target, std::span<const double> start, const IkOptions& options) = 0;
+};
+
+/// Many targets at once. Row i of every output depends on row i of the inputs alone, at any number of threads.
+///
+/// `targets` is count × 7 (translation, quaternion xyzw), `starts` and `joints` are count × dof, `status` is count long.
+class DampedLeastSquares;
+void inverse_batch(DampedLeastSquares& kinematics, std::span<const double> targets, std::span<const double> starts,
+                   const IkOptions& options, int threads, std::span<double> joints, std::span<std::uint8_t> status);
+
+/// Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.
+///
+/// Joints that would leave their range are fixed at the limit and the step is solved again for the others. Nakamura and
+/// Hanafusa, "Inverse kinematic solutions with singularity robustness for robot manipulator control", 1986.
+class DampedLeastSquares final : public Kinematics {
+ public:
+  /// `model` is copied. `joints` are joint ids base to tip, `tcp_site` and `base_body` ids in it.
+  DampedLeastSquares(const mjModel* model, std::vector<int> joints, int tcp_site, int base_body);
+  ~DampedLeastSquares() override;
+  /// Another solver of the same arm, for another thread.
+  std::unique_ptr<DampedLeastSquares> clone() const;
+
+  int dof() const override { return static_cast<int>(joints_.size()); }
+  Pose forward(std::span<const double> joints) override;
+  IkResult inverse(const Pose& target, std::span<const double> start, const IkOptions& options) override;
+
+  /// Jacobian of the TCP in the base frame: 6 × dof, row-major, translation rows [m/rad] above rotation rows [rad/rad].
+  std::vector<double> jacobian(std::span<const double> joints);
+
+  const std::vector<double>& joint_lower() const { return lower_; }
+  const std::vector<double>& joint_upper() const { return upper_; }
+
+ private:
+  void set_joints(std::span<const double> joints);
+  void check_size(std::span<const double> joints) const;
+  bool attempt(const std::array<double, 7>& target, std::vector<double>& q, const IkOptions& options, IkResult& result);
+  /// Position error and rotation error (as a rotation vector) from the present TCP to the target, in world axes.
+  void error_to(const std::array<double, 7>& target_in_world, std::array<double, 6>& error) const;
+
+  mjModel* model_ = nullptr;
+  mjData* data_ = nullptr;
+  std::vector<int> joints_;
+  std::vector<int> qpos_;
+  std::vector<int> dofs_;
+  std::vector<double> lower_;
+  std::vector<double> upper_;
+  int tcp_site_;
+  int base_body_;
+  std::vector<double> jacobian_translation_;
+  std::vector<double> jacobian_rotation_;
+};
+
+}  // namespace rcs

@@ -1,0 +1,41 @@
+// What calls report when nothing is wrong with the program: outcomes are values, errors are exceptions.
+#pragma once
+
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+
+namespace rcs {
+
+/// Why a control step of a simulation ended.
+enum class StepEnd : std::uint8_t {
+  period,       ///< asynchronous: one control period has passed
+  converged,    ///< synchronous: every convergence callback agreed
+  interrupted,  ///< a callback interrupted the step
+  limit,        ///< synchronous: the substep limit came before convergence
+  failed,       ///< the state left the range of finite numbers
+};
+
+/// What inverse kinematics found.
+enum class IkStatus : std::uint8_t {
+  ok,          ///< the target is reached within the tolerances
+  clamped,     ///< a solution exists, the answer is the allowed step towards it
+  infeasible,  ///< no solution found inside the joint limits; the answer is the start, so nothing moves
+};
+
+/// A command that a device may not execute: wrong size, not finite, or outside its limits.
+struct InvalidCommand : std::invalid_argument {
+  using std::invalid_argument::invalid_argument;
+};
+
+/// A call at a time when it has no meaning, such as a command before `open`.
+struct WrongOrder : std::logic_error {
+  using std::logic_error::logic_error;
+};
+
+/// A device is in its fault state; `recover` clears it.
+struct DeviceFault : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+}  // namespace rcs

@@ -1,0 +1,262 @@
+#include "rcs/kinematics.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <thread>
+#include <utility>
+
+namespace rcs {
+
+namespace {
+
+constexpr double kMaxJointStep = 0.5;  // rad per iteration; larger steps leave the range where the Jacobian holds
+constexpr int kTask = 6;
+
+// SplitMix64 (Steele, Lea, Flood 2014): a restart's joints depend on the seed alone, so the same call gives the same answer.
+double next_uniform(std::uint64_t& state) {
+  state += 0x9E3779B97F4A7C15ULL;
+  std::uint64_t z = state;
+  z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ULL;
+  z = (z ^ (z >> 27)) * 0x94D049BB133111EBULL;
+  return static_cast<double>((z ^ (z >> 31)) >> 11) * 0x1.0p-53;
+}
+
+// Solve the symmetric positive definite 6 × 6 system in place by Cholesky factorisation.
+void solve_cholesky(std::array<double, kTask * kTask>& a, std::array<double, kTask>& b) {
+  for (int j = 0; j < kTask; ++j) {
+    for (int k = 0; k < j; ++k)
+      for (int i = j; i < kTask; ++i) a[i * kTask + j] -= a[i * kTask + k] * a[j * kTask + k];
+    const double scale = 1.0 / std::sqrt(a[j * kTask + j]);
+    for (int i = j; i < kTask; ++i) a[i * kTask + j] *= scale;
+  }
+  for (int i = 0; i < kTask; ++i) {
+    for (int k = 0; k < i; ++k) b[i] -= a[i * kTask + k] * b[k];
+    b[i] /= a[i * kTask + i];
+  }
+  for (int i = kTask - 1; i >= 0; --i) {
+    for (int k = i + 1; k < kTask; ++k) b[i] -= a[k * kTask + i] * b[k];
+    b[i] /= a[i * kTask + i];
+  }
+}
+
+double norm3(const double* v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
+
+}  // namespace
+
+DampedLeastSquares::DampedLeastSquares(const mjModel* model, std::vector<int> joints, int tcp_site, int base_body)
+    : joints_(std::move(joints)), tcp_site_(tcp_site), base_body_(base_body) {
+  if (tcp_site < 0 || tcp_site >= model->nsite || base_body < 0 || base_body >= model->nbody)
+    throw InvalidCommand("inverse kinematics: the TCP site or the base body is not in the model");
+  if (joints_.empty()) throw InvalidCommand("inverse kinematics: no joints given");
+  for (const int joint : joints_) {
+    if (joint < 0 || joint >= model->njnt)
+      throw InvalidCommand("inverse kinematics: joint id " + std::to_string(joint) + " is not in the model");
+    if (model->jnt_type[joint] != mjJNT_HINGE && model->jnt_type[joint] != mjJNT_SLIDE)
+      throw InvalidCommand("inverse kinematics: only hinge and slide joints are supported");
+    qpos_.push_back(model->jnt_qposadr[joint]);
+    dofs_.push_back(model->jnt_dofadr[joint]);
+    const bool is_limited = model->jnt_limited[joint] != 0;
+    lower_.push_back(is_limited ? model->jnt_range[2 * joint] : -2 * mjPI);
+    upper_.push_back(is_limited ? model->jnt_range[2 * joint + 1] : 2 * mjPI);
+  }
+  model_ = mj_copyModel(nullptr, model);
+  data_ = mj_makeData(model_);
+  jacobian_translation_.resize(static_cast<std::size_t>(3 * model_->nv));
+  jacobian_rotation_.resize(static_cast<std::size_t>(3 * model_->nv));
+}
+
+DampedLeastSquares::~DampedLeastSquares() {
+  mj_deleteData(data_);
+  mj_deleteModel(model_);
+}
+
+std::unique_ptr<DampedLeastSquares> DampedLeastSquares::clone() const {
+  return std::make_unique<DampedLeastSquares>(model_, joints_, tcp_site_, base_body_);
+}
+
+void DampedLeastSquares::check_size(std::span<const double> joints) const {
+  if (joints.size() != joints_.size())
+    throw InvalidCommand("kinematics: " + std::to_string(joints.size()) + " joints given, the arm has " +
+                         std::to_string(joints_.size()));
+  for (const double q : joints)
+    if (!std::isfinite(q)) throw InvalidCommand("kinematics: a joint is not finite");
+}
+
+void DampedLeastSquares::set_joints(std::span<const double> joints) {
+  for (std::size_t i = 0; i < joints.size(); ++i) data_->qpos[qpos_[i]] = joints[i];
+  mj_kinematics(model_, data_);
+}
+
+Pose DampedLeastSquares::forward(std::span<const double> joints) {
+  check_size(joints);
+  set_joints(joints);
+  double site_quat[4], base_inverse[4], quat[4], offset[3], translation[3];
+  mju_mat2Quat(site_quat, data_->site_xmat + 9 * tcp_site_);
+  mju_negQuat(base_inverse, data_->xquat + 4 * base_body_);
+  mju_mulQuat(quat, base_inverse, site_quat);
+  mju_sub3(offset, data_->site_xpos + 3 * tcp_site_, data_->xpos + 3 * base_body_);
+  mju_rotVecQuat(translation, offset, base_inverse);
+  return Pose({translation[0], translation[1], translation[2]}, {quat[1], quat[2], quat[3], quat[0]});
+}
+
+std::vector<double> DampedLeastSquares::jacobian(std::span<const double> joints) {
+  check_size(joints);
+  set_joints(joints);
+  mj_comPos(model_, data_);
+  mj_jacSite(model_, data_, jacobian_translation_.data(), jacobian_rotation_.data(), tcp_site_);
+  const std::size_t n = joints_.size();
+  std::vector<double> jacobian(6 * n);
+  const double* base = data_->xmat + 9 * base_body_;
+  for (std::size_t c = 0; c < n; ++c)
+    for (int r = 0; r < 3; ++r)
+      for (int k = 0; k < 3; ++k) {  // base^T * world axes
+        jacobian[r * n + c] += base[3 * k + r] * jacobian_translation_[k * model_->nv + dofs_[c]];
+        jacobian[(r + 3) * n + c] += base[3 * k + r] * jacobian_rotation_[k * model_->nv + dofs_[c]];
+      }
+  return jacobian;
+}
+
+void DampedLeastSquares::error_to(const std::array<double, 7>& target, std::array<double, 6>& error) const {
+  mju_sub3(error.data(), target.data(), data_->site_xpos + 3 * tcp_site_);
+  double quat[4], inverse[4], difference[4];
+  mju_mat2Quat(quat, data_->site_xmat + 9 * tcp_site_);
+  mju_negQuat(inverse, quat);
+  mju_mulQuat(difference, target.data() + 3, inverse);
+  mju_quat2Vel(error.data() + 3, difference, 1.0);
+}
+
+bool DampedLeastSquares::attempt(const std::array<double, 7>& target, std::vector<double>& q, const IkOptions& options,
+                                 IkResult& result) {
+  const int n = dof(), nv = model_->nv;
+  std::array<double, kTask> error;
+  std::vector<double> step(static_cast<std::size_t>(n));
+  std::vector<char> is_free(static_cast<std::size_t>(n));
+  for (int iteration = 0;; ++iteration) {
+    set_joints(q);
+    error_to(target, error);
+    result.translation_error = norm3(error.data());
+    result.rotation_error = norm3(error.data() + 3);
+    if (result.translation_error <= options.translation_tolerance && result.rotation_error <= options.rotation_tolerance)
+      return true;
+    if (iteration == options.iterations) return false;
+    ++result.iterations;
+
+    mj_comPos(model_, data_);
+    mj_jacSite(model_, data_, jacobian_translation_.data(), jacobian_rotation_.data(), tcp_site_);
+    std::fill(is_free.begin(), is_free.end(), 1);
+    // At most two rounds: the second solves again without the joints that the first would push out of their range.
+    for (int round = 0; round < 2; ++round) {
+      std::array<double, kTask * kTask> a{};
+      for (int c = 0; c < n; ++c) {
+        if (!is_free[c]) continue;
+        double column[kTask];
+        for (int r = 0; r < 3; ++r) {
+          column[r] = jacobian_translation_[r * nv + dofs_[c]];
+          column[r + 3] = jacobian_rotation_[r * nv + dofs_[c]];
+        }
+        for (int i = 0; i < kTask; ++i)
+          for (int j = 0; j <= i; ++j) a[i * kTask + j] += column[i] * column[j];
+      }
+      for (int i = 0; i < kTask; ++i) a[i * kTask + i] += options.damping;
+      std::array<double, kTask> b = error;
+      solve_cholesky(a, b);
+      bool is_blocked = false;
+      for (int c = 0; c < n; ++c) {
+        step[c] = 0.0;
+        if (!is_free[c]) continue;
+        for (int r = 0; r < 3; ++r)
+          step[c] += jacobian_translation_[r * nv + dofs_[c]] * b[r] + jacobian_rotation_[r * nv + dofs_[c]] * b[r + 3];
+        const bool is_outward = (q[c] <= lower_[c] && step[c] < 0.0) || (q[c] >= upper_[c] && step[c] > 0.0);
+        if (is_outward) {
+          is_free[c] = 0;
+          is_blocked = true;
+        }
+      }
+      if (!is_blocked) break;
+    }
+    double largest = 0.0;
+    for (int c = 0; c < n; ++c) largest = std::max(largest, is_free[c] ? std::abs(step[c]) : 0.0);
+    const double scale = largest > kMaxJointStep ? kMaxJointStep / largest : 1.0;
+    for (int c = 0; c < n; ++c)
+      if (is_free[c]) q[c] = std::clamp(q[c] + scale * step[c], lower_[c], upper_[c]);
+  }
+}
+
+IkResult DampedLeastSquares::inverse(const Pose& target, std::span<const double> start, const IkOptions& options) {
+  check_size(start);
+  const int n = dof();
+  IkResult result;
+  result.joints.assign(start.begin(), start.end());
+  for (int i = 0; i < n; ++i) result.joints[i] = std::clamp(start[i], lower_[i], upper_[i]);
+
+  // The solve is in world axes, where MuJoCo's Jacobian is; the base may stand anywhere.
+  set_joints(result.joints);
+  std::array<double, 7> goal;
+  const double* base_quat = data_->xquat + 4 * base_body_;
+  const auto& translation = target.translation();
+  const auto& quaternion = target.quaternion();
+  const double wxyz[4] = {quaternion[3], quaternion[0], quaternion[1], quaternion[2]};
+  mju_rotVecQuat(goal.data(), translation.data(), base_quat);
+  mju_addTo3(goal.data(), data_->xpos + 3 * base_body_);
+  mju_mulQuat(goal.data() + 3, base_quat, wxyz);
+
+  std::vector<double> q = result.joints;
+  std::uint64_t random = options.seed;
+  bool is_found = attempt(goal, q, options, result);
+  double best_translation = result.translation_error, best_rotation = result.rotation_error;
+  for (int restart = 0; !is_found && restart < options.restarts; ++restart) {
+    for (int i = 0; i < n; ++i) q[i] = lower_[i] + (upper_[i] - lower_[i]) * next_uniform(random);
+    is_found = attempt(goal, q, options, result);
+    if (result.translation_error + result.rotation_error < best_translation + best_rotation) {
+      best_translation = result.translation_error;
+      best_rotation = result.rotation_error;
+    }
+  }
+  result.translation_error = is_found ? result.translation_error : best_translation;
+  result.rotation_error = is_found ? result.rotation_error : best_rotation;
+  if (!is_found) return result;
+
+  double largest = 0.0;
+  for (int i = 0; i < n; ++i) largest = std::max(largest, std::abs(q[i] - result.joints[i]));
+  const bool is_far = largest > options.max_step;
+  const double fraction = is_far ? options.max_step / largest : 1.0;
+  for (int i = 0; i < n; ++i)
+    result.joints[i] = is_far ? result.joints[i] + fraction * (q[i] - result.joints[i]) : q[i];
+  result.status = is_far ? IkStatus::clamped : IkStatus::ok;
+  return result;
+}
+
+void inverse_batch(DampedLeastSquares& kinematics, std::span<const double> targets, std::span<const double> starts,
+                   const IkOptions& options, int threads, std::span<double> joints, std::span<std::uint8_t> status) {
+  const std::size_t n = static_cast<std::size_t>(kinematics.dof()), count = status.size();
+  if (targets.size() != 7 * count || starts.size() != n * count || joints.size() != n * count)
+    throw InvalidCommand("inverse kinematics: targets, starts and outputs have different numbers of rows");
+  // All poses are made first: a bad one throws here and not in a thread.
+  std::vector<Pose> poses;
+  poses.reserve(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    const double* t = targets.data() + 7 * i;
+    poses.emplace_back(std::array<double, 3>{t[0], t[1], t[2]}, std::array<double, 4>{t[3], t[4], t[5], t[6]});
+  }
+  for (const double q : starts)
+    if (!std::isfinite(q)) throw InvalidCommand("inverse kinematics: a start joint is not finite");
+  const auto solve = [&](DampedLeastSquares& solver, std::size_t from, std::size_t to) {
+    for (std::size_t i = from; i < to; ++i) {
+      const IkResult result = solver.inverse(poses[i], starts.subspan(i * n, n), options);
+      std::copy(result.joints.begin(), result.joints.end(), joints.begin() + static_cast<std::ptrdiff_t>(i * n));
+      status[i] = static_cast<std::uint8_t>(result.status);
+    }
+  };
+  const std::size_t workers = std::min<std::size_t>(static_cast<std::size_t>(std::max(threads, 1)), count);
+  if (workers <= 1) return solve(kinematics, 0, count);
+  std::vector<std::unique_ptr<DampedLeastSquares>> solvers;
+  for (std::size_t w = 1; w < workers; ++w) solvers.push_back(kinematics.clone());
+  {
+    std::vector<std::jthread> pool;
+    for (std::size_t w = 1; w < workers; ++w)
+      pool.emplace_back([&, w] { solve(*solvers[w - 1], count * w / workers, count * (w + 1) / workers); });
+    solve(kinematics, 0, count / workers);
+  }
+}
+
+}  // namespace rcs

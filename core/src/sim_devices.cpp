@@ -1,0 +1,110 @@
+#include "rcs/sim_devices.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace rcs {
+
+namespace {
+
+// At rest, for has_arrived: ten times below what a person sees, ten times above what a servo jitters.
+constexpr double kPositionTolerance = 1e-3;  // rad
+constexpr double kVelocityTolerance = 1e-2;  // rad/s or m/s
+
+double* row(World& world, int which, int copy) {
+  int size = 0;
+  return world.component(which, &size) + static_cast<std::ptrdiff_t>(copy) * world.row_stride();
+}
+
+void check_ids(const World& world, const std::string& name, int copy, const std::vector<int>& joints,
+               const std::vector<int>& actuators) {
+  const mjModel* model = world.model();
+  bool is_valid = copy >= 0 && copy < world.copies();
+  for (const int joint : joints) is_valid = is_valid && joint >= 0 && joint < model->njnt;
+  for (const int actuator : actuators) is_valid = is_valid && actuator >= 0 && actuator < model->nu;
+  if (!is_valid) throw InvalidCommand(name + ": the copy, a joint or an actuator is not in the world");
+}
+
+}  // namespace
+
+SimArm::SimArm(std::string name, ArmLimits limits, std::shared_ptr<World> world, int copy, std::vector<int> joints,
+               std::vector<int> actuators)
+    : Arm(std::move(name), std::move(limits)),
+      world_(std::move(world)),
+      copy_(copy),
+      joints_(std::move(joints)),
+      actuators_(std::move(actuators)) {
+  check_ids(*world_, this->name(), copy_, joints_, actuators_);
+  if (static_cast<int>(joints_.size()) != dof() || joints_.size() != actuators_.size())
+    throw InvalidCommand(this->name() + ": limits, joints and actuators differ in number");
+}
+
+ArmState SimArm::do_state() {
+  const double* qpos = row(*world_, mjSTATE_QPOS, copy_);
+  const double* qvel = row(*world_, mjSTATE_QVEL, copy_);
+  ArmState state;
+  for (const int joint : joints_) {
+    state.joints.push_back(qpos[world_->model()->jnt_qposadr[joint]]);
+    state.joint_velocities.push_back(qvel[world_->model()->jnt_dofadr[joint]]);
+  }
+  state.time = *row(*world_, mjSTATE_TIME, copy_);
+  return state;
+}
+
+void SimArm::do_command_joints(std::span<const double> joints) {
+  double* ctrl = row(*world_, mjSTATE_CTRL, copy_);
+  for (std::size_t i = 0; i < actuators_.size(); ++i)
+    ctrl[actuators_[i]] = std::clamp(joints[i], limits().joint_lower[i], limits().joint_upper[i]);
+}
+
+bool SimArm::do_has_arrived() {
+  const ArmState state = do_state();
+  const double* ctrl = row(*world_, mjSTATE_CTRL, copy_);
+  for (std::size_t i = 0; i < actuators_.size(); ++i)
+    if (std::abs(state.joints[i] - ctrl[actuators_[i]]) > kPositionTolerance ||
+        std::abs(state.joint_velocities[i]) > kVelocityTolerance)
+      return false;
+  return true;
+}
+
+void SimArm::do_hold() { do_command_joints(do_state().joints); }
+
+SimGripper::SimGripper(std::string name, double max_width, double max_force, std::shared_ptr<World> world, int copy,
+                       std::vector<int> joints, int actuator, GripperMap map)
+    : Gripper(std::move(name), max_width, max_force),
+      world_(std::move(world)),
+      copy_(copy),
+      joints_(std::move(joints)),
+      actuator_(actuator),
+      map_(map) {
+  check_ids(*world_, this->name(), copy_, joints_, {actuator_});
+  if (joints_.empty() || map_.joint_open == map_.joint_closed)
+    throw InvalidCommand(this->name() + ": a gripper needs a finger joint that moves");
+}
+
+double SimGripper::opening() const {
+  const double* qpos = row(*world_, mjSTATE_QPOS, copy_);
+  double mean = 0.0;
+  for (const int joint : joints_) mean += qpos[world_->model()->jnt_qposadr[joint]];
+  mean /= static_cast<double>(joints_.size());
+  return std::clamp((mean - map_.joint_closed) / (map_.joint_open - map_.joint_closed), 0.0, 1.0);
+}
+
+GripperState SimGripper::do_state() { return {opening(), 0.0, *row(*world_, mjSTATE_TIME, copy_)}; }
+
+void SimGripper::do_command_opening(double opening) {
+  opening = std::clamp(opening, 0.0, 1.0);
+  row(*world_, mjSTATE_CTRL, copy_)[actuator_] = map_.ctrl_closed + opening * (map_.ctrl_open - map_.ctrl_closed);
+}
+
+bool SimGripper::do_has_arrived() {
+  const double* qvel = row(*world_, mjSTATE_QVEL, copy_);
+  for (const int joint : joints_)
+    if (std::abs(qvel[world_->model()->jnt_dofadr[joint]]) > kVelocityTolerance) return false;
+  return true;
+}
+
+void SimGripper::do_hold() { do_command_opening(opening()); }
+
+}  // namespace rcs

@@ -1,0 +1,124 @@
+"""A feature: one column of a dataset, with its shape, dtype, unit and the way it is stored."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+import pyarrow as pa
+
+from rcs.errors import InvalidSetup
+
+Encoding = Literal["plain", "jpeg", "depth"]
+
+DTYPES = (
+    "bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float32", "float64",
+)  # fmt: skip
+
+# A reset has no action before it, so these have no value in the first row of an episode.
+_UNKNOWN_AT_RESET = ("action/", "executed/", "reward")
+# These may be known at a reset, or not.
+_OPTIONAL_AT_RESET = ("terminated", "truncated", "time/")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Feature:
+    """One column of a dataset.
+
+    Raises:
+        InvalidSetup: The key, shape, dtype or encoding does not make sense.
+    """
+
+    key: str
+    """The name, with "/" between its parts: "observation/joints", "observation/frames/wrist/rgb", "time/period"."""
+    shape: tuple[int, ...]
+    """The shape in one row; () for a single number."""
+    dtype: str
+    """A numpy dtype name."""
+    unit: str = ""
+    """The unit in words, such as "rad"; only for people."""
+    encoding: Encoding = "plain"
+    """"plain" stores numbers, "jpeg" an (H, W, 3) uint8 image, "depth" an (H, W) uint16 image without loss."""
+
+    def __post_init__(self) -> None:
+        """Refuse what could not be stored."""
+        object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
+        if not self.key or not all(self.key.split("/")):
+            raise InvalidSetup(f"A feature's key must be words with '/' between them, not {self.key!r}.")
+        if self.dtype not in DTYPES:
+            raise InvalidSetup(f"Feature {self.key!r} has dtype {self.dtype!r}; valid are {', '.join(DTYPES)}.")
+        if any(n < 1 for n in self.shape):
+            raise InvalidSetup(f"Feature {self.key!r} has shape {self.shape}; every length must be at least 1.")
+        if self.encoding not in get_args(Encoding):
+            raise InvalidSetup(
+                f"Feature {self.key!r} has encoding {self.encoding!r}; valid are {', '.join(get_args(Encoding))}."
+            )
+        if self.encoding == "jpeg" and (self.dtype != "uint8" or len(self.shape) != 3 or self.shape[2] != 3):
+            raise InvalidSetup(f"Feature {self.key!r} is a JPEG and must be (H, W, 3) uint8, not {self._form}.")
+        if self.encoding == "depth" and (self.dtype != "uint16" or len(self.shape) != 2):
+            raise InvalidSetup(f"Feature {self.key!r} is a depth image and must be (H, W) uint16, not {self._form}.")
+        if self.is_time and (self.dtype != "float64" or self.shape != ()):
+            raise InvalidSetup(f"Feature {self.key!r} is a time and must be a single float64, not {self._form}.")
+
+    @property
+    def is_time(self) -> bool:
+        """Whether this is a measured time, which differs between two runs that are otherwise alike."""
+        return self.key.startswith("time/")
+
+    @property
+    def is_unknown_at_reset(self) -> bool:
+        """Whether the first row of an episode has no value here, because no action came before it."""
+        return self.key.startswith(_UNKNOWN_AT_RESET)
+
+    @property
+    def is_optional_at_reset(self) -> bool:
+        """Whether the first row of an episode may leave this out."""
+        return self.key.startswith(_OPTIONAL_AT_RESET)
+
+    @property
+    def size(self) -> int:
+        """How many numbers one row has."""
+        return math.prod(self.shape)
+
+    @property
+    def numpy_dtype(self) -> np.dtype[Any]:
+        """The dtype as numpy has it."""
+        return np.dtype(self.dtype)
+
+    @property
+    def arrow_type(self) -> pa.DataType:
+        """The Arrow type of the column: a number, a list of fixed length (row-major), or the bytes of an image."""
+        if self.encoding != "plain":
+            return pa.binary()
+        number = pa.from_numpy_dtype(self.numpy_dtype)
+        return number if self.shape == () else pa.list_(number, self.size)
+
+    @property
+    def arrow_field(self) -> pa.Field:
+        """The Arrow field, which carries shape, dtype, unit and encoding, so a file can be understood alone."""
+        shape = ",".join(str(n) for n in self.shape)
+        about = {"shape": shape, "dtype": self.dtype, "unit": self.unit, "encoding": self.encoding}
+        return pa.field(self.key, self.arrow_type, metadata=about)
+
+    @property
+    def _form(self) -> str:
+        return f"{self.shape} {self.dtype}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields as JSON values."""
+        return {**asdict(self), "shape": list(self.shape)}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Feature:
+        """Build a feature from what `to_json` returned.
+
+        Raises:
+            InvalidSetup: A field is missing, unknown or does not make sense.
+        """
+        try:
+            return cls(**{**values, "shape": tuple(values["shape"])})
+        except (KeyError, TypeError) as err:
+            raise InvalidSetup(f"Not a description of a feature: {dict(values)}.") from err

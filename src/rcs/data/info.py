@@ -1,0 +1,160 @@
+"""What a whole dataset has in common: rate, features, setup and instruction, as kept in `dataset.json`."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+from rcs.data.feature import Feature
+from rcs.errors import DatasetError, InvalidSetup
+
+SCHEMA_VERSION = 1
+"""The newest layout on disk that this code writes and reads."""
+
+Subsampling = Literal["444", "422", "420"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetInfo:
+    """What every episode of a dataset shares.
+
+    Raises:
+        InvalidSetup: A field does not make sense, or the setup is not JSON.
+    """
+
+    fps: float
+    """Steps per second that the control loop aims at [Hz]; the measured times are in the rows."""
+    features: tuple[Feature, ...]
+    """The columns, in the order in which they are stored."""
+    setup: dict[str, Any]
+    """The setup that the data came from, as JSON."""
+    instruction: str
+    """What the robot is asked to do, in words; an episode may say otherwise."""
+    schema_version: int = SCHEMA_VERSION
+    """The layout on disk."""
+    jpeg_quality: int = 95
+    """1 to 100; more is larger and closer to the image."""
+    jpeg_subsampling: Subsampling = "444"
+    """How much colour is kept; "420" halves the size and blurs coloured edges."""
+    sim_state_size: int | None = None
+    """Numbers in the simulation's state per step; None where there is no simulation."""
+    versions: dict[str, str] = field(default_factory=dict[str, str])
+    """Versions of the software that recorded; only for people, not compared when a recording is resumed."""
+
+    def __post_init__(self) -> None:
+        """Refuse what could not be recorded."""
+        object.__setattr__(self, "features", tuple(self.features))
+        if not math.isfinite(self.fps) or self.fps <= 0:
+            raise InvalidSetup(f"fps is {self.fps}; it must be a positive number.")
+        keys = [feature.key for feature in self.features]
+        twice = sorted({key for key in keys if keys.count(key) > 1})
+        if not keys or twice:
+            raise InvalidSetup(f"Features must have different keys; twice: {twice}." if twice else "No features given.")
+        if not 1 <= self.jpeg_quality <= 100:
+            raise InvalidSetup(f"jpeg_quality is {self.jpeg_quality}; valid is 1 to 100.")
+        if self.jpeg_subsampling not in get_args(Subsampling):
+            raise InvalidSetup(
+                f"jpeg_subsampling is {self.jpeg_subsampling!r}; valid are {', '.join(get_args(Subsampling))}."
+            )
+        if self.sim_state_size is not None and self.sim_state_size < 1:
+            raise InvalidSetup(f"sim_state_size is {self.sim_state_size}; it must be at least 1, or None.")
+        try:
+            json.dumps(self.setup, allow_nan=False)
+        except (TypeError, ValueError) as err:
+            raise InvalidSetup(f"The setup of a dataset must be JSON: {err}.") from err
+
+    def feature(self, key: str) -> Feature:
+        """Return the feature with this key.
+
+        Raises:
+            InvalidSetup: There is none; the message lists the keys.
+        """
+        for feature in self.features:
+            if feature.key == key:
+                return feature
+        known = ", ".join(feature.key for feature in self.features)
+        raise InvalidSetup(f"There is no feature {key!r} in this dataset. Known: {known}.")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields as JSON values."""
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return {**values, "features": [feature.to_json() for feature in self.features]}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> DatasetInfo:
+        """Build the info from what `to_json` returned.
+
+        Raises:
+            DatasetError: The layout is newer than this code.
+            InvalidSetup: A field is missing, unknown or does not make sense.
+        """
+        refuse_newer_schema(values.get("schema_version"), "dataset")
+        try:
+            return cls(**{**values, "features": tuple(Feature.from_json(f) for f in values["features"])})
+        except (KeyError, TypeError) as err:
+            raise InvalidSetup(f"Not a description of a dataset: {err}.") from err
+
+
+def refuse_newer_schema(version: object, what: str) -> None:
+    """Raise if a file was written in a layout that this code does not know.
+
+    Args:
+        version: The schema version that the file states.
+        what: What was read, for the message.
+
+    Raises:
+        DatasetError: The version is not a number from 1 to `SCHEMA_VERSION`.
+    """
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise DatasetError(f"This {what} has schema version {version!r}; valid are 1 to {SCHEMA_VERSION}.")
+    if version > SCHEMA_VERSION:
+        raise DatasetError(
+            f"This {what} has schema version {version}, and the newest known here is {SCHEMA_VERSION}. "
+            "It was written by a newer version of this library; update to read it."
+        )
+
+
+def differences(stored: DatasetInfo, given: DatasetInfo) -> list[str]:
+    """Say in which fields two infos differ, one line each; the software versions are not compared.
+
+    Args:
+        stored: What a dataset on disk has.
+        given: What a new recording would have.
+    """
+    left, right = (dict(_leaves("", _comparable(info))) for info in (stored, given))
+    lines: list[str] = []
+    for name in sorted(left.keys() | right.keys()):
+        if name not in right:
+            lines.append(f"{name}: the dataset has {left[name]!r}, which is not in this setup")
+        elif name not in left:
+            lines.append(f"{name}: this setup has {right[name]!r}, which is not in the dataset")
+        elif left[name] != right[name]:
+            lines.append(f"{name}: the dataset has {left[name]!r}, this setup has {right[name]!r}")
+    order = [[feature.key for feature in info.features] for info in (stored, given)]
+    if not lines and order[0] != order[1]:
+        lines.append(f"features: the dataset has the order {order[0]}, this setup has {order[1]}")
+    return lines
+
+
+def _comparable(info: DatasetInfo) -> dict[str, Any]:
+    values = json.loads(json.dumps(info.to_json()))  # as it comes back from disk: tuples are lists, keys are strings
+    del values["versions"]
+    # By key, so that one feature more is one line and not a shift of all that follow.
+    features = {feature.pop("key"): _form(feature) for feature in values.pop("features")}
+    return {**values, "features": features}
+
+
+def _form(feature: Mapping[str, Any]) -> str:
+    unit = f" [{feature['unit']}]" if feature["unit"] else ""
+    return f"{tuple(feature['shape'])} {feature['dtype']}{unit} {feature['encoding']}"
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict) and value:
+        for key, inner in value.items():
+            yield from _leaves(f"{name}.{key}" if name else str(key), inner)
+    else:
+        yield name, value

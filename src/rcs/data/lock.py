@@ -1,0 +1,123 @@
+"""One writer at a time: a lock on a dataset that ends with the process that holds it.
+
+The lock is the operating system's (`flock`), so it is free as soon as its process is gone, however that came about; the
+process id in the file is only there to be named. Worker processes of one collection share a second lock, so that a new
+writer does not take the episodes of workers that outlive their parent for leftovers.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+import weakref
+from collections.abc import Callable
+from pathlib import Path
+
+from rcs.data.durable import disk_errors, write_all
+from rcs.errors import DatasetError
+
+_WRITER_FILE = ".writer.lock"
+_WORKERS_FILE = ".workers.lock"
+LOCK_FILES = (_WRITER_FILE, _WORKERS_FILE)
+_ATTEMPTS = 5
+
+
+class DatasetLock:
+    """A lock on a dataset, held until `release` or the end of the process; a fork does not inherit it."""
+
+    def __init__(self, fd: int) -> None:
+        """Hold the lock on an open file; use `writer` or `worker` to get one."""
+        self._fd: int | None = fd
+        # A forked child shares the open file and would hold the lock when its parent is gone.
+        os.register_at_fork(after_in_child=_releasing(weakref.ref(self)))
+
+    @classmethod
+    def writer(cls, root: Path) -> DatasetLock:
+        """Take the lock that only one process can have.
+
+        Raises:
+            DatasetError: Another process writes to this dataset, or the lock file cannot be made.
+        """
+        with disk_errors("lock the dataset", root):
+            fd = os.open(root / _WRITER_FILE, os.O_RDWR | os.O_CREAT, 0o644)
+            try:
+                if not _try_lock(fd, fcntl.LOCK_EX):
+                    raise DatasetError(
+                        f"Another writer, process {_holder(root)}, has {root} open. Wait for it to end, stop it, "
+                        "or choose another folder."
+                    )
+                workers = os.open(root / _WORKERS_FILE, os.O_RDWR | os.O_CREAT, 0o644)
+                try:
+                    if not _try_lock(workers, fcntl.LOCK_EX):
+                        raise DatasetError(
+                            f"Worker processes of an earlier collection still write to {root}. Wait for them to end."
+                        )
+                finally:
+                    os.close(workers)
+                os.ftruncate(fd, 0)
+                write_all(fd, f"{os.getpid()}\n".encode())
+            except BaseException:
+                os.close(fd)
+                raise
+        return cls(fd)
+
+    @classmethod
+    def worker(cls, root: Path) -> DatasetLock:
+        """Share in the lock that another process has as the writer.
+
+        Raises:
+            DatasetError: No process has the dataset open as its writer.
+        """
+        with disk_errors("join the writers of the dataset", root):
+            if not is_locked(root):
+                raise DatasetError(f"No writer has {root} open; open it with DatasetWriter.open before workers join.")
+            fd = os.open(root / _WORKERS_FILE, os.O_RDWR | os.O_CREAT, 0o644)
+            if not _try_lock(fd, fcntl.LOCK_SH):
+                os.close(fd)
+                raise DatasetError(f"{root} is being opened by a writer just now; join it after that.")
+        return cls(fd)
+
+    def release(self) -> None:
+        """Give the lock back; twice is harmless."""
+        if self._fd is not None:
+            os.close(self._fd)
+            self._fd = None
+
+
+def is_locked(root: Path) -> bool:
+    """Return whether a living process has the dataset open as its writer."""
+    try:
+        fd = os.open(root / _WRITER_FILE, os.O_RDONLY)
+    except FileNotFoundError:
+        return False
+    try:
+        return not _try_lock(fd, fcntl.LOCK_SH)
+    finally:
+        os.close(fd)
+
+
+def _try_lock(fd: int, kind: int) -> bool:
+    # Whoever asks `is_locked` has the lock for some microseconds: one refusal proves nothing.
+    for attempt in range(_ATTEMPTS):
+        if attempt:
+            time.sleep(0.005)
+        try:
+            fcntl.flock(fd, kind | fcntl.LOCK_NB)
+        except BlockingIOError:
+            continue
+        return True
+    return False
+
+
+def _holder(root: Path) -> str:
+    return (root / _WRITER_FILE).read_text().strip() or "with an unknown id"
+
+
+def _releasing(lock: weakref.ref[DatasetLock]) -> Callable[[], None]:
+    def release_in_child() -> None:
+        held = lock()
+        if held is not None:
+            held.release()
+
+    return release_in_child

@@ -1,0 +1,196 @@
+"""Rows in memory: each is checked as it comes, and many at a time become one Arrow batch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from rcs.data.codec import encode_depth, encode_jpeg
+from rcs.data.feature import Feature
+from rcs.data.info import DatasetInfo
+from rcs.errors import InvalidSetup
+
+SIM_STATE = "sim_state"
+"""The column of the simulation's state, beside the features while an episode is open."""
+
+Value = NDArray[Any] | np.generic | float | bool | None
+"""What a row may have under a key; None only where nothing was measured."""
+
+_CAPACITY = 64
+
+
+def steps_schema(info: DatasetInfo) -> pa.Schema:
+    """Return the schema of `steps.parquet`."""
+    return pa.schema([feature.arrow_field for feature in info.features])
+
+
+def sim_state_schema(size: int) -> pa.Schema:
+    """Return the schema of `sim_state.parquet`."""
+    return pa.schema([pa.field(SIM_STATE, pa.list_(pa.float64(), size))])
+
+
+def stream_schema(info: DatasetInfo) -> pa.Schema:
+    """Return the schema of an open episode: a step and its simulation state in one row, so they are lost together."""
+    schema = steps_schema(info)
+    return schema if info.sim_state_size is None else schema.append(sim_state_schema(info.sim_state_size).field(0))
+
+
+class RowBuffer:
+    """The rows of one episode that are not on the disk yet."""
+
+    def __init__(self, info: DatasetInfo) -> None:
+        """Make an empty buffer.
+
+        Args:
+            info: What a row must have.
+        """
+        self._info = info
+        self._schema = stream_schema(info)
+        self._keys = frozenset(feature.key for feature in info.features)
+        self._needed_at_reset = frozenset(
+            f.key for f in info.features if not f.is_unknown_at_reset and not f.is_optional_at_reset
+        )
+        self._numbers = {
+            f.key: np.zeros((_CAPACITY, *f.shape), f.numpy_dtype) for f in info.features if f.encoding == "plain"
+        }
+        self._images: dict[str, list[bytes]] = {f.key: [] for f in info.features if f.encoding != "plain"}
+        self._sim_states = np.zeros((_CAPACITY, info.sim_state_size or 0))
+        self._image_bytes = 0
+        self._rows = 0
+        self._at_reset = True
+
+    @property
+    def rows(self) -> int:
+        """How many rows are waiting."""
+        return self._rows
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the rows must be taken before another can come."""
+        # The first row has empty columns, so it is a batch of its own. 8 MiB of images are worth a write by themselves.
+        return self._rows == _CAPACITY or self._at_reset or self._image_bytes > 8 << 20
+
+    def add(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None) -> None:
+        """Check one row and keep it; a row that is refused leaves nothing behind.
+
+        Args:
+            row: A value for each feature; the first row is the reset observation and has no action and no reward.
+            sim_state: The simulation's state, shape (sim_state_size,); None where there is no simulation.
+
+        Raises:
+            InvalidSetup: A key, shape, dtype or time is wrong.
+        """
+        is_first = self._rows == 0 and self._at_reset
+        self._check_keys(row, is_first)
+        self._check_sim_state(sim_state)
+        i = self._rows
+        images: dict[str, bytes] = {}
+        for feature in self._info.features:
+            value = _checked(feature, row.get(feature.key), is_first)
+            if feature.encoding != "plain":
+                images[feature.key] = self._encoded(feature, value)
+            elif value is not None:
+                self._numbers[feature.key][i] = value
+            elif feature.is_time:
+                self._numbers[feature.key][i] = math.nan
+        for key, data in images.items():
+            self._images[key].append(data)
+            self._image_bytes += len(data)
+        if sim_state is not None:
+            self._sim_states[i] = sim_state
+        if is_first:
+            self._null_at_reset = {key for key in self._keys if row.get(key) is None}
+        self._rows += 1
+
+    def take(self) -> pa.RecordBatch:
+        """Return the rows and forget them; the batch is valid until the next `add`."""
+        n = self._rows
+        arrays = [self._array(feature, n) for feature in self._info.features]
+        if self._info.sim_state_size is not None:
+            flat = pa.array(self._sim_states[:n].reshape(-1))
+            arrays.append(pa.FixedSizeListArray.from_arrays(flat, self._info.sim_state_size))
+        batch = pa.RecordBatch.from_arrays(arrays, schema=self._schema)
+        for images in self._images.values():
+            images.clear()
+        self._image_bytes = 0
+        self._rows = 0
+        self._at_reset = False
+        return batch
+
+    def _array(self, feature: Feature, n: int) -> pa.Array:
+        if self._at_reset and feature.key in self._null_at_reset:
+            return pa.nulls(n, feature.arrow_type)
+        if feature.encoding != "plain":
+            return pa.array(self._images[feature.key], type=pa.binary())
+        numbers = self._numbers[feature.key][:n]
+        if feature.is_time:
+            return pa.array(numbers, mask=np.isnan(numbers))
+        flat = pa.array(numbers.reshape(-1))
+        return flat if feature.shape == () else pa.FixedSizeListArray.from_arrays(flat, feature.size)
+
+    def _encoded(self, feature: Feature, image: Any) -> bytes:
+        if feature.encoding == "depth":
+            return encode_depth(image)
+        return encode_jpeg(image, self._info.jpeg_quality, self._info.jpeg_subsampling)
+
+    def _check_keys(self, row: Mapping[str, Value], is_first: bool) -> None:
+        given = row.keys()
+        if given == self._keys or (is_first and self._needed_at_reset <= given <= self._keys):
+            return
+        needed = self._needed_at_reset if is_first else self._keys
+        wrong = [f"missing {', '.join(sorted(needed - given))}"] if needed - given else []
+        wrong += [f"unknown {', '.join(sorted(given - self._keys))}"] if given - self._keys else []
+        raise InvalidSetup(
+            f"A row has other keys than the dataset: {'; '.join(wrong)}. Valid are {', '.join(sorted(self._keys))}."
+        )
+
+    def _check_sim_state(self, sim_state: NDArray[np.float64] | None) -> None:
+        size = self._info.sim_state_size
+        if sim_state is None and size is None:
+            return
+        if sim_state is None or size is None:
+            expected = "none, for sim_state_size is None" if size is None else f"({size},) float64"
+            raise InvalidSetup(f"sim_state is {_form(sim_state)}; expected is {expected}.")
+        if sim_state.shape != (size,) or sim_state.dtype != np.float64:
+            raise InvalidSetup(f"sim_state is {_form(sim_state)}; expected is ({size},) float64.")
+
+
+def _checked(feature: Feature, value: Value, is_first: bool) -> Any:
+    if value is None:
+        if feature.is_time or (is_first and (feature.is_unknown_at_reset or feature.is_optional_at_reset)):
+            return None
+        raise InvalidSetup(f"{feature.key!r} is None; expected is {feature.shape} {feature.dtype}.")
+    if is_first and feature.is_unknown_at_reset:
+        raise InvalidSetup(
+            f"{feature.key!r} is {_form(value)} in the first row; it must be None or left out, "
+            "for the first row is the reset observation and no action came before it."
+        )
+    if isinstance(value, np.ndarray):
+        if value.shape != feature.shape or value.dtype != feature.dtype:
+            raise InvalidSetup(f"{feature.key!r} is {_form(value)}; expected is {feature.shape} {feature.dtype}.")
+    elif feature.shape != () or not _fits(value, feature.numpy_dtype):
+        raise InvalidSetup(f"{feature.key!r} is {_form(value)}; expected is {feature.shape} {feature.dtype}.")
+    if feature.is_time and not math.isfinite(float(value)):
+        raise InvalidSetup(f"{feature.key!r} is {value}; a time must be finite, or None where none was measured.")
+    return value
+
+
+def _fits(value: object, dtype: np.dtype[Any]) -> bool:
+    if isinstance(value, (bool, np.bool_)):
+        return dtype.kind == "b"
+    if isinstance(value, (int, np.integer)):
+        if dtype.kind in "iu":
+            return np.iinfo(dtype).min <= value <= np.iinfo(dtype).max
+        return dtype.kind == "f"
+    return isinstance(value, (float, np.floating)) and dtype.kind == "f"
+
+
+def _form(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        return f"{value.shape} {value.dtype}"
+    return f"{value!r} ({type(value).__name__})"

@@ -1,0 +1,143 @@
+"""The rows of an open episode on disk: an Arrow IPC stream that can only grow.
+
+A killed writer leaves a stream that is readable up to its last whole batch. A Parquet file would be lost, for what says
+where its columns are comes last.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from rcs.data.durable import disk_errors, write_all
+
+_HEADER = b"rcs"
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeHeader:
+    """What is known of an episode before its first row; it is stored in the head of the stream."""
+
+    id: str
+    """The name of the episode."""
+    seed: int | None
+    """The seed it was reset with."""
+    instruction: str
+    """What the robot is asked to do."""
+    started: str
+    """Wall clock at the start, ISO 8601 in UTC."""
+    versions: dict[str, str]
+    """Versions of the software that recorded."""
+
+    def to_metadata(self) -> dict[bytes, bytes]:
+        """Return the header as the metadata of an Arrow schema."""
+        return {_HEADER: json.dumps(vars(self)).encode()}
+
+    @classmethod
+    def from_metadata(cls, metadata: dict[bytes, bytes]) -> EpisodeHeader:
+        """Build the header from what `to_metadata` returned.
+
+        Raises:
+            ValueError: There is no header in the metadata.
+        """
+        try:
+            return cls(**json.loads(metadata[_HEADER]))
+        except (KeyError, TypeError) as err:
+            raise ValueError(f"no header of an episode: {err!r}") from err
+
+
+class StreamWriter:
+    """Appends batches to a stream; each is handed to the operating system in one call, and then survives a kill."""
+
+    def __init__(self, path: Path, schema: pa.Schema, header: EpisodeHeader) -> None:
+        """Create the file with its head.
+
+        Raises:
+            DatasetError: The file cannot be made.
+        """
+        self._path = path
+        self._size = 0
+        with disk_errors("start an episode", path):
+            self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+            try:
+                self._append(schema.with_metadata(header.to_metadata()).serialize())
+            except BaseException:
+                os.close(self._fd)
+                raise
+        self._closed = False
+
+    def write(self, batch: pa.RecordBatch) -> None:
+        """Append a batch.
+
+        Raises:
+            DatasetError: The disk is full or fails; what was written before stays readable.
+        """
+        with disk_errors("record rows", self._path):
+            self._append(batch.serialize())
+
+    def close(self) -> None:
+        """Close the file; twice is harmless."""
+        if not self._closed:
+            self._closed = True
+            os.close(self._fd)
+
+    def _append(self, message: pa.Buffer) -> None:
+        try:
+            write_all(self._fd, memoryview(message))
+        except OSError:
+            # Half a batch at the end would be cut on reading; without it the stream is whole.
+            os.ftruncate(self._fd, self._size)
+            raise
+        self._size += message.size
+
+
+class StreamReader:
+    """A stream as far as it is whole.
+
+    Attributes:
+        header: What was known of the episode at its start; None when the head itself is torn, and there are no rows.
+        schema: The columns; None when the head is torn.
+        is_torn: After the batches were read: whether something unreadable follows the last of them.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a stream.
+
+        Raises:
+            DatasetError: The file cannot be read.
+        """
+        self.header: EpisodeHeader | None = None
+        self.schema: pa.Schema | None = None
+        self.is_torn = False
+        self._reader: Any = None
+        with disk_errors("read the rows of an open episode", path):
+            if path.stat().st_size == 0:
+                return
+            source = pa.memory_map(str(path), "r")
+        try:
+            self._reader = pa.ipc.open_stream(source)
+            schema = self._reader.schema
+            self.header = EpisodeHeader.from_metadata(schema.metadata or {})
+            self.schema = schema.remove_metadata()
+        except (pa.ArrowException, OSError, ValueError):
+            self._reader = None
+            self.is_torn = True
+
+    def batches(self) -> Iterator[pa.RecordBatch]:
+        """Yield the batches up to the end or to the first that is not whole."""
+        while self._reader is not None:
+            try:
+                batch = self._reader.read_next_batch()
+                batch.validate(full=True)
+            except StopIteration:
+                return
+            except (pa.ArrowException, OSError):
+                self.is_torn = True
+                return
+            yield batch

@@ -1,0 +1,289 @@
+"""What is known about an arm, a gripper or a camera: frozen figures, and the MJCF file that carries the same ones.
+
+Every description names one MJCF file whose elements have plain names (`joint1`, `flange`, `tcp`). A scene attaches these files
+to each other and adds its own prefixes, so the names given here are the names before the prefix.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.errors import InvalidSetup
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mount:
+    """A fixed pose of one part in the frame of another."""
+
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Origin of the part in the parent's frame [m]."""
+    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    """Rotation from the part's frame to the parent's frame, xyzw, unit norm."""
+
+    def __post_init__(self) -> None:
+        """Check lengths, finiteness and the norm.
+
+        Raises:
+            InvalidSetup: A wrong length, a number that is not finite, or a quaternion that is not of unit norm.
+        """
+        _require_numbers("translation", self.translation, 3)
+        _require_numbers("quaternion", self.quaternion, 4)
+        norm = math.hypot(*self.quaternion)
+        if abs(norm - 1.0) > 1e-9:
+            raise InvalidSetup(f"quaternion has norm {norm!r}; a rotation needs norm 1 (xyzw).")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmDescription:
+    """One manipulator: its chain, its limits and the MJCF file with the same figures."""
+
+    name: str
+    """Short name used to ask for it, such as `fr3`."""
+    label: str
+    """Full name for people."""
+    module: str
+    """Name of the module that defines the description; the MJCF file lies next to it."""
+    mjcf_file: str
+    """File name of the MJCF model."""
+    base_body: str
+    """Body that is fixed to the world or to a mount; its frame is the robot's base frame."""
+    joints: tuple[str, ...]
+    """Joints from base to tip."""
+    actuators: tuple[str, ...]
+    """Position actuators in the order of `joints`; their control is a joint position [rad]."""
+    flange_site: str
+    """Site where a gripper or a tool is attached."""
+    home: tuple[float, ...]
+    """Joint positions of the rest pose [rad]."""
+    joint_lower: tuple[float, ...]
+    """Lower joint limits [rad]."""
+    joint_upper: tuple[float, ...]
+    """Upper joint limits [rad]."""
+    velocity_limit: tuple[float, ...]
+    """Largest joint speeds [rad/s]."""
+    acceleration_limit: tuple[float, ...]
+    """Largest joint accelerations [rad/s^2]."""
+    jerk_limit: tuple[float, ...]
+    """Largest joint jerks [rad/s^3]."""
+    effort_limit: tuple[float, ...]
+    """Largest joint torques [Nm]."""
+    workspace_reach: float
+    """Distance that the flange reaches from the shoulder [m]."""
+    sources: tuple[str, ...]
+    """Where the figures come from."""
+
+    def __post_init__(self) -> None:
+        """Check that all tables have one entry per joint and that the home pose lies inside the limits.
+
+        Raises:
+            InvalidSetup: A table of the wrong length, a limit that is not positive, or a home pose outside the limits.
+        """
+        dof = len(self.joints)
+        if dof == 0 or len(set(self.joints)) != dof:
+            raise InvalidSetup(f"{self.name}: joints must be at least one and have different names, got {self.joints}.")
+        if len(self.actuators) != dof:
+            raise InvalidSetup(f"{self.name}: {dof} joints need {dof} actuators, got {self.actuators}.")
+        for field in ("home", "joint_lower", "joint_upper"):
+            _require_numbers(f"{self.name}.{field}", getattr(self, field), dof)
+        for field in ("velocity_limit", "acceleration_limit", "jerk_limit", "effort_limit"):
+            _require_positive(f"{self.name}.{field}", getattr(self, field), dof)
+        _require_positive(f"{self.name}.workspace_reach", (self.workspace_reach,), 1)
+        for joint, lower, q, upper in zip(self.joints, self.joint_lower, self.home, self.joint_upper, strict=True):
+            if not lower <= q <= upper:
+                raise InvalidSetup(f"{self.name}: home of {joint} is {q} rad, outside of its limits {lower} .. {upper}.")
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def mjcf(self) -> Path:
+        """Path of the MJCF model."""
+        return _file_next_to(self.module, self.mjcf_file)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GripperDescription:
+    """One gripper with a single opening width."""
+
+    name: str
+    """Short name used to ask for it, such as `franka_hand`."""
+    label: str
+    """Full name for people."""
+    module: str
+    """Name of the module that defines the description; the MJCF file lies next to it."""
+    mjcf_file: str
+    """File name of the MJCF model."""
+    base_body: str
+    """Body that is attached to the arm's flange."""
+    mount_in_flange: Mount
+    """Pose of the base body in the flange frame."""
+    tcp_site: str
+    """Site of the tool centre point, between the finger pads."""
+    tcp_in_base: Mount
+    """Pose of the TCP in the frame of the base body."""
+    joints: tuple[str, ...]
+    """Finger joints."""
+    joint_closed: tuple[float, ...]
+    """Positions of `joints` when closed [m or rad]."""
+    joint_open: tuple[float, ...]
+    """Positions of `joints` when open [m or rad]."""
+    actuator: str
+    """The one actuator that drives all fingers."""
+    ctrl_closed: float
+    """Control value of the actuator that closes."""
+    ctrl_open: float
+    """Control value of the actuator that opens."""
+    pad_geoms: tuple[tuple[str, ...], tuple[str, ...]]
+    """Geoms that touch what is grasped: those of the left finger, those of the right finger."""
+    max_width: float
+    """Distance between the pads when open [m]."""
+    max_force: float
+    """Largest force per finger that the device holds without time limit [N]."""
+    grasp_force: float
+    """Force per finger that the MJCF model's actuator is limited to [N]; at most `max_force`."""
+    closing_speed: float
+    """Speed of each finger while it moves freely [m/s]."""
+    sources: tuple[str, ...]
+    """Where the figures come from."""
+
+    def __post_init__(self) -> None:
+        """Check lengths and signs.
+
+        Raises:
+            InvalidSetup: A table of the wrong length, a missing pad, equal end positions, or a figure out of range.
+        """
+        count = len(self.joints)
+        _require_numbers(f"{self.name}.joint_closed", self.joint_closed, count)
+        _require_numbers(f"{self.name}.joint_open", self.joint_open, count)
+        _require_numbers(f"{self.name}.ctrl", (self.ctrl_closed, self.ctrl_open), 2)
+        figures = (self.max_width, self.max_force, self.grasp_force, self.closing_speed)
+        _require_positive(f"{self.name}: max_width, max_force, grasp_force, closing_speed", figures, 4)
+        if count == 0 or self.ctrl_closed == self.ctrl_open:
+            raise InvalidSetup(f"{self.name}: needs a finger joint and different ctrl_closed and ctrl_open.")
+        if not all(self.pad_geoms):
+            raise InvalidSetup(f"{self.name}: pad_geoms needs a geom for each finger, got {self.pad_geoms}.")
+        if self.grasp_force > self.max_force:
+            raise InvalidSetup(f"{self.name}: grasp_force {self.grasp_force} N is above max_force {self.max_force} N.")
+
+    @property
+    def mjcf(self) -> Path:
+        """Path of the MJCF model."""
+        return _file_next_to(self.module, self.mjcf_file)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraDescription:
+    """One colour camera, with or without depth; where it is mounted is up to the setup.
+
+    The frame of the base body is the optical frame of the colour sensor: x right, y down, z forward (OpenCV axes). A pose from
+    a calibration is therefore the pose of the body.
+    """
+
+    name: str
+    """Short name used to ask for it, such as `realsense_d405`."""
+    label: str
+    """Full name for people."""
+    module: str
+    """Name of the module that defines the description; the MJCF file lies next to it."""
+    mjcf_file: str
+    """File name of the MJCF model."""
+    base_body: str
+    """Body that is attached to a mount; its frame is the optical frame."""
+    camera: str
+    """Name of the camera element."""
+    mount_hole_in_optical: Mount
+    """Pose of the tripod hole in the optical frame; its x axis points along the view, its z axis into the housing."""
+    resolutions: tuple[tuple[int, int, int], ...]
+    """Colour formats: width [px], height [px], highest rate [frames/s]."""
+    fovy: float
+    """Vertical field of view of the colour image [rad], at the native aspect ratio."""
+    native_aspect: float
+    """Width over height of the sensor's own format."""
+    has_depth: bool
+    """Whether the camera measures depth."""
+    depth_range: tuple[float, float]
+    """Nearest and farthest depth with useful accuracy [m]; (0, 0) without depth."""
+    min_depth: tuple[tuple[int, int, float], ...]
+    """Nearest depth by depth format: width [px], height [px], depth [m]."""
+    sources: tuple[str, ...]
+    """Where the figures come from."""
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            InvalidSetup: No resolution, a field of view outside of 0 .. pi, or a depth range that does not ascend.
+        """
+        if not self.resolutions or min(min(entry) for entry in self.resolutions) <= 0:
+            raise InvalidSetup(f"{self.name}: resolutions needs positive (width, height, rate), got {self.resolutions}.")
+        if not 0.0 < self.fovy < math.pi:
+            raise InvalidSetup(f"{self.name}: fovy is {self.fovy} rad; valid is 0 .. pi.")
+        _require_positive(f"{self.name}.native_aspect", (self.native_aspect,), 1)
+        near, far = self.depth_range
+        if self.has_depth and not 0.0 < near < far:
+            raise InvalidSetup(f"{self.name}: depth_range {self.depth_range} m must ascend from above 0.")
+
+    @property
+    def mjcf(self) -> Path:
+        """Path of the MJCF model."""
+        return _file_next_to(self.module, self.mjcf_file)
+
+    def intrinsics(self, width: int, height: int) -> NDArray[np.float64]:
+        """Return the camera matrix of an ideal image of this camera, without distortion.
+
+        Pixels are square and the principal point is the image's centre. Every format shows the sensor's full height; one that is
+        narrower than the sensor loses its sides. This is what MuJoCo draws for the same `fovy`, and what the camera's own
+        16:9 and 4:3 colour formats do.
+
+        Args:
+            width: Width of the image [px].
+            height: Height of the image [px].
+
+        Returns:
+            Camera matrix [px], shape (3, 3); the centre of the top left pixel is (0, 0), as in OpenCV.
+
+        Raises:
+            InvalidSetup: A size that is not positive, or an image wider than the sensor.
+        """
+        if width <= 0 or height <= 0:
+            raise InvalidSetup(f"{self.name}: an image of {width} x {height} px does not exist; both must be positive.")
+        # One pixel of slack: 854 x 480 and other rounded 16:9 formats are not wider than the sensor.
+        if width > self.native_aspect * height + 1.0:
+            widest = int(self.native_aspect * height)
+            raise InvalidSetup(
+                f"{self.name}: {width} x {height} px is wider than the sensor; {height} px of height allow {widest} px."
+            )
+        focal = 0.5 * height / math.tan(0.5 * self.fovy)
+        return np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
+
+
+def _require_numbers(what: str, values: Sequence[float], count: int) -> None:
+    if len(values) != count or not all(math.isfinite(value) for value in values):
+        raise InvalidSetup(f"{what} must be {count} finite numbers, got {tuple(values)}.")
+
+
+def _require_positive(what: str, values: Sequence[float], count: int) -> None:
+    _require_numbers(what, values, count)
+    if min(values) <= 0.0:
+        raise InvalidSetup(f"{what} must be positive, got {tuple(values)}.")
+
+
+def _file_next_to(module: str, file: str) -> Path:
+    """Return the path of a file in a module's folder.
+
+    Raises:
+        InvalidSetup: The module is not a file on disk.
+    """
+    origin = importlib.import_module(module).__file__
+    if origin is None:
+        raise InvalidSetup(f"{module} is not a file on disk, so {file} cannot lie next to it.")
+    return Path(origin).parent / file

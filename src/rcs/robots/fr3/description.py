@@ -1,0 +1,37 @@
+"""The figures of the Franka Research 3."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Final
+
+from rcs.robots.description import ArmDescription
+
+FR3: Final = ArmDescription(
+    name="fr3",
+    label="Franka Research 3",
+    module=__name__,
+    mjcf_file="fr3.xml",
+    base_body="link0",
+    joints=("joint1", "joint2", "joint3", "joint4", "joint5", "joint6", "joint7"),
+    actuators=("joint1", "joint2", "joint3", "joint4", "joint5", "joint6", "joint7"),
+    flange_site="flange",
+    # Start pose of the vendor's libfranka examples: the hand points down and its fingers open along the base's y axis.
+    home=(0.0, -pi / 4, 0.0, -3 * pi / 4, 0.0, pi / 2, pi / 4),
+    # franka_description 1.0.1, robots/fr3/joint_limits.yaml: position, velocity and effort.
+    joint_lower=(-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159),
+    joint_upper=(2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159),
+    velocity_limit=(2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26),
+    effort_limit=(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0),
+    # libfranka, rate_limiting.h: the same for all joints; the library itself stays 1e-3 below.
+    acceleration_limit=(10.0,) * 7,
+    jerk_limit=(5000.0,) * 7,
+    # Vendor's data sheet: maximum reach 855 mm.
+    workspace_reach=0.855,
+    sources=(
+        "franka_description 1.0.1 (Apache-2.0): kinematics, limits, inertia of the base, collision capsules",
+        "libfranka include/franka/rate_limiting.h (Apache-2.0): acceleration and jerk limits",
+        "mujoco_menagerie franka_fr3 (Apache-2.0): inertias, armature, friction, servo gains",
+    ),
+)
+"""The Franka Research 3 arm with seven joints."""

@@ -1,0 +1,1 @@
+"""The Franka Hand, a parallel gripper with two fingers."""

@@ -1,0 +1,1 @@
+"""The Intel RealSense D405, a stereo camera for short range."""
