@@ -32,11 +32,27 @@ struct FloatArray : nb::object {
 
 using Shape = std::span<const Py_ssize_t>;
 
-std::string format(Shape shape) {
-  std::string text = "(";
-  for (const Py_ssize_t size : shape) text += std::to_string(size) + (shape.size() == 1 ? "," : ", ");
-  if (shape.size() > 1) text.resize(text.size() - 2);
-  return text + ")";
+// "(7,)" or "(4, 4)"; with a prefix of "..., " the shape of a batch: "(..., 7)".
+std::string format(Shape shape, std::string_view prefix = "") {
+  std::string sizes;
+  for (const Py_ssize_t size : shape) sizes += (sizes.empty() ? "" : ", ") + std::to_string(size);
+  return "(" + std::string(prefix) + sizes + (shape.size() == 1 && prefix.empty() ? ",)" : ")");
+}
+
+// Looked up once and never freed: the lookup would take longer than the work on a single pose.
+struct NumPy {
+  PyObject* asarray = take("asarray");
+  PyObject* empty = take("empty");
+  PyObject* float64 = take("float64");
+
+  static PyObject* take(const char* name) {
+    return nb::object(nb::module_::import_("numpy").attr(name)).release().ptr();
+  }
+};
+
+const NumPy& numpy() {
+  static const NumPy names;
+  return names;
 }
 
 // An argument as C-contiguous float64 numbers. The buffer protocol takes 50 ns where nb::ndarray takes 150 ns, and an
@@ -45,8 +61,7 @@ class Numbers {
  public:
   explicit Numbers(const nb::object& source) {
     if (view(source)) return;
-    const nb::object numpy = nb::module_::import_("numpy");
-    if (!view(numpy.attr("ascontiguousarray")(numpy.attr("asarray")(source, numpy.attr("float64")))))
+    if (!view(nb::handle(numpy().asarray)(source, nb::handle(numpy().float64), "C")))
       throw std::invalid_argument("expected float64 numbers");
   }
   ~Numbers() { PyBuffer_Release(&buffer_); }
@@ -77,16 +92,14 @@ class Rows {
       : numbers_(source), row_ndim_(row_shape.size()) {
     const Shape shape = numbers_.shape();
     if (shape.size() < row_ndim_ || !std::equal(row_shape.begin(), row_shape.end(), shape.end() - row_ndim_)) {
-      std::string valid = format({row_shape.begin(), row_ndim_});
-      valid.insert(1, row_ndim_ > 0 ? "..., " : "...");
+      const std::string valid = format({row_shape.begin(), row_ndim_}, row_ndim_ > 0 ? "..., " : "...");
       throw std::invalid_argument(std::string(name) + " must have the shape " + valid + ", got " + format(shape));
     }
     for (const Py_ssize_t size : row_shape) row_size_ *= size;
     for (const Py_ssize_t size : leading()) count_ *= size;
   }
 
-  Shape shape() const { return numbers_.shape(); }
-  Shape leading() const { return shape().first(shape().size() - row_ndim_); }
+  Shape leading() const { return numbers_.shape().first(numbers_.shape().size() - row_ndim_); }
   Py_ssize_t count() const { return count_; }
   // A lone row stands for every row of a batch.
   const double* at(Py_ssize_t row) const { return numbers_.data() + (count_ == 1 ? 0 : row * row_size_); }
@@ -105,7 +118,7 @@ class Rows {
   Py_ssize_t count_ = 1;
 };
 
-// A fresh array of which every row is filled by function(row, numbers of the row).
+// A fresh array of which every row holds what function(row number) returns.
 template <typename Function>
 FloatArray fill_rows(Shape leading, std::initializer_list<Py_ssize_t> row_shape, const Function& function) {
   nb::object shape = nb::steal(PyTuple_New(static_cast<Py_ssize_t>(leading.size() + row_shape.size())));
@@ -118,9 +131,7 @@ FloatArray fill_rows(Shape leading, std::initializer_list<Py_ssize_t> row_shape,
     PyTuple_SET_ITEM(shape.ptr(), dimension++, PyLong_FromSsize_t(size));
     row_size *= size;
   }
-  // Looked up once and never freed: the lookup would take longer than the work on a single pose.
-  static PyObject* const empty = nb::module_::import_("numpy").attr("empty").release().ptr();
-  FloatArray result(nb::handle(empty)(shape).release(), nb::detail::steal_t{});
+  FloatArray result(nb::handle(numpy().empty)(shape).release(), nb::detail::steal_t{});
   const Numbers numbers(result);
   double* const out = const_cast<double*>(numbers.data());
   for (Py_ssize_t row = 0; row < count; ++row) {
@@ -149,13 +160,17 @@ Shape common_leading(std::initializer_list<const Rows*> inputs) {
   return widest;
 }
 
-template <std::size_t N>
-std::array<double, N> read(const ArrayLike& source, const char* name) {
-  const Rows rows(source, name, {static_cast<Py_ssize_t>(N)});
-  if (!rows.leading().empty())
-    throw std::invalid_argument(std::string(name) + " must be " + std::to_string(N) + " numbers, got the shape " +
-                                format(rows.shape()));
-  return rows.array<N>(0);
+// An argument of exactly one shape, such as the translation of one pose.
+template <Py_ssize_t... Sizes>
+std::array<double, static_cast<std::size_t>((Sizes * ...))> read(const ArrayLike& source, const char* name) {
+  constexpr std::array<Py_ssize_t, sizeof...(Sizes)> valid{Sizes...};
+  const Numbers numbers(source);
+  if (!std::ranges::equal(numbers.shape(), valid))
+    throw std::invalid_argument(std::string(name) + " must have the shape " + format(valid) + ", got " +
+                                format(numbers.shape()));
+  std::array<double, static_cast<std::size_t>((Sizes * ...))> values;
+  std::copy_n(numbers.data(), values.size(), values.begin());
+  return values;
 }
 
 template <std::size_t N>
@@ -184,7 +199,8 @@ void bind_class(nb::module_& m) {
   nb::class_<Pose>(m, "Pose", R"(A translation [m] and a rotation: the pose of one frame in another, or a rigid motion.
 
 Immutable and hashable. The quaternion is xyzw, of norm 1, and w is not negative, so equal rotations compare equal.
-Bad numbers raise ValueError: not finite, a quaternion more than 1e-3 off norm 1, a matrix more than 1e-6 off a rotation.)")
+Bad numbers raise ValueError: not finite, a quaternion more than 1e-3 off norm 1, a matrix more than 1e-6
+off a rotation.)")
       .def(
           "__init__",
           [](Pose* self, const ArrayLike& translation, const ArrayLike& quaternion) {
@@ -193,13 +209,7 @@ Bad numbers raise ValueError: not finite, a quaternion more than 1e-3 off norm 1
           "translation"_a = nb::make_tuple(0.0, 0.0, 0.0), "quaternion"_a = nb::make_tuple(0.0, 0.0, 0.0, 1.0),
           "From a translation [m], shape (3,), and a quaternion xyzw, shape (4,).")
       .def_static(
-          "from_matrix",
-          [](const ArrayLike& matrix) {
-            const Rows rows(matrix, "matrix", {4, 4});
-            if (!rows.leading().empty())
-              throw std::invalid_argument("matrix must have the shape (4, 4), got " + format(rows.shape()));
-            return Pose::from_matrix(rows.array<16>(0));
-          },
+          "from_matrix", [](const ArrayLike& matrix) { return Pose::from_matrix(read<4, 4>(matrix, "matrix")); },
           "matrix"_a, "From a homogeneous matrix, shape (4, 4).")
       .def_static(
           "from_rpy",

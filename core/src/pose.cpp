@@ -108,6 +108,13 @@ Quaternion quaternion_of_rotvec(const Vector& rotvec) {
   return {scale * rotvec[0], scale * rotvec[1], scale * rotvec[2], std::cos(angle / 2)};
 }
 
+void check_rotvec(const Vector& rotvec) {
+  check_finite(rotvec, "rotation vector");
+  if (!std::isfinite(dot(rotvec, rotvec)))
+    throw std::invalid_argument("rotation vector must have a length that is finite when squared, got " +
+                                format(rotvec));
+}
+
 Vector lerp(const Vector& from, const Vector& to, double fraction) {
   if (fraction == 1) return to;
   return add(from, fraction, add(to, -1.0, from));
@@ -217,7 +224,7 @@ Pose Pose::from_rpy(const std::array<double, 3>& translation, const std::array<d
 
 Pose Pose::from_rotvec(const std::array<double, 3>& translation, const std::array<double, 3>& rotvec) {
   check_finite(translation, "translation");
-  check_finite(rotvec, "rotvec");
+  check_rotvec(rotvec);
   return Pose(translation, quaternion_of_rotvec(rotvec));
 }
 
@@ -232,8 +239,8 @@ Pose Pose::from_xyzrpy(std::span<const double, 6> xyzrpy) {
 Pose Pose::exp(std::span<const double, 6> twist) {
   const Vector v{twist[0], twist[1], twist[2]};
   const Vector w{twist[3], twist[4], twist[5]};
-  check_finite(v, "twist (linear)");
-  check_finite(w, "twist (angular)");
+  check_finite(v, "linear part of the twist");
+  check_rotvec(w);
   const double square = dot(w, w);
   const double angle = std::sqrt(square);
   double b = 1.0 / 2 - square / 24 + square * square / 720;

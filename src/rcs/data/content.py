@@ -44,7 +44,7 @@ class ContentHash:
         """Take the next rows."""
         for key, (nulls, values) in self._columns.items():
             column = table.column(key)
-            nulls.update(_is_null(column).astype(np.uint8))
+            nulls.update(_is_null(column).astype(np.uint8).tobytes())
             if pa.types.is_binary(column.type):
                 for image in column:
                     data = image.as_buffer()
@@ -52,7 +52,7 @@ class ContentHash:
                     values.update(data)
             else:
                 numbers = np.ascontiguousarray(flat_numbers(column))
-                values.update(numbers.astype(numbers.dtype.newbyteorder("<"), copy=False))
+                values.update(numbers.astype(numbers.dtype.newbyteorder("<"), copy=False).tobytes())
 
     def hexdigest(self) -> str:
         """Return the hash of the rows so far."""
@@ -100,7 +100,8 @@ def steps_equal(a: pa.Table, b: pa.Table) -> bool:
 def _first_difference(a: pa.Array, b: pa.Array) -> int | None:
     is_different = _is_null(a) != _is_null(b)
     if pa.types.is_binary(a.type):
-        is_different |= pc.fill_null(pc.not_equal(a, b), False).to_numpy(zero_copy_only=False)
+        is_same = pc.call_function("equal", [a, b]).fill_null(True)  # whether both have a value is known above
+        is_different |= ~is_same.to_numpy(zero_copy_only=False)
     elif len(a):
         # Bits, not values: NaN is NaN here, and 0 is not -0.
         bits = [np.ascontiguousarray(flat_numbers(array)).view(np.uint8).reshape(len(a), -1) for array in (a, b)]
@@ -110,4 +111,6 @@ def _first_difference(a: pa.Array, b: pa.Array) -> int | None:
 
 
 def _is_null(column: pa.ChunkedArray | pa.Array) -> NDArray[np.bool_]:
-    return column.is_null().to_numpy(zero_copy_only=False) if isinstance(column, pa.Array) else column.is_null().to_numpy()
+    return (
+        column.is_null().to_numpy(zero_copy_only=False) if isinstance(column, pa.Array) else column.is_null().to_numpy()
+    )

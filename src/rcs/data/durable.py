@@ -71,7 +71,7 @@ def write_file(path: Path, data: bytes) -> None:
         os.fsync(fd)
     finally:
         os.close(fd)
-    os.replace(temporary, path)
+    temporary.replace(path)
 
 
 def remove_folder(path: Path, trash: Path) -> None:
@@ -81,7 +81,7 @@ def remove_folder(path: Path, trash: Path) -> None:
         path: The folder.
         trash: A free name beside it; what a kill leaves under that name is rubbish.
     """
-    os.rename(path, trash)
+    path.rename(trash)
     shutil.rmtree(trash, ignore_errors=True)
 
 
@@ -96,7 +96,9 @@ class HashedFile:
         self.closed = False
 
     def write(self, data: bytes) -> int:
-        """Append bytes; they are written in large pieces."""
+        """Append bytes; they are written in large pieces. What comes after `close` is dropped."""
+        if self.closed:
+            return len(data)
         self._pending += data
         if len(self._pending) >= _CHUNK:
             self._write_pending()

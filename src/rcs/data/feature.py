@@ -119,6 +119,7 @@ class Feature:
             InvalidSetup: A field is missing, unknown or does not make sense.
         """
         try:
-            return cls(**{**values, "shape": tuple(values["shape"])})
+            fields: dict[str, Any] = {**values, "shape": tuple(values["shape"])}
+            return cls(**fields)
         except (KeyError, TypeError) as err:
             raise InvalidSetup(f"Not a description of a feature: {dict(values)}.") from err

@@ -93,7 +93,8 @@ class DatasetInfo:
         """
         refuse_newer_schema(values.get("schema_version"), "dataset")
         try:
-            return cls(**{**values, "features": tuple(Feature.from_json(f) for f in values["features"])})
+            fields: dict[str, Any] = {**values, "features": tuple(Feature.from_json(f) for f in values["features"])}
+            return cls(**fields)
         except (KeyError, TypeError) as err:
             raise InvalidSetup(f"Not a description of a dataset: {err}.") from err
 

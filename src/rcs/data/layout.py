@@ -59,7 +59,9 @@ def new_trash_folder(root: Path, episode_id: str) -> Path:
 def complete_ids(root: Path) -> list[str]:
     """Return the ids of the complete episodes, sorted."""
     return sorted(
-        name for name in _names(root) if not name.startswith(".") and (episode_folder(root, name) / EPISODE_FILE).exists()
+        name
+        for name in _names(root)
+        if not name.startswith(".") and (episode_folder(root, name) / EPISODE_FILE).exists()
     )
 
 
@@ -84,6 +86,6 @@ def trash_folders(root: Path) -> list[Path]:
 
 def _names(root: Path) -> list[str]:
     try:
-        return os.listdir(root / EPISODES_FOLDER)
+        return [path.name for path in (root / EPISODES_FOLDER).iterdir()]
     except FileNotFoundError:
         return []

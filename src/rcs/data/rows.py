@@ -63,6 +63,7 @@ class RowBuffer:
         self._image_bytes = 0
         self._rows = 0
         self._at_reset = True
+        self._null_at_reset: set[str] = set()
 
     @property
     def rows(self) -> int:
@@ -185,7 +186,7 @@ def _fits(value: object, dtype: np.dtype[Any]) -> bool:
         return dtype.kind == "b"
     if isinstance(value, (int, np.integer)):
         if dtype.kind in "iu":
-            return np.iinfo(dtype).min <= value <= np.iinfo(dtype).max
+            return int(np.iinfo(dtype).min) <= int(value) <= int(np.iinfo(dtype).max)
         return dtype.kind == "f"
     return isinstance(value, (float, np.floating)) and dtype.kind == "f"
 

@@ -1,7 +1,7 @@
 """What is known about an arm, a gripper or a camera: frozen figures, and the MJCF file that carries the same ones.
 
-Every description names one MJCF file whose elements have plain names (`joint1`, `flange`, `tcp`). A scene attaches these files
-to each other and adds its own prefixes, so the names given here are the names before the prefix.
+Every description names one MJCF file whose elements have plain names (`joint1`, `flange`, `tcp`). A scene attaches
+these files to each other and adds its own prefixes, so the names given here are the names before the prefix.
 """
 
 from __future__ import annotations
@@ -97,7 +97,9 @@ class ArmDescription:
         _require_positive(f"{self.name}.workspace_reach", (self.workspace_reach,), 1)
         for joint, lower, q, upper in zip(self.joints, self.joint_lower, self.home, self.joint_upper, strict=True):
             if not lower <= q <= upper:
-                raise InvalidSetup(f"{self.name}: home of {joint} is {q} rad, outside of its limits {lower} .. {upper}.")
+                raise InvalidSetup(
+                    f"{self.name}: home of {joint} is {q} rad, outside of its limits {lower} .. {upper}."
+                )
 
     @property
     def dof(self) -> int:
@@ -184,8 +186,8 @@ class GripperDescription:
 class CameraDescription:
     """One colour camera, with or without depth; where it is mounted is up to the setup.
 
-    The frame of the base body is the optical frame of the colour sensor: x right, y down, z forward (OpenCV axes). A pose from
-    a calibration is therefore the pose of the body.
+    The frame of the base body is the optical frame of the colour sensor: x right, y down, z forward (OpenCV axes). A
+    pose from a calibration is therefore the pose of the body.
     """
 
     name: str
@@ -224,7 +226,9 @@ class CameraDescription:
             InvalidSetup: No resolution, a field of view outside of 0 .. pi, or a depth range that does not ascend.
         """
         if not self.resolutions or min(min(entry) for entry in self.resolutions) <= 0:
-            raise InvalidSetup(f"{self.name}: resolutions needs positive (width, height, rate), got {self.resolutions}.")
+            raise InvalidSetup(
+                f"{self.name}: resolutions needs positive (width, height, rate), got {self.resolutions}."
+            )
         if not 0.0 < self.fovy < math.pi:
             raise InvalidSetup(f"{self.name}: fovy is {self.fovy} rad; valid is 0 .. pi.")
         _require_positive(f"{self.name}.native_aspect", (self.native_aspect,), 1)
@@ -240,9 +244,9 @@ class CameraDescription:
     def intrinsics(self, width: int, height: int) -> NDArray[np.float64]:
         """Return the camera matrix of an ideal image of this camera, without distortion.
 
-        Pixels are square and the principal point is the image's centre. Every format shows the sensor's full height; one that is
-        narrower than the sensor loses its sides. This is what MuJoCo draws for the same `fovy`, and what the camera's own
-        16:9 and 4:3 colour formats do.
+        Pixels are square and the principal point is the image's centre. Every format shows the sensor's full height;
+        one that is narrower than the sensor loses its sides. This is what MuJoCo draws for the same `fovy`, and what
+        the camera's own 16:9 and 4:3 colour formats do.
 
         Args:
             width: Width of the image [px].

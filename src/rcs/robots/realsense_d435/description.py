@@ -14,8 +14,8 @@ REALSENSE_D435: Final = CameraDescription(
     mjcf_file="realsense_d435.xml",
     base_body="camera",
     camera="color",
-    # realsense2_description, _d435.urdf.xacro: the colour sensor sits 15 mm left of the depth frame, which is 17.5 mm beside
-    # the centre and 14.9 mm before the tripod hole, at half of the 25 mm height.
+    # realsense2_description, _d435.urdf.xacro: the colour sensor sits 15 mm left of the depth frame, which is 17.5 mm
+    # beside the centre and 14.9 mm before the tripod hole, at half of the 25 mm height.
     mount_hole_in_optical=Mount(translation=(0.0325, 0.0125, -0.0149), quaternion=(0.5, -0.5, 0.5, 0.5)),
     # D400 series data sheet: formats of the colour sensor.
     resolutions=(
@@ -29,8 +29,8 @@ REALSENSE_D435: Final = CameraDescription(
         (320, 240, 60),
         (320, 180, 60),
     ),
-    # D400 series data sheet: colour 69.4 x 42.5 degrees, +-3. Calibrated cameras report fy = 606 .. 617 px at 640 x 480;
-    # this gives 617 px.
+    # D400 series data sheet: colour 69.4 x 42.5 degrees, +-3. Calibrated cameras report fy = 606 .. 617 px at
+    # 640 x 480; this gives 617 px.
     fovy=radians(42.5),
     native_aspect=16 / 9,
     has_depth=True,

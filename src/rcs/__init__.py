@@ -1,0 +1,37 @@
+"""The Robot Control Stack: one Gymnasium API for a simulated or a real robot.
+
+Nothing happens at import: the names below are loaded when they are first used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rcs.setups.make import make, make_vec
+    from rcs.envs.setup import Setup
+    from rcs.spatial import Pose
+
+__version__ = "0.1.0"
+__all__ = ["Pose", "Setup", "__version__", "make", "make_vec"]
+
+_HOME_OF = {"make": "rcs.setups.make", "make_vec": "rcs.setups.make", "Setup": "rcs.envs.setup", "Pose": "rcs.spatial"}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from the module that defines it.
+
+    Raises:
+        AttributeError: There is no such name.
+    """
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'rcs' has no attribute {name!r}; public names are {', '.join(__all__)}")
+    value = getattr(importlib.import_module(_HOME_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names, loaded or not."""
+    return sorted(__all__)

@@ -1,0 +1,201 @@
+"""From an open episode to a complete one: the stream becomes Parquet, and `episode.json` seals it.
+
+A kill at any point leaves an open episode, which can be compacted again from its stream, or a complete one:
+
+1. `steps.parquet` and `sim_state.parquet` are written and synced inside the open folder. Without `episode.json` they
+   count for nothing, so they need no temporary names.
+2. `episode.json` is put in place in one step and the folder synced. From here on the episode is finished.
+3. The stream is removed and the folder gets its final name.
+
+That is five syncs with a simulation and four without; each keeps one step from reaching the disk before the one it
+builds on, for the case that the power fails.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+from collections.abc import Iterator, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from rcs.data import layout
+from rcs.data.content import ContentHash
+from rcs.data.durable import HashedFile, disk_errors, sealed, sync_folder, write_file
+from rcs.data.info import SCHEMA_VERSION, DatasetInfo
+from rcs.data.quality import QualityMeter
+from rcs.data.rows import SIM_STATE, sim_state_schema, steps_schema, stream_schema
+from rcs.data.stream import StreamReader
+from rcs.errors import CorruptEpisode, DatasetError
+
+# Rows per Parquet row group. It is fixed, so that the bytes do not depend on how the stream was flushed; images are
+# few to a group, so that compacting needs little memory and a reader can stop after some frames.
+_GROUP_OF_NUMBERS = 16384
+_GROUP_OF_IMAGES = 256
+
+
+def compact(
+    root: Path,
+    episode_id: str,
+    info: DatasetInfo,
+    *,
+    success: bool | None,
+    outcome: Mapping[str, Any],
+    ended: str | None,
+) -> Path | None:
+    """Turn the open episode's stream into a complete episode and return its folder; None if there are no rows.
+
+    Args:
+        root: The dataset's folder.
+        episode_id: The episode.
+        info: What the dataset's episodes share.
+        success: Whether the task was done; None if that is not known.
+        outcome: What else is to be kept about how it went, as JSON values.
+        ended: Wall clock at the end, ISO 8601 in UTC; None if nobody looked.
+
+    Raises:
+        DatasetError: The disk is full or fails, or there is a complete episode of that name; the stream stays.
+        CorruptEpisode: The stream has other columns than the dataset.
+    """
+    folder = layout.open_folder(root, episode_id)
+    with disk_errors(f"finish episode {episode_id!r}", folder):
+        stream = StreamReader(folder / layout.ROWS_FILE)
+        header = stream.header
+        if header is None or stream.schema is None:
+            return None
+        if not stream.schema.equals(stream_schema(info)):
+            raise CorruptEpisode(f"The open episode in {folder} has other columns than the dataset; it is left alone.")
+        groups = _groups(stream, info)
+        first = next(groups, None)
+        if first is None:
+            return None
+        content, quality = ContentHash(info), QualityMeter(info)
+        with contextlib.ExitStack() as files:
+            steps = files.enter_context(_ParquetFile(folder / layout.STEPS_FILE, steps_schema(info)))
+            states = None
+            if info.sim_state_size is not None:
+                path = folder / layout.SIM_STATE_FILE
+                states = files.enter_context(_ParquetFile(path, sim_state_schema(info.sim_state_size)))
+            for group in _chain(first, groups):
+                rows = group.select(steps.schema.names)
+                steps.write(rows)
+                content.add(rows)
+                quality.add(rows)
+                if states is not None:
+                    states.write(group.select([SIM_STATE]))
+            hashes = {file.name: file.complete() for file in (steps, states) if file is not None}
+        about = {
+            "schema_version": SCHEMA_VERSION,
+            "id": header.id,
+            "seed": header.seed,
+            "success": success,
+            "outcome": dict(outcome),
+            "length": steps.rows,
+            "instruction": header.instruction,
+            "started": header.started,
+            "ended": ended,
+            "versions": header.versions,
+            "content_hash": content.hexdigest(),
+            "sha256": hashes,
+            "quality": {**quality.report(), "is_torn": stream.is_torn},
+        }
+        write_file(folder / layout.EPISODE_FILE, sealed(about))
+        sync_folder(folder)
+    return publish(root, episode_id)
+
+
+def publish(root: Path, episode_id: str) -> Path:
+    """Give an open episode that has its `episode.json` its final name, and return the folder.
+
+    Raises:
+        DatasetError: The disk fails, or there is a complete episode of that name.
+    """
+    opened, final = layout.open_folder(root, episode_id), layout.episode_folder(root, episode_id)
+    with disk_errors(f"publish episode {episode_id!r}", opened):
+        for name in (layout.ROWS_FILE, layout.ABORTED_FILE):
+            (opened / name).unlink(missing_ok=True)
+        if final.exists():
+            raise DatasetError(f"There already is an episode {episode_id!r} in {root}; the other one is in {opened}.")
+        opened.rename(final)
+        sync_folder(final.parent)
+    return final
+
+
+@functools.cache
+def library_versions() -> dict[str, str]:
+    """Return the versions of the libraries that decide which bytes are written."""
+    return {name: version(name) for name in ("numpy", "pyarrow", "simplejpeg")}
+
+
+class _ParquetFile:
+    """A Parquet file that is written group by group and hashed on the way."""
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        self.name = path.name
+        self.schema = schema
+        self.rows = 0
+        self._file = HashedFile(path)
+        leaves = {field.name: _leaf(field) for field in schema}
+        # JPEG and depth are compressed already.
+        compression: Any = {leaf: "none" if _is_image(schema.field(key)) else "zstd" for key, leaf in leaves.items()}
+        self._writer = pq.ParquetWriter(
+            self._file,
+            schema,
+            use_dictionary=False,
+            write_statistics=False,
+            write_page_checksum=True,
+            compression=compression,
+            compression_level={leaf: 1 for key, leaf in leaves.items() if not _is_image(schema.field(key))},
+        )
+
+    def __enter__(self) -> _ParquetFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        # In this order: after a failure the Parquet writer still wants to write its footer, and a closed file drops it.
+        self._file.close()
+        self._writer.close()
+
+    def write(self, group: pa.Table) -> None:
+        """Append a row group."""
+        self._writer.write_table(group, row_group_size=max(group.num_rows, 1))
+        self.rows += group.num_rows
+
+    def complete(self) -> str:
+        """Write the footer, bring the file to the disk and return its SHA-256."""
+        self._writer.close()
+        return self._file.complete()
+
+
+def _groups(stream: StreamReader, info: DatasetInfo) -> Iterator[pa.Table]:
+    has_images = any(feature.encoding != "plain" for feature in info.features)
+    size = _GROUP_OF_IMAGES if has_images else _GROUP_OF_NUMBERS
+    waiting: list[pa.RecordBatch] = []
+    rows = 0
+    for batch in stream.batches():
+        while rows + batch.num_rows >= size:
+            head = size - rows
+            yield pa.Table.from_batches([*waiting, batch.slice(0, head)]).combine_chunks()
+            waiting, rows, batch = [], 0, batch.slice(head)
+        if batch.num_rows:
+            waiting.append(batch)
+            rows += batch.num_rows
+    if waiting:
+        yield pa.Table.from_batches(waiting).combine_chunks()
+
+
+def _chain(first: pa.Table, rest: Iterator[pa.Table]) -> Iterator[pa.Table]:
+    yield first
+    yield from rest
+
+
+def _leaf(field: pa.Field) -> str:
+    return f"{field.name}.list.element" if pa.types.is_fixed_size_list(field.type) else field.name
+
+
+def _is_image(field: pa.Field) -> bool:
+    return pa.types.is_binary(field.type)

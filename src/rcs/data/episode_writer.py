@@ -1,0 +1,206 @@
+"""Records one episode: rows come in one by one, and what was recorded outlives a kill."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.data import layout
+from rcs.data.compact import compact, library_versions
+from rcs.data.durable import as_json, disk_errors, remove_folder, sealed, write_file
+from rcs.data.info import DatasetInfo
+from rcs.data.reader import EpisodeRecord
+from rcs.data.rows import RowBuffer, Value, stream_schema
+from rcs.data.stream import EpisodeHeader, StreamWriter
+from rcs.errors import DatasetError, InvalidSetup
+
+_log = logging.getLogger(__name__)
+
+# The oldest row that a kill can take with it. A write per row would be 40 microseconds on each of them.
+_FLUSH_AFTER_S = 0.25
+
+State = Literal["open", "finished", "discarded", "aborted"]
+
+
+class EpisodeWriter:
+    """One episode while it is recorded; made by `DatasetWriter.episode`. Not for use by two threads at a time.
+
+    Rows are written at the latest with the first one that comes 0.25 s after the last write, so a kill takes at most
+    the last 0.25 s of the recording. Left as a context manager without `finish`, the episode is aborted: its rows stay
+    until `recover` makes an episode of them or a resumed recording discards them.
+    """
+
+    def __init__(self, root: Path, info: DatasetInfo, episode_id: str, seed: int | None, instruction: str) -> None:
+        """Make the open episode's folder.
+
+        Args:
+            root: The dataset's folder.
+            info: What the dataset's episodes share.
+            episode_id: The name of the episode.
+            seed: The seed it was reset with.
+            instruction: What the robot is asked to do.
+
+        Raises:
+            InvalidSetup: The id cannot be the name of a folder.
+            DatasetError: There is an episode of that name, or the folder cannot be made.
+        """
+        layout.check_episode_id(episode_id)
+        self.id = episode_id
+        self.state: State = "open"
+        self._root = root
+        self._info = info
+        self._folder = layout.open_folder(root, episode_id)
+        self._rows = 0
+        self._buffer = RowBuffer(info)
+        header = EpisodeHeader(
+            id=episode_id,
+            seed=None if seed is None else int(seed),
+            instruction=instruction,
+            started=_now(),
+            versions={**info.versions, **library_versions()},
+        )
+        with disk_errors(f"start episode {episode_id!r}", self._folder):
+            try:
+                self._folder.mkdir()
+            except FileExistsError as err:
+                raise DatasetError(
+                    f"Episode {episode_id!r} is already being recorded, or was when its writer died: {self._folder}. "
+                    "Resume the dataset to recover or discard it, or choose another id."
+                ) from err
+            # Asked only now: a writer that finished this id in between has given up the open folder's name.
+            if layout.episode_folder(root, episode_id).exists():
+                self._folder.rmdir()
+                raise DatasetError(f"There already is an episode {episode_id!r} in {root}; choose another id.")
+            self._stream = StreamWriter(self._folder / layout.ROWS_FILE, stream_schema(info), header)
+        self._flushed_at = time.monotonic()
+
+    @property
+    def rows(self) -> int:
+        """How many rows were added, the reset observation included."""
+        return self._rows
+
+    def add(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None = None) -> None:
+        """Record one step; the first row is the reset observation.
+
+        Args:
+            row: A value for each feature. In the first row action, executed action and reward are None or left out, for
+                nothing was done yet. A `time/*` is None where nothing was measured.
+            sim_state: The simulation's state after the step, shape (sim_state_size,).
+
+        Raises:
+            InvalidSetup: A key, shape, dtype or time is wrong; the row is not recorded, and the episode stays open.
+            DatasetError: The disk is full or fails; the episode is aborted, and other episodes are as they were.
+        """
+        self._check_open("add a row")
+        self._buffer.add(row, sim_state)
+        self._rows += 1
+        if self._buffer.is_full or time.monotonic() - self._flushed_at > _FLUSH_AFTER_S:
+            self._flush()
+
+    def finish(self, success: bool | None, outcome: Mapping[str, Any] | None = None) -> EpisodeRecord:
+        """Complete the episode and return it.
+
+        Args:
+            success: Whether the task was done; None if that is not known.
+            outcome: What else is to be kept about how it went: JSON values, numpy numbers and arrays.
+
+        Raises:
+            InvalidSetup: There are no rows, or the outcome is not JSON; the episode stays open.
+            DatasetError: The disk is full or fails; the episode is aborted, and `recover` can complete it later.
+        """
+        self._check_open("finish")
+        if self._rows == 0:
+            raise InvalidSetup(f"Episode {self.id!r} has no rows; add the reset observation first, or discard it.")
+        kept = as_json(dict(outcome or {}))
+        if not isinstance(success, (bool, np.bool_, type(None))):
+            raise InvalidSetup(f"success is {success!r}; valid are True, False and None.")
+        self._flush()
+        try:
+            self._stream.close()
+            verdict = None if success is None else bool(success)
+            folder = compact(self._root, self.id, self._info, success=verdict, outcome=kept, ended=_now())
+        except DatasetError as err:
+            if self._folder.exists():
+                self._mark_aborted(str(err))
+            else:
+                self.state = "finished"  # only the last sync failed
+            raise
+        assert folder is not None, "an episode with rows has a folder"
+        self.state = "finished"
+        return EpisodeRecord(folder, self._info)
+
+    def discard(self) -> None:
+        """Remove the episode with all its rows; harmless after `finish` was refused, an abort or another discard.
+
+        Raises:
+            DatasetError: The episode is finished, or the disk fails.
+        """
+        if self.state == "discarded":
+            return
+        if self.state == "finished":
+            raise DatasetError(f"Episode {self.id!r} is finished and cannot be discarded.")
+        self._stream.close()
+        with disk_errors(f"discard episode {self.id!r}", self._folder):
+            remove_folder(self._folder, layout.new_trash_folder(self._root, self.id))
+        self.state = "discarded"
+
+    def abort(self, reason: str) -> None:
+        """Give the episode up but keep its rows, for `recover`; an episode without rows is discarded.
+
+        Args:
+            reason: Why, in words; it is kept.
+
+        Raises:
+            DatasetError: The episode is finished or discarded, or the disk fails.
+        """
+        if self.state == "aborted":
+            return
+        self._check_open("abort")
+        if self._rows == 0:
+            self.discard()
+            return
+        if self._buffer.rows:
+            self._flush()
+        self._mark_aborted(reason)
+
+    def __enter__(self) -> Self:
+        """Return the writer itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
+        """Abort the episode unless it is finished or discarded."""
+        if self.state == "open":
+            self.abort("left without finish" if kind is None else f"{kind.__name__}: {error}")
+
+    def _flush(self) -> None:
+        self._flushed_at = time.monotonic()
+        if self._buffer.rows:
+            try:
+                self._stream.write(self._buffer.take())
+            except DatasetError as err:
+                self._mark_aborted(str(err))
+                raise
+
+    def _mark_aborted(self, reason: str) -> None:
+        self.state = "aborted"
+        self._stream.close()
+        try:
+            write_file(self._folder / layout.ABORTED_FILE, sealed({"reason": reason}))
+        except OSError as err:
+            # On a full disk the reason has no place either; the rows before it are still there.
+            _log.warning("Episode %r is aborted, and the reason could not be stored: %s", self.id, err)
+
+    def _check_open(self, doing: str) -> None:
+        if self.state != "open":
+            raise DatasetError(f"Cannot {doing}: episode {self.id!r} is {self.state}.")
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")

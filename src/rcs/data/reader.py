@@ -1,0 +1,274 @@
+"""Reads a dataset: its episodes one by one, and of each only what is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from rcs.data import layout
+from rcs.data.codec import decode_depth, decode_jpeg
+from rcs.data.content import flat_numbers
+from rcs.data.durable import disk_errors, unsealed
+from rcs.data.feature import Feature
+from rcs.data.info import DatasetInfo, refuse_newer_schema
+from rcs.data.rows import SIM_STATE
+from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
+
+_FRAMES_AT_A_TIME = 32
+
+
+class EpisodeRecord:
+    """One complete episode; nothing is read before it is asked for.
+
+    Every property raises `CorruptEpisode` when the file it needs is missing or damaged.
+    """
+
+    def __init__(self, path: Path, info: DatasetInfo) -> None:
+        """Name an episode.
+
+        Args:
+            path: Its folder.
+            info: What the dataset's episodes share.
+        """
+        self.path = path
+        self.info = info
+
+    def __repr__(self) -> str:
+        """Name the episode."""
+        return f"EpisodeRecord({self.id!r})"
+
+    @property
+    def id(self) -> str:
+        """The name, unique in the dataset."""
+        return self.path.name
+
+    @cached_property
+    def about(self) -> dict[str, Any]:
+        """All that `episode.json` says."""
+        path = self.path / layout.EPISODE_FILE
+        try:
+            data = path.read_bytes()
+        except OSError as err:
+            raise CorruptEpisode(f"Episode {self.id!r} has no readable {path}: {err.strerror}.") from err
+        about = unsealed(data, path)
+        refuse_newer_schema(about.get("schema_version"), f"episode, {self.path},")
+        return about
+
+    @property
+    def seed(self) -> int | None:
+        """The seed the episode was reset with."""
+        return self.about["seed"]
+
+    @property
+    def success(self) -> bool | None:
+        """Whether the task was done; None if nobody said."""
+        return self.about["success"]
+
+    @property
+    def length(self) -> int:
+        """Rows, the reset observation included."""
+        return self.about["length"]
+
+    @property
+    def outcome(self) -> dict[str, Any]:
+        """What else was kept about how it went."""
+        return self.about["outcome"]
+
+    @property
+    def instruction(self) -> str:
+        """What the robot was asked to do."""
+        return self.about["instruction"]
+
+    @property
+    def quality(self) -> dict[str, Any]:
+        """How well it was recorded: periods, gaps, repeated images."""
+        return self.about["quality"]
+
+    @property
+    def content_hash(self) -> str:
+        """A hash of all columns but the times: equal for two runs that are alike bit for bit."""
+        return self.about["content_hash"]
+
+    def steps(self, keys: list[str] | None = None) -> pa.Table:
+        """Return the rows as stored, images still encoded.
+
+        Args:
+            keys: The columns to read; None for all.
+
+        Raises:
+            CorruptEpisode: The file is missing or damaged.
+        """
+        if keys is not None:
+            keys = [self.info.feature(key).key for key in keys]
+        return self._read(layout.STEPS_FILE, keys)
+
+    def column(self, key: str) -> NDArray[Any]:
+        """Return one column, images decoded, shape (length, *feature.shape).
+
+        Where a row has no value, as the action of the first, there is NaN, or 0 for integers and False for booleans.
+
+        Args:
+            key: The feature.
+
+        Raises:
+            InvalidSetup: There is no such feature.
+            CorruptEpisode: The file is missing or damaged.
+        """
+        feature = self.info.feature(key)
+        if feature.encoding != "plain":
+            images = list(self.frames(key))
+            return np.stack(images) if images else np.empty((0, *feature.shape), feature.numpy_dtype)
+        column = self.steps([key]).column(key)
+        numbers = flat_numbers(column).reshape(-1, *feature.shape)
+        if column.null_count and numbers.dtype.kind == "f":
+            numbers = numbers.copy()
+            numbers[column.is_null().to_numpy()] = np.nan
+        return numbers
+
+    def frames(self, key: str) -> Iterator[NDArray[Any]]:
+        """Yield the images of one camera in order: (H, W, 3) uint8, or (H, W) uint16 millimetres for depth.
+
+        Args:
+            key: The feature.
+
+        Raises:
+            InvalidSetup: There is no such feature, or it is no image.
+            CorruptEpisode: The file is missing or damaged; the message has the row.
+        """
+        feature = self.info.feature(key)
+        for row, data in enumerate(self.encoded_frames(key)):
+            try:
+                yield decode_frame(feature, data)
+            except CorruptEpisode as err:
+                raise CorruptEpisode(f"{self.path / layout.STEPS_FILE}, {key!r}, row {row}: {err}") from err
+
+    def encoded_frames(self, key: str) -> Iterator[bytes]:
+        """Yield the images of one camera in order, as stored: JPEG files, or compressed depth.
+
+        Args:
+            key: The feature.
+
+        Raises:
+            InvalidSetup: There is no such feature, or it is no image.
+            CorruptEpisode: The file is missing or damaged.
+        """
+        if self.info.feature(key).encoding == "plain":
+            raise InvalidSetup(f"{key!r} is no image; read it with column({key!r}).")
+        path = self.path / layout.STEPS_FILE
+        try:
+            with pq.ParquetFile(path, memory_map=True, page_checksum_verification=True) as file:
+                for batch in file.iter_batches(_FRAMES_AT_A_TIME, columns=[key], use_threads=False):
+                    yield from batch.column(0).to_pylist()
+        except (pa.ArrowException, OSError) as err:
+            raise CorruptEpisode(f"{path} does not read: {err}.") from err
+
+    def sim_state(self) -> NDArray[np.float64]:
+        """Return the simulation's state at each step, shape (length, sim_state_size).
+
+        Raises:
+            InvalidSetup: The dataset has no simulation state.
+            CorruptEpisode: The file is missing or damaged.
+        """
+        if self.info.sim_state_size is None:
+            raise InvalidSetup(f"The dataset of {self.path} was recorded without a simulation's state.")
+        column = self._read(layout.SIM_STATE_FILE, None).column(SIM_STATE)
+        return flat_numbers(column).reshape(-1, self.info.sim_state_size)
+
+    def _read(self, name: str, columns: list[str] | None) -> pa.Table:
+        path = self.path / name
+        try:
+            # Not `read_table`: that takes a folder named "seed=3" for a partition and adds a column.
+            with pq.ParquetFile(path, memory_map=True, page_checksum_verification=True) as file:
+                return file.read(columns=columns, use_threads=False)
+        except (pa.ArrowException, OSError) as err:
+            raise CorruptEpisode(f"{path} does not read: {err}.") from err
+
+
+class Dataset:
+    """A dataset on disk, for reading; one that is being recorded can be read too."""
+
+    def __init__(self, path: Path, info: DatasetInfo, episodes: tuple[EpisodeRecord, ...]) -> None:
+        """Hold what `open` found.
+
+        Args:
+            path: The folder.
+            info: What the episodes share.
+            episodes: The complete episodes, sorted by id.
+        """
+        self.path = path
+        self.info = info
+        self.episodes = episodes
+
+    @classmethod
+    def open(cls, path: str | Path) -> Dataset:
+        """Open the dataset in a folder.
+
+        Args:
+            path: The folder with `dataset.json`.
+
+        Raises:
+            DatasetError: There is no dataset, or its layout is newer than this code.
+            CorruptEpisode: `dataset.json` is damaged.
+        """
+        root = Path(path)
+        info = read_info(root)
+        episodes = (EpisodeRecord(layout.episode_folder(root, name), info) for name in layout.complete_ids(root))
+        return cls(root, info, tuple(episodes))
+
+    def __len__(self) -> int:
+        """Return how many complete episodes there are."""
+        return len(self.episodes)
+
+    def __getitem__(self, episode_id: str) -> EpisodeRecord:
+        """Return the episode with this id.
+
+        Raises:
+            InvalidSetup: There is none.
+        """
+        for episode in self.episodes:
+            if episode.id == episode_id:
+                return episode
+        raise InvalidSetup(f"There is no episode {episode_id!r} in {self.path}, which has {len(self)} episodes.")
+
+
+def read_info(root: Path) -> DatasetInfo:
+    """Read `dataset.json`.
+
+    Args:
+        root: The dataset's folder.
+
+    Raises:
+        DatasetError: There is no dataset, or its layout is newer than this code.
+        CorruptEpisode: The file is damaged.
+    """
+    path = root / layout.DATASET_FILE
+    if not path.exists():
+        raise DatasetError(f"There is no dataset in {root}: {layout.DATASET_FILE} is missing.")
+    with disk_errors("read the dataset", path):
+        values = unsealed(path.read_bytes(), path)
+    try:
+        return DatasetInfo.from_json(values)
+    except InvalidSetup as err:
+        raise CorruptEpisode(f"{path} is damaged: {err}") from err
+
+
+def decode_frame(feature: Feature, data: bytes) -> NDArray[Any]:
+    """Return the image in the bytes of a feature.
+
+    Args:
+        feature: The feature, whose encoding is not "plain".
+        data: The bytes as stored.
+
+    Raises:
+        CorruptEpisode: The bytes are not an image of the feature's shape.
+    """
+    if feature.encoding == "depth":
+        return decode_depth(data, feature.shape)
+    return decode_jpeg(data, feature.shape)

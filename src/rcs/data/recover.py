@@ -1,0 +1,116 @@
+"""Brings a dataset in order after its writer died: open episodes become complete ones, rubbish goes."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from rcs.data import layout
+from rcs.data.compact import compact, publish
+from rcs.data.durable import disk_errors, remove_folder, unsealed
+from rcs.data.info import DatasetInfo
+from rcs.data.lock import DatasetLock
+from rcs.data.reader import read_info
+from rcs.errors import CorruptEpisode, DatasetError
+
+Leftovers = Literal["recover", "discard"]
+"""What to do with episodes that were open when their writer died."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecoverReport:
+    """What `recover` did; all empty when there was nothing to do."""
+
+    recovered: tuple[str, ...] = ()
+    """Open episodes that are now complete, with success None and `outcome["recovered"]` True."""
+    published: tuple[str, ...] = ()
+    """Episodes that were finished and only lacked their final name."""
+    removed: tuple[str, ...] = ()
+    """Open episodes that had no row, or were to be discarded."""
+    failed: tuple[tuple[str, str], ...] = ()
+    """Open episodes that were left alone, each with the reason."""
+
+    def __str__(self) -> str:
+        """Return one line per episode."""
+        lines = [f"recovered {name}" for name in self.recovered]
+        lines += [f"published {name}, which was finished" for name in self.published]
+        lines += [f"removed {name}" for name in self.removed]
+        lines += [f"left {name} alone: {reason}" for name, reason in self.failed]
+        return "\n".join(lines) or "nothing to recover"
+
+
+def recover(path: str | Path) -> RecoverReport:
+    """Complete what a dead writer left open, and say what was done; a second call finds nothing to do.
+
+    Args:
+        path: The dataset's folder.
+
+    Raises:
+        DatasetError: There is no dataset, a living writer has it, or the disk fails.
+        CorruptEpisode: `dataset.json` is damaged.
+    """
+    root = Path(path)
+    info = read_info(root)
+    lock = DatasetLock.writer(root)
+    try:
+        return settle_leftovers(root, info, "recover")
+    finally:
+        lock.release()
+
+
+def settle_leftovers(root: Path, info: DatasetInfo, leftovers: Leftovers) -> RecoverReport:
+    """Do what `recover` does, for a caller that holds the lock.
+
+    Args:
+        root: The dataset's folder.
+        info: What the dataset's episodes share.
+        leftovers: Whether open episodes become complete ones or are removed; finished ones are always kept.
+
+    Raises:
+        DatasetError: The disk fails.
+    """
+    with disk_errors("remove what discarded episodes left", root):
+        for folder in layout.trash_folders(root):
+            shutil.rmtree(folder)
+        (root / f"{layout.DATASET_FILE}.tmp").unlink(missing_ok=True)
+    done: dict[str, list[str]] = {"recovered": [], "published": [], "removed": []}
+    failed: list[tuple[str, str]] = []
+    for episode_id in layout.open_ids(root):
+        try:
+            done[_settle(root, info, episode_id, leftovers)].append(episode_id)
+        except CorruptEpisode as err:
+            failed.append((episode_id, str(err)))
+    return RecoverReport(**{name: tuple(ids) for name, ids in done.items()}, failed=tuple(failed))
+
+
+def _settle(root: Path, info: DatasetInfo, episode_id: str, leftovers: Leftovers) -> str:
+    folder = layout.open_folder(root, episode_id)
+    with disk_errors(f"recover episode {episode_id!r}", folder):
+        (folder / f"{layout.EPISODE_FILE}.tmp").unlink(missing_ok=True)
+        (folder / f"{layout.ABORTED_FILE}.tmp").unlink(missing_ok=True)
+    if layout.episode_folder(root, episode_id).exists():
+        raise CorruptEpisode(f"there is a complete episode of the same name beside {folder}")
+    if (folder / layout.EPISODE_FILE).exists():
+        publish(root, episode_id)
+        return "published"
+    has_rows = (folder / layout.ROWS_FILE).exists()
+    if leftovers == "recover" and has_rows:
+        outcome: dict[str, Any] = {"recovered": True, **_aborted(folder)}
+        # When it ended was not measured; the last row's time is in the rows.
+        if compact(root, episode_id, info, success=None, outcome=outcome, ended=None) is not None:
+            return "recovered"
+    with disk_errors(f"remove episode {episode_id!r}", folder):
+        remove_folder(folder, layout.new_trash_folder(root, episode_id))
+    return "removed"
+
+
+def _aborted(folder: Path) -> dict[str, Any]:
+    path = folder / layout.ABORTED_FILE
+    try:
+        return {"aborted": unsealed(path.read_bytes(), path)["reason"]}
+    except FileNotFoundError:
+        return {}
+    except (CorruptEpisode, KeyError, DatasetError):
+        return {"aborted": "for a reason that was not stored"}

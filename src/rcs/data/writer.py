@@ -1,0 +1,174 @@
+"""Writes a dataset: makes it or resumes it, keeps other writers away, and starts episodes."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Self
+
+from rcs.data import layout
+from rcs.data.durable import disk_errors, remove_folder, sealed, sync_folder, write_file
+from rcs.data.episode_writer import EpisodeWriter
+from rcs.data.info import DatasetInfo, differences
+from rcs.data.lock import LOCK_FILES, DatasetLock
+from rcs.data.reader import read_info
+from rcs.data.recover import Leftovers, RecoverReport, settle_leftovers
+from rcs.errors import DatasetError
+
+_log = logging.getLogger(__name__)
+
+
+class DatasetWriter:
+    """A dataset that is being recorded; a context manager.
+
+    Several episodes can be open at the same time, as when many copies of an environment record together.
+    """
+
+    def __init__(self, path: Path, info: DatasetInfo, lock: DatasetLock, recovered: RecoverReport) -> None:
+        """Hold what `open` or `join` prepared.
+
+        Args:
+            path: The dataset's folder.
+            info: What its episodes share.
+            lock: The lock that keeps other writers away.
+            recovered: What was done with the leftovers of an earlier writer.
+        """
+        self.path = path
+        self.info = info
+        self.recovered = recovered
+        self._lock = lock
+        self._open: list[EpisodeWriter] = []
+        self._is_closed = False
+
+    @classmethod
+    def open(
+        cls, path: str | Path, info: DatasetInfo, *, resume: bool = False, leftovers: Leftovers = "recover"
+    ) -> DatasetWriter:
+        """Make a dataset, or resume one, as its only writer.
+
+        Args:
+            path: The folder; it is made if there is none.
+            info: What the episodes share.
+            resume: Whether to add to the dataset that may be there; without it, one that is there is refused.
+            leftovers: What to do with episodes that were open when an earlier writer died.
+
+        Raises:
+            DatasetError: Another process writes to it; there is a dataset and `resume` is not set; it was made with
+                another info, and then the message lists what differs; the folder has other things in it; or the disk
+                fails.
+            CorruptEpisode: `dataset.json` is damaged.
+        """
+        root = Path(path)
+        with disk_errors("make the dataset", root):
+            root.mkdir(parents=True, exist_ok=True)
+            exists = (root / layout.DATASET_FILE).exists()
+            if not exists:
+                _refuse_strangers(root)
+        lock = DatasetLock.writer(root)
+        try:
+            with disk_errors("make the dataset", root):
+                if (root / layout.DATASET_FILE).exists():
+                    _refuse_other_info(root, info, resume)
+                else:
+                    layout.episodes_folder(root).mkdir(exist_ok=True)
+                    write_file(root / layout.DATASET_FILE, sealed(info.to_json()))
+                    sync_folder(root)
+            report = settle_leftovers(root, info, leftovers)
+        except BaseException:
+            lock.release()
+            raise
+        for episode_id, reason in report.failed:
+            _log.warning("Open episode %r was left alone: %s", episode_id, reason)
+        return cls(root, info, lock, report)
+
+    @classmethod
+    def join(cls, path: str | Path) -> DatasetWriter:
+        """Write beside another process that has the dataset open, as its worker; each writes episodes of other ids.
+
+        Args:
+            path: The dataset's folder.
+
+        Raises:
+            DatasetError: There is no dataset, or no process has it open as its writer.
+            CorruptEpisode: `dataset.json` is damaged.
+        """
+        root = Path(path)
+        info = read_info(root)
+        return cls(root, info, DatasetLock.worker(root), RecoverReport())
+
+    def episode(self, episode_id: str, *, seed: int | None, instruction: str | None = None) -> EpisodeWriter:
+        """Start an episode.
+
+        Args:
+            episode_id: The name of its folder; the reader sorts by it.
+            seed: The seed that the environment was reset with; None if it was not seeded.
+            instruction: What the robot is asked to do; None for the dataset's instruction.
+
+        Raises:
+            InvalidSetup: The id cannot be the name of a folder.
+            DatasetError: There is an episode of that name, the writer is closed, or the disk fails.
+        """
+        if self._is_closed:
+            raise DatasetError(f"Cannot start episode {episode_id!r}: the writer of {self.path} is closed.")
+        words = self.info.instruction if instruction is None else instruction
+        writer = EpisodeWriter(self.path, self.info, episode_id, seed, words)
+        self._open = [other for other in self._open if other.state == "open"]
+        self._open.append(writer)
+        return writer
+
+    def discard_leftover(self, episode_id: str) -> bool:
+        """Remove the open episode of a worker that died, so that its id is free; return whether there was one.
+
+        Args:
+            episode_id: The episode; no living worker may be recording it.
+
+        Raises:
+            DatasetError: This writer is recording it, or the disk fails.
+        """
+        layout.check_episode_id(episode_id)
+        if any(episode.id == episode_id and episode.state == "open" for episode in self._open):
+            raise DatasetError(f"Episode {episode_id!r} is being recorded; discard it through its own writer.")
+        folder = layout.open_folder(self.path, episode_id)
+        with disk_errors(f"discard episode {episode_id!r}", folder):
+            if not folder.exists():
+                return False
+            remove_folder(folder, layout.new_trash_folder(self.path, episode_id))
+        return True
+
+    def close(self) -> None:
+        """Abort the episodes that are still open and give the lock back; twice is harmless."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            for episode in self._open:
+                if episode.state == "open":
+                    episode.abort("its dataset was closed")
+        finally:
+            self._lock.release()
+
+    def __enter__(self) -> Self:
+        """Return the writer itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the writer."""
+        self.close()
+
+
+def _refuse_strangers(root: Path) -> None:
+    # What a kill can leave of a dataset that was just being made.
+    ours = {*LOCK_FILES, layout.EPISODES_FOLDER, f"{layout.DATASET_FILE}.tmp"}
+    strangers = sorted(entry.name for entry in root.iterdir() if entry.name not in ours)
+    if strangers:
+        raise DatasetError(
+            f"{root} is not a dataset and not empty: it has {', '.join(strangers[:5])}. Choose another folder."
+        )
+
+
+def _refuse_other_info(root: Path, info: DatasetInfo, resume: bool) -> None:
+    lines = differences(read_info(root), info)
+    if lines:
+        raise DatasetError(f"The dataset in {root} was made for another setup. What differs:\n  " + "\n  ".join(lines))
+    if not resume:
+        raise DatasetError(f"There already is a dataset in {root}. Resume it (resume=True), or choose another folder.")

@@ -1,0 +1,16 @@
+"""Devices behind one interface each, implementable in C++ or in Python, and how to find them by name."""
+
+from rcs._core import Arm, ArmLimits, ArmState, Camera, CameraMode, Frame, Gripper, GripperState, Hand, HandState
+
+__all__ = [
+    "Arm",
+    "ArmLimits",
+    "ArmState",
+    "Camera",
+    "CameraMode",
+    "Frame",
+    "Gripper",
+    "GripperState",
+    "Hand",
+    "HandState",
+]

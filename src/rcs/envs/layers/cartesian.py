@@ -1,0 +1,88 @@
+"""Actions that say where the TCP shall be instead of where the joints shall be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.envs.layers.layer import Action, ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.spaces import JOINTS, TQUAT, Observation, tquat_space
+from rcs.errors import InvalidAction
+from rcs.kinematics import DampedLeastSquares, IkOptions, IkStatus
+from rcs.spatial import normalize
+
+MINIMAL_NORM = 0.1
+"""A quaternion shorter than this has no direction that anybody meant."""
+
+
+class CartesianControl(Layer):
+    """Take `tquat` actions (TCP in the robot's base frame) and pass them on as `joints` by inverse kinematics.
+
+    The solve starts at the last joint target and stays on its branch. A pose that cannot be reached leaves the target where it is;
+    `info["ik_status"]` says so (values of `IkStatus`).
+    """
+
+    def __init__(self, kinematics: DampedLeastSquares, *, max_step: float = np.inf) -> None:
+        """Use a solver.
+
+        Args:
+            kinematics: Of the arm with its gripper.
+            max_step: Largest change of any joint per action [rad]; solutions farther away are clamped towards.
+        """
+        self._kinematics = kinematics
+        self._options = IkOptions(max_step=max_step, restarts=0, iterations=50)
+        self._joints: NDArray[np.float64] | None = None
+        self._target: NDArray[np.float64] | None = None
+        self._status: NDArray[np.uint8] = np.zeros((), np.uint8)
+
+    def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
+        """Replace `joints` by `tquat`."""
+        return {(TQUAT if key == JOINTS else key): (tquat_space() if key == JOINTS else box) for key, box in inner.items()}
+
+    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+        """Start from the measured joints."""
+        joints = observation[JOINTS]
+        self._joints = renew(self._joints, joints, where)
+        self._status = np.zeros(joints.shape[:-1], np.uint8)
+
+    def map_action(self, action: Action) -> Action:
+        """Solve for the joints.
+
+        Raises:
+            InvalidAction: A quaternion has no direction.
+        """
+        if self._joints is None:
+            raise RuntimeError("CartesianControl.map_action was called before reset")
+        target = action[TQUAT]
+        norms = np.sqrt((target[..., 3:] ** 2).sum(axis=-1))
+        if (norms < MINIMAL_NORM).any():
+            raise InvalidAction(f"The quaternion of {TQUAT!r} has norm {norms.min():.3g}; valid is a unit quaternion xyzw.")
+        rows = normalize(target).reshape(-1, 7)
+        starts = self._joints.reshape(len(rows), -1)
+        joints, status = self._kinematics.inverse_batch(rows, starts, self._options)
+        self._joints = joints.reshape(self._joints.shape)
+        self._target = rows.reshape(target.shape)
+        self._status = status.reshape(target.shape[:-1])
+        mapped: Action = {(JOINTS if key == TQUAT else key): value for key, value in action.items()}
+        mapped[JOINTS] = self._joints
+        return mapped
+
+    def map_executed(self, executed: Action) -> Action:
+        """Start the next solve where the arm was really sent, and say which pose that is."""
+        joints = executed[JOINTS]
+        pose = self._target
+        if pose is None or joints is not self._joints or self._status.any():
+            rows = joints.reshape(-1, joints.shape[-1])
+            pose = self._kinematics.forward_batch(rows).reshape((*joints.shape[:-1], 7))
+        self._joints = joints
+        return {(TQUAT if key == JOINTS else key): (pose if key == JOINTS else value) for key, value in executed.items()}
+
+    def info(self) -> dict[str, NDArray[Any]]:
+        """Return the IkStatus of the last solve."""
+        return {"ik_status": self._status}
+
+    def __str__(self) -> str:
+        """Return the layer as the printed stack shows it."""
+        return f"CartesianControl(tquat -> joints, {IkStatus.__name__} in info)"

@@ -1,0 +1,81 @@
+"""The interface of a layer, the f and g of the paper's wrapper W = <f, g, P', R'>.
+
+A layer maps actions down (g, `map_action`) and observations up (f, `map_observation`). It touches no device, reads no clock and
+moves no time; arrays are indexed from the right, so that one layer serves one environment and a batch of any size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import EllipsisType
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from rcs.envs.spaces import Observation
+
+ActionSpaces = dict[str, spaces.Box]
+"""Space of every key of an action."""
+
+Action = dict[str, NDArray[Any]]
+"""A checked action: one array per key."""
+
+Where = EllipsisType | NDArray[np.integer]
+"""Which copies a reset is for: `...` for all, or their numbers. Indexes the first axis of a batch."""
+
+everywhere: Where = ...
+"""All copies."""
+
+
+class Layer:
+    """A layer that changes nothing; subclasses override what they change."""
+
+    def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
+        """Return the spaces of the actions that the layer takes, given those of the level below."""
+        return inner
+
+    def observation_spaces(self, inner: Mapping[str, spaces.Space[Any]]) -> dict[str, spaces.Space[Any]]:
+        """Return the spaces of the observations that the layer gives, given those of the level below."""
+        return dict(inner)
+
+    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+        """Forget the last episode of some copies.
+
+        Args:
+            observation: First observation of the new episode, as the level below gives it, of all copies.
+            where: The copies whose episode is new.
+        """
+
+    def map_action(self, action: Action) -> Action:
+        """Return the action of the level below; the argument stays as it is."""
+        return action
+
+    def map_executed(self, executed: Action) -> Action:
+        """Return what this level's action came to, given what the level below made of it.
+
+        Called after `map_action`, from the lowest layer up: a layer that keeps a reference learns here that a target was cut.
+        """
+        return executed
+
+    def map_observation(self, observation: Observation) -> Observation:
+        """Return the observation of this level from that of the level below; the argument stays as it is."""
+        return observation
+
+    def info(self) -> dict[str, NDArray[Any]]:
+        """Return what the last action led to, one array per key with the batch's leading shape."""
+        return {}
+
+    def __str__(self) -> str:
+        """Return the layer as the printed stack shows it."""
+        return type(self).__name__
+
+
+def renew(old: NDArray[Any] | None, new: NDArray[Any], where: Where) -> NDArray[Any]:
+    """Return `old` with the rows `where` taken from `new`; all of it when there is no old one."""
+    if old is None or where is ...:
+        return new.copy()
+    kept = old.copy()
+    kept[where] = new[where]
+    return kept

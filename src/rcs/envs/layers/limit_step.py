@@ -1,0 +1,67 @@
+"""Bound how far a joint target may run ahead, whatever asked for it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.envs.layers.layer import Action, Layer, Where, everywhere, renew
+from rcs.envs.spaces import JOINTS, Observation
+
+ROUNDING = 1e-9
+"""A target cut by less than this [rad] counts as not cut."""
+
+
+class LimitStep(Layer):
+    """Bound every joint target against the last target and against the measured joints.
+
+    The first bound is the joint velocity limit times the control period. The second keeps the target from running away while the
+    arm is blocked. A target farther away is cut joint by joint; `info["is_limited"]` says so.
+    """
+
+    def __init__(self, max_step: NDArray[np.float64], *, max_lead: float = 0.6) -> None:
+        """Set the bounds.
+
+        Args:
+            max_step: Largest change of the target per action [rad], shape (dof,).
+            max_lead: Largest distance of the target from the measured joint [rad]; above the lag of the servo at full speed.
+        """
+        self._max_step = np.asarray(max_step, np.float64)
+        self._max_lead = max_lead
+        self._target: NDArray[np.float64] | None = None
+        self._measured: NDArray[np.float64] | None = None
+        self._is_limited: NDArray[np.bool_] = np.zeros((), np.bool_)
+
+    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+        """Start from the measured joints."""
+        self._target = renew(self._target, observation[JOINTS], where)
+        self._measured = observation[JOINTS]
+        self._is_limited = np.zeros(self._target.shape[:-1], np.bool_)
+
+    def map_observation(self, observation: Observation) -> Observation:
+        """Remember the measured joints."""
+        self._measured = observation[JOINTS]
+        return observation
+
+    def map_action(self, action: Action) -> Action:
+        """Cut the joint targets."""
+        if self._target is None or self._measured is None:
+            raise RuntimeError("LimitStep.map_action was called before reset")
+        asked = action[JOINTS]
+        lowest = np.maximum(self._target - self._max_step, self._measured - self._max_lead)
+        highest = np.minimum(self._target + self._max_step, self._measured + self._max_lead)
+        # Where the two bounds exclude each other, the arm was pushed: the target stays within a step of the last one.
+        target = np.minimum(np.maximum(asked, np.minimum(lowest, highest)), np.maximum(lowest, highest))
+        self._is_limited = (np.abs(target - asked) > ROUNDING).any(axis=-1)
+        if not self._is_limited.any():
+            # The very array that was asked for tells the layers above that nothing was cut.
+            self._target = asked
+            return action
+        self._target = target
+        return {**action, JOINTS: target}
+
+    def info(self) -> dict[str, NDArray[Any]]:
+        """Return whether the last action was cut."""
+        return {"is_limited": self._is_limited}

@@ -1,0 +1,41 @@
+"""The interface of an observer."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+from rcs.envs.spaces import Arrays, Observation
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transition:
+    """One step of an environment, or the start of an episode."""
+
+    observation: Observation
+    action: Arrays | None
+    """The action as it was given; None for the first observation of an episode."""
+    executed: Arrays | None
+    """The action as it was sent to the devices."""
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
+    time: float
+    """When the observation was complete [s], on the monotonic clock."""
+
+
+class Observer(ABC):
+    """Sees every transition of one environment."""
+
+    @abstractmethod
+    def on_reset(self, first: Transition, seed: int | None) -> None:
+        """Take note of a new episode."""
+
+    @abstractmethod
+    def on_step(self, transition: Transition) -> None:
+        """Take note of a step."""
+
+    def close(self) -> None:  # noqa: B027  most observers hold nothing
+        """Let go of everything; closing twice is harmless."""

@@ -1,0 +1,83 @@
+"""Ports of simulated devices, for one copy of a world and for many."""
+
+from __future__ import annotations
+
+from rcs.envs import spaces as keys
+from rcs.envs.ports import Port, arm_observation_spaces
+from rcs.envs.spaces import Arrays, Observation
+from rcs.sim.camera import SimCameras
+from rcs.sim.robot import SimRobot
+
+
+class SimArmPort(Port):
+    """The arm of a simulated robot."""
+
+    def __init__(self, robot: SimRobot) -> None:
+        """Use a robot's arm."""
+        arm = robot.placement.arm
+        box = keys.joints_space(arm.joint_lower, arm.joint_upper)
+        self._robot = robot
+        self.action_spaces = {keys.JOINTS: box}
+        self.observation_spaces = arm_observation_spaces(box, arm.velocity_limit)
+
+    def command(self, action: Arrays) -> None:
+        """Set the joint targets."""
+        self._robot.command_joints(action[keys.JOINTS])
+
+    def observe(self) -> Observation:
+        """Read joints, velocities and the TCP pose."""
+        robot = self._robot
+        return {
+            keys.JOINTS: robot.joints,
+            keys.TQUAT: robot.tcp_tquat,
+            keys.XYZRPY: robot.tcp_xyzrpy,
+            keys.JOINT_VELOCITIES: robot.joint_velocities,
+        }
+
+
+class SimGripperPort(Port):
+    """The gripper of a simulated robot."""
+
+    def __init__(self, robot: SimRobot) -> None:
+        """Use a robot's gripper."""
+        self._robot = robot
+        self.action_spaces = {keys.GRIPPER: keys.normalised_space(1)}
+        self.observation_spaces = {keys.GRIPPER: keys.normalised_space(1)}
+
+    def command(self, action: Arrays) -> None:
+        """Set the opening."""
+        self._robot.command_opening(action[keys.GRIPPER])
+
+    def observe(self) -> Observation:
+        """Read the opening."""
+        return {keys.GRIPPER: self._robot.opening}
+
+
+class SimCameraPort(Port):
+    """All cameras of a scene, drawn together."""
+
+    def __init__(self, cameras: SimCameras) -> None:
+        """Use the cameras of a world."""
+        self._cameras = cameras
+        self.action_spaces = {}
+        self.observation_spaces = {keys.FRAMES: cameras_space(cameras)}
+
+    def observe(self) -> Observation:
+        """Draw a frame of every camera."""
+        return {keys.FRAMES: self._cameras.read()}
+
+    def command(self, action: Arrays) -> None:
+        """Do nothing: a camera takes no commands."""
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._cameras.close()
+
+
+def cameras_space(cameras: SimCameras) -> keys.spaces.Dict:
+    """Return the space of the frames of cameras."""
+    width, height = cameras.size
+    frame: dict[str, keys.spaces.Space[object]] = {keys.RGB: keys.rgb_space(width, height)}
+    if cameras.has_depth:
+        frame[keys.DEPTH] = keys.depth_space(width, height)
+    return keys.spaces.Dict({name: keys.spaces.Dict(frame) for name in cameras.names})

@@ -1,0 +1,152 @@
+"""Every key of an action or an observation, with its shape, unit and bounds, and the check of actions against them.
+
+| key | shape | unit |
+|---|---|---|
+| `joints` | (dof,) float64 | rad |
+| `tquat` | (7,) float64 | TCP translation m, quaternion xyzw |
+| `xyzrpy` | (6,) float64 | TCP translation m, roll-pitch-yaw rad (extrinsic xyz) |
+| `joint_velocities` | (dof,) float64 | rad/s |
+| `gripper` | (1,) float32 | 0 closed … 1 open |
+| `hand` | (n,) float32 | normalised joints 0 … 1 |
+| `frames`/camera/`rgb` | (H, W, 3) uint8 | |
+| `frames`/camera/`depth` | (H, W) uint16 | mm, 0 = no reading |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from rcs.errors import InvalidAction
+
+Control = Literal["joints", "tquat", "xyzrpy"]
+"""What an action says of the arm."""
+
+Arrays = Mapping[str, NDArray[Any]]
+"""An action or the robot's part of an observation: one array per key, of any leading shape."""
+
+Observation = dict[str, Any]
+"""Arrays per key, and under `frames` a dictionary per camera."""
+
+JOINTS = "joints"
+TQUAT = "tquat"
+XYZRPY = "xyzrpy"
+JOINT_VELOCITIES = "joint_velocities"
+GRIPPER = "gripper"
+HAND = "hand"
+FRAMES = "frames"
+RGB = "rgb"
+DEPTH = "depth"
+
+UNITS = {JOINTS: "rad", TQUAT: "m, xyzw", XYZRPY: "m, rad", JOINT_VELOCITIES: "rad/s", DEPTH: "mm"}
+"""Unit of a key, where it has one."""
+
+REACH = 2.0
+"""Bound on the coordinates of a pose [m]: farther than any arm here reaches."""
+
+TOLERANCE = 1e-6
+"""How far out of bounds a value may be and count as rounded: a bound that went through float32 is off by up to 1e-7."""
+
+
+def joints_space(lower: Sequence[float], upper: Sequence[float]) -> spaces.Box:
+    """Return the space of joint positions [rad]."""
+    return spaces.Box(np.array(lower, np.float64), np.array(upper, np.float64), dtype=np.float64)
+
+
+def tquat_space() -> spaces.Box:
+    """Return the space of poses as translation [m] and quaternion xyzw."""
+    bound = np.array([REACH] * 3 + [1.0] * 4)
+    return spaces.Box(-bound, bound, dtype=np.float64)
+
+
+def xyzrpy_space() -> spaces.Box:
+    """Return the space of poses as translation [m] and roll, pitch, yaw [rad]."""
+    bound = np.array([REACH] * 3 + [np.pi] * 3)
+    return spaces.Box(-bound, bound, dtype=np.float64)
+
+
+def measured(space: spaces.Box, margin: float) -> spaces.Box:
+    """Return a space of measurements of what a space commands: a servo overshoots by up to `margin`."""
+    return spaces.Box(space.low - margin, space.high + margin, dtype=np.float64)
+
+
+def velocities_space(limit: Sequence[float]) -> spaces.Box:
+    """Return the space of joint velocities [rad/s]; a collision can exceed the servo's limits manifold."""
+    return spaces.Box(-np.inf, np.inf, (len(limit),), np.float64)
+
+
+def normalised_space(size: int) -> spaces.Box:
+    """Return the space of openings or hand joints, 0 … 1."""
+    return spaces.Box(0.0, 1.0, (size,), np.float32)
+
+
+def rgb_space(width: int, height: int) -> spaces.Box:
+    """Return the space of colour frames, rows from the top."""
+    return spaces.Box(0, 255, (height, width, 3), np.uint8)
+
+
+def depth_space(width: int, height: int) -> spaces.Box:
+    """Return the space of depth frames [mm]."""
+    return spaces.Box(0, 65535, (height, width), np.uint16)
+
+
+def check_action(
+    action: Any, boxes: Mapping[str, spaces.Box], leading: tuple[int, ...] = ()
+) -> dict[str, NDArray[Any]]:
+    """Check an action and return it as fresh arrays of the right dtype.
+
+    Args:
+        action: What came: a mapping with one array per key.
+        boxes: The valid space of every key.
+        leading: Leading shape that every array must have: () or (copies,).
+
+    Returns:
+        One array per key, (*leading, *shape), inside the bounds.
+
+    Raises:
+        InvalidAction: A key is missing or unknown, or an array has a wrong shape or dtype, is not finite or is out of bounds; the
+            message names the key, what came and what is valid.
+    """
+    if not isinstance(action, Mapping) or action.keys() != boxes.keys():
+        raise InvalidAction(_describe_keys(action, boxes))
+    checked: dict[str, NDArray[Any]] = {}
+    for key, box in boxes.items():
+        given = action[key]
+        try:
+            array = np.asarray(given)
+        except ValueError as err:
+            raise InvalidAction(f"Action {key!r} is not an array: {err}") from err
+        if array.dtype.kind not in "fiu":
+            raise InvalidAction(f"Action {key!r} has dtype {array.dtype}; valid is {box.dtype} or another number type.")
+        if array.shape != leading + box.shape:
+            raise InvalidAction(f"Action {key!r} has shape {array.shape}; valid is {leading + box.shape}.")
+        # One comparison finds NaN and infinity too: both are outside of finite bounds, NaN of any.
+        if not ((array >= box.low - TOLERANCE) & (array <= box.high + TOLERANCE)).all():
+            raise InvalidAction(_describe_value(key, array, box))
+        checked[key] = np.minimum(np.maximum(array, box.low), box.high).astype(box.dtype, copy=False)
+    return checked
+
+
+def _describe_keys(action: Any, boxes: Mapping[str, spaces.Box]) -> str:
+    valid = ", ".join(f"{key!r} {box.shape} {box.dtype}" for key, box in boxes.items())
+    if not isinstance(action, Mapping):
+        return f"An action is a mapping with the keys {valid}; {type(action).__name__} came."
+    missing = [key for key in boxes if key not in action]
+    unknown = [key for key in action if key not in boxes]
+    found = [f"{text} {keys}" for text, keys in (("missing", missing), ("unknown", unknown)) if keys]
+    return f"The action's keys are wrong ({'; '.join(found)}). Valid: {valid}."
+
+
+def _describe_value(key: str, array: NDArray[Any], box: spaces.Box) -> str:
+    bad = ~((array >= box.low - TOLERANCE) & (array <= box.high + TOLERANCE))
+    index = tuple(int(i) for i in np.argwhere(bad)[0])
+    inner = index[len(index) - len(box.shape) :]
+    where = ", ".join(str(i) for i in index)
+    return (
+        f"Action {key!r}[{where}] is {array[index]}; valid is {box.low[inner]:.6g} to {box.high[inner]:.6g}. "
+        "Nothing was sent to the device."
+    )

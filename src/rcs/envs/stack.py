@@ -1,0 +1,101 @@
+"""The stack of ports and layers under an environment: one for a single environment and for a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from rcs.envs.layers import Layer, Where
+from rcs.envs.ports import Port
+from rcs.envs.spaces import Observation, check_action
+
+
+class Stack:
+    """Ports at the bottom, layers on top of each other; actions go down, observations go up."""
+
+    def __init__(self, ports: Sequence[Port], layers: Sequence[Layer], leading: tuple[int, ...] = ()) -> None:
+        """Put a stack together.
+
+        Args:
+            ports: What talks to the devices.
+            layers: From the lowest to the highest.
+            leading: Leading shape of all arrays: () or (copies,).
+        """
+        self.ports = list(ports)
+        self.layers = list(layers)
+        self.leading = leading
+        boxes = {key: box for port in ports for key, box in port.action_spaces.items()}
+        observations = {key: space for port in ports for key, space in port.observation_spaces.items()}
+        self.executed_spaces = dict(boxes)
+        """Space of what is sent to the ports."""
+        for layer in layers:
+            boxes = layer.action_spaces(boxes)
+            observations = layer.observation_spaces(observations)
+        self._boxes = boxes
+        self.action_space = spaces.Dict(dict(boxes))
+        self.observation_space = spaces.Dict(dict(observations))
+        self.executed: dict[str, NDArray[Any]] = {}
+        """The last action as it was sent to the ports."""
+
+    def command(self, action: Any) -> None:
+        """Check an action, map it down and set the devices' targets; nothing moves yet.
+
+        Raises:
+            InvalidAction: The action is not valid; nothing was sent to any device.
+        """
+        mapped = check_action(action, self._boxes, self.leading)
+        for layer in reversed(self.layers):
+            mapped = layer.map_action(mapped)
+        self.executed = mapped
+        for port in self.ports:
+            port.command(mapped)
+        for layer in self.layers:
+            mapped = layer.map_executed(mapped)
+
+    def measure(self) -> Observation:
+        """Return the observation of the lowest level."""
+        observation: Observation = {}
+        for port in self.ports:
+            observation.update(port.observe())
+        return observation
+
+    def lift(self, observation: Observation) -> Observation:
+        """Map an observation of the lowest level up through all layers."""
+        for layer in self.layers:
+            observation = layer.map_observation(observation)
+        return observation
+
+    def reset(self, observation: Observation, where: Where) -> None:
+        """Tell all layers that some copies start anew, with the lowest level's observation."""
+        for layer in self.layers:
+            layer.reset(observation, where)
+            observation = layer.map_observation(observation)
+
+    def info(self) -> dict[str, NDArray[Any]]:
+        """Return what the layers tell of the last action."""
+        told: dict[str, NDArray[Any]] = {}
+        for layer in self.layers:
+            told.update(layer.info())
+        return told
+
+    def close(self) -> None:
+        """Close all ports, also when one of them fails to."""
+        failures: list[Exception] = []
+        for port in self.ports:
+            try:
+                port.close()
+            except Exception as err:  # noqa: BLE001  every port gets its chance; the first failure is raised below
+                failures.append(err)
+        if failures:
+            raise failures[0]
+
+    def __str__(self) -> str:
+        """Return the stack from top to bottom, a line each."""
+        lines = [f"  {layer}" for layer in reversed(self.layers)]
+        for port in self.ports:
+            taken, given = ", ".join(port.action_spaces) or "-", ", ".join(port.observation_spaces)
+            lines.append(f"  {type(port).__name__}: {taken} -> {given}")
+        return "\n".join(lines)

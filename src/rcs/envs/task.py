@@ -1,0 +1,71 @@
+"""The interface of a task, the P' and R' of the paper's wrapper: what is in the scene, how an episode starts, what counts."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.envs.draws import Draws
+from rcs.envs.layers import Where
+from rcs.sim.robot import SimRobot
+from rcs.sim.scene import Scene
+from rcs.sim.world import World
+
+
+@dataclass(frozen=True, kw_only=True)
+class Area:
+    """A rectangle on the table in which a task takes place."""
+
+    center: tuple[float, float] = (0.5, 0.0)
+    """x, y in the robot's base frame [m]."""
+    size: tuple[float, float] = (0.30, 0.40)
+    """Extent along x and y [m]."""
+
+
+@dataclass(kw_only=True)
+class Outcome:
+    """What a task says of the present state. Arrays have the world's leading shape."""
+
+    reward: NDArray[np.float64]
+    terminated: NDArray[np.bool_]
+    info: dict[str, NDArray[Any]] = field(default_factory=dict)
+    """What agents and people may want to know; `success` is always there."""
+
+
+class Task(ABC):
+    """A task on one world. It keeps what it must remember per copy."""
+
+    instruction: str = ""
+    """What a language-conditioned policy is told."""
+
+    def __init__(self, area: Area) -> None:
+        """Take place in an area."""
+        self.area = area
+
+    def furnish(self, scene: Scene) -> None:  # noqa: B027  an empty scene is a fine scene
+        """Add the task's objects to a scene before it is compiled."""
+
+    @abstractmethod
+    def bind(self, world: World, robots: list[SimRobot]) -> None:
+        """Look up what the task reads and writes, once the scene is compiled."""
+
+    @abstractmethod
+    def reset(self, draws: Draws, where: Where) -> None:
+        """Write the start of an episode into the state of some copies.
+
+        Args:
+            draws: Random numbers for exactly these copies.
+            where: Which copies; `...` for all, or for the only one.
+        """
+
+    @abstractmethod
+    def evaluate(self) -> Outcome:
+        """Judge the present state of all copies. Called once per step."""
+
+    def describe(self) -> dict[str, NDArray[Any]]:
+        """Return the info of the first observation of an episode, of all copies."""
+        return {}

@@ -1,0 +1,229 @@
+"""Many copies of one environment, stepped together: the same stack on arrays with a leading axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from rcs._core import StepEnd
+from rcs.envs.clock import Clock
+from rcs.envs.draws import Draws
+from rcs.envs.scenario import Scenario
+from rcs.envs.spaces import FRAMES, Observation
+from rcs.envs.stack import Stack
+from rcs.errors import InvalidSetup, WrongOrder
+
+
+class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
+    """Copies of a simulated environment as a Gymnasium vector environment.
+
+    Copy i behaves, bit for bit, as a single environment with the same seed. Physics runs on native threads; every layer is one pass over
+    all copies. A copy whose simulation diverges is truncated, with `info["diverged"]`.
+    """
+
+    def __init__(
+        self,
+        stack: Stack,
+        clock: Clock,
+        scenario: Scenario,
+        *,
+        max_episode_steps: int | None = None,
+        autoreset: AutoresetMode = AutoresetMode.NEXT_STEP,
+        title: str = "rcs.VecEnv",
+    ) -> None:
+        """Put the environment together.
+
+        Args:
+            stack: Ports and layers on (copies, ...) arrays.
+            clock: Lets time pass.
+            scenario: The world with its task.
+            max_episode_steps: An episode is truncated after this many steps; None for no limit.
+            autoreset: When a copy starts its next episode: in the step after its end, in the same step, or never by itself.
+            title: First line of the printed environment.
+        """
+        self._stack = stack
+        self._clock = clock
+        self._scenario = scenario
+        self._max_episode_steps = max_episode_steps
+        self._autoreset = autoreset
+        self._title = title
+        self._is_open = True
+        self._is_reset = False
+        copies = scenario.world.copies
+        self.num_envs = copies
+        self.metadata = {"render_modes": [], "autoreset_mode": autoreset}
+        self.render_mode = None
+        self.single_action_space = stack.action_space
+        self.single_observation_space = stack.observation_space
+        self.action_space: spaces.Space[Any] = batch_space(stack.action_space, copies)
+        self.observation_space: spaces.Space[Any] = batch_space(stack.observation_space, copies)
+        self._steps = np.zeros(copies, np.int64)
+        self._is_done = np.zeros(copies, np.bool_)
+        self._episodes = np.zeros(copies, np.int64)
+        self._seeds = np.zeros(copies, np.int64)
+        self._has_seeds = False
+
+    @property
+    def stack(self) -> Stack:
+        """Ports and layers."""
+        return self._stack
+
+    @property
+    def scenario(self) -> Scenario:
+        """The simulated world and its task."""
+        return self._scenario
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode in every copy.
+
+        Args:
+            seed: A number s gives copy i the seed s + i; a sequence gives each copy its own; None goes on with the next episodes.
+            options: `reset_mask`, (copies,) bool, resets only some copies.
+
+        Raises:
+            WrongOrder: The environment is closed.
+            InvalidSetup: Wrong seeds, an unknown option, or a mask of the wrong shape.
+        """
+        if not self._is_open:
+            raise WrongOrder("reset was called on a closed environment; make a new one.")
+        mask = self._check_options(options)
+        self._take_seeds(seed)
+        copies = None if mask is None or not self._is_reset else np.flatnonzero(mask).astype(np.int32)
+        self._begin(copies)
+        measured = self._stack.measure()
+        self._stack.reset(measured, ... if copies is None else copies)
+        self._is_reset = True
+        self._clock.reset()
+        told = self._scenario.describe()
+        return self._stack.lift(measured), self._with_masks(told)
+
+    def step(
+        self, actions: Mapping[str, NDArray[Any]]
+    ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Step every copy.
+
+        Args:
+            actions: One array (copies, ...) per key of the action space. Those of copies that start anew in this step are not used.
+
+        Raises:
+            InvalidAction: An action of any copy is not valid; nothing moved in any copy.
+            WrongOrder: The environment was not reset, or is closed.
+        """
+        if not self._is_reset or not self._is_open:
+            why = "on a closed environment; make a new one." if not self._is_open else "before the first reset; call reset."
+            raise WrongOrder(f"step was called {why}")
+        if self._autoreset is AutoresetMode.DISABLED and self._is_done.any():
+            raise WrongOrder("Some episodes are over; call reset with options={'reset_mask': mask of those copies}.")
+        self._stack.command(actions)
+        starting = self._is_done if self._autoreset is AutoresetMode.NEXT_STEP else np.zeros_like(self._is_done)
+        some_start = bool(starting.any())
+        ids = np.flatnonzero(starting).astype(np.int32) if some_start else None
+        if ids is None:
+            self._clock.advance()
+        else:
+            running = np.flatnonzero(~starting).astype(np.int32)
+            self._clock.advance(running)
+            self._begin(ids)
+        measured = self._stack.measure()
+        if ids is not None:
+            self._stack.reset(measured, ids)
+        observation = self._stack.lift(measured)
+        self._steps += ~starting
+        outcome = self._scenario.evaluate()
+        diverged = (self._clock.ends == StepEnd.failed.value) & ~starting
+        reward = np.where(starting | diverged, 0.0, outcome.reward)
+        terminated = outcome.terminated & ~starting & ~diverged
+        truncated = diverged.copy()
+        if self._max_episode_steps is not None:
+            truncated |= (self._steps >= self._max_episode_steps) & ~terminated & ~starting
+        self._is_done = terminated | truncated
+        info = self._with_masks(
+            {**outcome.info, **self._stack.info(), "end": self._clock.ends.copy(), "diverged": diverged}
+        )
+        if self._autoreset is AutoresetMode.SAME_STEP and self._is_done.any():
+            observation = self._restart_finished(observation, info)
+        return observation, reward, terminated, truncated, info
+
+    def _restart_finished(self, observation: Observation, info: dict[str, Any]) -> Observation:
+        ids = np.flatnonzero(self._is_done).astype(np.int32)
+        final_info = {key: value for key, value in info.items() if not key.startswith("_")}
+        info["final_obs"] = observation
+        info["final_info"] = final_info
+        info["_final_obs"] = info["_final_info"] = self._is_done.copy()
+        self._begin(ids)
+        measured = self._stack.measure()
+        self._stack.reset(measured, ids)
+        return self._stack.lift(measured)
+
+    def _begin(self, copies: NDArray[np.int32] | None) -> None:
+        """Start the next episode of some copies."""
+        where = slice(None) if copies is None else copies
+        self._episodes[where] += 1
+        self._steps[where] = 0
+        self._is_done[where] = False
+        self._scenario.begin(Draws(self._seeds[where], self._episodes[where]), copies)
+
+    def _take_seeds(self, seed: int | Sequence[int | None] | None) -> None:
+        if seed is None and self._has_seeds:
+            return
+        if seed is None:
+            given = np.random.SeedSequence().generate_state(1)[0] + np.arange(self.num_envs)
+        elif isinstance(seed, int | np.integer):
+            given = int(seed) + np.arange(self.num_envs)
+        else:
+            given = np.array([-1 if value is None else value for value in seed], np.int64)
+            if given.shape != (self.num_envs,):
+                raise InvalidSetup(f"{len(given)} seeds were given for {self.num_envs} copies.")
+            # None keeps the copy's own seed, as in gymnasium.
+            given = np.where(given == -1, self._seeds, given) if self._has_seeds else np.abs(given)
+        if (given < 0).any():
+            raise InvalidSetup(f"Seeds must not be negative; {int(given.min())} came.")
+        self._seeds = given.astype(np.int64)
+        self._episodes[:] = -1
+        self._has_seeds = True
+
+    def _check_options(self, options: Mapping[str, Any] | None) -> NDArray[np.bool_] | None:
+        given = dict(options or {})
+        mask = given.pop("reset_mask", None)
+        if given:
+            raise InvalidSetup(f"Unknown reset options {sorted(given)}; valid: 'reset_mask'.")
+        if mask is None:
+            return None
+        array = np.asarray(mask)
+        if array.shape != (self.num_envs,) or array.dtype != np.bool_ or not array.any():
+            raise InvalidSetup(f"reset_mask must be {self.num_envs} booleans with at least one True.")
+        return array
+
+    def _with_masks(self, told: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+        """Return info as gymnasium's vector environments have it: an array and the mask `_key` per key."""
+        present = np.ones(self.num_envs, np.bool_)
+        info: dict[str, Any] = dict(told)
+        info.update({f"_{key}": present for key in told})
+        return info
+
+    def close(self, **kwargs: Any) -> None:
+        """Let go of everything. Closing twice is harmless."""
+        if not self._is_open:
+            return
+        self._is_open = False
+        self._stack.close()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Do nothing more than `close` did; gymnasium calls this."""
+
+    def __str__(self) -> str:
+        """Return the environment, its task and its stack, part by part."""
+        return "\n".join([self._title, f"  {self._scenario}", str(self._stack)])
+
+    def __repr__(self) -> str:
+        """Return the first line."""
+        cameras = FRAMES in self._stack.observation_space.spaces
+        return f"{self._title} ({self.num_envs} copies{', with cameras' if cameras else ''})"

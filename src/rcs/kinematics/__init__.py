@@ -1,0 +1,15 @@
+"""Forward and inverse kinematics of a robot from its description."""
+
+from rcs._core import DampedLeastSquares, IkOptions, IkResult, IkStatus, Kinematics
+from rcs.kinematics.chain import attach_gripper, kinematics_of, load
+
+__all__ = [
+    "DampedLeastSquares",
+    "IkOptions",
+    "IkResult",
+    "IkStatus",
+    "Kinematics",
+    "attach_gripper",
+    "kinematics_of",
+    "load",
+]

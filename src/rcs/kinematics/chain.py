@@ -1,0 +1,62 @@
+"""The chain of bodies from a robot's base to its TCP, put together from descriptions."""
+
+from __future__ import annotations
+
+import mujoco
+
+from rcs._core import DampedLeastSquares
+from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, Mount
+from rcs.spatial import xyzw_to_wxyz
+
+GRIPPER_PREFIX = "gripper/"
+
+
+def load(description: ArmDescription | GripperDescription | CameraDescription) -> mujoco.MjSpec:
+    """Read the MJCF file of a description."""
+    return mujoco.MjSpec.from_file(str(description.mjcf))
+
+
+def attach_gripper(arm_spec: mujoco.MjSpec, arm: ArmDescription, gripper: GripperDescription) -> None:
+    """Fix a gripper to the flange of an arm; its names get the prefix `gripper/`.
+
+    Args:
+        arm_spec: Model of the arm, changed in place.
+        arm: Description of the arm.
+        gripper: Description of the gripper.
+    """
+    flange = arm_spec.site(arm.flange_site)
+    on_flange = flange.parent.add_frame(pos=flange.pos, quat=flange.quat)
+    mounted = mount_frame(flange.parent, gripper.mount_in_flange, inside=on_flange)
+    arm_spec.attach(load(gripper), frame=mounted, prefix=GRIPPER_PREFIX)
+
+
+def mount_frame(body: mujoco.MjsBody, mount: Mount, *, inside: mujoco.MjsFrame | None = None) -> mujoco.MjsFrame:
+    """Add a frame to a body at a mount, relative to the body or to another frame of it."""
+    frame = body.add_frame(pos=list(mount.translation), quat=list(xyzw_to_wxyz(mount.quaternion)))
+    if inside is not None:
+        frame.set_frame(inside)
+    return frame
+
+
+def kinematics_of(arm: ArmDescription, gripper: GripperDescription | None = None) -> DampedLeastSquares:
+    """Make the kinematics of an arm: of its TCP with a gripper, of its flange without.
+
+    Args:
+        arm: The arm.
+        gripper: The gripper at its flange.
+
+    Returns:
+        A solver of its own; it is not shared between threads.
+    """
+    spec = load(arm)
+    tcp = arm.flange_site
+    if gripper is not None:
+        attach_gripper(spec, arm, gripper)
+        tcp = GRIPPER_PREFIX + gripper.tcp_site
+    model = spec.compile()
+    return DampedLeastSquares(
+        model._address,  # pyright: ignore[reportPrivateUsage]  MuJoCo's way of handing a model to C++
+        [model.joint(name).id for name in arm.joints],
+        model.site(tcp).id,
+        model.body(arm.base_body).id,
+    )

@@ -1,0 +1,1 @@
+"""Setups: named, ready compositions of robot, end effector, cameras and task."""

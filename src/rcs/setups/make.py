@@ -1,0 +1,116 @@
+"""`make` and `make_vec`: from names to environments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gymnasium.vector import AutoresetMode
+
+from rcs.envs.assemble import Parts, assemble, assemble_vec
+from rcs.envs.env import Env
+from rcs.envs.task import Task
+from rcs.envs.vector import VecEnv
+from rcs.errors import InvalidSetup, UnknownName
+from rcs.kinematics.chain import GRIPPER_PREFIX
+from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription
+from rcs.devices import lookup
+from rcs.setups.labs import lab_of
+from rcs.envs.setup import Setup
+from rcs.sim.scene import CameraPlacement, RobotPlacement
+
+
+def make(task: str | Setup = "PickCuboid", *, render_mode: str | None = None, **options: Any) -> Env:
+    """Make an environment.
+
+    Args:
+        task: Name of the task, or a whole setup.
+        render_mode: `rgb_array` for an environment whose `render` draws; None for none.
+        options: Fields of `Setup`.
+
+    Raises:
+        UnknownName: A task, robot, end effector or camera that does not exist.
+        InvalidSetup: An option that does not make sense.
+
+    Example:
+        >>> import rcs
+        >>> env = rcs.make("PickCuboid", robot="fr3", control="joints", relative=True, frequency=30)
+        >>> observation, info = env.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    """
+    if render_mode not in (None, "rgb_array"):
+        raise InvalidSetup(f"render_mode is {render_mode!r}; valid: None, 'rgb_array'.")
+    return assemble(resolve(_setup(task, options)), has_picture=render_mode is not None)
+
+
+def make_vec(
+    task: str | Setup = "PickCuboid",
+    *,
+    copies: int = 2,
+    threads: int = 0,
+    autoreset: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    **options: Any,
+) -> VecEnv:
+    """Make many copies of an environment that are stepped together on native threads.
+
+    Args:
+        task: Name of the task, or a whole setup.
+        copies: Number of copies.
+        threads: Threads for physics and rendering, 0 for one per CPU.
+        autoreset: When a copy starts its next episode: `NextStep`, `SameStep` or `Disabled` (gymnasium's).
+        options: Fields of `Setup`.
+
+    Raises:
+        UnknownName: A task, robot, end effector or camera that does not exist.
+        InvalidSetup: An option that does not make sense.
+
+    Example:
+        >>> import rcs
+        >>> envs = rcs.make_vec("PickCuboid", copies=24, robot="fr3")
+        >>> observations, infos = envs.reset(seed=0)
+    """
+    if not isinstance(copies, int) or copies < 1 or threads < 0:
+        raise InvalidSetup(f"copies ({copies}) must be at least 1, threads ({threads}) at least 0.")
+    setup = _setup(task, options)
+    if setup.mode == "realtime":
+        raise InvalidSetup("Copies have no common wall clock; use mode='async' or 'sync'.")
+    return assemble_vec(resolve(setup), copies=copies, threads=threads, autoreset=AutoresetMode(autoreset))
+
+
+def _setup(task: str | Setup, options: dict[str, Any]) -> Setup:
+    if isinstance(task, Setup):
+        if options:
+            raise InvalidSetup(f"A setup was given and also {sorted(options)}; use dataclasses.replace on the setup.")
+        return task
+    return Setup.from_json({"task": task, **options})
+
+
+def resolve(setup: Setup) -> Parts:
+    """Look up everything that a setup names.
+
+    Raises:
+        UnknownName: A name that does not exist; the message has the nearest match.
+        InvalidSetup: Parts that do not fit each other.
+    """
+    arm: ArmDescription = _find_robot(setup.robot)
+    lab = lab_of(setup.robot)
+    gripper: GripperDescription = lookup.find("gripper", setup.end_effector or lab.end_effector)
+    task: type[Task] = lookup.find("task", setup.task)
+    robot = RobotPlacement(name=setup.robot, arm=arm, gripper=gripper)
+    cameras: list[CameraPlacement] = []
+    for name in setup.cameras:
+        if name not in lab.cameras:
+            raise UnknownName(f"camera mount in the lab of {setup.robot!r}", name, lab.cameras)
+        mount = lab.cameras[name]
+        description: CameraDescription = lookup.find("camera", mount.camera)
+        parent = robot.prefix + (GRIPPER_PREFIX + gripper.base_body if mount.on_gripper else arm.base_body)
+        cameras.append(
+            CameraPlacement(name=name, camera=description, parent_body=parent, optical_in_parent=mount.optical)
+        )
+    return Parts(setup=setup, robots=(robot,), cameras=tuple(cameras), task=task(lab.area))
+
+
+def _find_robot(name: str) -> ArmDescription:
+    try:
+        return lookup.find("arm", name)
+    except UnknownName as err:
+        raise UnknownName("robot", name, lookup.names("arm")) from err

@@ -1,0 +1,60 @@
+"""Pictures of a whole scene, for people."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs._core import Renderer
+from rcs.errors import InvalidSetup
+from rcs.sim.camera import Quality
+from rcs.sim.scene import OVERVIEW
+from rcs.sim.world import World
+
+
+class Picture:
+    """Draws a world of one copy from the overview camera."""
+
+    def __init__(self, world: World, *, size: tuple[int, int] = (640, 480), quality: Quality = "full") -> None:
+        """Look at a world.
+
+        Args:
+            world: A world of one copy.
+            size: Width and height [px].
+            quality: How much a picture may cost.
+
+        Raises:
+            InvalidSetup: The world has many copies.
+        """
+        if world.data is None:
+            raise InvalidSetup("A picture is drawn of a world of one copy.")
+        self._world = world
+        self._data = world.data
+        self._size = size
+        self._quality: Quality = quality
+        self._camera = world.model.camera(OVERVIEW).id
+        self._renderer: Renderer | None = None
+
+    def draw(self) -> NDArray[np.uint8]:
+        """Return a picture, (H, W, 3), rows from the top."""
+        width, height = self._size
+        model = self._world.model
+        if self._renderer is None:
+            self._renderer = Renderer(
+                model._address,  # pyright: ignore[reportPrivateUsage]
+                quality=self._quality,
+                max_width=width,
+                max_height=height,
+            )
+        picture = np.empty((height, width, 3), np.uint8)
+        mujoco.mj_camlight(model, self._data)
+        self._renderer.update(self._data._address)  # pyright: ignore[reportPrivateUsage]
+        self._renderer.render(self._camera, picture)
+        return picture
+
+    def close(self) -> None:
+        """Free the renderer. Closing twice is harmless."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None

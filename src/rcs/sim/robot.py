@@ -1,0 +1,127 @@
+"""A simulated robot, in every copy of a world at once: targets in, measurements out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs._core import ArmLimits, GripperMap, JointsArrived, JointsAtRest, SimArm, SimGripper
+from rcs.errors import InvalidSetup
+from rcs.robots.description import GripperDescription
+from rcs.sim.layout import RobotLayout
+from rcs.sim.scene import RobotPlacement
+from rcs.sim.world import World
+
+ARRIVED_TOLERANCE = 1e-3
+"""A joint has arrived this close to its target [rad] …"""
+STILL_TOLERANCE = 1e-2
+"""… at less than this speed [rad/s, m/s]."""
+REST_TIME = 0.05
+"""Fingers are at rest after standing still for this long [s]; shorter and a gripper that just starts counts as at rest."""
+
+
+class SimRobot:
+    """An arm with its gripper in a world. Arrays are (*world.leading, n)."""
+
+    def __init__(self, world: World, robot: RobotPlacement) -> None:
+        """Look the robot up in a world and have its TCP pose read out.
+
+        Args:
+            world: The world.
+            robot: A robot of its scene.
+        """
+        self.world = world
+        self.placement = robot
+        self.layout = RobotLayout.of(robot, world.model)
+        self._tcp = world.core.read_pose(self.layout.tcp_site, self.layout.base_body)
+
+    @property
+    def joints(self) -> NDArray[np.float64]:
+        """Measured joints [rad], a fresh array."""
+        return self.world.qpos[..., self.layout.qpos].copy()
+
+    @property
+    def joint_velocities(self) -> NDArray[np.float64]:
+        """Measured joint velocities [rad/s], a fresh array."""
+        return self.world.qvel[..., self.layout.qvel].copy()
+
+    @property
+    def tcp_tquat(self) -> NDArray[np.float64]:
+        """Pose of the TCP in the base frame as translation [m] and quaternion xyzw, a fresh array."""
+        return self.world.core.poses[..., self._tcp, :].copy()
+
+    @property
+    def tcp_xyzrpy(self) -> NDArray[np.float64]:
+        """The same as translation [m] and roll, pitch, yaw [rad]."""
+        return self.world.core.xyzrpy[..., self._tcp, :].copy()
+
+    @property
+    def gripper(self) -> GripperDescription:
+        """Description of the gripper.
+
+        Raises:
+            InvalidSetup: The robot has none.
+        """
+        if self.placement.gripper is None:
+            raise InvalidSetup(f"Robot {self.placement.name!r} has no gripper.")
+        return self.placement.gripper
+
+    @property
+    def opening(self) -> NDArray[np.float32]:
+        """Measured opening of the gripper, 0 closed … 1 open, (*leading, 1)."""
+        gripper = self.gripper
+        fingers = self.world.qpos[..., self.layout.finger_qpos]
+        closed, opened = gripper.joint_closed[0], gripper.joint_open[0]
+        opening = (np.add.reduce(fingers, axis=-1, keepdims=True) / len(gripper.joints) - closed) / (opened - closed)
+        return np.minimum(np.maximum(opening, 0.0), 1.0).astype(np.float32)
+
+    def command_joints(self, joints: NDArray[np.float64]) -> None:
+        """Set the joint targets [rad], (*leading, dof)."""
+        self.world.ctrl[..., self.layout.ctrl] = joints
+
+    def command_opening(self, opening: NDArray[np.floating]) -> None:
+        """Set the gripper's opening, 0 closed … 1 open, (*leading, 1)."""
+        gripper = self.gripper
+        ctrl = gripper.ctrl_closed + opening[..., 0] * (gripper.ctrl_open - gripper.ctrl_closed)
+        self.world.ctrl[..., self.layout.finger_actuator] = ctrl
+
+    def go_home(self) -> None:
+        """Put every copy at the home pose with an open gripper, at rest, by writing the state (no motion)."""
+        home = np.array(self.placement.arm.home)
+        self.world.qpos[..., self.layout.qpos] = home
+        self.world.qvel[..., self.layout.qvel] = 0.0
+        self.command_joints(np.broadcast_to(home, (*self.world.leading, len(home))))
+        if self.placement.gripper is not None:
+            self.world.qpos[..., self.layout.finger_qpos] = np.array(self.placement.gripper.joint_open)
+            self.world.qvel[..., self.layout.finger_qvel] = 0.0
+            self.world.ctrl[..., self.layout.finger_actuator] = self.placement.gripper.ctrl_open
+
+    def wait_for_arrival(self) -> None:
+        """Make synchronous steps of the world wait until the arm has arrived and the fingers are at rest."""
+        core = self.world.core
+        arrived = JointsArrived(self.layout.joint_ids, self.layout.actuator_ids, ARRIVED_TOLERANCE, STILL_TOLERANCE)
+        core.converge_when(arrived)
+        if self.layout.finger_joint_ids:
+            fingers = self.layout.finger_joint_ids
+            core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, REST_TIME, self.world.copies))
+
+    def arm(self, copy: int = 0) -> SimArm:
+        """Return the arm of one copy as a device, closed."""
+        arm = self.placement.arm
+        limits = ArmLimits(list(arm.joint_lower), list(arm.joint_upper), list(arm.velocity_limit))
+        ids = self.layout
+        return SimArm(self.placement.name, limits, self.world.core, copy, ids.joint_ids, ids.actuator_ids)
+
+    def gripper_device(self, copy: int = 0) -> SimGripper:
+        """Return the gripper of one copy as a device, closed.
+
+        Raises:
+            InvalidSetup: The robot has none.
+        """
+        gripper = self.gripper
+        mapping = GripperMap(
+            gripper.joint_closed[0], gripper.joint_open[0], gripper.ctrl_closed, gripper.ctrl_open
+        )
+        fingers, actuator = self.layout.finger_joint_ids, self.layout.finger_actuator
+        name = f"{self.placement.name} gripper"
+        return SimGripper(name, gripper.max_width, gripper.max_force, self.world.core, copy, fingers, actuator, mapping)

@@ -1,0 +1,214 @@
+"""A scene put together from robots, cameras and furniture, as one MuJoCo model.
+
+The frame of the scene has its origin on the table top, x away from the robot, z up. Names of a robot's elements get the robot's
+name as prefix (`fr3/joint1`, `fr3/gripper/tcp`), those of a camera the camera's (`wrist/...`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from rcs.errors import InvalidSetup
+from rcs.kinematics.chain import GRIPPER_PREFIX, attach_gripper, load, mount_frame
+from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, Mount
+
+OVERVIEW = "overview"
+"""Name of the camera that sees the whole scene; it is for people and in no observation."""
+
+TABLE_THICKNESS = 0.04
+FLOOR_HEIGHT = -0.76
+"""A common table height [m], below the table top."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotPlacement:
+    """One robot and where it stands."""
+
+    name: str
+    """Name in keys and prefixes, such as `fr3`."""
+    arm: ArmDescription
+    gripper: GripperDescription | None = None
+    base_in_scene: Mount = Mount()
+    """Pose of the robot's base frame in the scene."""
+
+    @property
+    def prefix(self) -> str:
+        """Prefix of the arm's element names."""
+        return f"{self.name}/"
+
+    @property
+    def gripper_prefix(self) -> str:
+        """Prefix of the gripper's element names."""
+        return self.prefix + GRIPPER_PREFIX
+
+    @property
+    def base_body(self) -> str:
+        """Name of the base body in the scene."""
+        return self.prefix + self.arm.base_body
+
+    @property
+    def tcp_site(self) -> str:
+        """Name of the TCP site in the scene; the flange without a gripper."""
+        if self.gripper is None:
+            return self.prefix + self.arm.flange_site
+        return self.gripper_prefix + self.gripper.tcp_site
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraPlacement:
+    """One camera and where it is mounted."""
+
+    name: str
+    """Name in keys and prefixes, such as `wrist`."""
+    camera: CameraDescription
+    parent_body: str
+    """Body of the scene that carries it; `world` for one that stands still."""
+    optical_in_parent: Mount
+    """Pose of the optical frame (x right, y down, z forward) in the parent body's frame."""
+
+    @property
+    def camera_name(self) -> str:
+        """Name of the camera element in the scene."""
+        return f"{self.name}/{self.camera.camera}"
+
+
+@dataclass
+class Scene:
+    """A scene while it is put together. `spec` is MuJoCo's own, to be changed freely before `compile`."""
+
+    spec: mujoco.MjSpec
+    robots: list[RobotPlacement] = field(default_factory=list)
+    cameras: list[CameraPlacement] = field(default_factory=list)
+
+    @staticmethod
+    def empty(*, physics_step: float = 0.002) -> Scene:
+        """Start a scene with a floor, lights and the solver settings that grasping needs.
+
+        Args:
+            physics_step: Time step of the physics [s].
+        """
+        spec = mujoco.MjSpec()
+        spec.modelname = "rcs"
+        option = spec.option
+        option.timestep = physics_step
+        option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        # A soft contact creeps at a rate of about 1 / impratio, and high ratios need elliptic cones: 7 um/s at 100, where
+        # MuJoCo's defaults let a grasped object slide by 1.4 mm/s (MuJoCo documentation, "Preventing slip"; measured).
+        option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        option.impratio = 20.0
+        option.tolerance = 1e-10
+        spec.visual.global_.offwidth = 1280
+        spec.visual.global_.offheight = 720
+        spec.visual.map.znear = 0.005
+        spec.visual.map.zfar = 20.0
+        spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
+        spec.visual.headlight.diffuse = [0.15, 0.15, 0.15]
+        spec.visual.headlight.specular = [0.0, 0.0, 0.0]
+        # Fixed, so that pictures do not depend on what else is in the scene.
+        spec.stat.extent = 1.5
+        spec.stat.center = [0.4, 0.0, 0.3]
+        scene = Scene(spec)
+        scene._add_floor()
+        scene._add_lights()
+        spec.worldbody.add_camera(
+            name=OVERVIEW,
+            pos=[1.45, -1.05, 0.85],
+            xyaxes=_axes_looking([1.45, -1.05, 0.85], [0.28, 0.02, 0.22]),
+            fovy=42,
+        )
+        return scene
+
+    def _add_floor(self) -> None:
+        self.spec.worldbody.add_geom(
+            name="floor",
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=[2.5, 2.5, 0.1],
+            pos=[0.3, 0.0, FLOOR_HEIGHT],
+            rgba=[0.45, 0.47, 0.50, 1.0],
+            group=0,
+        )
+
+    def _add_lights(self) -> None:
+        for x in (-0.6, 1.4):
+            for y in (-1.0, 1.0):
+                self.spec.worldbody.add_light(
+                    name=f"light {'back' if x < 0 else 'front'} {'right' if y < 0 else 'left'}",
+                    type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+                    pos=[x, y, 2.2],
+                    dir=[0.4 - x, -y, -2.2],
+                    diffuse=[0.28, 0.28, 0.28],
+                    specular=[0.05, 0.05, 0.05],
+                    # One light throws shadows in full quality: four shadow maps cost four times as much and add little.
+                    castshadow=x < 0 and y < 0,
+                )
+
+    def add_table(self) -> None:
+        """Add a table whose top is the plane z = 0."""
+        body = self.spec.worldbody.add_body(name="table", pos=[0.35, 0.0, 0.0])
+        top = [0.60, 0.65, TABLE_THICKNESS / 2]
+        body.add_geom(
+            name="table top",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=top,
+            pos=[0.0, 0.0, -TABLE_THICKNESS / 2],
+            rgba=[0.72, 0.58, 0.42, 1.0],
+            friction=[1.0, 0.005, 0.0001],
+            group=0,
+        )
+        leg = -FLOOR_HEIGHT - TABLE_THICKNESS
+        for x in (-1, 1):
+            for y in (-1, 1):
+                body.add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_BOX,
+                    size=[0.03, 0.03, leg / 2],
+                    pos=[x * (top[0] - 0.05), y * (top[1] - 0.05), -TABLE_THICKNESS - leg / 2],
+                    rgba=[0.30, 0.30, 0.32, 1.0],
+                    contype=0,
+                    conaffinity=0,
+                    group=1,
+                )
+
+    def add_robot(self, robot: RobotPlacement) -> None:
+        """Stand a robot in the scene, with its gripper at the flange.
+
+        Raises:
+            InvalidSetup: A robot of that name is in the scene already.
+        """
+        if any(other.name == robot.name for other in self.robots):
+            raise InvalidSetup(f"Two robots are named {robot.name!r}; give each a name of its own.")
+        arm = load(robot.arm)
+        if robot.gripper is not None:
+            attach_gripper(arm, robot.arm, robot.gripper)
+        self.spec.attach(arm, frame=mount_frame(self.spec.worldbody, robot.base_in_scene), prefix=robot.prefix)
+        self.robots.append(robot)
+
+    def add_camera(self, camera: CameraPlacement) -> None:
+        """Mount a camera on a body of the scene.
+
+        Raises:
+            InvalidSetup: The name is taken, or the body is not in the scene.
+        """
+        if any(other.name == camera.name for other in self.cameras):
+            raise InvalidSetup(f"Two cameras are named {camera.name!r}; give each a name of its own.")
+        parent = self.spec.body(camera.parent_body)
+        if parent is None:
+            raise InvalidSetup(f"Camera {camera.name!r} is to be mounted on {camera.parent_body!r}, which is not there.")
+        frame = mount_frame(parent, camera.optical_in_parent)
+        self.spec.attach(load(camera.camera), frame=frame, prefix=f"{camera.name}/")
+        self.cameras.append(camera)
+
+    def compile(self) -> mujoco.MjModel:
+        """Make the model."""
+        return self.spec.compile()
+
+
+def _axes_looking(eye: list[float], target: list[float]) -> list[float]:
+    """Return x and y axes of a MuJoCo camera (looking along its -z) at `eye` that looks at `target`, upright."""
+    back = np.subtract(eye, target)
+    back = back / np.linalg.norm(back)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right = right / np.linalg.norm(right)
+    return [*right, *np.cross(back, right)]

@@ -1,0 +1,166 @@
+"""Copies of a scene that are advanced together, one control step at a time.
+
+A world on the user's own `MjModel` and `MjData` has arrays without a leading axis; a world of copies has arrays (copies, ...).
+Everything that indexes from the right (`qpos[..., 3]`) works on both. Stepping runs in C++ on MuJoCo's thread pool without the GIL,
+and its result does not depend on the number of threads or copies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from fractions import Fraction
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs import _core
+from rcs._core import StepCallback, StepView
+from rcs.errors import InvalidSetup
+
+Mode = Literal["async", "sync", "realtime"]
+"""How long a step lasts: one control period of simulated time, until converged, or one control period on the wall clock."""
+
+Copies = NDArray[np.int32] | None
+"""Which copies a call is for; None means all."""
+
+
+class World:
+    """One scene, in one or many copies."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        *,
+        data: mujoco.MjData | None = None,
+        copies: int | None = None,
+        threads: int = 0,
+        frequency: float = 30.0,
+        mode: Mode = "async",
+        max_substeps: int = 500,
+    ) -> None:
+        """Make a world on the user's data, or of `copies` copies.
+
+        Args:
+            model: The scene. A world of copies works on a copy of it.
+            data: State of a world of one copy, changed in place; made when not given.
+            copies: Number of copies; None for one copy on `data`.
+            threads: Threads for copies, 0 for one per CPU.
+            frequency: Control steps per second of simulated time [Hz].
+            mode: How long a step lasts.
+            max_substeps: Limit of physics steps in a synchronous step.
+
+        Raises:
+            InvalidSetup: A number that makes no sense, or both `data` and `copies`.
+        """
+        if copies is not None and data is not None:
+            raise InvalidSetup("Give data for one copy or copies for many, not both.")
+        if copies is not None and copies < 1:
+            raise InvalidSetup(f"copies is {copies}; it must be at least 1.")
+        period = control_period(frequency, model.opt.timestep)
+        timing = (period.numerator, period.denominator, mode == "sync", max_substeps)
+        self.model = model
+        self.frequency = frequency
+        self.mode: Mode = mode
+        self.leading: tuple[int, ...] = () if copies is None else (copies,)
+        """Leading shape of every array: () or (copies,)."""
+        if copies is None:
+            self.data = mujoco.MjData(model) if data is None else data
+            mujoco.mj_kinematics(model, self.data)
+            self.core = _core.World.on_data(model._address, self.data._address, *timing)  # pyright: ignore[reportPrivateUsage]
+        else:
+            self.data = None
+            self.core = _core.World.of_copies(model._address, copies, threads, *timing)  # pyright: ignore[reportPrivateUsage]
+        state = mujoco.mjtState
+        self.qpos = self.core.component(state.mjSTATE_QPOS.value)
+        """Live positions of all joints, (*leading, nq)."""
+        self.qvel = self.core.component(state.mjSTATE_QVEL.value)
+        """Live velocities of all joints, (*leading, nv)."""
+        self.ctrl = self.core.component(state.mjSTATE_CTRL.value)
+        """Live controls, (*leading, nu)."""
+        self.time = self.core.component(state.mjSTATE_TIME.value)[..., 0]
+        """Live simulated time [s], (*leading,)."""
+
+    @property
+    def copies(self) -> int:
+        """Number of copies."""
+        return self.core.copies
+
+    @property
+    def period(self) -> float:
+        """Control period [s]."""
+        return 1.0 / self.frequency
+
+    def advance(self, copies: Copies = None) -> None:
+        """Advance copies by one control step."""
+        if copies is None:
+            self.core.advance()
+        else:
+            self.core.advance(copies)
+
+    def reset(self, copies: Copies = None) -> None:
+        """Return copies to the initial state; call `refresh` when the state is written."""
+        if copies is None:
+            self.core.reset()
+        else:
+            self.core.reset(copies)
+
+    def refresh(self, copies: Copies = None) -> None:
+        """Recompute what is read out (poses, forces) after the state was written to."""
+        if copies is None:
+            self.core.refresh()
+        else:
+            self.core.refresh(copies)
+
+    def states(self) -> NDArray[np.float64]:
+        """Return the whole integration state, (*leading, state_size); a live view for copies, a fresh array for one."""
+        return self.core.states if self.leading else self.core.get_state(0)
+
+    def geom_flags(self, names: Iterable[str]) -> NDArray[np.uint8]:
+        """Return one flag per geom of the model that is 1 for the named ones.
+
+        Raises:
+            KeyError: A name is not in the model.
+        """
+        flags = np.zeros(self.model.ngeom, np.uint8)
+        for name in names:
+            flags[self.model.geom(name).id] = 1
+        return flags
+
+    def subtree_flags(self, body: str) -> NDArray[np.uint8]:
+        """Return one flag per geom that is 1 for those of a body and everything attached to it."""
+        root = self.model.body(body).id
+        inside = np.zeros(self.model.nbody, bool)
+        inside[root] = True
+        for i in range(root + 1, self.model.nbody):  # parents come before children
+            inside[i] = inside[self.model.body_parentid[i]]
+        return inside[self.model.geom_bodyid].astype(np.uint8)
+
+
+class Callback(StepCallback):
+    """A Python function as a step callback."""
+
+    def __init__(self, function: Callable[[StepView], bool | None]) -> None:
+        """Wrap `function(view) -> bool`; None counts as False."""
+        super().__init__()
+        self._function = function
+
+    def call(self, view: StepView) -> bool:
+        """Call the function."""
+        return bool(self._function(view))
+
+
+def control_period(frequency: float, physics_step: float) -> Fraction:
+    """Return the control period in physics steps as an exact ratio, so that the mean rate is exact.
+
+    Args:
+        frequency: Control steps per second [Hz].
+        physics_step: Time step of the physics [s].
+
+    Raises:
+        InvalidSetup: The frequency is not positive, or higher than that of the physics.
+    """
+    if not (np.isfinite(frequency) and 0 < frequency <= 1 / physics_step + 1e-9):
+        raise InvalidSetup(f"frequency is {frequency} Hz; valid is above 0 and up to the physics' {1 / physics_step:g} Hz.")
+    return 1 / (Fraction(frequency).limit_denominator(10**6) * Fraction(physics_step).limit_denominator(10**9))

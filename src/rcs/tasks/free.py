@@ -1,0 +1,27 @@
+"""No task: a robot and a table, for trying things out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rcs.envs.draws import Draws
+from rcs.envs.layers import Where
+from rcs.envs.task import Outcome, Task
+from rcs.sim.robot import SimRobot
+from rcs.sim.world import World
+
+
+class Free(Task):
+    """Nothing to do and nothing to win."""
+
+    def bind(self, world: World, robots: list[SimRobot]) -> None:
+        """Remember the leading shape."""
+        self._leading = world.leading
+
+    def reset(self, draws: Draws, where: Where) -> None:
+        """Leave everything as it is: the robot starts at home."""
+
+    def evaluate(self) -> Outcome:
+        """Return reward 0, never terminated."""
+        never = np.zeros(self._leading, np.bool_)
+        return Outcome(reward=np.zeros(self._leading), terminated=never, info={"success": never})

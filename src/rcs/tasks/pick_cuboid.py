@@ -1,0 +1,142 @@
+"""Pick-Cuboid, the paper's task: grasp a cuboid that lies anywhere in the workspace, lift it and hold it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.envs.draws import Draws
+from rcs.envs.layers import Where
+from rcs.envs.task import Area, Outcome, Task
+from rcs.errors import InvalidSetup
+from rcs.sim.robot import SimRobot
+from rcs.sim.scene import Scene
+from rcs.sim.world import World
+
+SIZE = (0.064, 0.032, 0.0576)
+"""Edges of the 3D-printed cuboid along its x, y, z [m] (the paper's)."""
+MASS = 0.05
+"""Mass of such a cuboid printed in PLA with a usual infill [kg]."""
+LIFT_HEIGHT = 0.10
+"""How far above the table the cuboid must be held [m]."""
+HOLD_TIME = 1.0
+"""For how long [s]."""
+TOUCH_FORCE = 0.5
+"""A pad with less than this on the cuboid does not count as touching it [N] (ManiSkill's PickCube)."""
+CUBOID = "cuboid"
+
+
+class PickCuboid(Task):
+    """Lift the cuboid 10 cm above the table and hold it there for one second.
+
+    The reward is 1 per step at success, below that the mean of three parts in [0, 1]: reaching, grasping, and lifting while grasping, in the
+    form of ManiSkill 3's PickCube-v1 (`1 - tanh(5 d)`).
+    """
+
+    instruction = "pick up the green cuboid"
+
+    def __init__(self, area: Area) -> None:
+        """Take place in an area; the cuboid's centre is anywhere in it, at any yaw."""
+        super().__init__(area)
+        self._steps_held: NDArray[np.int64] = np.zeros((), np.int64)
+
+    def furnish(self, scene: Scene) -> None:
+        """Add a table and the cuboid."""
+        scene.add_table()
+        body = scene.spec.worldbody.add_body(name=CUBOID, pos=[*self.area.center, SIZE[2] / 2])
+        body.add_freejoint(name=CUBOID)
+        body.add_geom(
+            name=CUBOID,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[edge / 2 for edge in SIZE],
+            mass=MASS,
+            rgba=[0.10, 0.55, 0.20, 1.0],
+            # Sliding friction of PLA on rubber is about 1. Torsional friction counts from condim 4 on, and is what keeps the cuboid
+            # from turning between the pads.
+            friction=[1.0, 0.01, 0.0001],
+            condim=4,
+            solref=[0.01, 1.0],
+            group=0,
+        )
+
+    def bind(self, world: World, robots: list[SimRobot]) -> None:
+        """Have the cuboid's pose and the pads' forces on it read out.
+
+        Raises:
+            InvalidSetup: There is not exactly one robot, or it has no gripper.
+        """
+        if len(robots) != 1 or robots[0].placement.gripper is None:
+            raise InvalidSetup("PickCuboid needs one robot with a gripper.")
+        robot = robots[0]
+        placement, gripper = robot.placement, robots[0].gripper
+        self._world = world
+        self._robot = robot
+        model = world.model
+        cuboid = world.geom_flags([CUBOID])
+        base = placement.base_in_scene
+        if base.quaternion != (0.0, 0.0, 0.0, 1.0):
+            raise InvalidSetup("PickCuboid places the cuboid in a base frame that is not turned against the scene.")
+        self._base = np.array(base.translation)
+        self._pose = world.core.read_body_pose(model.body(CUBOID).id, robot.layout.base_body)
+        self._pads = [
+            world.core.read_force(world.geom_flags(placement.gripper_prefix + name for name in pads), cuboid)
+            for pads in gripper.pad_geoms
+        ]
+        self._touched = world.core.read_force(world.subtree_flags(placement.base_body), cuboid)
+        first = int(model.joint(CUBOID).qposadr[0])
+        self._translation = slice(first, first + 3)
+        self._quaternion = slice(first + 3, first + 7)
+        self._hold_steps = round(HOLD_TIME * world.frequency)
+        self._steps_held = np.zeros(world.leading, np.int64)
+        self._rest_height = SIZE[2] / 2
+
+    def reset(self, draws: Draws, where: Where) -> None:
+        """Lay the cuboid down at a random place and yaw."""
+        half = np.array([*self.area.size]) / 2
+        center = np.array(self.area.center)
+        place = draws.uniform(np.append(center - half, -np.pi), np.append(center + half, np.pi))
+        translation = np.empty((*draws.leading, 3))
+        translation[..., :2] = place[..., :2] + self._base[:2]
+        translation[..., 2] = self._rest_height
+        quaternion = np.zeros((*draws.leading, 4))  # wxyz, as MuJoCo's state has it
+        quaternion[..., 0] = np.cos(place[..., 2] / 2)
+        quaternion[..., 3] = np.sin(place[..., 2] / 2)
+        qpos = self._world.qpos
+        if self._world.leading:
+            qpos[where, self._translation] = translation
+            qpos[where, self._quaternion] = quaternion
+            self._steps_held[where] = 0
+        else:
+            qpos[self._translation] = translation
+            qpos[self._quaternion] = quaternion
+            self._steps_held = np.zeros((), np.int64)
+
+    def evaluate(self) -> Outcome:
+        """Judge height, grasp and how long the cuboid was held."""
+        forces = self._world.core.forces
+        cuboid = self._world.core.poses[..., self._pose, :].copy()
+        is_grasped = (forces[..., self._pads[0]] > TOUCH_FORCE) & (forces[..., self._pads[1]] > TOUCH_FORCE)
+        height = cuboid[..., 2] - self._rest_height
+        is_held = (height > LIFT_HEIGHT) & is_grasped
+        self._steps_held = np.where(is_held, self._steps_held + 1, 0)
+        success = self._steps_held >= self._hold_steps
+        offset = cuboid[..., :3] - self._world.core.poses[..., 0, :3]
+        reach = 1.0 - np.tanh(5.0 * np.sqrt((offset * offset).sum(axis=-1)))
+        lift = np.minimum(np.maximum(height / LIFT_HEIGHT, 0.0), 1.0)
+        reward = np.where(success, 1.0, (reach + is_grasped + is_grasped * lift) / 3.0)
+        info = {
+            "success": success,
+            "is_grasped": is_grasped,
+            "is_touched": forces[..., self._touched] > TOUCH_FORCE,
+            "cuboid": cuboid,
+        }
+        return Outcome(reward=reward, terminated=success, info=info)
+
+    def describe(self) -> dict[str, NDArray[Any]]:
+        """Return where the cuboid lies."""
+        never = np.zeros(self._world.leading, np.bool_)
+        cuboid = self._world.core.poses[..., self._pose, :].copy()
+        return {"success": never, "is_grasped": never, "is_touched": never, "cuboid": cuboid}

@@ -1,0 +1,114 @@
+"""The descriptions: what they refuse, and that each agrees with its own MJCF file."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from rcs.errors import InvalidSetup
+from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, Mount
+from rcs.robots.fr3.description import FR3
+from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.realsense_d405.description import REALSENSE_D405
+from rcs.robots.realsense_d435.description import REALSENSE_D435
+
+Description = ArmDescription | GripperDescription | CameraDescription
+ALL: list[Description] = [FR3, FRANKA_HAND, REALSENSE_D405, REALSENSE_D435]
+every_description = pytest.mark.parametrize("description", ALL, ids=lambda d: d.name)
+
+
+@every_description
+def test_the_mjcf_file_lies_next_to_the_description_and_compiles(description: Description) -> None:
+    assert description.mjcf.parent.name == description.name
+    model = mujoco.MjModel.from_xml_path(str(description.mjcf))
+    assert model.body(description.base_body).parentid[0] == 0
+
+
+@every_description
+def test_a_description_survives_pickling_and_copying(description: Description) -> None:
+    assert pickle.loads(pickle.dumps(description)) == description
+    assert copy.deepcopy(description) == description
+
+
+@every_description
+def test_what_is_seen_does_not_touch_and_what_touches_is_not_seen(description: Description) -> None:
+    model = mujoco.MjModel.from_xml_path(str(description.mjcf))
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    assert set(model.geom_group) == {2, 3}
+    assert np.array_equal(collides, model.geom_group == 3)
+
+
+@every_description
+def test_models_are_made_of_primitives_in_few_colours(description: Description) -> None:
+    model = mujoco.MjModel.from_xml_path(str(description.mjcf))
+    assert model.nmesh == model.ntex == model.nhfield == 0
+    assert model.nmat <= 5
+    assert not model.mat_reflectance.any()
+
+
+@every_description
+def test_every_body_is_free_of_its_weight(description: Description) -> None:
+    model = mujoco.MjModel.from_xml_path(str(description.mjcf))
+    assert np.all(model.body_gravcomp[1:] == 1.0)
+
+
+@every_description
+def test_names_that_scenes_add_prefixes_to_have_no_prefix_of_their_own(description: Description) -> None:
+    root = ElementTree.parse(description.mjcf).getroot()
+    assert all("/" not in element.get("name", "") for element in root.iter())
+
+
+def test_geoms_that_cameras_see_stay_within_the_budget() -> None:
+    budget = {"fr3": 40, "franka_hand": 12, "realsense_d405": 6, "realsense_d435": 9}
+    for description in ALL:
+        model = mujoco.MjModel.from_xml_path(str(description.mjcf))
+        assert int((model.geom_group == 2).sum()) <= budget[description.name]
+
+
+def test_a_mount_needs_a_unit_quaternion() -> None:
+    with pytest.raises(InvalidSetup, match="norm"):
+        Mount(quaternion=(0.0, 0.0, 0.0, 2.0))
+    with pytest.raises(InvalidSetup, match="3 finite numbers"):
+        Mount(translation=(0.0, math.nan, 0.0))
+
+
+def test_an_arm_needs_one_entry_per_joint() -> None:
+    with pytest.raises(InvalidSetup, match="velocity_limit must be 7"):
+        replace(FR3, velocity_limit=(1.0,) * 6)
+    with pytest.raises(InvalidSetup, match="7 actuators"):
+        replace(FR3, actuators=FR3.actuators[:-1])
+    with pytest.raises(InvalidSetup, match="different names"):
+        replace(FR3, joints=("joint1",) * 7)
+
+
+def test_an_arm_cannot_rest_outside_of_its_limits() -> None:
+    with pytest.raises(InvalidSetup, match="joint4"):
+        replace(FR3, home=(0.0,) * 7)
+
+
+def test_a_gripper_cannot_grasp_with_more_than_its_largest_force() -> None:
+    with pytest.raises(InvalidSetup, match="grasp_force"):
+        replace(FRANKA_HAND, grasp_force=100.0)
+
+
+def test_a_gripper_that_cannot_move_is_refused() -> None:
+    with pytest.raises(InvalidSetup, match="different ctrl"):
+        replace(FRANKA_HAND, ctrl_open=FRANKA_HAND.ctrl_closed)
+    with pytest.raises(InvalidSetup, match="must be positive"):
+        replace(FRANKA_HAND, max_width=0.0)
+
+
+def test_a_camera_needs_a_field_of_view_and_a_depth_range_that_make_sense() -> None:
+    with pytest.raises(InvalidSetup, match="fovy"):
+        replace(REALSENSE_D405, fovy=58.0)
+    with pytest.raises(InvalidSetup, match="ascend"):
+        replace(REALSENSE_D405, depth_range=(0.5, 0.07))
+    with pytest.raises(InvalidSetup, match="resolutions"):
+        replace(REALSENSE_D405, resolutions=())
