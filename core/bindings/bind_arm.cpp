@@ -46,15 +46,15 @@ void bind_arm(nb::module_& m) {
   nb::class_<rcs::ArmLimits>(m, "ArmLimits", "Limits of an arm, one value per joint.")
       .def(nb::init<std::vector<double>, std::vector<double>, std::vector<double>>(), "joint_lower"_a, "joint_upper"_a,
            "joint_velocity"_a, "Lower and upper joint limits [rad] and largest joint velocities [rad/s].")
-      .def_prop_ro("joint_lower", [](const rcs::ArmLimits& l) { return to_array(l.joint_lower); }, "Lower limits [rad].")
-      .def_prop_ro("joint_upper", [](const rcs::ArmLimits& l) { return to_array(l.joint_upper); }, "Upper limits [rad].")
-      .def_prop_ro("joint_velocity", [](const rcs::ArmLimits& l) { return to_array(l.joint_velocity); },
+      .def_prop_ro("joint_lower", [](const rcs::ArmLimits& l) { return to_array(l.joint_lower); }, nb::rv_policy::move, "Lower limits [rad].")
+      .def_prop_ro("joint_upper", [](const rcs::ArmLimits& l) { return to_array(l.joint_upper); }, nb::rv_policy::move, "Upper limits [rad].")
+      .def_prop_ro("joint_velocity", [](const rcs::ArmLimits& l) { return to_array(l.joint_velocity); }, nb::rv_policy::move,
                    "Largest velocities [rad/s].");
   nb::class_<rcs::ArmState>(m, "ArmState", "What an arm measures.")
       .def(nb::init<std::vector<double>, std::vector<double>, double>(), "joints"_a, "joint_velocities"_a, "time"_a,
            "Joints [rad], joint velocities [rad/s] and the time of measurement [s] on the device's monotonic clock.")
-      .def_prop_ro("joints", [](const rcs::ArmState& s) { return to_array(s.joints); }, "Joint positions [rad].")
-      .def_prop_ro("joint_velocities", [](const rcs::ArmState& s) { return to_array(s.joint_velocities); },
+      .def_prop_ro("joints", [](const rcs::ArmState& s) { return to_array(s.joints); }, nb::rv_policy::move, "Joint positions [rad].")
+      .def_prop_ro("joint_velocities", [](const rcs::ArmState& s) { return to_array(s.joint_velocities); }, nb::rv_policy::move,
                    "Joint velocities [rad/s].")
       .def_ro("time", &rcs::ArmState::time, "When it was measured [s].");
   nb::class_<rcs::Arm, PyArm>(m, "Arm",

@@ -56,9 +56,9 @@ void bind_camera(nb::module_& m) {
               std::uint64_t number) { new (self) rcs::Frame(make_frame(rgb, depth_mm, time, number)); },
            "rgb"_a, "depth_mm"_a = nb::none(), "time"_a = 0.0, "number"_a = 0,
            "Make a frame of rgb (H, W, 3) uint8, depth [mm] (H, W) uint16 or None, and its capture time [s].")
-      .def_prop_ro("rgb", [](const rcs::Frame& f) { return copy_out(f.rgb, {f.rgb.size() / 3, 3}); },
+      .def_prop_ro("rgb", [](const rcs::Frame& f) { return copy_out(f.rgb, {f.rgb.size() / 3, 3}); }, nb::rv_policy::move,
                    "Colours, (H·W, 3) uint8, rows from the top.")
-      .def_prop_ro("depth_mm", [](const rcs::Frame& f) { return copy_out(f.depth_mm, {f.depth_mm.size()}); },
+      .def_prop_ro("depth_mm", [](const rcs::Frame& f) { return copy_out(f.depth_mm, {f.depth_mm.size()}); }, nb::rv_policy::move,
                    "Depth [mm], (H·W,) uint16, 0 = no reading; empty without depth.")
       .def_ro("time", &rcs::Frame::time, "When the picture was taken [s].")
       .def_ro("number", &rcs::Frame::number, "Counts frames of the device.");

@@ -30,7 +30,7 @@ struct PyHand : rcs::Hand {
 void bind_hand(nb::module_& m) {
   nb::class_<rcs::HandState>(m, "HandState", "What a hand measures.")
       .def(nb::init<std::vector<double>, double>(), "joints"_a, "time"_a)
-      .def_prop_ro("joints", [](const rcs::HandState& s) { return to_array(s.joints); }, "Normalised joints, 0 … 1.")
+      .def_prop_ro("joints", [](const rcs::HandState& s) { return to_array(s.joints); }, nb::rv_policy::move, "Normalised joints, 0 … 1.")
       .def_ro("time", &rcs::HandState::time, "When it was measured [s].");
   nb::class_<rcs::Hand, PyHand>(m, "Hand",
                                 "One multi-fingered hand. Subclasses override `_state`, `_command_joints`, "

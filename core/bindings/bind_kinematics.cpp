@@ -80,7 +80,7 @@ void bind_kinematics(nb::module_& m) {
              new (self) rcs::IkResult{std::move(joints), status, translation_error, rotation_error, iterations};
            },
            "joints"_a, "status"_a, "translation_error"_a = 0.0, "rotation_error"_a = 0.0, "iterations"_a = 0)
-      .def_prop_ro("joints", [](const rcs::IkResult& r) { return to_array(r.joints); }, "Inside the limits [rad].")
+      .def_prop_ro("joints", [](const rcs::IkResult& r) { return to_array(r.joints); }, nb::rv_policy::move, "Inside the limits [rad].")
       .def_ro("status", &rcs::IkResult::status)
       .def_ro("translation_error", &rcs::IkResult::translation_error, "m, before any clamping.")
       .def_ro("rotation_error", &rcs::IkResult::rotation_error, "rad, before any clamping.")
@@ -133,6 +133,6 @@ void bind_kinematics(nb::module_& m) {
       .def("inverse_batch", &solve_batch, "targets"_a, "starts"_a, "options"_a = rcs::IkOptions{}, "threads"_a = 1,
            "Solve for targets (N, 7) from starts (N, dof).\n\nReturns joints (N, dof) and IkStatus values (N,) uint8. "
            "The GIL is released.")
-      .def_prop_ro("joint_lower", [](const rcs::DampedLeastSquares& k) { return to_array(k.joint_lower()); }, "rad")
-      .def_prop_ro("joint_upper", [](const rcs::DampedLeastSquares& k) { return to_array(k.joint_upper()); }, "rad");
+      .def_prop_ro("joint_lower", [](const rcs::DampedLeastSquares& k) { return to_array(k.joint_lower()); }, nb::rv_policy::move, "rad")
+      .def_prop_ro("joint_upper", [](const rcs::DampedLeastSquares& k) { return to_array(k.joint_upper()); }, nb::rv_policy::move, "rad");
 }

@@ -1,21 +1,207 @@
+// Python names of the renderer. Addresses of models and data are `MjModel._address` and `MjData._address`.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <cstdint>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "rcs/gl_context.hpp"
+#include "rcs/render_pool.hpp"
 #include "rcs/renderer.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
+
+namespace {
+
+template <typename T, typename... Options>
+using Array = nb::ndarray<T, nb::numpy, nb::c_contig, nb::device::cpu, Options...>;
+using Rgb = Array<std::uint8_t, nb::shape<-1, -1, 3>>;
+using Depth = Array<std::uint16_t, nb::shape<-1, -1>>;
+using RgbFilm = Array<std::uint8_t, nb::shape<-1, -1, -1, 3>>;
+using DepthFilm = Array<std::uint16_t, nb::shape<-1, -1, -1>>;
+using Groups = std::array<bool, mjNGROUP>;
+
+const mjModel* model_at(std::uintptr_t address) { return reinterpret_cast<const mjModel*>(address); }
+
+rcs::RenderOptions options(const std::string& quality, int max_width, int max_height, const std::string& backend,
+                           const Groups& geom_groups) {
+  if (quality != "fast" && quality != "full")
+    throw std::invalid_argument("there is no quality \"" + quality + "\"; known: fast, full");
+  return {quality == "fast" ? rcs::Quality::fast : rcs::Quality::full, max_width, max_height, backend, geom_groups};
+}
+
+rcs::Picture picture(Rgb& rgb, std::optional<Depth>& depth) {
+  if (depth && (depth->shape(0) != rgb.shape(0) || depth->shape(1) != rgb.shape(1)))
+    throw std::invalid_argument("depth must have the height and width of rgb");
+  return {static_cast<int>(rgb.shape(1)), static_cast<int>(rgb.shape(0)), rgb.data(), depth ? depth->data() : nullptr};
+}
+
+std::vector<rcs::Film> films(std::size_t rows, const std::vector<int>& cameras, std::vector<RgbFilm>& rgb,
+                             std::optional<std::vector<std::optional<DepthFilm>>>& depth) {
+  if (rgb.size() != cameras.size() || (depth && depth->size() != cameras.size()))
+    throw std::invalid_argument("rgb, and depth when given, must have one array for each camera");
+  std::vector<rcs::Film> list;
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    DepthFilm* film_depth = depth && (*depth)[i] ? &*(*depth)[i] : nullptr;
+    if (rgb[i].shape(0) != rows) throw std::invalid_argument("rgb must have one picture for each row of states");
+    for (std::size_t axis = 0; film_depth != nullptr && axis < 3; ++axis)
+      if (film_depth->shape(axis) != rgb[i].shape(axis))
+        throw std::invalid_argument("depth must have the number, height and width of the rgb pictures");
+    list.push_back({cameras[i], static_cast<int>(rgb[i].shape(2)), static_cast<int>(rgb[i].shape(1)), rgb[i].data(),
+                    film_depth != nullptr ? film_depth->data() : nullptr});
+  }
+  return list;
+}
+
+constexpr Groups kShown = {true, true, true, false, false, false};
+
+}  // namespace
+
 void bind_render(nb::module_& m) {
-  m.def("probe_gl", [] { nb::list l; for (auto& p : rcs::probe_gl()) l.append(nb::make_tuple(p.name, p.ok, p.detail)); return l; });
-  nb::class_<rcs::Renderer>(m, "Renderer")
-    .def("__init__", [](rcs::Renderer* self, uintptr_t a, bool full, int w, int h, std::string backend) {
-        rcs::RenderOptions o; o.quality = full ? rcs::Quality::full : rcs::Quality::fast; o.max_width = w; o.max_height = h; o.backend = backend;
-        new (self) rcs::Renderer(reinterpret_cast<const mjModel*>(a), o); }, "model"_a, "full"_a=false, "w"_a=640, "h"_a=480, "backend"_a="auto")
-    .def("update", [](rcs::Renderer& s, uintptr_t d) { nb::gil_scoped_release r; s.update(reinterpret_cast<mjData*>(d)); })
-    .def("render", [](rcs::Renderer& s, int cam, nb::ndarray<uint8_t, nb::shape<-1,-1,3>, nb::c_contig> rgb) {
-        rcs::Picture p{(int)rgb.shape(1), (int)rgb.shape(0), rgb.data(), nullptr}; nb::gil_scoped_release r; s.render(cam, p); })
-    .def("close", &rcs::Renderer::close);
+  // A missing system library is reported as the package reports missing Python packages.
+  nb::register_exception_translator([](const std::exception_ptr& pointer, void*) {
+    try {
+      std::rethrow_exception(pointer);
+    } catch (const rcs::GlUnavailable& error) {
+      const nb::object type = nb::module_::import_("rcs.errors").attr("MissingDependency");
+      PyErr_SetString(type.ptr(), error.what());
+    }
+  });
+
+  nb::class_<rcs::GlProbe>(m, "GlProbe", "What a look at one OpenGL backend found.")
+      .def_ro("name", &rcs::GlProbe::name, "\"egl\" or \"osmesa\".")
+      .def_ro("ok", &rcs::GlProbe::ok, "Whether MuJoCo can draw with it.")
+      .def_ro("detail", &rcs::GlProbe::detail, "Renderer and version, or why not and what to do.")
+      .def("__repr__", [](const rcs::GlProbe& probe) {
+        return "GlProbe(name='" + probe.name + "', ok=" + (probe.ok ? "True" : "False") + ", detail='" + probe.detail + "')";
+      });
+  m.def("probe_gl", &rcs::probe_gl, nb::call_guard<nb::gil_scoped_release>(),
+        "Look at every OpenGL backend by making a context and dropping it. Chooses none.");
+
+  nb::class_<rcs::Renderer>(m, "Renderer", R"(Draws one scene as seen by the cameras of its model, off screen.
+
+Calls may come from any thread; they wait for each other and run without the GIL.)")
+      .def(
+          "__init__",
+          [](rcs::Renderer* self, std::uintptr_t model_address, const std::string& quality, int max_width, int max_height,
+             const std::string& backend, const Groups& geom_groups) {
+            const rcs::RenderOptions chosen = options(quality, max_width, max_height, backend, geom_groups);
+            const nb::gil_scoped_release unlocked;
+            new (self) rcs::Renderer(model_at(model_address), chosen);
+          },
+          "model_address"_a, nb::kw_only(), "quality"_a = "fast", "max_width"_a = 640, "max_height"_a = 480,
+          "backend"_a = "auto", "geom_groups"_a = kShown, R"(Make the OpenGL objects of a model, which is not changed.
+
+Args:
+    model_address: `MjModel._address`; the caller keeps the model alive.
+    quality: "fast" without shadows, reflections, sky and antialiasing and with coarse round shapes, or "full".
+    max_width: Largest width of a picture [pixels].
+    max_height: Largest height of a picture [pixels].
+    backend: "auto" (EGL, else OSMesa), "egl" or "osmesa"; one per process.
+    geom_groups: Which of the six groups of geoms are drawn; 3 to 5 are collision shapes by custom.
+
+Raises:
+    ValueError: An argument is not valid.
+    MissingDependency: There is no OpenGL; the message has the remedy.)")
+      .def(
+          "update", [](rcs::Renderer& self, std::uintptr_t data) { self.update(reinterpret_cast<mjData*>(data)); },
+          "data_address"_a, nb::call_guard<nb::gil_scoped_release>(),
+          R"(Take over the poses in a data, once for all cameras.
+
+Args:
+    data_address: `MjData._address`, after `mj_forward` or `mj_kinematics`, `mj_comPos` and `mj_camlight`.)")
+      .def(
+          "update_from_state",
+          [](rcs::Renderer& self, Array<const double, nb::shape<-1>> state) {
+            const nb::gil_scoped_release unlocked;
+            self.update_from_state({state.data(), state.size()});
+          },
+          "state"_a, R"(Take over the poses that follow from a state.
+
+Args:
+    state: A row of `mjSTATE_INTEGRATION`, shape (state_size,).)")
+      .def(
+          "render",
+          [](rcs::Renderer& self, int camera_id, Rgb rgb, std::optional<Depth> depth) {
+            const rcs::Picture place = picture(rgb, depth);
+            const nb::gil_scoped_release unlocked;
+            self.render(camera_id, place);
+          },
+          "camera_id"_a, "rgb"_a.noconvert(), "depth"_a.noconvert() = nb::none(), R"(Draw what a camera sees.
+
+Args:
+    camera_id: Index of the camera in the model.
+    rgb: Filled in place, shape (height, width, 3), rows from the top.
+    depth: Filled in place when given, shape (height, width) [mm], 0 where nothing is or it is beyond 65.535 m.
+
+Raises:
+    ValueError: There is no such camera, or the picture does not fit.)")
+      .def("close", &rcs::Renderer::close, nb::call_guard<nb::gil_scoped_release>(),
+           "Free everything. Closing twice is harmless.")
+      .def_prop_ro("is_open", &rcs::Renderer::is_open)
+      .def_prop_ro("state_size", &rcs::Renderer::state_size, "Length of a state.")
+      .def_prop_ro("description", &rcs::Renderer::description, "Backend, renderer and OpenGL version.");
+
+  nb::class_<rcs::RenderPool>(m, "RenderPool", R"(Draws many states of one scene at once, on several threads.
+
+The pictures are those of a single `Renderer`, bit for bit. Calls run without the GIL and wait for each other.)")
+      .def(
+          "__init__",
+          [](rcs::RenderPool* self, std::uintptr_t model_address, int threads, const std::string& quality, int max_width,
+             int max_height, const std::string& backend, const Groups& geom_groups) {
+            const rcs::RenderOptions chosen = options(quality, max_width, max_height, backend, geom_groups);
+            const nb::gil_scoped_release unlocked;
+            new (self) rcs::RenderPool(model_at(model_address), threads, chosen);
+          },
+          "model_address"_a, "threads"_a, nb::kw_only(), "quality"_a = "fast", "max_width"_a = 640, "max_height"_a = 480,
+          "backend"_a = "auto", "geom_groups"_a = kShown, R"(Make one renderer for each thread.
+
+Args:
+    model_address: `MjModel._address`; the caller keeps the model alive.
+    threads: How many threads draw, the calling one included.
+    quality: As for `Renderer`, like all that follow.
+    max_width: Largest width of a picture [pixels].
+    max_height: Largest height of a picture [pixels].
+    backend: "auto", "egl" or "osmesa".
+    geom_groups: Which of the six groups of geoms are drawn.
+
+Raises:
+    ValueError: An argument is not valid.
+    MissingDependency: There is no OpenGL; the message has the remedy.)")
+      .def(
+          "render_states",
+          [](rcs::RenderPool& self, Array<const double, nb::shape<-1, -1>> states, const std::vector<int>& camera_ids,
+             std::vector<RgbFilm> rgb, std::optional<std::vector<std::optional<DepthFilm>>> depth) {
+            if (states.shape(1) != static_cast<std::size_t>(self.state_size()))
+              throw std::invalid_argument("states has rows of " + std::to_string(states.shape(1)) +
+                                          " numbers, this model's have " + std::to_string(self.state_size()));
+            const std::vector<rcs::Film> wanted = films(states.shape(0), camera_ids, rgb, depth);
+            const nb::gil_scoped_release unlocked;
+            self.render_states({states.data(), states.size()}, wanted);
+          },
+          "states"_a, "camera_ids"_a, "rgb"_a.noconvert(), "depth"_a.noconvert() = nb::none(),
+          R"(Draw each state with each camera.
+
+Args:
+    states: Rows of `mjSTATE_INTEGRATION`, shape (n, state_size).
+    camera_ids: Indices of the cameras in the model.
+    rgb: For each camera an array that is filled in place, shape (n, height, width, 3), rows from the top.
+    depth: None, or for each camera None or an array that is filled in place, shape (n, height, width) [mm].
+
+Raises:
+    ValueError: A shape or a camera is not valid.)")
+      .def("close", &rcs::RenderPool::close, nb::call_guard<nb::gil_scoped_release>(),
+           "End the threads and free everything. Closing twice is harmless.")
+      .def_prop_ro("is_open", &rcs::RenderPool::is_open)
+      .def_prop_ro("threads", &rcs::RenderPool::threads)
+      .def_prop_ro("state_size", &rcs::RenderPool::state_size, "Length of a state.")
+      .def_prop_ro("description", &rcs::RenderPool::description, "Backend, renderer and OpenGL version.");
 }

@@ -3,8 +3,11 @@
 #include <dlfcn.h>
 
 #include <cstdint>
+#include <cstdlib>
 #include <map>
+#include <memory>
 #include <mutex>
+#include <utility>
 
 #include "gl_library.hpp"
 
@@ -20,16 +23,39 @@ std::string g_chosen;  // the backend of this process, once there is one
 
 thread_local GlContext* t_current = nullptr;
 
+// Sets LP_NUM_THREADS to 0 for its own lifetime, unless the user has set it. Mesa reads it with the first context.
+class RasteriseInCallingThread {
+ public:
+  RasteriseInCallingThread() : is_ours_(std::getenv(kName) == nullptr) {
+    if (is_ours_) setenv(kName, "0", 0);
+  }
+  ~RasteriseInCallingThread() {
+    if (is_ours_) unsetenv(kName);
+  }
+  RasteriseInCallingThread(const RasteriseInCallingThread&) = delete;
+  RasteriseInCallingThread& operator=(const RasteriseInCallingThread&) = delete;
+
+ private:
+  static constexpr const char* kName = "LP_NUM_THREADS";
+  bool is_ours_;
+};
+
 GlLibrary& open_backend(const std::string& backend) {
   // Never freed: a context may outlive every static object when the interpreter exits.
   static auto& opened = *new std::map<std::string, std::unique_ptr<GlLibrary>>();
   std::unique_ptr<GlLibrary>& library = opened[backend];
-  if (!library) library = backend == "egl" ? open_egl() : open_osmesa();
+  if (!library) {
+    const RasteriseInCallingThread setting;
+    std::unique_ptr<GlLibrary> found = backend == "egl" ? open_egl() : open_osmesa();
+    found->destroy(found->create());
+    library = std::move(found);
+  }
   return *library;
 }
 
 struct Capabilities {
   std::string description;
+  std::string extensions;
   int max_size = 0;
 };
 
@@ -43,10 +69,10 @@ Capabilities check_capabilities(GlLibrary& library) {
   Capabilities found;
   found.description = std::string(get_string(kRenderer)) + ", OpenGL " + version.substr(0, version.find(' '));
   get_integer(kMaxRenderbufferSize, &found.max_size);
-  const char* words = get_string(kExtensions);
-  const std::string extensions = " " + std::string(words == nullptr ? "" : words) + " ";
+  const char* extensions = get_string(kExtensions);
+  found.extensions = " " + std::string(extensions == nullptr ? "" : extensions) + " ";
   for (const char* needed : {"GL_ARB_framebuffer_object", "GL_ARB_vertex_buffer_object"})
-    if (extensions.find(" " + std::string(needed) + " ") == std::string::npos)
+    if (found.extensions.find(" " + std::string(needed) + " ") == std::string::npos)
       throw GlUnavailable("the OpenGL found (" + found.description + ") lacks " + needed + ", which MuJoCo needs");
   return found;
 }
@@ -118,6 +144,7 @@ GlContext::GlContext(const std::string& backend) {
       g_chosen = name;
       backend_ = name;
       description_ = found.description;
+      extensions_ = found.extensions;
       max_size_ = found.max_size;
       library_ = &library;
       handle_ = context;

@@ -2,189 +2,297 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
+#include <cstring>
+#include <sstream>
+#include <stdexcept>
+#include <vector>
 
-#include "coarse_shapes.hpp"
+#include "fast_context.hpp"
 #include "rcs/result.hpp"
 
 namespace rcs {
 
 namespace {
 
-constexpr unsigned kPackInvert = 0x8758;  // GL_PACK_INVERT_MESA
+constexpr int kMaxGeomsBeyondModel = 1000;  // tendon segments, flexes, skins
+constexpr int kFullSamples = 4;
+constexpr int kFullShadowSize = 2048;  // at least; 4096, MuJoCo's default, at most, as it is most of the time of a picture
+constexpr int kMaxShadowSize = 4096;
+// Lighting is computed at the corners of a plane's squares. MuJoCo draws 200 × 200 of them for an infinite plane, which
+// takes longer than a whole robot.
+constexpr int kPlaneSquares = 16;
+// Up to this height of a picture [pixels] rounds with fewer corners look the same.
+constexpr int kSmallPicture = 128;
 
-int env(const char* name, int fallback) { const char* v = getenv(name); return v ? atoi(v) : fallback; }
+struct Roundness {
+  int slices;
+  int stacks;
+};
+constexpr Roundness kSmallRoundness{12, 2}, kRoundness{16, 3};
+
+// A copy of the model's struct, not of its arrays, with what quality `fast` or `full` wants while MuJoCo makes its OpenGL
+// objects. The model itself may be in use by other threads and is not touched.
+struct DrawnModel {
+  DrawnModel(const mjModel& model, const RenderOptions& options) : value(model) {
+    mjVisual& visual = value.vis;
+    visual.global.offwidth = visual.global.offheight = 1;  // grows with the first picture
+    if (options.quality == Quality::full) {
+      visual.quality.offsamples = std::max(visual.quality.offsamples, kFullSamples);
+      visual.quality.shadowsize = std::clamp(visual.quality.shadowsize, kFullShadowSize, kMaxShadowSize);
+      return;
+    }
+    visual.quality.offsamples = 0;
+    visual.quality.shadowsize = 0;
+    visual.quality.numslices = kRoundness.slices;
+    visual.quality.numstacks = 8;
+    visual.quality.numquads = 1;
+    geom_size.assign(model.geom_size, model.geom_size + 3 * model.ngeom);
+    for (int geom = 0; geom < model.ngeom; ++geom) {
+      if (model.geom_type[geom] != mjGEOM_PLANE) continue;
+      mjtNum* size = &geom_size[3 * geom];  // half lengths, and the distance of grid lines
+      for (int axis = 0; axis < 2; ++axis)
+        if (size[axis] <= 0) size[axis] = 1.2 * visual.map.zfar * model.stat.extent;
+      size[2] = std::max({size[2], size[0] / kPlaneSquares, size[1] / kPlaneSquares});
+    }
+    value.geom_size = geom_size.data();
+  }
+
+  mjModel value;
+  std::vector<mjtNum> geom_size;
+};
+
+// What a camera can see: a pyramid from its position, in camera axes (x right, y up, z forward).
+class Frustum {
+ public:
+  Frustum(const mjvGLCamera& camera, const Picture& picture) : camera_(camera) {
+    mju_f2n(forward_, camera.forward, 3);
+    mju_f2n(up_, camera.up, 3);
+    mju_cross(right_, forward_, up_);
+    const double half_height = 0.5 * (camera.frustum_top - camera.frustum_bottom);
+    const double half_width =
+        camera.frustum_width > 0 ? camera.frustum_width : half_height * picture.width / picture.height;
+    const double scale = camera.orthographic ? 1.0 : camera.frustum_near;
+    left_ = (camera.frustum_center - half_width) / scale;
+    right_end_ = (camera.frustum_center + half_width) / scale;
+    bottom_ = camera.frustum_bottom / scale;
+    top_ = camera.frustum_top / scale;
+  }
+
+  // Whether a ball around the geom, which has no known size when its radius is 0, can be in the picture.
+  bool may_show(const mjvGeom& geom) const {
+    if (geom.modelrbound <= 0) return true;
+    const double radius = 1.001 * geom.modelrbound;
+    const mjtNum offset[3] = {geom.pos[0] - camera_.pos[0], geom.pos[1] - camera_.pos[1], geom.pos[2] - camera_.pos[2]};
+    const double x = mju_dot3(offset, right_), y = mju_dot3(offset, up_), z = mju_dot3(offset, forward_);
+    if (z < camera_.frustum_near - radius) return false;
+    const auto is_outside = [&](double coordinate, double slope) {
+      if (camera_.orthographic) return coordinate - slope > radius;
+      return coordinate - slope * z > radius * std::sqrt(1 + slope * slope);
+    };
+    return !is_outside(x, right_end_) && !is_outside(-x, -left_) && !is_outside(y, top_) && !is_outside(-y, -bottom_);
+  }
+
+ private:
+  const mjvGLCamera& camera_;
+  mjtNum forward_[3], up_[3], right_[3];
+  double left_, right_end_, bottom_, top_;
+};
+
+// OpenGL's first row is the bottom one.
+template <typename Pixel>
+void flip_rows(Pixel* image, int row, int rows) {
+  std::vector<Pixel> spare(static_cast<std::size_t>(row));
+  const std::size_t bytes = spare.size() * sizeof(Pixel);
+  for (int y = 0; y < rows / 2; ++y) {
+    Pixel* upper = image + static_cast<std::ptrdiff_t>(row) * y;
+    Pixel* lower = image + static_cast<std::ptrdiff_t>(row) * (rows - 1 - y);
+    std::memcpy(spare.data(), upper, bytes);
+    std::memcpy(upper, lower, bytes);
+    std::memcpy(lower, spare.data(), bytes);
+  }
+}
+
+// The depth buffer holds 1 at the near plane, 0 at the far one and where nothing is, linear in the reciprocal distance.
+void to_millimetres(const std::vector<float>& buffer, const mjvGLCamera& camera, const Picture& picture) {
+  const double near = camera.frustum_near, far = camera.frustum_far;
+  for (int y = 0; y < picture.height; ++y) {
+    const float* row = buffer.data() + static_cast<std::size_t>(picture.height - 1 - y) * picture.width;
+    std::uint16_t* out = picture.depth_mm + static_cast<std::size_t>(y) * picture.width;
+    for (int x = 0; x < picture.width; ++x) {
+      const double metres = camera.orthographic ? far - row[x] * (far - near) : near * far / (near + row[x] * (far - near));
+      const double millimetres = 1000.0 * metres + 0.5;
+      out[x] = row[x] > 0 && millimetres < 65536.0 ? static_cast<std::uint16_t>(millimetres) : std::uint16_t{0};
+    }
+  }
+}
 
 }  // namespace
 
-/// Everything that a closed renderer no longer has.
+/// What a renderer has until it is closed.
 struct Renderer::Open {
-  explicit Open(const std::string& backend) : gl(backend) {}
+  explicit Open(const std::string& backend) : gl(backend) {
+    mjr_defaultContext(&context);
+    mjv_defaultScene(&scene);
+    mjv_defaultOption(&option);
+  }
+  ~Open() {
+    mj_deleteData(own_data);
+    mjv_freeScene(&scene);
+    const GlContext::Current current(gl);
+    mjr_freeContext(&context);
+  }
 
   GlContext gl;
-  mjrContext context{};
-  mjvScene scene{};
-  mjvOption option{};
-  std::vector<std::array<mjvGLCamera, 2>> cameras;
-  mjData* data = nullptr;
+  mjrContext context;
+  mjvScene scene;
+  mjvOption option;
+  mjData* own_data = nullptr;                         // of `update_from_state`, made on first use
+  std::vector<mjvGeom> geoms;                         // of the last update; the scene gets those that a camera may see
+  std::vector<std::array<mjvGLCamera, 2>> cameras;    // of the last update, for the left and right eye
   std::vector<float> depth;
-  std::vector<mjvGeom> all;
-  std::vector<uint32_t> rgba;
-  bool is_current = false;
-  void (*pixel_store)(unsigned, int);
-  void (*read_pixels)(int,int,int,int,unsigned,unsigned,void*);
+  int slices = 0;  // of the round shapes in the context
 };
 
 Renderer::Renderer(const mjModel* model, const RenderOptions& options)
     : model_(model), options_(options), state_size_(mj_stateSize(model, mjSTATE_INTEGRATION)) {
-  open_ = std::make_unique<Open>(options.backend);
-  Open& o = *open_;
-  mjModel copy = *model;
-  mjVisual& vis = copy.vis;
-  vis.global.offwidth = env("OFFW", 1);
-  vis.global.offheight = env("OFFW", 1);
-  std::vector<mjtNum> sizes(model->geom_size, model->geom_size + 3 * model->ngeom);
-  if (options.quality == Quality::fast) {
-    vis.quality.offsamples = env("SAMPLES", 0);
-    vis.quality.numslices = env("SLICES", 16);
-    vis.quality.numstacks = env("STACKS", 8);
-    vis.quality.numquads = env("QUADS", 1);
-    vis.quality.shadowsize = env("SHADOWSIZE", 0);
-    if (env("PLANE", 1)) {
-    for (int i = 0; i < model->ngeom; ++i) {
-      if (model->geom_type[i] != mjGEOM_PLANE) continue;
-      mjtNum* s = &sizes[3 * i];
-      for (int k = 0; k < 2; ++k) if (s[k] <= 0) s[k] = 1.1 * vis.map.zfar * model->stat.extent;
-      s[2] = std::max({s[2], s[0] / env("PLANEGRID", 8), s[1] / env("PLANEGRID", 8)});
-    }
-    copy.geom_size = sizes.data();
-    }
-  } else {
-    vis.quality.offsamples = 4;
-    vis.quality.shadowsize = std::clamp(vis.quality.shadowsize, 2048, 4096);
+  if (options.max_width < 1 || options.max_height < 1)
+    throw std::invalid_argument("renderer: pictures of at most " + std::to_string(options.max_width) + " x " +
+                                std::to_string(options.max_height) + " pixels were asked for, at least 1 x 1 is needed");
+  if (model->vis.map.znear * model->stat.extent < mjMINVAL)
+    throw std::invalid_argument("renderer: the model's near plane (visual/map znear × statistic extent) must be positive");
+  auto open = std::make_unique<Open>(options.backend);
+  const int limit = open->gl.max_size();
+  if (options.max_width > limit || options.max_height > limit)
+    throw std::invalid_argument("renderer: at most " + std::to_string(limit) + " x " + std::to_string(limit) +
+                                " pixels can be drawn here");
+  description_ = open->gl.backend() + ": " + open->gl.description();
+  mjv_makeScene(model, &open->scene, static_cast<int>(model->ngeom) + kMaxGeomsBeyondModel);
+  for (int group = 0; group < mjNGROUP; ++group) {
+    open->option.geomgroup[group] = options.geom_groups[group];
+    open->option.sitegroup[group] = 0;
   }
-  const GlContext::Current current(o.gl);
-  mjr_defaultContext(&o.context);
-  mjr_makeContext(&copy, &o.context, mjFONTSCALE_100);
-  if (options.quality == Quality::fast && env("COARSE", 1)) use_coarse_shapes(o.context, o.gl, env("CS", 16), env("CT", 3));
-  mjr_setBuffer(mjFB_OFFSCREEN, &o.context);
-  o.context.readDepthMap = mjDEPTH_ZEROFAR;
-  mjv_defaultScene(&o.scene);
-  mjv_makeScene(model, &o.scene, model->ngeom + 100);
-  mjv_defaultOption(&o.option);
-  for (int i = 0; i < mjNGROUP; ++i) { o.option.geomgroup[i] = options.geom_groups[i]; o.option.sitegroup[i] = 0; }
-  if (options.quality == Quality::fast) {
-    o.scene.flags[mjRND_SHADOW] = env("SHADOW", 0);
-    o.scene.flags[mjRND_REFLECTION] = env("REFLECT", 0);
-    o.scene.flags[mjRND_SKYBOX] = env("SKY", 0);
-    o.scene.flags[mjRND_HAZE] = env("SKY", 0);
-    o.scene.flags[mjRND_FOG] = 0;
-    o.scene.flags[mjRND_CULL_FACE] = env("CULL", 1);
+  if (options.quality == Quality::fast)
+    for (const int effect : {mjRND_SHADOW, mjRND_REFLECTION, mjRND_SKYBOX, mjRND_FOG, mjRND_HAZE})
+      open->scene.flags[effect] = 0;
+  const DrawnModel drawn(*model, options);
+  {
+    const GlContext::Current current(open->gl);
+    mjr_makeContext(&drawn.value, &open->context, mjFONTSCALE_100);
+    mjr_setBuffer(mjFB_OFFSCREEN, &open->context);
   }
-  o.cameras.resize(model->ncam);
-  o.pixel_store = (void (*)(unsigned, int))o.gl.function("glPixelStorei");
-  o.read_pixels = (void (*)(int,int,int,int,unsigned,unsigned,void*))o.gl.function("glReadPixels");
-  if (env("INVERT", 0)) o.pixel_store(kPackInvert, 1);
-  o.data = mj_makeData(model);
+  open->context.readDepthMap = mjDEPTH_ZEROFAR;
+  open_ = std::move(open);
 }
 
-Renderer::~Renderer() { close(); }
+Renderer::~Renderer() = default;
 
 void Renderer::close() {
-  if (!open_) return;
-  {
-    const GlContext::Current current(open_->gl);
-    mjr_freeContext(&open_->context);
-  }
-  mjv_freeScene(&open_->scene);
-  mj_deleteData(open_->data);
+  const std::lock_guard lock(mutex_);
   open_.reset();
 }
 
-void Renderer::update(mjData* data) {
-  Open& o = *open_;
+Renderer::Open& Renderer::require_open(const char* call) const {
+  if (!open_) throw WrongOrder(std::string("renderer: ") + call + " was called after close(); make a new renderer");
+  return *open_;
+}
+
+void Renderer::take_over(Open& open, mjData* data) const {
   mjvCamera camera;
-  mjv_defaultCamera(&camera);
-  mjv_updateScene(model_, data, &o.option, nullptr, &camera, mjCAT_STATIC|mjCAT_DYNAMIC, &o.scene);
-  o.all.assign(o.scene.geoms, o.scene.geoms + o.scene.ngeom);
-  if (env("MATID", 1)) for (auto& g : o.all) if (g.matid >= 0 && o.context.mat_texid[mjNTEXROLE * g.matid + mjTEXROLE_RGB] < 0) g.matid = -1;
+  mjv_defaultFreeCamera(model_, &camera);
+  mjv_updateScene(model_, data, &open.option, nullptr, &camera, mjCAT_STATIC | mjCAT_DYNAMIC, &open.scene);
+  open.geoms.assign(open.scene.geoms, open.scene.geoms + open.scene.ngeom);
+  // Floors last, so that the pixels under everything else are not shaded first.
+  std::stable_partition(open.geoms.begin(), open.geoms.end(), [](const mjvGeom& g) { return g.type != mjGEOM_PLANE; });
   camera.type = mjCAMERA_FIXED;
-  for (int i = 0; i < model_->ncam; ++i) {
-    camera.fixedcamid = i;
-    mjv_updateCamera(model_, data, &camera, &o.scene);
-    o.cameras[i] = {o.scene.camera[0], o.scene.camera[1]};
+  open.cameras.resize(static_cast<std::size_t>(model_->ncam));
+  for (int id = 0; id < model_->ncam; ++id) {
+    camera.fixedcamid = id;
+    mjv_updateCamera(model_, data, &camera, &open.scene);
+    open.cameras[id] = {open.scene.camera[0], open.scene.camera[1]};
   }
+}
+
+void Renderer::update(mjData* data) {
+  const std::lock_guard lock(mutex_);
+  take_over(require_open("update"), data);
 }
 
 void Renderer::update_from_state(std::span<const double> state) {
-  Open& o = *open_;
-  mj_setState(model_, o.data, state.data(), mjSTATE_INTEGRATION);
-  mj_kinematics(model_, o.data);
-  mj_comPos(model_, o.data);
-  mj_camlight(model_, o.data);
-  update(o.data);
+  if (state.size() != static_cast<std::size_t>(state_size_))
+    throw std::invalid_argument("renderer: a state of " + std::to_string(state.size()) + " numbers was given, this model's has " +
+                                std::to_string(state_size_));
+  const std::lock_guard lock(mutex_);
+  Open& open = require_open("update_from_state");
+  if (open.own_data == nullptr) open.own_data = mj_makeData(model_);
+  mjData* data = open.own_data;
+  mj_setState(model_, data, state.data(), mjSTATE_INTEGRATION);
+  mj_kinematics(model_, data);
+  mj_comPos(model_, data);
+  mj_camlight(model_, data);
+  if (model_->nflex > 0) mj_flex(model_, data);
+  if (model_->ntendon > 0) mj_tendon(model_, data);
+  take_over(open, data);
 }
 
-void Renderer::render(int camera, const Picture& p) {
-  Open& o = *open_;
-  const GlContext::Current current(o.gl);
-  o.scene.camera[0] = o.cameras[camera][0];
-  o.scene.camera[1] = o.cameras[camera][1];
-  if (p.width > o.context.offWidth || p.height > o.context.offHeight)
-    mjr_resizeOffscreen(std::max(p.width, o.context.offWidth), std::max(p.height, o.context.offHeight), &o.context);
-  static int dm = env("DEPTHFMT", 0), lastw = 0;
-  if (dm && lastw != p.width) {
-    lastw = p.width;
-    auto bindrb = (void(*)(unsigned,unsigned))o.gl.function("glBindRenderbuffer");
-    auto store = (void(*)(unsigned,unsigned,int,int))o.gl.function("glRenderbufferStorage");
-    auto attach = (void(*)(unsigned,unsigned,unsigned,unsigned))o.gl.function("glFramebufferRenderbuffer");
-    auto check = (unsigned(*)(unsigned))o.gl.function("glCheckFramebufferStatus");
-    bindrb(0x8D41, o.context.offDepthStencil); store(0x8D41, dm, o.context.offWidth, o.context.offHeight);
-    mjr_setBuffer(mjFB_OFFSCREEN, &o.context);
-    if (dm == 0x81A5 || dm == 0x81A6 || dm == 0x8CAC) { attach(0x8D40, 0x8D20, 0x8D41, 0); attach(0x8D40, 0x8D00, 0x8D41, o.context.offDepthStencil); }
-    printf("%x status %x\n", dm, check(0x8D40));
+void Renderer::check(int camera, const Picture& picture) const {
+  if (camera < 0 || camera >= model_->ncam) {
+    std::ostringstream text;
+    text << "renderer: there is no camera " << camera << "; ";
+    if (model_->ncam == 0) text << "the model has none";
+    for (int id = 0; id < model_->ncam; ++id)
+      text << (id == 0 ? "the model has " : ", ") << id << " (" << model_->names + model_->name_camadr[id] << ")";
+    throw std::invalid_argument(text.str());
   }
-  {
-    const mjvGLCamera& c = o.scene.camera[0];
-    double hh = 0.5 * (c.frustum_top - c.frustum_bottom);
-    double hw = c.frustum_width ? c.frustum_width : hh * p.width / p.height;
-    double right[3]; 
-    right[0] = c.forward[1]*c.up[2]-c.forward[2]*c.up[1]; right[1]=c.forward[2]*c.up[0]-c.forward[0]*c.up[2]; right[2]=c.forward[0]*c.up[1]-c.forward[1]*c.up[0];
-    double n = c.frustum_near;
-    double cy = 0.5 * (c.frustum_top + c.frustum_bottom);
-    double kx0 = (c.frustum_center - hw) / n, kx1 = (c.frustum_center + hw) / n, ky0 = (cy - hh) / n, ky1 = (cy + hh) / n;
-    int k = 0; static std::vector<std::pair<double,int>> ord; ord.clear();
-    for (auto& g : o.all) {
-      if (env("CULLF", 1) && g.modelrbound > 0) {
-        double v[3] = {g.pos[0]-c.pos[0], g.pos[1]-c.pos[1], g.pos[2]-c.pos[2]};
-        double z = mju_dot3(v, std::array<double,3>{c.forward[0],c.forward[1],c.forward[2]}.data());
-        double x = mju_dot3(v, right), y = mju_dot3(v, std::array<double,3>{c.up[0],c.up[1],c.up[2]}.data());
-        double R = g.modelrbound + 1e-3;
-        if (z < n - R || x - kx1*z > R*std::sqrt(1+kx1*kx1) || kx0*z - x > R*std::sqrt(1+kx0*kx0) || y - ky1*z > R*std::sqrt(1+ky1*ky1) || ky0*z - y > R*std::sqrt(1+ky0*ky0)) continue;
-      }
-      if (env("SORT",0)) { double z=1e9; if (g.modelrbound > 0) z = g.modelrbound > .5 ? 1e8 : -g.modelrbound + (g.pos[0]-c.pos[0])*c.forward[0]+(g.pos[1]-c.pos[1])*c.forward[1]+(g.pos[2]-c.pos[2])*c.forward[2]; ord.push_back({z, int(&g-o.all.data())}); }
-      else o.scene.geoms[k++] = g;
-    }
-    if (env("SORT",0)) { std::stable_sort(ord.begin(), ord.end()); for (auto& e : ord) o.scene.geoms[k++] = o.all[e.second]; }
-    o.scene.ngeom = k;
-    static int shown = 0; if (env("V",0) && shown++ < 2) printf("%d of %zu\n", k, o.all.size());
-  }
-  const mjrRect r{0, 0, p.width, p.height};
-  mjr_render(r, &o.scene, &o.context);
-  static int mode = env("READ", 0);
-  if (mode == 0) {
-    mjr_readPixels(p.rgb, nullptr, r, &o.context);
-    if (!env("INVERT", 0))
-    for (int y = 0; y < p.height / 2; ++y)
-      std::swap_ranges(p.rgb + 3 * p.width * y, p.rgb + 3 * p.width * (y + 1), p.rgb + 3 * p.width * (p.height - 1 - y));
-  } else if (mode == 1) {
-    o.rgba.resize(p.width * p.height);
-    o.read_pixels(0, 0, p.width, p.height, 0x1908, 0x1401, o.rgba.data());
-    for (int y = 0; y < p.height; ++y) {
-      const uint8_t* s = (const uint8_t*)(o.rgba.data() + (p.height - 1 - y) * p.width);
-      uint8_t* d = p.rgb + 3 * p.width * y;
-      for (int x = 0; x < p.width; ++x) { d[3*x] = s[4*x]; d[3*x+1] = s[4*x+1]; d[3*x+2] = s[4*x+2]; }
-    }
-  }
+  if (picture.width < 1 || picture.height < 1 || picture.width > options_.max_width || picture.height > options_.max_height)
+    throw std::invalid_argument("renderer: a picture of " + std::to_string(picture.width) + " x " +
+                                std::to_string(picture.height) + " pixels was asked for, valid is 1 x 1 to " +
+                                std::to_string(options_.max_width) + " x " + std::to_string(options_.max_height));
+  if (picture.rgb == nullptr) throw std::invalid_argument("renderer: the picture has no place for rgb");
 }
+
+void Renderer::show(Open& open, int camera, const Picture& picture) const {
+  const bool is_fast = options_.quality == Quality::fast;
+  mjrContext& context = open.context;
+  if (picture.width > context.offWidth || picture.height > context.offHeight) {
+    // Only as large as the pictures are: clearing a part of a buffer costs more than clearing a whole one.
+    mjr_resizeOffscreen(std::max(picture.width, context.offWidth), std::max(picture.height, context.offHeight), &context);
+    if (is_fast) drop_stencil(context, open.gl);
+  }
+  const Roundness& round = picture.height <= kSmallPicture ? kSmallRoundness : kRoundness;
+  if (is_fast && open.slices != round.slices) {
+    use_coarse_shapes(context, open.gl, round.slices, round.stacks);
+    open.slices = round.slices;
+  }
+
+  mjvScene& scene = open.scene;
+  scene.camera[0] = open.cameras[camera][0];
+  scene.camera[1] = open.cameras[camera][1];
+  const mjvGLCamera eye = mjv_averageCamera(scene.camera, scene.camera + 1);  // between MuJoCo's two, for stereo
+  if (scene.nlight > 0 && scene.lights[0].headlight) {
+    std::copy_n(eye.pos, 3, scene.lights[0].pos);
+    std::copy_n(eye.forward, 3, scene.lights[0].dir);
+  }
+  scene.ngeom = 0;
+  const Frustum frustum(eye, picture);
+  for (const mjvGeom& geom : open.geoms)
+    // What is outside may still throw a shadow into the picture or be mirrored in it.
+    if (!is_fast || frustum.may_show(geom)) scene.geoms[scene.ngeom++] = geom;
+
+  const mjrRect area{0, 0, picture.width, picture.height};
+  mjr_render(area, &scene, &context);
+  if (picture.depth_mm != nullptr) open.depth.resize(static_cast<std::size_t>(picture.width) * picture.height);
+  mjr_readPixels(picture.rgb, picture.depth_mm != nullptr ? open.depth.data() : nullptr, area, &context);
+  flip_rows(picture.rgb, 3 * picture.width, picture.height);
+  if (picture.depth_mm != nullptr) to_millimetres(open.depth, eye, picture);
+}
+
+void Renderer::render(int camera, const Picture& picture) {
+  check(camera, picture);
+  const std::lock_guard lock(mutex_);
+  Open& open = require_open("render");
+  if (open.cameras.empty()) throw WrongOrder("renderer: render was called before update; there are no poses to draw");
+  const GlContext::Current current(open.gl);
+  show(open, camera, picture);
+}
+
 }  // namespace rcs

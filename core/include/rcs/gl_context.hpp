@@ -2,6 +2,9 @@
 //
 // libmujoco keeps one table of OpenGL functions per process, so all contexts of a process share one backend: the first
 // context chooses it. A context is current in at most one thread at a time; `GlContext::Current` brackets each use.
+//
+// Mesa's software renderer is told to rasterise in the thread that draws, unless the environment sets LP_NUM_THREADS:
+// handing small pictures to its own threads costs up to half of the speed, and the cores belong to the render threads.
 #pragma once
 
 #include <stdexcept>
@@ -22,16 +25,16 @@ struct GlUnavailable : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// Look at every backend by making a context and dropping it. Chooses none, so any may be asked for afterwards.
+/// Look at every backend by making a context and dropping it. Chooses none: any may be asked for afterwards.
 std::vector<GlProbe> probe_gl();
 
 class GlLibrary;
 
-/// One OpenGL context that draws to its own framebuffers. Thread-safe to create; used by one thread at a time.
+/// One OpenGL context that draws to its own framebuffers. Any thread may make one; one thread at a time may use it.
 class GlContext {
  public:
-  /// `backend` is "auto" (what this process uses already, else EGL, else OSMesa), "egl" or "osmesa".
-  /// Throws `std::invalid_argument` for another name, `GlUnavailable` when there is no such context to be had.
+  /// `backend` is "auto" (what this process draws with already, else EGL, else OSMesa), "egl" or "osmesa".
+  /// Throws `std::invalid_argument` for another name, `GlUnavailable` when no such context can be had.
   explicit GlContext(const std::string& backend = "auto");
   ~GlContext();
   GlContext(const GlContext&) = delete;
@@ -42,10 +45,11 @@ class GlContext {
   const std::string& description() const { return description_; }
   /// Largest width and height of a framebuffer [pixels].
   int max_size() const { return max_size_; }
+  bool has_extension(const std::string& name) const { return extensions_.find(" " + name + " ") != std::string::npos; }
   /// Address of an OpenGL function, null when there is none.
   void* function(const char* name) const;
 
-  /// Makes a context current in this thread for its own lifetime; within another of the same context it does nothing.
+  /// Makes a context current in this thread for its own lifetime; inside another one of the same context, does nothing.
   class Current {
    public:
     explicit Current(GlContext& context);
@@ -61,6 +65,7 @@ class GlContext {
  private:
   std::string backend_;
   std::string description_;
+  std::string extensions_;  // each between two spaces
   int max_size_ = 0;
   GlLibrary* library_ = nullptr;
   void* handle_ = nullptr;

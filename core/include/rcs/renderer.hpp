@@ -9,7 +9,6 @@
 #include <mutex>
 #include <span>
 #include <string>
-#include <vector>
 
 #include "rcs/gl_context.hpp"
 
@@ -17,7 +16,7 @@ namespace rcs {
 
 /// How much a picture may cost.
 enum class Quality : std::uint8_t {
-  fast,  ///< no shadows, reflections, sky or antialiasing, coarse round shapes: for training and data collection
+  fast,  ///< no shadows, reflections, sky, haze or antialiasing, coarse round shapes: for training and collecting data
   full,  ///< all of these: for pictures that people look at and for matching real cameras
 };
 
@@ -26,57 +25,64 @@ struct RenderOptions {
   Quality quality = Quality::fast;
   int max_width = 640;   ///< pixels; pictures may be smaller
   int max_height = 480;  ///< pixels
+  /// "auto", "egl" or "osmesa", see `GlContext`.
   std::string backend = "auto";
-  /// Which geom groups are drawn: groups 0 to 2 are what one sees, 3 to 5 hold collision shapes by MuJoCo's custom.
+  /// Which groups of geoms are drawn. By custom 0 to 2 hold what one sees, 3 to 5 collision shapes.
   std::array<bool, mjNGROUP> geom_groups = {true, true, true, false, false, false};
 };
 
-/// Where a picture goes. Rows from the top, no gaps between rows.
+/// Where a picture goes. Rows start at the top, with no gaps between them.
 struct Picture {
-  int width = 0;                      ///< pixels
-  int height = 0;                     ///< pixels
-  std::uint8_t* rgb = nullptr;        ///< height × width × 3
-  std::uint16_t* depth_mm = nullptr;  ///< height × width, along the optical axis, 0 = nothing or beyond 65.535 m; may be null
+  int width = 0;                ///< pixels
+  int height = 0;               ///< pixels
+  std::uint8_t* rgb = nullptr;  ///< height × width × 3
+  /// height × width, distance along the optical axis; 0 where nothing is or it is beyond 65.535 m. Null: not wanted.
+  std::uint16_t* depth_mm = nullptr;
 };
 
-/// Draws one scene from its cameras. May be called from any thread: calls wait for each other.
+/// Draws one scene as seen by the cameras of its model. Calls may come from any thread; they wait for each other.
+///
+/// Geoms, skins, flexes and tendons are drawn; sites and other decoration, which no real camera sees, are not.
 class Renderer {
  public:
-  /// `model` must outlive the renderer and is not changed. Throws `std::invalid_argument`, `GlUnavailable`.
+  /// `model` must outlive the renderer and is never changed. Throws `std::invalid_argument`, `GlUnavailable`.
   Renderer(const mjModel* model, const RenderOptions& options);
   ~Renderer();
   Renderer(const Renderer&) = delete;
   Renderer& operator=(const Renderer&) = delete;
 
-  /// Take over the poses of `data`, once for all cameras; they must be current (`mj_forward`, or the stages of kinematics).
+  /// Take over the poses in `data`, once for all cameras. They must be current: after `mj_forward`, or after
+  /// `mj_kinematics`, `mj_comPos` and `mj_camlight` (without the last one cameras and lights are where they were).
   void update(mjData* data);
-  /// Take over the poses that belong to a row of `mjSTATE_INTEGRATION`.
+  /// Take over the poses that follow from a row of `mjSTATE_INTEGRATION`, which has `state_size()` numbers.
   void update_from_state(std::span<const double> state);
-  /// Draw what camera `camera` sees.
+  /// Draw what camera `camera` sees. Its intrinsics are those of the model, stretched to the picture's aspect ratio only
+  /// if it has a sensor size (MuJoCo's `sensorsize`); a camera with `fovy` has square pixels.
   void render(int camera, const Picture& picture);
+  /// Throws `std::invalid_argument` when there is no such camera or the picture does not fit.
+  void check(int camera, const Picture& picture) const;
 
-  /// Free everything. Closing twice is harmless; any other call afterwards throws `WrongOrder`.
+  /// Free everything. Closing twice is harmless; drawing afterwards throws `WrongOrder`.
   void close();
   bool is_open() const { return open_ != nullptr; }
 
-  const mjModel* model() const { return model_; }
   const RenderOptions& options() const { return options_; }
-  /// Length of a state row.
   int state_size() const { return state_size_; }
-  /// Backend, renderer and version in one line.
-  std::string description() const;
-  /// Throws `std::invalid_argument` when there is no such camera or the picture does not fit.
-  void check(int camera, const Picture& picture) const;
+  /// Backend, renderer and OpenGL version in one line.
+  const std::string& description() const { return description_; }
 
  private:
   struct Open;
   Open& require_open(const char* call) const;
+  void take_over(Open& open, mjData* data) const;
+  void show(Open& open, int camera, const Picture& picture) const;
 
   const mjModel* model_;
   RenderOptions options_;
   int state_size_;
+  std::string description_;
   std::unique_ptr<Open> open_;
-  mutable std::mutex mutex_;
+  std::mutex mutex_;  // guards what `open_` points to
 };
 
 }  // namespace rcs

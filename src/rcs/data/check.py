@@ -11,9 +11,21 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rcs.data import layout
 from rcs.data.content import ContentHash, flat_numbers
 from rcs.data.info import DatasetInfo
+from rcs.data.layout import (
+    DATASET_FILE,
+    EPISODE_FILE,
+    EPISODES_FOLDER,
+    SIM_STATE_FILE,
+    STEPS_FILE,
+    complete_ids,
+    episode_folder,
+    incomplete_ids,
+    open_folder,
+    open_ids,
+    trash_folders,
+)
 from rcs.data.lock import is_locked
 from rcs.data.reader import EpisodeRecord, decode_frame, read_info
 from rcs.data.rows import sim_state_schema, steps_schema
@@ -83,10 +95,10 @@ def check(path: str | Path, *, decode_frames: bool = True) -> CheckReport:
     try:
         info = read_info(root)
     except CorruptEpisode as err:
-        damage = Finding(episode=None, file=layout.DATASET_FILE, message=str(err))
+        damage = Finding(episode=None, file=DATASET_FILE, message=str(err))
         return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=(damage,))
     findings = list(_loose_ends(root))
-    ids = layout.complete_ids(root)
+    ids = complete_ids(root)
     rows = frames = 0
     for episode_id in ids:
         episode = _EpisodeCheck(root, info, episode_id)
@@ -97,15 +109,15 @@ def check(path: str | Path, *, decode_frames: bool = True) -> CheckReport:
 
 
 def _loose_ends(root: Path) -> Iterator[Finding]:
-    for episode_id in layout.incomplete_ids(root):
-        file = f"{layout.EPISODES_FOLDER}/{episode_id}/{layout.EPISODE_FILE}"
+    for episode_id in incomplete_ids(root):
+        file = f"{EPISODES_FOLDER}/{episode_id}/{EPISODE_FILE}"
         yield Finding(episode=episode_id, file=file, message="missing, so the episode is not read")
     if is_locked(root):
         return  # open episodes are what a living writer is at
-    for episode_id in layout.open_ids(root):
-        file = str(layout.open_folder(root, episode_id).relative_to(root))
+    for episode_id in open_ids(root):
+        file = str(open_folder(root, episode_id).relative_to(root))
         yield Finding(episode=episode_id, file=file, message="open, and its writer is gone; run recover")
-    for folder in layout.trash_folders(root):
+    for folder in trash_folders(root):
         yield Finding(episode=None, file=str(folder.relative_to(root)), message="left of a discard; run recover")
 
 
@@ -113,7 +125,7 @@ class _EpisodeCheck:
     def __init__(self, root: Path, info: DatasetInfo, episode_id: str) -> None:
         self._info = info
         self._root = root
-        self._episode = EpisodeRecord(layout.episode_folder(root, episode_id), info)
+        self._episode = EpisodeRecord(episode_folder(root, episode_id), info)
         self.rows = 0
         self.frames = 0
 
@@ -123,11 +135,11 @@ class _EpisodeCheck:
             hashes = dict(self._episode.about["sha256"])
             self.rows = self._episode.length
         except (CorruptEpisode, DatasetError, KeyError) as err:
-            yield self._finding(layout.EPISODE_FILE, str(err))
+            yield self._finding(EPISODE_FILE, str(err))
             return
-        schemas = {layout.STEPS_FILE: steps_schema(self._info)}
+        schemas = {STEPS_FILE: steps_schema(self._info)}
         if self._info.sim_state_size is not None:
-            schemas[layout.SIM_STATE_FILE] = sim_state_schema(self._info.sim_state_size)
+            schemas[SIM_STATE_FILE] = sim_state_schema(self._info.sim_state_size)
         for name, schema in schemas.items():
             path = self._episode.path / name
             if not path.exists():
@@ -151,7 +163,7 @@ class _EpisodeCheck:
                 return
             if file.metadata.num_rows != self.rows:
                 yield self._finding(name, f"has {file.metadata.num_rows} rows, and episode.json says {self.rows}")
-            content = ContentHash(self._info) if name == layout.STEPS_FILE else None
+            content = ContentHash(self._info) if name == STEPS_FILE else None
             first = 0
             for group in range(file.num_row_groups):
                 rows = file.metadata.row_group(group).num_rows

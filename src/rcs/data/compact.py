@@ -23,10 +23,18 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rcs.data import layout
 from rcs.data.content import ContentHash
 from rcs.data.durable import HashedFile, disk_errors, sealed, sync_folder, write_file
 from rcs.data.info import SCHEMA_VERSION, DatasetInfo
+from rcs.data.layout import (
+    ABORTED_FILE,
+    EPISODE_FILE,
+    ROWS_FILE,
+    SIM_STATE_FILE,
+    STEPS_FILE,
+    episode_folder,
+    open_folder,
+)
 from rcs.data.quality import QualityMeter
 from rcs.data.rows import SIM_STATE, sim_state_schema, steps_schema, stream_schema
 from rcs.data.stream import StreamReader
@@ -61,9 +69,9 @@ def compact(
         DatasetError: The disk is full or fails, or there is a complete episode of that name; the stream stays.
         CorruptEpisode: The stream has other columns than the dataset.
     """
-    folder = layout.open_folder(root, episode_id)
+    folder = open_folder(root, episode_id)
     with disk_errors(f"finish episode {episode_id!r}", folder):
-        stream = StreamReader(folder / layout.ROWS_FILE)
+        stream = StreamReader(folder / ROWS_FILE)
         header = stream.header
         if header is None or stream.schema is None:
             return None
@@ -75,10 +83,10 @@ def compact(
             return None
         content, quality = ContentHash(info), QualityMeter(info)
         with contextlib.ExitStack() as files:
-            steps = files.enter_context(_ParquetFile(folder / layout.STEPS_FILE, steps_schema(info)))
+            steps = files.enter_context(_ParquetFile(folder / STEPS_FILE, steps_schema(info)))
             states = None
             if info.sim_state_size is not None:
-                path = folder / layout.SIM_STATE_FILE
+                path = folder / SIM_STATE_FILE
                 states = files.enter_context(_ParquetFile(path, sim_state_schema(info.sim_state_size)))
             for group in _chain(first, groups):
                 rows = group.select(steps.schema.names)
@@ -103,7 +111,7 @@ def compact(
             "sha256": hashes,
             "quality": {**quality.report(), "is_torn": stream.is_torn},
         }
-        write_file(folder / layout.EPISODE_FILE, sealed(about))
+        write_file(folder / EPISODE_FILE, sealed(about))
         sync_folder(folder)
     return publish(root, episode_id)
 
@@ -114,9 +122,9 @@ def publish(root: Path, episode_id: str) -> Path:
     Raises:
         DatasetError: The disk fails, or there is a complete episode of that name.
     """
-    opened, final = layout.open_folder(root, episode_id), layout.episode_folder(root, episode_id)
+    opened, final = open_folder(root, episode_id), episode_folder(root, episode_id)
     with disk_errors(f"publish episode {episode_id!r}", opened):
-        for name in (layout.ROWS_FILE, layout.ABORTED_FILE):
+        for name in (ROWS_FILE, ABORTED_FILE):
             (opened / name).unlink(missing_ok=True)
         if final.exists():
             raise DatasetError(f"There already is an episode {episode_id!r} in {root}; the other one is in {opened}.")

@@ -12,10 +12,10 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.data import layout
 from rcs.data.compact import compact, library_versions
 from rcs.data.durable import as_json, disk_errors, remove_folder, sealed, write_file
 from rcs.data.info import DatasetInfo
+from rcs.data.layout import ABORTED_FILE, ROWS_FILE, check_episode_id, episode_folder, new_trash_folder, open_folder
 from rcs.data.reader import EpisodeRecord
 from rcs.data.rows import RowBuffer, Value, stream_schema
 from rcs.data.stream import EpisodeHeader, StreamWriter
@@ -51,12 +51,12 @@ class EpisodeWriter:
             InvalidSetup: The id cannot be the name of a folder.
             DatasetError: There is an episode of that name, or the folder cannot be made.
         """
-        layout.check_episode_id(episode_id)
+        check_episode_id(episode_id)
         self.id = episode_id
         self.state: State = "open"
         self._root = root
         self._info = info
-        self._folder = layout.open_folder(root, episode_id)
+        self._folder = open_folder(root, episode_id)
         self._rows = 0
         self._buffer = RowBuffer(info)
         header = EpisodeHeader(
@@ -75,10 +75,10 @@ class EpisodeWriter:
                     "Resume the dataset to recover or discard it, or choose another id."
                 ) from err
             # Asked only now: a writer that finished this id in between has given up the open folder's name.
-            if layout.episode_folder(root, episode_id).exists():
+            if episode_folder(root, episode_id).exists():
                 self._folder.rmdir()
                 raise DatasetError(f"There already is an episode {episode_id!r} in {root}; choose another id.")
-            self._stream = StreamWriter(self._folder / layout.ROWS_FILE, stream_schema(info), header)
+            self._stream = StreamWriter(self._folder / ROWS_FILE, stream_schema(info), header)
         self._flushed_at = time.monotonic()
 
     @property
@@ -148,7 +148,7 @@ class EpisodeWriter:
             raise DatasetError(f"Episode {self.id!r} is finished and cannot be discarded.")
         self._stream.close()
         with disk_errors(f"discard episode {self.id!r}", self._folder):
-            remove_folder(self._folder, layout.new_trash_folder(self._root, self.id))
+            remove_folder(self._folder, new_trash_folder(self._root, self.id))
         self.state = "discarded"
 
     def abort(self, reason: str) -> None:
@@ -192,7 +192,7 @@ class EpisodeWriter:
         self.state = "aborted"
         self._stream.close()
         try:
-            write_file(self._folder / layout.ABORTED_FILE, sealed({"reason": reason}))
+            write_file(self._folder / ABORTED_FILE, sealed({"reason": reason}))
         except OSError as err:
             # On a full disk the reason has no place either; the rows before it are still there.
             _log.warning("Episode %r is aborted, and the reason could not be stored: %s", self.id, err)

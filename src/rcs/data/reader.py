@@ -12,12 +12,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from rcs.data import layout
 from rcs.data.codec import decode_depth, decode_jpeg
 from rcs.data.content import flat_numbers
 from rcs.data.durable import disk_errors, unsealed
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo, refuse_newer_schema
+from rcs.data.layout import DATASET_FILE, EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE, complete_ids, episode_folder
 from rcs.data.rows import SIM_STATE
 from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
 
@@ -52,7 +52,7 @@ class EpisodeRecord:
     @cached_property
     def about(self) -> dict[str, Any]:
         """All that `episode.json` says."""
-        path = self.path / layout.EPISODE_FILE
+        path = self.path / EPISODE_FILE
         try:
             data = path.read_bytes()
         except OSError as err:
@@ -107,7 +107,7 @@ class EpisodeRecord:
         """
         if keys is not None:
             keys = [self.info.feature(key).key for key in keys]
-        return self._read(layout.STEPS_FILE, keys)
+        return self._read(STEPS_FILE, keys)
 
     def column(self, key: str) -> NDArray[Any]:
         """Return one column, images decoded, shape (length, *feature.shape).
@@ -147,7 +147,7 @@ class EpisodeRecord:
             try:
                 yield decode_frame(feature, data)
             except CorruptEpisode as err:
-                raise CorruptEpisode(f"{self.path / layout.STEPS_FILE}, {key!r}, row {row}: {err}") from err
+                raise CorruptEpisode(f"{self.path / STEPS_FILE}, {key!r}, row {row}: {err}") from err
 
     def encoded_frames(self, key: str) -> Iterator[bytes]:
         """Yield the images of one camera in order, as stored: JPEG files, or compressed depth.
@@ -161,7 +161,7 @@ class EpisodeRecord:
         """
         if self.info.feature(key).encoding == "plain":
             raise InvalidSetup(f"{key!r} is no image; read it with column({key!r}).")
-        path = self.path / layout.STEPS_FILE
+        path = self.path / STEPS_FILE
         try:
             with pq.ParquetFile(path, memory_map=True, page_checksum_verification=True) as file:
                 for batch in file.iter_batches(_FRAMES_AT_A_TIME, columns=[key], use_threads=False):
@@ -178,7 +178,7 @@ class EpisodeRecord:
         """
         if self.info.sim_state_size is None:
             raise InvalidSetup(f"The dataset of {self.path} was recorded without a simulation's state.")
-        column = self._read(layout.SIM_STATE_FILE, None).column(SIM_STATE)
+        column = self._read(SIM_STATE_FILE, None).column(SIM_STATE)
         return flat_numbers(column).reshape(-1, self.info.sim_state_size)
 
     def _read(self, name: str, columns: list[str] | None) -> pa.Table:
@@ -219,7 +219,7 @@ class Dataset:
         """
         root = Path(path)
         info = read_info(root)
-        episodes = (EpisodeRecord(layout.episode_folder(root, name), info) for name in layout.complete_ids(root))
+        episodes = (EpisodeRecord(episode_folder(root, name), info) for name in complete_ids(root))
         return cls(root, info, tuple(episodes))
 
     def __len__(self) -> int:
@@ -248,9 +248,9 @@ def read_info(root: Path) -> DatasetInfo:
         DatasetError: There is no dataset, or its layout is newer than this code.
         CorruptEpisode: The file is damaged.
     """
-    path = root / layout.DATASET_FILE
+    path = root / DATASET_FILE
     if not path.exists():
-        raise DatasetError(f"There is no dataset in {root}: {layout.DATASET_FILE} is missing.")
+        raise DatasetError(f"There is no dataset in {root}: {DATASET_FILE} is missing.")
     with disk_errors("read the dataset", path):
         values = unsealed(path.read_bytes(), path)
     try:

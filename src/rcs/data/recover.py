@@ -7,10 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from rcs.data import layout
 from rcs.data.compact import compact, publish
 from rcs.data.durable import disk_errors, remove_folder, unsealed
 from rcs.data.info import DatasetInfo
+from rcs.data.layout import (
+    ABORTED_FILE,
+    DATASET_FILE,
+    EPISODE_FILE,
+    ROWS_FILE,
+    episode_folder,
+    new_trash_folder,
+    open_folder,
+    open_ids,
+    trash_folders,
+)
 from rcs.data.lock import DatasetLock
 from rcs.data.reader import read_info
 from rcs.errors import CorruptEpisode, DatasetError
@@ -72,12 +82,12 @@ def settle_leftovers(root: Path, info: DatasetInfo, leftovers: Leftovers) -> Rec
         DatasetError: The disk fails.
     """
     with disk_errors("remove what discarded episodes left", root):
-        for folder in layout.trash_folders(root):
+        for folder in trash_folders(root):
             shutil.rmtree(folder)
-        (root / f"{layout.DATASET_FILE}.tmp").unlink(missing_ok=True)
+        (root / f"{DATASET_FILE}.tmp").unlink(missing_ok=True)
     done: dict[str, list[str]] = {"recovered": [], "published": [], "removed": []}
     failed: list[tuple[str, str]] = []
-    for episode_id in layout.open_ids(root):
+    for episode_id in open_ids(root):
         try:
             done[_settle(root, info, episode_id, leftovers)].append(episode_id)
         except CorruptEpisode as err:
@@ -86,28 +96,28 @@ def settle_leftovers(root: Path, info: DatasetInfo, leftovers: Leftovers) -> Rec
 
 
 def _settle(root: Path, info: DatasetInfo, episode_id: str, leftovers: Leftovers) -> str:
-    folder = layout.open_folder(root, episode_id)
+    folder = open_folder(root, episode_id)
     with disk_errors(f"recover episode {episode_id!r}", folder):
-        (folder / f"{layout.EPISODE_FILE}.tmp").unlink(missing_ok=True)
-        (folder / f"{layout.ABORTED_FILE}.tmp").unlink(missing_ok=True)
-    if layout.episode_folder(root, episode_id).exists():
+        (folder / f"{EPISODE_FILE}.tmp").unlink(missing_ok=True)
+        (folder / f"{ABORTED_FILE}.tmp").unlink(missing_ok=True)
+    if episode_folder(root, episode_id).exists():
         raise CorruptEpisode(f"there is a complete episode of the same name beside {folder}")
-    if (folder / layout.EPISODE_FILE).exists():
+    if (folder / EPISODE_FILE).exists():
         publish(root, episode_id)
         return "published"
-    has_rows = (folder / layout.ROWS_FILE).exists()
+    has_rows = (folder / ROWS_FILE).exists()
     if leftovers == "recover" and has_rows:
         outcome: dict[str, Any] = {"recovered": True, **_aborted(folder)}
         # When it ended was not measured; the last row's time is in the rows.
         if compact(root, episode_id, info, success=None, outcome=outcome, ended=None) is not None:
             return "recovered"
     with disk_errors(f"remove episode {episode_id!r}", folder):
-        remove_folder(folder, layout.new_trash_folder(root, episode_id))
+        remove_folder(folder, new_trash_folder(root, episode_id))
     return "removed"
 
 
 def _aborted(folder: Path) -> dict[str, Any]:
-    path = folder / layout.ABORTED_FILE
+    path = folder / ABORTED_FILE
     try:
         return {"aborted": unsealed(path.read_bytes(), path)["reason"]}
     except FileNotFoundError:

@@ -6,10 +6,17 @@ import logging
 from pathlib import Path
 from typing import Self
 
-from rcs.data import layout
 from rcs.data.durable import disk_errors, remove_folder, sealed, sync_folder, write_file
 from rcs.data.episode_writer import EpisodeWriter
 from rcs.data.info import DatasetInfo, differences
+from rcs.data.layout import (
+    DATASET_FILE,
+    EPISODES_FOLDER,
+    check_episode_id,
+    episodes_folder,
+    new_trash_folder,
+    open_folder,
+)
 from rcs.data.lock import LOCK_FILES, DatasetLock
 from rcs.data.reader import read_info
 from rcs.data.recover import Leftovers, RecoverReport, settle_leftovers
@@ -61,17 +68,17 @@ class DatasetWriter:
         root = Path(path)
         with disk_errors("make the dataset", root):
             root.mkdir(parents=True, exist_ok=True)
-            exists = (root / layout.DATASET_FILE).exists()
+            exists = (root / DATASET_FILE).exists()
             if not exists:
                 _refuse_strangers(root)
         lock = DatasetLock.writer(root)
         try:
             with disk_errors("make the dataset", root):
-                if (root / layout.DATASET_FILE).exists():
+                if (root / DATASET_FILE).exists():
                     _refuse_other_info(root, info, resume)
                 else:
-                    layout.episodes_folder(root).mkdir(exist_ok=True)
-                    write_file(root / layout.DATASET_FILE, sealed(info.to_json()))
+                    episodes_folder(root).mkdir(exist_ok=True)
+                    write_file(root / DATASET_FILE, sealed(info.to_json()))
                     sync_folder(root)
             report = settle_leftovers(root, info, leftovers)
         except BaseException:
@@ -125,14 +132,14 @@ class DatasetWriter:
         Raises:
             DatasetError: This writer is recording it, or the disk fails.
         """
-        layout.check_episode_id(episode_id)
+        check_episode_id(episode_id)
         if any(episode.id == episode_id and episode.state == "open" for episode in self._open):
             raise DatasetError(f"Episode {episode_id!r} is being recorded; discard it through its own writer.")
-        folder = layout.open_folder(self.path, episode_id)
+        folder = open_folder(self.path, episode_id)
         with disk_errors(f"discard episode {episode_id!r}", folder):
             if not folder.exists():
                 return False
-            remove_folder(folder, layout.new_trash_folder(self.path, episode_id))
+            remove_folder(folder, new_trash_folder(self.path, episode_id))
         return True
 
     def close(self) -> None:
@@ -158,7 +165,7 @@ class DatasetWriter:
 
 def _refuse_strangers(root: Path) -> None:
     # What a kill can leave of a dataset that was just being made.
-    ours = {*LOCK_FILES, layout.EPISODES_FOLDER, f"{layout.DATASET_FILE}.tmp"}
+    ours = {*LOCK_FILES, EPISODES_FOLDER, f"{DATASET_FILE}.tmp"}
     strangers = sorted(entry.name for entry in root.iterdir() if entry.name not in ours)
     if strangers:
         raise DatasetError(

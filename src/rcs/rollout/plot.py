@@ -43,11 +43,10 @@ def line_plot(
         y = _TOP + (y_high - tick) / (y_high - y_low) * (_HEIGHT - _TOP - _BOTTOM)
         parts.append(f'<path class="grid" d="M{_LEFT} {y:.1f}H{_WIDTH - _RIGHT}"/>')
         parts.append(f'<text x="{_LEFT - 6}" y="{y + 3.5:.1f}" text-anchor="end">{_number(tick, y_ticks)}</text>')
-    for tick in x_ticks:
-        if x_low <= tick <= x_high:
-            place = _LEFT + (tick - x_low) / (x_high - x_low) * (_WIDTH - _LEFT - _RIGHT)
-            label = _number(tick, x_ticks)
-            parts.append(f'<text x="{place:.1f}" y="{_HEIGHT - 9}" text-anchor="middle">{label}</text>')
+    for tick in (tick for tick in x_ticks if x_low <= tick <= x_high):
+        place = _LEFT + (tick - x_low) / (x_high - x_low) * (_WIDTH - _LEFT - _RIGHT)
+        label = _number(tick, x_ticks)
+        parts += [f'<text x="{place:.1f}" y="{_HEIGHT - 9}" text-anchor="middle">{label}</text>']
     for i in range(lines.shape[1]):
         parts.append(f'<path class="line" style="stroke:var(--line-{i % 8})" d="{_path(across, down[:, i])}"/>')
     parts.append("</svg>")

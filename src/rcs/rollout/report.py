@@ -114,7 +114,12 @@ def _facts(record: EpisodeRecord) -> _Facts:
     try:
         return _Facts(record=record, about=record.about)
     except CorruptEpisode as err:
-        return _Facts(record=record, damage=str(err))
+        return _Facts(record=record, damage=_without_folder(err, record))
+
+
+def _without_folder(error: CorruptEpisode, record: EpisodeRecord) -> str:
+    # Where the dataset lies on this machine is nothing for a page that is passed on.
+    return str(error).replace(f"{record.path}/", "")
 
 
 def _in_detail(facts: Sequence[_Facts]) -> list[int]:
@@ -156,7 +161,7 @@ def _success(facts: Sequence[_Facts]) -> str:
         f"95 % interval {100 * low:.1f} to {100 * high:.1f} % (Wilson)."
     )
     others = len(facts) - len(judged)
-    note = f'<p class="note">{others} more were not judged, as those that were recovered.</p>' if others else ""
+    note = f'<p class="note">Not counted, for nobody judged them or they are damaged: {others}.</p>' if others else ""
     return (
         f'{words}<div class="interval"><i style="left:{100 * low:.2f}%;right:{100 - 100 * high:.2f}%"></i>'
         f'<b style="left:{100 * rate:.2f}%"></b></div>'
@@ -205,9 +210,12 @@ def _quality(facts: Sequence[_Facts]) -> str:
 def _setup(dataset: Dataset) -> str:
     info = dataset.info
     simple = [(key, str(value)) for key, value in info.setup.items() if isinstance(value, str | int | float | bool)]
-    features = [(f.key, f"{list(f.shape)} {f.dtype} {f.unit} {'' if f.encoding == 'plain' else f.encoding}") for f in info.features]
+    features = [
+        (f.key, " ".join([str(list(f.shape)), f.dtype, f.unit, "" if f.encoding == "plain" else f.encoding]))
+        for f in info.features
+    ]
     whole = html.escape(json.dumps(info.setup, indent=2, ensure_ascii=False))
-    versions = [(name, version) for name, version in sorted(info.versions.items())]
+    versions = sorted(info.versions.items())
     return (
         f"{_table([*simple, *versions])}<details><summary>All of the setup</summary><pre>{whole}</pre></details>"
         f"<details><summary>{len(features)} features</summary>{_table(features)}</details>"
@@ -243,7 +251,7 @@ def _detail(episode: _Facts) -> str:
     try:
         return f"{_clip(episode.record)}{''.join(_plots(episode.record))}{_outcome(episode)}"
     except CorruptEpisode as err:
-        return f'<p class="note">This episode is damaged: {html.escape(str(err))}</p>'
+        return f'<p class="note">This episode is damaged: {html.escape(_without_folder(err, episode.record))}</p>'
 
 
 def _clip(record: EpisodeRecord) -> str:
@@ -262,7 +270,11 @@ def _plots(record: EpisodeRecord) -> Iterable[str]:
     x, x_label = _time(record)
     for feature in record.info.features:
         name = feature.key.removeprefix("observation/")
-        if feature.encoding != "plain" or name == feature.key or name.split("/")[-1] not in ("joints", "gripper", "hand"):
+        if (
+            feature.encoding != "plain"
+            or name == feature.key
+            or name.split("/")[-1] not in ("joints", "gripper", "hand")
+        ):
             continue
         lines = record.column(feature.key).reshape(len(x), -1).astype(np.float64)
         unit = f" [{feature.unit}]" if feature.unit else ""

@@ -1,0 +1,70 @@
+// Pictures of many states of one scene at once, on several threads.
+#pragma once
+
+#include <mujoco/mujoco.h>
+
+#include <condition_variable>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <span>
+#include <thread>
+#include <vector>
+
+#include "rcs/renderer.hpp"
+
+namespace rcs {
+
+/// One camera's pictures of all states, one after the other.
+struct Film {
+  int camera = 0;
+  int width = 0;                      ///< pixels
+  int height = 0;                     ///< pixels
+  std::uint8_t* rgb = nullptr;        ///< states × height × width × 3
+  std::uint16_t* depth_mm = nullptr;  ///< states × height × width, as in `Picture`; null: not wanted
+};
+
+/// Renderers that share out the states of a call. The pictures are those of a single `Renderer`, bit for bit.
+///
+/// The calling thread is one of the threads, so a pool of one starts none. Calls wait for each other.
+class RenderPool {
+ public:
+  /// `model` must outlive the pool. Throws `std::invalid_argument`, `GlUnavailable`.
+  RenderPool(const mjModel* model, int threads, const RenderOptions& options);
+  ~RenderPool();
+  RenderPool(const RenderPool&) = delete;
+  RenderPool& operator=(const RenderPool&) = delete;
+
+  /// Draw each row of `states` (count × `state_size()`, rows of `mjSTATE_INTEGRATION`) with each film's camera.
+  void render_states(std::span<const double> states, std::span<const Film> films);
+
+  /// End the threads and free everything. Closing twice is harmless; drawing afterwards throws `WrongOrder`.
+  void close();
+  bool is_open() const { return !renderers_.empty(); }
+
+  int threads() const { return threads_; }
+  int state_size() const { return state_size_; }
+  const std::string& description() const { return description_; }
+
+ private:
+  struct Job;
+  void work(Renderer& renderer, Job& job);
+  void serve(Renderer& renderer);
+
+  int threads_;
+  int state_size_ = 0;
+  std::string description_;
+  std::vector<std::unique_ptr<Renderer>> renderers_;  // the first one is the calling thread's
+  std::vector<std::thread> workers_;
+  std::mutex calls_;  // held through each call and `close`
+
+  std::mutex mutex_;  // guards all below
+  std::condition_variable started_;
+  std::condition_variable finished_;
+  Job* job_ = nullptr;
+  std::uint64_t job_number_ = 0;  // tells a new job from the one just done
+  int busy_ = 0;                  // workers that have not finished the job
+  bool is_ending_ = false;
+};
+
+}  // namespace rcs

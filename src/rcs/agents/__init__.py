@@ -1,0 +1,7 @@
+"""Agents: they map observations to actions. Scripted experts, replay, and later planners, people and policies."""
+
+from rcs.agents.agent import Agent
+from rcs.agents.pick_expert import PickExpert
+from rcs.agents.replay import Replay
+
+__all__ = ["Agent", "PickExpert", "Replay"]

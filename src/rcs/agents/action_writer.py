@@ -1,0 +1,93 @@
+"""Turns a target for the TCP into an action of whatever kind an environment takes."""
+
+from __future__ import annotations
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from rcs.agents.agent import Action
+from rcs.envs.setup import Setup
+from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Observation
+from rcs.kinematics import DampedLeastSquares, IkOptions, IkStatus
+from rcs.spatial import Pose, compose, inverse, limit_step, tquat_to_xyzrpy
+
+MARGIN = 0.9
+"""Of the bounds of one relative pose action: its rotation's components differ a little from its angle."""
+
+
+class ActionWriter:
+    """Writes actions for one environment: joints or poses, absolute or relative, as its setup says.
+
+    It uses nothing but the action interface: what it sends is what a policy would have to send.
+    """
+
+    def __init__(self, setup: Setup, action_space: spaces.Dict, kinematics: DampedLeastSquares) -> None:
+        """Write for an environment.
+
+        Args:
+            setup: Says what actions mean.
+            action_space: Bounds of an action.
+            kinematics: Of the arm with its gripper, for joint actions.
+        """
+        box = action_space[setup.control]
+        assert isinstance(box, spaces.Box)
+        self._setup = setup
+        self._bound: NDArray[np.float64] = box.high.astype(np.float64)
+        self._kinematics = kinematics
+        # On the branch of the last target: a jump to another one would be a large, fast motion.
+        self._options = IkOptions(restarts=0, iterations=50)
+        self._joints = np.zeros(kinematics.dof)
+        self._last = np.zeros(0)
+        self._origin = np.zeros(0)
+
+    def reset(self, observation: Observation) -> None:
+        """Start from the first observation of an episode."""
+        self._joints = np.array(observation[JOINTS])
+        self._last = self._origin = np.array(observation[JOINTS if self._setup.control == JOINTS else TQUAT])
+
+    def write(self, tcp: NDArray[np.float64], opening: float) -> Action | None:
+        """Return the action that moves the TCP towards a pose, as far as one step may.
+
+        Args:
+            tcp: Translation [m] and quaternion xyzw in the base frame, shape (7,).
+            opening: Of the gripper, 0 closed … 1 open.
+
+        Returns:
+            The action; None when the pose is not feasible.
+        """
+        arm = self._joint_action(tcp) if self._setup.control == JOINTS else self._pose_action(tcp)
+        return None if arm is None else {self._setup.control: arm, GRIPPER: np.array([opening], np.float32)}
+
+    def _joint_action(self, tcp: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        result = self._kinematics.inverse(Pose.from_tquat(tcp), self._joints, self._options)
+        if result.status != IkStatus.ok:
+            return None
+        self._joints = result.joints
+        if self._setup.relative == "absolute":
+            return result.joints
+        if self._setup.relative == "origin":
+            return result.joints - self._origin
+        step = np.clip(result.joints - self._last, -self._bound, self._bound)
+        self._last = self._last + step
+        return step
+
+    def _pose_action(self, tcp: NDArray[np.float64]) -> NDArray[np.float64]:
+        action = tcp
+        if self._setup.relative == "origin":
+            action = difference(self._origin, tcp)
+        elif self._setup.relative == "last_step":
+            turn = self._bound[3] if self._setup.control != TQUAT else np.deg2rad(15.0)
+            reached = limit_step(self._last, tcp, MARGIN * float(self._bound[0]), MARGIN * float(turn))
+            action = difference(self._last, reached)
+            self._last = reached
+        return action if self._setup.control == TQUAT else tquat_to_xyzrpy(action)
+
+
+def difference(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what, applied to `start` along and about the axes of its parent frame, gives `goal` (both (7,))."""
+    turn_start, turn_goal = start.copy(), goal.copy()
+    turn_start[:3] = turn_goal[:3] = 0.0
+    step = compose(turn_goal, inverse(turn_start))
+    step[:3] = goal[:3] - start[:3]
+    return step

@@ -1,0 +1,45 @@
+"""Plays recorded actions back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import NDArray
+
+from rcs.agents.agent import Action, Agent
+from rcs.envs.spaces import Observation
+from rcs.errors import WrongOrder
+
+
+class Replay(Agent):
+    """Gives the actions of a recorded episode, one after the other, whatever it observes."""
+
+    def __init__(self, actions: Mapping[str, NDArray[Any]]) -> None:
+        """Take the actions.
+
+        Args:
+            actions: One array (steps, ...) per key.
+        """
+        self._actions = dict(actions)
+        self._length = min((len(array) for array in self._actions.values()), default=0)
+        self._next = 0
+
+    def __len__(self) -> int:
+        """Return the number of steps."""
+        return self._length
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Start at the first action."""
+        self._next = 0
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        """Return the next recorded action.
+
+        Raises:
+            WrongOrder: There are no more.
+        """
+        if self._next >= self._length:
+            raise WrongOrder(f"All {self._length} recorded actions were played; reset starts anew.")
+        self._next += 1
+        return {key: array[self._next - 1] for key, array in self._actions.items()}
