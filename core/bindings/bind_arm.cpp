@@ -76,7 +76,7 @@ void bind_arm(nb::module_& m) {
       .def("hold", &rcs::Arm::hold, "Stop where the arm is now. Allowed in the fault state.")
       .def("set_fault", &rcs::Arm::set_fault, "reason"_a, "Enter the fault state and hold, until `recover`.")
       .def("recover", &rcs::Arm::recover, "Leave the fault state, holding the present position.")
-      .def("close", &rcs::Arm::close, "Let go of the device. Closing twice is harmless.");
+      .def("close", &rcs::Arm::close, "Hold and let go of the device. Closing twice is harmless.");
 
   nb::class_<rcs::GripperState>(m, "GripperState", "What a gripper measures.")
       .def(nb::init<double, double, double>(), "opening"_a, "force"_a, "time"_a)
@@ -100,5 +100,5 @@ void bind_arm(nb::module_& m) {
       .def("hold", &rcs::Gripper::hold)
       .def("set_fault", &rcs::Gripper::set_fault, "reason"_a)
       .def("recover", &rcs::Gripper::recover)
-      .def("close", &rcs::Gripper::close, "Let go of the device. Closing twice is harmless.");
+      .def("close", &rcs::Gripper::close, "Hold and let go of the device. Closing twice is harmless.");
 }

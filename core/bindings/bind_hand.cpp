@@ -49,5 +49,5 @@ void bind_hand(nb::module_& m) {
       .def("hold", &rcs::Hand::hold)
       .def("set_fault", &rcs::Hand::set_fault, "reason"_a)
       .def("recover", &rcs::Hand::recover)
-      .def("close", &rcs::Hand::close, "Let go of the device. Closing twice is harmless.");
+      .def("close", &rcs::Hand::close, "Hold and let go of the device. Closing twice is harmless.");
 }

@@ -115,13 +115,15 @@ void bind_world(nb::module_& m) {
       .def_static(
           "on_data",
           [](std::uintptr_t model, std::uintptr_t data, std::int64_t numerator, std::int64_t denominator,
-             bool is_synchronous, int max_substeps) {
+             bool is_synchronous, int max_substeps, const nb::object& /*owner*/) {
             return std::make_shared<rcs::World>(reinterpret_cast<const mjModel*>(model),
                                                 reinterpret_cast<mjData*>(data),
                                                 timing(numerator, denominator, is_synchronous, max_substeps));
           },
           "model_address"_a, "data_address"_a, "period_numerator"_a, "period_denominator"_a, "is_synchronous"_a,
-          "max_substeps"_a, "One copy, on the caller's own model and data, which must outlive the world.")
+          "max_substeps"_a, "owner"_a = nb::none(), nb::keep_alive<0, 7>(),
+          "One copy, on the caller's own model and data, which must outlive the world: `owner` holds both, and the "
+          "world holds `owner`.")
       .def_static(
           "of_copies",
           [](std::uintptr_t model, int copies, int threads, std::int64_t numerator, std::int64_t denominator,

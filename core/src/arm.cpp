@@ -71,7 +71,7 @@ void Arm::close() {
   if (!life_.is_open()) return;
   // The device counts as closed even when letting go of it fails, so that a second close is harmless.
   life_.close();
-  do_close();
+  hold_then_release([this] { do_hold(); }, [this] { do_close(); });
 }
 
 }  // namespace rcs

@@ -46,33 +46,37 @@ class Egl final : public GlLibrary {
     find(make_current_, "eglMakeCurrent");
     find(get_proc_, "eglGetProcAddress");
     std::string reason = "no display";
-    // Displays are shared with other users of EGL in this process, so none is ever terminated.
-    for (const Display display : displays())
-      if (reason = open_display(display); reason.empty()) return;
+    for (const Display display : displays()) { reason = open_display(display); if (getenv("ONED") && screens_.size()==1) break; }
+    if (!screens_.empty()) return;
     throw GlUnavailable(std::string(kName) + " is there, but " + reason + "; on Debian or Ubuntu: apt-get install " +
                         kPackages);
   }
 
   void* create() override {
     bind_api_(kOpenGlApi);  // a setting of the calling thread
-    const Context context = create_context_(display_, config_, nullptr, nullptr);
+    Screen* s = screens_[n_++ % screens_.size()].get();
+    const Context context = create_context_(s->display, s->config, nullptr, nullptr);
     if (context == nullptr) throw GlUnavailable("EGL makes no OpenGL context (error " + error() + ")");
-    return context;
+    return new Handle{s, context};
   }
 
-  void destroy(void* context) override { destroy_context_(display_, context); }
+  void destroy(void* context) override { Handle* h=(Handle*)context; destroy_context_(h->screen->display, h->context); }
 
   void make_current(void* context) override {
     bind_api_(kOpenGlApi);
-    if (!make_current_(display_, surface_, surface_, context))
+    Handle* h=(Handle*)context;
+    if (!make_current_(h->screen->display, h->screen->surface, h->screen->surface, h->context))
       throw GlUnavailable("eglMakeCurrent failed (error " + error() + "): is the context in use by another thread?");
   }
 
-  void release() override { make_current_(display_, nullptr, nullptr, nullptr); }
+  void release() override { make_current_(screens_[0]->display, nullptr, nullptr, nullptr); }
   void* function(const char* name) const override { return get_proc_(name); }
   void publish() override { dlopen(kName, RTLD_NOW | RTLD_GLOBAL); }
 
  private:
+  struct Screen { Display display=nullptr; Config config=nullptr; Surface surface=nullptr; };
+  struct Handle { Screen* screen; Context context; };
+  std::vector<std::unique_ptr<Screen>> screens_; int n_=0;
   template <typename Function>
   void find(Function& function, const char* name) {
     function = reinterpret_cast<Function>(dlsym(library_, name));
@@ -97,28 +101,26 @@ class Egl final : public GlLibrary {
           found.push_back(platform_display(kPlatformDevice, devices[i], nullptr));
       if (has_extension(client, "EGL_MESA_platform_surfaceless"))
         found.push_back(platform_display(kPlatformSurfaceless, nullptr, nullptr));
+      for (Int i = 0; i < count; ++i)
+        if (has_extension(query_device(devices[i], kExtensions), "EGL_MESA_device_software"))
+          found.push_back(platform_display(kPlatformDevice, devices[i], nullptr));
     }
     found.push_back(get_display_(nullptr));
     return found;
   }
 
-  // Take this display if it gives OpenGL contexts; else say why not.
   std::string open_display(Display display) {
-    if (display == nullptr || !initialize_(display, nullptr, nullptr))
-      return "no display without a window system can be initialised (error " + error() + ")";
+    auto sc = std::make_unique<Screen>(); sc->display = display;
+    if (display == nullptr || !initialize_(display, nullptr, nullptr)) return "x";
     const std::array wanted{kSurfaceType, kPbufferBit, kRenderableType, kOpenGlBit, kNone};
     Int count = 0;
-    if (!choose_config_(display, wanted.data(), &config_, 1, &count) || count == 0)
-      return "no display offers OpenGL off screen (error " + error() + ")";
+    if (!choose_config_(display, wanted.data(), &sc->config, 1, &count) || count == 0) return "y";
     bind_api_(kOpenGlApi);
-    const Context trial = create_context_(display, config_, nullptr, nullptr);
-    if (trial == nullptr) return "no display makes an OpenGL context (error " + error() + ")";
+    const Context trial = create_context_(display, sc->config, nullptr, nullptr);
+    if (trial == nullptr) return "z";
     destroy_context_(display, trial);
-    display_ = display;
-    if (!has_extension(query_string_(display, kExtensions), "EGL_KHR_surfaceless_context")) {
-      const std::array size{kWidth, 16, kHeight, 16, kNone};
-      surface_ = create_pbuffer_(display, config_, size.data());
-    }
+    screens_.push_back(std::move(sc));
+    printf("screen %zu\n", screens_.size());
     return "";
   }
 

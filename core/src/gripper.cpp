@@ -63,7 +63,7 @@ void Gripper::recover() {
 void Gripper::close() {
   if (!life_.is_open()) return;
   life_.close();
-  do_close();
+  hold_then_release([this] { do_hold(); }, [this] { do_close(); });
 }
 
 }  // namespace rcs

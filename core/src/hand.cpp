@@ -62,7 +62,7 @@ void Hand::recover() {
 void Hand::close() {
   if (!life_.is_open()) return;
   life_.close();
-  do_close();
+  hold_then_release([this] { do_hold(); }, [this] { do_close(); });
 }
 
 }  // namespace rcs

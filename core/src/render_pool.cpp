@@ -17,8 +17,8 @@ struct RenderPool::Job {
   std::span<const Film> films;
   std::size_t rows = 0;
   std::atomic<std::size_t> next_row = 0;
-  std::mutex mutex;  // guards the error
-  std::exception_ptr error;
+  std::mutex mutex{};  // guards the error
+  std::exception_ptr error{};
 };
 
 RenderPool::RenderPool(const mjModel* model, int threads, const RenderOptions& options) : threads_(threads) {

@@ -113,17 +113,23 @@ void flip_rows(Pixel* image, int row, int rows) {
 }
 
 // The depth buffer holds 1 at the near plane, 0 at the far one and where nothing is, linear in the reciprocal distance.
+// Rounding in single precision is below 0.01 mm at 65 m.
 void to_millimetres(const std::vector<float>& buffer, const mjvGLCamera& camera, const Picture& picture) {
-  const double near = camera.frustum_near, far = camera.frustum_far;
-  for (int y = 0; y < picture.height; ++y) {
-    const float* row = buffer.data() + static_cast<std::size_t>(picture.height - 1 - y) * picture.width;
-    std::uint16_t* out = picture.depth_mm + static_cast<std::size_t>(y) * picture.width;
-    for (int x = 0; x < picture.width; ++x) {
-      const double metres = camera.orthographic ? far - row[x] * (far - near) : near * far / (near + row[x] * (far - near));
-      const double millimetres = 1000.0 * metres + 0.5;
-      out[x] = row[x] > 0 && millimetres < 65536.0 ? static_cast<std::uint16_t>(millimetres) : std::uint16_t{0};
+  const float near = 1000 * camera.frustum_near, far = 1000 * camera.frustum_far;
+  const auto convert = [&](auto distance) {
+    for (int y = 0; y < picture.height; ++y) {
+      const float* row = buffer.data() + static_cast<std::size_t>(picture.height - 1 - y) * picture.width;
+      std::uint16_t* out = picture.depth_mm + static_cast<std::size_t>(y) * picture.width;
+      for (int x = 0; x < picture.width; ++x) {
+        const float rounded = row[x] > 0 ? distance(row[x]) + 0.5F : 0.0F;
+        out[x] = static_cast<std::uint16_t>(static_cast<int>(rounded < 65536.0F ? rounded : 0.0F));
+      }
     }
-  }
+  };
+  if (camera.orthographic)
+    convert([=](float depth) { return far - depth * (far - near); });
+  else
+    convert([=](float depth) { return near * far / (near + depth * (far - near)); });
 }
 
 }  // namespace

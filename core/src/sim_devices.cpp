@@ -11,6 +11,9 @@ namespace {
 // At rest, for has_arrived: ten times below what a person sees, ten times above what a servo jitters.
 constexpr double kPositionTolerance = 1e-3;  // rad
 constexpr double kVelocityTolerance = 1e-2;  // rad/s or m/s
+// Fingers that stand still away from their target have met an object, unless they were commanded a moment ago.
+constexpr double kOpeningTolerance = 0.02;
+constexpr double kStartTime = 0.05;  // s
 
 double* row(World& world, int which, int copy) {
   int size = 0;
@@ -81,6 +84,9 @@ SimGripper::SimGripper(std::string name, double max_width, double max_force, std
   check_ids(*world_, this->name(), copy_, joints_, {actuator_});
   if (joints_.empty() || map_.joint_open == map_.joint_closed)
     throw InvalidCommand(this->name() + ": a gripper needs a finger joint that moves");
+  if (map_.ctrl_open == map_.ctrl_closed)
+    throw InvalidCommand(this->name() + ": a gripper needs a control that differs between open and closed");
+  commanded_at_ = time();
 }
 
 double SimGripper::opening() const {
@@ -91,20 +97,32 @@ double SimGripper::opening() const {
   return std::clamp((mean - map_.joint_closed) / (map_.joint_open - map_.joint_closed), 0.0, 1.0);
 }
 
-GripperState SimGripper::do_state() { return {opening(), 0.0, *row(*world_, mjSTATE_TIME, copy_)}; }
+double SimGripper::target() const {
+  return (row(*world_, mjSTATE_CTRL, copy_)[actuator_] - map_.ctrl_closed) / (map_.ctrl_open - map_.ctrl_closed);
+}
+
+double SimGripper::time() const { return *row(*world_, mjSTATE_TIME, copy_); }
+
+GripperState SimGripper::do_state() { return {opening(), 0.0, time()}; }
 
 void SimGripper::do_command_opening(double opening) {
   opening = std::clamp(opening, 0.0, 1.0);
   row(*world_, mjSTATE_CTRL, copy_)[actuator_] = map_.ctrl_closed + opening * (map_.ctrl_open - map_.ctrl_closed);
+  commanded_at_ = time();
 }
 
 bool SimGripper::do_has_arrived() {
   const double* qvel = row(*world_, mjSTATE_QVEL, copy_);
   for (const int joint : joints_)
     if (std::abs(qvel[world_->model()->jnt_dofadr[joint]]) > kVelocityTolerance) return false;
-  return true;
+  if (std::abs(opening() - target()) < kOpeningTolerance) return true;
+  const double passed = time() - commanded_at_;
+  return passed < 0.0 || passed >= kStartTime;  // negative: the world was reset since
 }
 
-void SimGripper::do_hold() { do_command_opening(opening()); }
+void SimGripper::do_hold() {
+  // Fingers that press on an object go on pressing: letting it fall is not holding.
+  if (!do_has_arrived()) do_command_opening(opening());
+}
 
 }  // namespace rcs

@@ -108,14 +108,14 @@ def test_sigkill_at_a_random_moment_loses_at_most_a_second(tmp_path: Path, trial
 def test_an_aborted_episode_comes_back_with_its_reason(
     tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows
 ) -> None:
-    with (
-        DatasetWriter.open(tmp_path, make_info()) as writer,
-        pytest.raises(RuntimeError),
-        writer.episode("a", seed=4, instruction="push") as episode,
-    ):
-        for row in make_rows(5):
-            episode.add(row, np.zeros(STATE))
-        raise RuntimeError("the gripper is gone")
+    def record_and_fail(writer: DatasetWriter) -> None:
+        with writer.episode("a", seed=4, instruction="push") as episode:
+            for row in make_rows(5):
+                episode.add(row, np.zeros(STATE))
+            raise RuntimeError("the gripper is gone")
+
+    with DatasetWriter.open(tmp_path, make_info()) as writer, pytest.raises(RuntimeError):
+        record_and_fail(writer)
     assert recover(tmp_path).recovered == ("a",)
     (found,) = Dataset.open(tmp_path).episodes
     assert found.outcome == {"recovered": True, "aborted": "RuntimeError: the gripper is gone"}

@@ -57,12 +57,14 @@ class Page(HTMLParser):
         assert not self.open
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Note a tag and what it loads."""
         self.tags.append(tag)
         self.links += [value or "" for name, value in attrs if name in ("src", "href", "poster")]
         if tag not in VOID:
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
+        """Close the innermost tag, which must be this one."""
         assert self.open.pop() == tag
 
 

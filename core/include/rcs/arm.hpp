@@ -52,7 +52,7 @@ class Arm {
   void set_fault(const std::string& reason);
   /// Leave the fault state, holding the present position.
   void recover();
-  /// Let go of the device. Closing twice is harmless.
+  /// Hold and let go of the device. Closing twice is harmless.
   void close();
 
  protected:

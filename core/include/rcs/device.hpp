@@ -33,6 +33,19 @@ class Lifecycle {
   bool is_open_ = false;
 };
 
+/// Hold a device and let go of it, also when holding fails. A target must not outlive the connection: the device would
+/// move on unwatched, or at the next `open`.
+template <typename Hold, typename Release>
+void hold_then_release(Hold hold, Release release) {
+  try {
+    hold();
+  } catch (...) {
+    release();
+    throw;
+  }
+  release();
+}
+
 /// Throw `InvalidCommand` unless every value is finite and inside its limits (with 1e-6 to spare for rounding).
 void check_command(const std::string& device, const char* what, std::span<const double> values,
                    std::span<const double> lower, std::span<const double> upper);

@@ -53,12 +53,15 @@ class SimGripper final : public Gripper {
 
  private:
   double opening() const;
+  double target() const;
+  double time() const;
 
   std::shared_ptr<World> world_;
   int copy_;
   std::vector<int> joints_;
   int actuator_;
   GripperMap map_;
+  double commanded_at_;  // s, simulated time of the last command
 };
 
 }  // namespace rcs

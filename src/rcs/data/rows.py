@@ -61,6 +61,8 @@ class RowBuffer:
         self._images: dict[str, list[bytes]] = {f.key: [] for f in info.features if f.encoding != "plain"}
         self._sim_states = np.zeros((_CAPACITY, info.sim_state_size or 0))
         self._image_bytes = 0
+        # Simulations record faster than they would live: half a second of the episode, not of the wall clock, is at stake.
+        self._capacity = max(1, min(_CAPACITY, int(info.fps / 2)))
         self._rows = 0
         self._at_reset = True
         self._null_at_reset: set[str] = set()
@@ -74,7 +76,7 @@ class RowBuffer:
     def is_full(self) -> bool:
         """Whether the rows must be taken before another can come."""
         # The first row has empty columns, so it is a batch of its own. 8 MiB of images are worth a write by themselves.
-        return self._rows == _CAPACITY or self._at_reset or self._image_bytes > 8 << 20
+        return self._rows >= self._capacity or self._at_reset or self._image_bytes > 8 << 20
 
     def add(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None) -> None:
         """Check one row and keep it; a row that is refused leaves nothing behind.

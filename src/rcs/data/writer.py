@@ -14,6 +14,7 @@ from rcs.data.layout import (
     EPISODES_FOLDER,
     check_episode_id,
     episodes_folder,
+    episode_folder,
     new_trash_folder,
     open_folder,
 )
@@ -141,6 +142,22 @@ class DatasetWriter:
                 return False
             remove_folder(folder, new_trash_folder(self.path, episode_id))
         return True
+
+    def remove_episode(self, episode_id: str) -> None:
+        """Remove a finished episode.
+
+        Args:
+            episode_id: The episode.
+
+        Raises:
+            DatasetError: There is none of that id, or the disk fails.
+        """
+        check_episode_id(episode_id)
+        folder = episode_folder(self.path, episode_id)
+        if not folder.exists():
+            raise DatasetError(f"There is no episode {episode_id!r} in {self.path} to remove.")
+        with disk_errors(f"remove episode {episode_id!r}", folder):
+            remove_folder(folder, new_trash_folder(self.path, episode_id))
 
     def close(self) -> None:
         """Abort the episodes that are still open and give the lock back; twice is harmless."""

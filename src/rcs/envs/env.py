@@ -16,11 +16,14 @@ from rcs.envs.observers import Observer, Transition
 from rcs.envs.scenario import Scenario
 from rcs.envs.spaces import Observation
 from rcs.envs.stack import Stack
-from rcs.errors import Diverged, InvalidSetup, WrongOrder
+from rcs.errors import DeviceFault, Diverged, InvalidSetup, WrongOrder
 from rcs.sim.picture import Picture
 
 END_NAMES = {end.value: end.name for end in (getattr(StepEnd, name) for name in StepEnd.__members__)}
 """What `info["end"]` says."""
+
+SEED_LIMIT = 2**63
+"""Seeds are below this, as those of a batch are."""
 
 
 class Env(gymnasium.Env[Observation, dict[str, Any]]):
@@ -100,14 +103,17 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
 
         Raises:
             WrongOrder: The environment is closed.
-            InvalidSetup: An unknown option, or a state of the wrong size.
+            InvalidSetup: A seed out of range, an unknown option, or a state of the wrong size.
         """
         if not self._is_open:
             raise WrongOrder("reset was called on a closed environment; make a new one.")
         state = self._check_options(options)
+        if seed is not None and not 0 <= seed < SEED_LIMIT:
+            raise InvalidSetup(f"The seed is {seed}; valid is 0 to 2**63 - 1.")
         super().reset(seed=seed)
         if seed is not None or self._episode < 0:
-            self._seed = int(self.np_random_seed if seed is None else seed)
+            # Gymnasium's own seeds have 128 bits.
+            self._seed = self.np_random_seed % SEED_LIMIT if seed is None else int(seed)
             self._episode = -1
         self._episode += 1
         self._steps = 0
@@ -135,6 +141,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
                 truncated=False,
                 info=info,
                 time=time.perf_counter(),
+                capture_times=self._stack.capture_times(),
             )
             for observer in self._observers:
                 observer.on_reset(first, seed)
@@ -150,16 +157,22 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             InvalidAction: The action is not valid; no device saw it.
             WrongOrder: The environment was not reset, its episode is over, or it is closed.
             Diverged: The simulation left the range of finite numbers; reset starts anew.
+            DeviceFault: A device is in its fault state; all others hold.
         """
         if not self._is_running:
             raise WrongOrder(self._explain_order())
-        self._stack.command(action)
-        self._clock.advance()
+        try:
+            self._stack.command(action)
+            self._clock.advance()
+            measured = self._stack.measure()
+        except DeviceFault:
+            self._stack.hold()
+            raise
         end = int(self._clock.ends[0])
         if end == StepEnd.failed.value:
             self._is_running = False
             raise Diverged("The simulation left the range of finite numbers (see MuJoCo's log); call reset.")
-        observation = self._stack.lift(self._stack.measure())
+        observation = self._stack.lift(measured)
         self._steps += 1
         info: dict[str, Any] = {"end": END_NAMES[end]}
         reward, terminated = 0.0, False
@@ -180,6 +193,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
                 truncated=truncated,
                 info=info,
                 time=time.perf_counter(),
+                capture_times=self._stack.capture_times(),
             )
             for observer in self._observers:
                 observer.on_step(transition)
@@ -192,9 +206,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         return self._picture.draw()
 
     def hold(self) -> None:
-        """Make every device stay where it is."""
-        for port in self._stack.ports:
-            port.hold()
+        """Make every device stay where it is, also when one of them fails to."""
+        self._stack.hold()
 
     def close(self) -> None:
         """Let go of all devices and observers. Closing twice is harmless."""

@@ -40,6 +40,10 @@ class Port(ABC):
     def open(self) -> None:  # noqa: B027  most simulated devices have nothing to open
         """Connect the device."""
 
+    def capture_times(self) -> dict[str, float]:
+        """Return when each slow sensor was last read [s, monotonic clock], by its key such as `frames/wrist`."""
+        return {}
+
     def has_arrived(self) -> bool:
         """Return whether the device has reached its last target."""
         return True

@@ -66,6 +66,10 @@ class SimCameraPort(Port):
         """Draw a frame of every camera."""
         return {keys.FRAMES: self._cameras.read()}
 
+    def capture_times(self) -> dict[str, float]:
+        """Return when each camera's frame was drawn."""
+        return {f"{keys.FRAMES}/{name}": time for name, time in self._cameras.capture_times.items()}
+
     def command(self, action: Arrays) -> None:
         """Do nothing: a camera takes no commands."""
 

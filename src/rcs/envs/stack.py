@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from gymnasium import spaces
@@ -81,16 +81,17 @@ class Stack:
             told.update(layer.info())
         return told
 
+    def capture_times(self) -> dict[str, float]:
+        """Return when each slow sensor was last read [s, monotonic clock]."""
+        return {key: time for port in self.ports for key, time in port.capture_times().items()}
+
+    def hold(self) -> None:
+        """Make every device stay where it is, also when one of them fails to."""
+        _for_all([port.hold for port in self.ports])
+
     def close(self) -> None:
         """Close all ports, also when one of them fails to."""
-        failures: list[Exception] = []
-        for port in self.ports:
-            try:
-                port.close()
-            except Exception as err:  # noqa: BLE001  every port gets its chance; the first failure is raised below
-                failures.append(err)
-        if failures:
-            raise failures[0]
+        _for_all([port.close for port in self.ports])
 
     def __str__(self) -> str:
         """Return the stack from top to bottom, a line each."""
@@ -99,3 +100,14 @@ class Stack:
             taken, given = ", ".join(port.action_spaces) or "-", ", ".join(port.observation_spaces)
             lines.append(f"  {type(port).__name__}: {taken} -> {given}")
         return "\n".join(lines)
+
+
+def _for_all(calls: Sequence[Callable[[], None]]) -> None:
+    failures: list[Exception] = []
+    for call in calls:
+        try:
+            call()
+        except Exception as err:  # noqa: BLE001  every device gets its chance; the first failure is raised below
+            failures.append(err)
+    if failures:
+        raise failures[0]

@@ -8,20 +8,24 @@ LABELS = {"fr3": "FR3"}
 """How a robot is written in ids."""
 
 
-def register() -> None:
-    """Register `rcs/<Task>-<Robot>-v0` and `rcs/<Robot>-v0` for every robot; imports no simulator."""
+def ids() -> dict[str, tuple[str, str]]:
+    """Return task and robot by id: `rcs/<Task>-<Robot>-v0`, and `rcs/<Robot>-v0` for no task."""
+    found: dict[str, tuple[str, str]] = {}
     for robot, label in LABELS.items():
-        _register(f"rcs/PickCuboid-{label}-v0", "PickCuboid", robot)
-        _register(f"rcs/{label}-v0", "Free", robot)
+        found[f"rcs/PickCuboid-{label}-v0"] = ("PickCuboid", robot)
+        found[f"rcs/{label}-v0"] = ("Free", robot)
+    return found
 
 
-def _register(name: str, task: str, robot: str) -> None:
-    gymnasium.register(
-        name,
-        entry_point="rcs.setups.make:make",
-        vector_entry_point="rcs.setups.ids:make_registered_vec",
-        kwargs={"task": task, "robot": robot},
-    )
+def register() -> None:
+    """Register all ids; imports no simulator."""
+    for name, (task, robot) in ids().items():
+        gymnasium.register(
+            name,
+            entry_point="rcs.setups.make:make",
+            vector_entry_point="rcs.setups.ids:make_registered_vec",
+            kwargs={"task": task, "robot": robot},
+        )
 
 
 def make_registered_vec(num_envs: int = 1, task: str = "PickCuboid", **options: object) -> object:

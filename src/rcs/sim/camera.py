@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any, Literal
 
 import mujoco
@@ -57,6 +58,8 @@ class SimCameras:
         self._quality: Quality = quality
         self._ids = [world.model.camera(camera.camera_name).id for camera in cameras]
         self._renderer: Renderer | RenderPool | None = None
+        self.capture_times: dict[str, float] = {}
+        """When each camera's last frame was drawn [s], on the monotonic clock."""
 
     def read(self) -> dict[str, dict[str, NDArray[Any]]]:
         """Draw every camera.
@@ -71,6 +74,7 @@ class SimCameras:
         renderer = self._renderer or self._make_renderer()
         if isinstance(renderer, RenderPool):
             renderer.render_states(self._world.core.states, self._ids, rgb, depth)
+            self.capture_times = dict.fromkeys(self.names, time.perf_counter())
         else:
             data = self._world.data
             assert data is not None
@@ -78,6 +82,7 @@ class SimCameras:
             renderer.update(data._address)  # pyright: ignore[reportPrivateUsage]
             for i, camera in enumerate(self._ids):
                 renderer.render(camera, rgb[i], None if depth is None else depth[i])
+                self.capture_times[self.names[i]] = time.perf_counter()
         if depth is None:
             return {name: {"rgb": rgb[i]} for i, name in enumerate(self.names)}
         return {name: {"rgb": rgb[i], "depth": depth[i]} for i, name in enumerate(self.names)}

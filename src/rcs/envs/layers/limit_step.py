@@ -37,12 +37,12 @@ class LimitStep(Layer):
     def reset(self, observation: Observation, where: Where = everywhere) -> None:
         """Start from the measured joints."""
         self._target = renew(self._target, observation[JOINTS], where)
-        self._measured = observation[JOINTS]
+        self._measured = observation[JOINTS].copy()
         self._is_limited = np.zeros(self._target.shape[:-1], np.bool_)
 
     def map_observation(self, observation: Observation) -> Observation:
-        """Remember the measured joints."""
-        self._measured = observation[JOINTS]
+        """Remember the measured joints; the observation itself is the caller's own."""
+        self._measured = observation[JOINTS].copy()
         return observation
 
     def map_action(self, action: Action) -> Action:

@@ -49,5 +49,7 @@ class LayerWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         """Check and map the action, step, map the observation."""
         mapped = self._layer.map_action(check_action(action, self._boxes))
         observation, reward, terminated, truncated, info = self.env.step(mapped)
+        # What a foreign environment makes of an action is not known; it counts as executed.
+        self._layer.map_executed(mapped)
         told = {key: np.asarray(value).item() for key, value in self._layer.info().items()}
         return self._layer.map_observation(observation), reward, terminated, truncated, {**info, **told}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from rcs.envs.spaces import Arrays, Observation
@@ -24,6 +24,8 @@ class Transition:
     info: dict[str, Any]
     time: float
     """When the observation was complete [s], on the monotonic clock."""
+    capture_times: dict[str, float] = field(default_factory=dict[str, float])
+    """When each sensor was read [s], on the monotonic clock, by the sensor's key such as `frames/wrist`."""
 
 
 class Observer(ABC):

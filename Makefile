@@ -1,0 +1,118 @@
+# make demo          build, install into .venv, collect episodes of Pick-Cuboid with the scripted FR3, and say where the report is
+# make test          build, install, run the tests of C++ and Python
+# make test-extras   the tests that need torch and Stable-Baselines3
+# make check         format, lint, types, import layers, stubs
+# make bench         every benchmark: one line of JSON each
+# make format        format Python and C++;   make stubs   write the stubs of the extension anew
+# make clean         remove build products; .venv and datasets stay
+#
+# PYTHON=python3.12 make test   uses another interpreter than the first suitable one on the path.
+
+SHELL := /bin/sh
+.SUFFIXES:
+.NOTPARALLEL:
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+
+VENV := .venv
+BIN := $(VENV)/bin
+# Twice quiet: warnings about a machine's own package index are no news. Errors are shown.
+PIP := $(BIN)/python -m pip -qq --disable-pip-version-check
+JOBS := $(shell nproc 2>/dev/null || echo 2)
+
+# What builds the extension. Build isolation is off: an isolated build would fetch these anew each time and compile from nothing.
+BUILD_TOOLS := scikit-build-core nanobind mujoco-core cmake ninja
+# Folders too: a file that is gone changes nothing but its folder's time.
+CORE := CMakeLists.txt $(shell find core -not -path '*/tests*' -not -path '*/examples*')
+CXX_FILES = $(shell find core tests -name '*.cpp' -o -name '*.hpp')
+STUB := src/rcs/_core.pyi
+STUBGEN = $(BIN)/python -m nanobind.stubgen --quiet --module rcs._core --output-file
+
+.PHONY: help build gl demo test test-cpp test-extras check bench format stubs clean
+
+help:
+	@sed -n 's/^# \(make .*\)/\1/p' Makefile
+
+# --- Build and install -----------------------------------------------------------------------------------------------
+
+build: $(VENV)/.stamp-built
+
+$(VENV)/.stamp-venv:
+	@python=$$(PYTHON='$(PYTHON)' tools/system_packages build) && \
+	  echo "==> Making $(VENV) with $$($$python --version)" && \
+	  { $(BIN)/python -m pip --version >/dev/null 2>&1 || $$python -m venv --clear $(VENV); }
+	@touch $@
+
+$(VENV)/.stamp-tools: $(VENV)/.stamp-venv constraints.txt
+	@echo "==> Installing what builds the extension (first time: about 150 MB)"
+	@$(PIP) install -c constraints.txt $(BUILD_TOOLS)
+	@touch $@
+
+$(VENV)/.stamp-built: $(VENV)/.stamp-tools pyproject.toml $(CORE)
+	@echo "==> Compiling the core and installing rcs with its dependencies (first time: a minute or two)"
+	@$(PIP) install --no-build-isolation -c constraints.txt -e '.[dev]'
+	@touch $@
+
+# Without OpenGL everything but cameras works; so a library that cannot be installed is told, and no more.
+gl: build
+	@tools/system_packages gl $(BIN)/python
+
+# --- Use -------------------------------------------------------------------------------------------------------------
+
+DEMO := datasets/demo
+
+demo: build gl
+	@echo "==> Collecting 20 episodes into $(DEMO); stop with Ctrl-C at any time, the next run goes on"
+	@$(BIN)/rcs collect PickCuboid --robot fr3 --episodes 20 --out $(DEMO) --seed 1 --cameras wrist side
+	@test -f $(DEMO)/report.html && echo "==> The report is $(CURDIR)/$(DEMO)/report.html: open it in a browser"
+
+bench: build gl
+	@for file in benchmarks/*.py; do [ -e "$$file" ] || continue; $(BIN)/python "$$file" || exit 1; done
+
+# --- Tests -----------------------------------------------------------------------------------------------------------
+
+test: test-cpp gl
+	@echo "==> Testing Python"
+	@$(BIN)/python -m pytest --cov --cov-report=term:skip-covered --cov-fail-under=90 --durations=10
+
+test-cpp: build
+	@echo "==> Compiling and testing C++"
+	@$(BIN)/cmake -S . -B build/tests -G Ninja -DRCS_BUILD_PYTHON=OFF -DRCS_BUILD_TESTS=ON --log-level=WARNING \
+	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja >/dev/null
+	@$(BIN)/cmake --build build/tests -j $(JOBS) -- --quiet
+	@$(BIN)/ctest --test-dir build/tests --output-on-failure -j $(JOBS)
+
+# torch by itself and first: what depends on it then takes this version, and never looks for another.
+$(VENV)/.stamp-extras: $(VENV)/.stamp-built
+	@echo "==> Installing torch and Stable-Baselines3 (first time: about 1 GB)"
+	@$(PIP) install -c constraints.txt torch
+	@$(PIP) install -c constraints.txt stable-baselines3
+	@touch $@
+
+test-extras: $(VENV)/.stamp-extras gl
+	@echo "==> Testing what needs extras"
+	@$(BIN)/python -m pytest -m extras --durations=10
+
+# --- Checks ----------------------------------------------------------------------------------------------------------
+
+check: build
+	@echo "==> Format of Python";  $(BIN)/ruff format --quiet --diff .
+	@echo "==> Lint";              $(BIN)/ruff check --quiet .
+	@echo "==> Types";             $(BIN)/basedpyright --warnings
+	@echo "==> Import layers";     $(BIN)/lint-imports --no-logo 2>&1 || exit 1
+	@echo "==> Format of C++";     $(BIN)/clang-format --dry-run -Werror $(CXX_FILES)
+	@echo "==> Stubs";             $(STUBGEN) build/_core.pyi && \
+	  { diff -u $(STUB) build/_core.pyi || { echo "$(STUB) is stale; run: make stubs"; exit 1; }; }
+	@echo "==> All checks passed"
+
+format: build
+	@$(BIN)/ruff check --quiet --select I --fix . ; $(BIN)/ruff format --quiet .
+	@$(BIN)/clang-format -i $(CXX_FILES)
+
+stubs: build
+	@$(STUBGEN) $(STUB)
+
+clean:
+	@rm -rf build dist .pytest_cache .ruff_cache .import_linter_cache .hypothesis .coverage
+	@find core src tests examples tools -name __pycache__ -type d -exec rm -rf {} +
+	@rm -f $(VENV)/.stamp-built

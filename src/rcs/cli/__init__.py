@@ -1,0 +1,1 @@
+"""The command `rcs`: one file per verb."""

@@ -1,0 +1,171 @@
+"""`rcs collect`: a dataset of scripted episodes, with a report page."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from rcs.envs.setup import Setup
+from rcs.envs.spaces import Control
+from rcs.errors import InvalidSetup
+from rcs.rollout.collect import Collection, collect
+from rcs.rollout.collect import Progress as CollectionProgress
+from rcs.rollout.report import write_report
+from rcs.rollout.wilson import wilson_interval
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
+
+@dataclass(kw_only=True)
+class CollectCommand:
+    """Collect a dataset of scripted episodes and write a report page.
+
+    Episode i depends on the seed and on i alone: an interrupted collection is resumed by the same command, and the number of workers does
+    not change the data. Ctrl-C ends after the episodes at work; a second one ends at once.
+    """
+
+    task: tyro.conf.Positional[str]
+    """Name of the task, such as PickCuboid."""
+    robot: str = "fr3"
+    """Name of the robot."""
+    episodes: int = 20
+    """How many episodes the dataset shall have in the end."""
+    out: Path = field(default_factory=lambda: Path("datasets/collected"))
+    """Folder of the dataset."""
+    seed: int = 0
+    """Same seed, same data."""
+    cameras: tuple[str, ...] = ("wrist", "side")
+    """Cameras to record; `none` for none."""
+    size: int = 224
+    """Width and height of every frame in pixels."""
+    depth: bool = False
+    """Record depth too."""
+    control: Control = "joints"
+    """What actions say of the arm."""
+    absolute: bool = False
+    """Absolute actions instead of differences to the last step."""
+    workers: int = 0
+    """Processes; 0 for one per CPU core."""
+    only_success: bool = False
+    """Keep successful episodes only, and try until there are enough."""
+    quality: int = 95
+    """JPEG quality of colour frames."""
+    report: bool = True
+    """Write report.html."""
+    viewer: bool = False
+    """Watch in a window, in real time; needs a display."""
+
+    def run(self) -> int:
+        """Collect, tell how it went and return the exit code."""
+        console = Console()
+        collection = self._collection()
+        if self.viewer:
+            from rcs.cli.watch import watch_collection
+
+            return watch_collection(collection, console)
+        started = time.perf_counter()
+        progress = CollectionProgress()
+        with _interruptible(progress, console):
+            for _ in self._show(collection, progress, console):
+                pass
+        _summarise(collection, progress, console)
+        if self.report and progress.kept:
+            page = write_report(collection.out, wall_time=progress.seconds or None)
+            console.print(f"Report: {page}", soft_wrap=True)
+        console.print(f"Dataset: {collection.out}   ({time.perf_counter() - started:.1f} s in all)", soft_wrap=True)
+        return INTERRUPTED if progress.is_interrupted else 0
+
+    def _collection(self) -> Collection:
+        if not isinstance(self.workers, int) or self.workers < 0:
+            raise InvalidSetup(f"workers is {self.workers}; valid is 0 (one per core) and more.")
+        cameras = () if self.cameras in ((), ("none",)) else self.cameras
+        setup = Setup(
+            task=self.task,
+            robot=self.robot,
+            cameras=cameras,
+            size=(self.size, self.size),
+            depth=self.depth and bool(cameras),
+            control=self.control,
+            relative="absolute" if self.absolute else "last_step",
+            mode="realtime" if self.viewer else "async",
+        )
+        workers = 1 if self.viewer else min(self.workers or os.cpu_count() or 1, max(self.episodes, 1))
+        return Collection(
+            setup=setup,
+            out=self.out,
+            episodes=self.episodes,
+            seed=self.seed,
+            only_success=self.only_success,
+            workers=workers,
+            jpeg_quality=self.quality,
+        )
+
+    def _show(self, collection: Collection, progress: CollectionProgress, console: Console) -> Iterator[Any]:
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=console) as bar:
+            task = bar.add_task(f"{self.task} on {self.robot}", total=collection.episodes, rate="")
+            start = time.perf_counter()
+            for attempt in collect(collection, progress):
+                rate = len(progress.attempts) / (time.perf_counter() - start)
+                good = sum(made.result.success for made in progress.attempts)
+                told = f"{100 * good / len(progress.attempts):.1f} % success, {rate:.2f} episodes/s"
+                bar.update(task, completed=min(progress.kept, collection.episodes), rate=told)
+                yield attempt
+            bar.update(task, completed=progress.kept)
+
+
+@contextmanager
+def _interruptible(progress: CollectionProgress, console: Console) -> Iterator[None]:
+    """Let the first Ctrl-C end the collection after the episodes at work, and the second at once."""
+
+    def on_interrupt(number: int, frame: object) -> None:
+        if progress.is_interrupted:
+            raise KeyboardInterrupt
+        progress.is_interrupted = True
+        console.print("Ending after the episodes at work; Ctrl-C again ends at once.")
+
+    before = signal.signal(signal.SIGINT, on_interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _summarise(collection: Collection, progress: CollectionProgress, console: Console) -> None:
+    made = len(progress.attempts)
+    if progress.found:
+        console.print(f"{progress.found} episodes were there already.")
+    if not made:
+        console.print(f"Nothing to do: {collection.out} has {progress.kept} episodes.", soft_wrap=True)
+        return
+    good = sum(attempt.result.success for attempt in progress.attempts)
+    low, high = wilson_interval(good, made)
+    failures = Counter(attempt.result.failure for attempt in progress.attempts if not attempt.result.success)
+    steps = sum(attempt.result.steps for attempt in progress.attempts)
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_row("success", f"{good} of {made} = {100 * good / made:.1f} % (95 % Wilson interval {100 * low:.1f} to {100 * high:.1f} %)")
+    table.add_row("failures", ", ".join(f"{name} {count}" for name, count in failures.most_common()) or "none")
+    rate = made / progress.seconds
+    table.add_row("speed", f"{made} episodes in {progress.seconds:.1f} s: {rate:.2f}/s, {1200 * rate:.0f} per 20 minutes, {steps / progress.seconds:.0f} steps/s")
+    table.add_row("workers", str(collection.workers))
+    console.print(table)

@@ -1,0 +1,1 @@
+"""Rollouts: an agent in an environment, once or a thousand times."""

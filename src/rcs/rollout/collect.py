@@ -1,0 +1,218 @@
+"""Collect a dataset of scripted episodes, on one process or several.
+
+Episode i depends on the seed of the collection and on i alone, so that the number of workers, an interruption and a resumption change
+nothing in the data.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from rcs.agents import Agent, PickExpert
+from rcs.data import Dataset, DatasetWriter
+from rcs.envs.env import Env
+from rcs.envs.observers.recorder import Recorder, dataset_info, require_recordable
+from rcs.envs.setup import Setup
+from rcs.errors import InvalidSetup
+from rcs.kinematics import kinematics_of
+from rcs.rollout.episode import EpisodeResult, run_episode
+from rcs.rollout.pool import WorkerPool
+from rcs.setups.make import make
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collection:
+    """What to collect."""
+
+    setup: Setup
+    out: Path
+    """The dataset's folder."""
+    episodes: int
+    """How many episodes the dataset shall have in the end."""
+    seed: int = 0
+    """Same seed, same data."""
+    only_success: bool = False
+    """Keep successful episodes only, and try until there are enough."""
+    workers: int = 1
+    """Processes; one works in this process."""
+    jpeg_quality: int = 95
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InvalidSetup: A number that makes no sense.
+        """
+        for name, least in (("episodes", 1), ("seed", 0), ("workers", 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < least:
+                raise InvalidSetup(f"{name} is {value}; valid is {least} and more.")
+        require_recordable(self.setup)
+
+    def seed_of(self, attempt: int) -> int:
+        """Return the seed of an attempt; those of two collections with different seeds do not overlap."""
+        return int(np.random.SeedSequence([self.seed, attempt]).generate_state(1)[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """One attempt that was made."""
+
+    number: int
+    result: EpisodeResult
+
+
+@dataclass
+class Progress:
+    """How far a collection is."""
+
+    kept: int = 0
+    """Episodes in the dataset, with those of earlier runs."""
+    found: int = 0
+    """Episodes that were there at the start."""
+    attempts: list[Attempt] = field(default_factory=list[Attempt])
+    """Attempts of this run, in the order in which they ended."""
+    is_interrupted: bool = False
+    seconds: float = 0.0
+    """Wall time of this run [s]."""
+
+
+def episode_id(number: int) -> str:
+    """Return the id of an attempt's episode."""
+    return f"{number:06d}"
+
+
+class Collector:
+    """Makes attempts and keeps episodes: the part of a collection that one process does."""
+
+    def __init__(self, collection: Collection, writer: DatasetWriter, env: Env | None = None) -> None:
+        """Make the environment and the expert."""
+        self._collection = collection
+        self._env = env or make(collection.setup)
+        self._recorder = Recorder(self._env, writer)
+        self._env.add_observer(self._recorder)
+        self._agent = expert_for(self._env, collection.setup)
+
+    def attempt(self, number: int) -> Attempt:
+        """Make one attempt, and keep it if it is to be kept."""
+        self._recorder.name_next(episode_id(number))
+        result = run_episode(self._env, self._agent, seed=self._collection.seed_of(number))
+        if result.success or not self._collection.only_success:
+            self._recorder.finish(result.success, {"attempt": number, **result.outcome()})
+        else:
+            self._recorder.discard()
+        return Attempt(number=number, result=result)
+
+    def close(self) -> None:
+        """Close the environment."""
+        self._env.close()
+
+
+def expert_for(env: Env, setup: Setup) -> Agent:
+    """Return the scripted expert of a task.
+
+    Raises:
+        InvalidSetup: The task has none.
+    """
+    if setup.task != "PickCuboid":
+        raise InvalidSetup(f"There is no scripted expert for the task {setup.task!r}; there is one for 'PickCuboid'.")
+    placement = env.scenario.robots[0].placement
+    return PickExpert(setup, env.stack.action_space, kinematics_of(placement.arm, placement.gripper))
+
+
+def collect(collection: Collection, progress: Progress, env: Env | None = None) -> Iterator[Attempt]:
+    """Collect until the dataset is complete, yielding every attempt as it ends.
+
+    Closing the iterator, or setting `progress.is_interrupted`, ends the collection after the episodes at work; the dataset stays resumable.
+
+    Args:
+        collection: What to collect.
+        progress: Updated while it runs.
+        env: An environment of the collection's setup to use in this process; made when not given. It is closed in the end.
+
+    Raises:
+        DatasetError: The dataset cannot be written, is locked, or belongs to another setup.
+        InvalidSetup: The setup makes no sense.
+    """
+    env = env or make(collection.setup)
+    try:
+        expert_for(env, collection.setup)
+        info = dataset_info(env, collection.setup, jpeg_quality=collection.jpeg_quality)
+        # How an episode is numbered and seeded is part of what makes two collections the same.
+        made = {"seed": collection.seed, "only_success": collection.only_success}
+        info = replace(info, setup={**info.setup, "collection": made})
+        with DatasetWriter.open(collection.out, info, resume=True, leftovers="discard") as writer:
+            taken = {episode.id for episode in Dataset.open(collection.out).episodes}
+            progress.kept = progress.found = len(taken)
+            start = time.perf_counter()
+            numbers = _numbers(collection, progress, taken)
+            try:
+                if collection.workers == 1:
+                    yield from _collect_here(collection, writer, env, numbers, progress)
+                else:
+                    env.close()
+                    yield from _collect_in_pool(collection, writer, numbers, progress)
+            finally:
+                progress.seconds = time.perf_counter() - start
+    finally:
+        env.close()
+
+
+def _numbers(collection: Collection, progress: Progress, taken: set[str]) -> Iterator[int]:
+    """Give out the numbers of attempts until enough episodes are kept."""
+    number = 0
+    while not progress.is_interrupted:
+        if collection.only_success:
+            if progress.kept >= collection.episodes:
+                return
+        elif number >= collection.episodes:
+            return
+        if episode_id(number) not in taken:
+            yield number
+        number += 1
+
+
+def _collect_here(
+    collection: Collection, writer: DatasetWriter, env: Env, numbers: Iterator[int], progress: Progress
+) -> Iterator[Attempt]:
+    collector = Collector(collection, writer, env)
+    for number in numbers:
+        attempt = collector.attempt(number)
+        _count(attempt, collection, progress)
+        yield attempt
+
+
+def _collect_in_pool(
+    collection: Collection, writer: DatasetWriter, numbers: Iterator[int], progress: Progress
+) -> Iterator[Attempt]:
+    with WorkerPool(_Work(collection), collection.workers) as pool:
+        for attempt in pool.map(numbers):
+            _count(attempt, collection, progress)
+            if collection.only_success and progress.kept > collection.episodes:
+                # Attempts of other workers were under way when the last one succeeded.
+                writer.remove_episode(episode_id(attempt.number))
+                progress.kept -= 1
+            yield attempt
+
+
+def _count(attempt: Attempt, collection: Collection, progress: Progress) -> None:
+    progress.attempts.append(attempt)
+    progress.kept += attempt.result.success or not collection.only_success
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What a worker process does; sent to it once."""
+
+    collection: Collection
+
+    def __call__(self) -> Collector:
+        return Collector(self.collection, DatasetWriter.join(self.collection.out))

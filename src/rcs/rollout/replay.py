@@ -1,0 +1,86 @@
+"""Replay recorded episodes in simulation and compare the states bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.agents import Replay
+from rcs.data import Dataset, EpisodeRecord
+from rcs.envs.env import Env
+from rcs.envs.observers.recorder import ACTION
+from rcs.envs.setup import Setup
+from rcs.errors import InvalidSetup
+from rcs.setups.make import make
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayResult:
+    """How a replay compares to its recording."""
+
+    episode_id: str
+    steps: int
+    first_difference: int | None
+    """Row of the first state that differs in any bit; None when all are equal."""
+
+    @property
+    def is_equal(self) -> bool:
+        """Whether every state was equal, bit for bit."""
+        return self.first_difference is None
+
+
+def setup_of(dataset: Dataset) -> Setup:
+    """Return the setup that a dataset was recorded with.
+
+    Raises:
+        InvalidSetup: The dataset has none, or one of another version.
+    """
+    return Setup.from_json({key: value for key, value in dataset.info.setup.items() if key != "collection"})
+
+
+def replay(path: str | Path) -> Iterator[ReplayResult]:
+    """Play every episode's actions from its first state, without cameras, and compare all states.
+
+    Args:
+        path: The dataset.
+
+    Raises:
+        InvalidSetup: The dataset is not from simulation.
+        DatasetError, CorruptEpisode: The dataset cannot be read.
+    """
+    dataset = Dataset.open(path)
+    if dataset.info.sim_state_size is None:
+        raise InvalidSetup(f"The dataset in {path} has no simulation states; only simulated episodes can be replayed.")
+    # Cameras look and change nothing; without them a replay is ten times faster.
+    env = make(replace(setup_of(dataset), cameras=(), depth=False))
+    try:
+        for episode in dataset.episodes:
+            yield replay_episode(env, episode)
+    finally:
+        env.close()
+
+
+def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
+    """Play one episode's actions from its first state and compare all states."""
+    states = episode.sim_state()
+    actions = {key: episode.column(f"{ACTION}/{key}")[1:] for key in env.stack.action_space.spaces}
+    agent = Replay(actions)
+    observation, info = env.reset(seed=episode.seed, options={"state": states[0]})
+    agent.reset(observation, info)
+    world = env.scenario.world
+    first_difference = None if _equal(world.states(), states[0]) else 0
+    for row in range(1, len(states)):
+        if first_difference is not None:
+            break
+        observation, _, terminated, truncated, info = env.step(agent.act(observation, info))
+        if not _equal(world.states(), states[row]) or ((terminated or truncated) and row + 1 < len(states)):
+            first_difference = row
+    return ReplayResult(episode_id=episode.id, steps=len(states) - 1, first_difference=first_difference)
+
+
+def _equal(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    return a.tobytes() == b.tobytes()
