@@ -66,6 +66,10 @@ void bind_arm(nb::module_& m) {
       .def_prop_ro("limits", &rcs::Arm::limits)
       .def_prop_ro("is_open", &rcs::Arm::is_open)
       .def_prop_ro("fault", &rcs::Arm::fault, "The reason of the fault state, empty when there is none.")
+      // An optional override must exist in the base class: nanobind takes a name that it finds nowhere for an error.
+      .def("_open", [](rcs::Arm&) {}, "Connect; nothing unless overridden.")
+      .def("_recover", [](rcs::Arm&) {}, "Leave the device's own fault state; nothing unless overridden.")
+      .def("_close", [](rcs::Arm&) {}, "Let go of the device; nothing unless overridden.")
       .def("open", &rcs::Arm::open, "Connect. Nothing moves. Opening an open arm does nothing.")
       .def("state", &rcs::Arm::state, "Measure joints and velocities.")
       .def(
@@ -92,6 +96,9 @@ void bind_arm(nb::module_& m) {
       .def_prop_ro("max_force", &rcs::Gripper::max_force, "Largest grasping force [N].")
       .def_prop_ro("is_open", &rcs::Gripper::is_open, "Whether the device is connected.")
       .def_prop_ro("fault", &rcs::Gripper::fault)
+      .def("_open", [](rcs::Gripper&) {}, "Connect; nothing unless overridden.")
+      .def("_recover", [](rcs::Gripper&) {}, "Leave the device's own fault state; nothing unless overridden.")
+      .def("_close", [](rcs::Gripper&) {}, "Let go of the device; nothing unless overridden.")
       .def("open", &rcs::Gripper::open, "Connect. Nothing moves.")
       .def("state", &rcs::Gripper::state)
       .def("command_opening", &rcs::Gripper::command_opening, "opening"_a,

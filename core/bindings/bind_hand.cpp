@@ -40,6 +40,9 @@ void bind_hand(nb::module_& m) {
       .def_prop_ro("joint_count", &rcs::Hand::joint_count)
       .def_prop_ro("is_open", &rcs::Hand::is_open)
       .def_prop_ro("fault", &rcs::Hand::fault)
+      .def("_open", [](rcs::Hand&) {}, "Connect; nothing unless overridden.")
+      .def("_recover", [](rcs::Hand&) {}, "Leave the device's own fault state; nothing unless overridden.")
+      .def("_close", [](rcs::Hand&) {}, "Let go of the device; nothing unless overridden.")
       .def("open", &rcs::Hand::open, "Connect. Nothing moves.")
       .def("state", &rcs::Hand::state)
       .def(

@@ -81,7 +81,8 @@ void bind_render(nb::module_& m) {
       .def_ro("ok", &rcs::GlProbe::ok, "Whether MuJoCo can draw with it.")
       .def_ro("detail", &rcs::GlProbe::detail, "Renderer and version, or why not and what to do.")
       .def("__repr__", [](const rcs::GlProbe& probe) {
-        return "GlProbe(name='" + probe.name + "', ok=" + (probe.ok ? "True" : "False") + ", detail='" + probe.detail + "')";
+        return "GlProbe(name='" + probe.name + "', ok=" + (probe.ok ? "True" : "False") + ", detail='" + probe.detail +
+               "')";
       });
   m.def("probe_gl", &rcs::probe_gl, nb::call_guard<nb::gil_scoped_release>(),
         "Look at every OpenGL backend by making a context and dropping it. Chooses none.");
@@ -91,8 +92,8 @@ void bind_render(nb::module_& m) {
 Calls may come from any thread; they wait for each other and run without the GIL.)")
       .def(
           "__init__",
-          [](rcs::Renderer* self, std::uintptr_t model_address, const std::string& quality, int max_width, int max_height,
-             const std::string& backend, const Groups& geom_groups) {
+          [](rcs::Renderer* self, std::uintptr_t model_address, const std::string& quality, int max_width,
+             int max_height, const std::string& backend, const Groups& geom_groups) {
             const rcs::RenderOptions chosen = options(quality, max_width, max_height, backend, geom_groups);
             const nb::gil_scoped_release unlocked;
             new (self) rcs::Renderer(model_at(model_address), chosen);
@@ -155,14 +156,14 @@ Raises:
 The pictures are those of a single `Renderer`, bit for bit. Calls run without the GIL and wait for each other.)")
       .def(
           "__init__",
-          [](rcs::RenderPool* self, std::uintptr_t model_address, int threads, const std::string& quality, int max_width,
-             int max_height, const std::string& backend, const Groups& geom_groups) {
+          [](rcs::RenderPool* self, std::uintptr_t model_address, int threads, const std::string& quality,
+             int max_width, int max_height, const std::string& backend, const Groups& geom_groups) {
             const rcs::RenderOptions chosen = options(quality, max_width, max_height, backend, geom_groups);
             const nb::gil_scoped_release unlocked;
             new (self) rcs::RenderPool(model_at(model_address), threads, chosen);
           },
-          "model_address"_a, "threads"_a, nb::kw_only(), "quality"_a = "fast", "max_width"_a = 640, "max_height"_a = 480,
-          "backend"_a = "auto", "geom_groups"_a = kShown, R"(Make one renderer for each thread.
+          "model_address"_a, "threads"_a, nb::kw_only(), "quality"_a = "fast", "max_width"_a = 640,
+          "max_height"_a = 480, "backend"_a = "auto", "geom_groups"_a = kShown, R"(Make one renderer for each thread.
 
 Args:
     model_address: `MjModel._address`; the caller keeps the model alive.

@@ -55,9 +55,11 @@ View<double> component(nb::handle self, int which) {
   return View<double>(first, 2, shape, self, strides);
 }
 
-View<double> data_view(const rcs::StepView& view, double* first, int size, int width = 0) {
-  const std::size_t shape[2] = {static_cast<std::size_t>(size), static_cast<std::size_t>(width)};
-  return View<double>(first, width ? 2 : 1, shape, nb::cast(view));
+// A view of MuJoCo's memory during a callback.
+View<double> data_view(nb::handle self, double* mjData::* first, mjtSize mjModel::* size, std::size_t width = 0) {
+  const auto& view = nb::cast<const rcs::StepView&>(self);
+  const std::size_t shape[2] = {static_cast<std::size_t>(view.model->*size), width};
+  return View<double>(view.data->*first, width ? 2 : 1, shape, self);
 }
 
 rcs::StepTiming timing(std::int64_t numerator, std::int64_t denominator, bool is_synchronous, int max_substeps) {
@@ -79,14 +81,14 @@ void bind_world(nb::module_& m) {
                             "only during the call.")
       .def_ro("copy", &rcs::StepView::copy, "Which copy this is.")
       .def_prop_ro("time", [](const rcs::StepView& v) { return v.data->time; }, "Simulated time [s].")
-      .def_prop_ro("qpos", [](const rcs::StepView& v) { return data_view(v, v.data->qpos, v.model->nq); })
-      .def_prop_ro("qvel", [](const rcs::StepView& v) { return data_view(v, v.data->qvel, v.model->nv); })
-      .def_prop_ro("ctrl", [](const rcs::StepView& v) { return data_view(v, v.data->ctrl, v.model->nu); })
-      .def_prop_ro("xpos", [](const rcs::StepView& v) { return data_view(v, v.data->xpos, v.model->nbody, 3); })
-      .def_prop_ro("site_xpos", [](const rcs::StepView& v) { return data_view(v, v.data->site_xpos, v.model->nsite, 3); })
-      .def_prop_ro("qfrc_applied", [](const rcs::StepView& v) { return data_view(v, v.data->qfrc_applied, v.model->nv); })
+      .def_prop_ro("qpos", [](nb::handle v) { return data_view(v, &mjData::qpos, &mjModel::nq); })
+      .def_prop_ro("qvel", [](nb::handle v) { return data_view(v, &mjData::qvel, &mjModel::nv); })
+      .def_prop_ro("ctrl", [](nb::handle v) { return data_view(v, &mjData::ctrl, &mjModel::nu); })
+      .def_prop_ro("xpos", [](nb::handle v) { return data_view(v, &mjData::xpos, &mjModel::nbody, 3); })
+      .def_prop_ro("site_xpos", [](nb::handle v) { return data_view(v, &mjData::site_xpos, &mjModel::nsite, 3); })
+      .def_prop_ro("qfrc_applied", [](nb::handle v) { return data_view(v, &mjData::qfrc_applied, &mjModel::nv); })
       .def_prop_ro("xfrc_applied",
-                   [](const rcs::StepView& v) { return data_view(v, v.data->xfrc_applied, v.model->nbody, 6); })
+                   [](nb::handle v) { return data_view(v, &mjData::xfrc_applied, &mjModel::nbody, 6); })
       .def_prop_ro("contacts", [](const rcs::StepView& v) { return v.data->ncon; }, "Number of contacts.")
       .def_prop_ro("model_address", [](const rcs::StepView& v) { return reinterpret_cast<std::uintptr_t>(v.model); })
       .def_prop_ro("data_address", [](const rcs::StepView& v) { return reinterpret_cast<std::uintptr_t>(v.data); });
@@ -95,7 +97,9 @@ void bind_world(nb::module_& m) {
       m, "StepCallback",
       "A function run between physics steps. Subclasses override `call(view) -> bool` and, where they remember "
       "something per copy, `reset(copy)`. Copies are stepped on several threads.")
-      .def(nb::init<>());
+      .def(nb::init<>())
+      .def(
+          "reset", [](rcs::StepCallback&, int) {}, "copy"_a, "Forget what was remembered of a copy; its episode starts anew.");
   nb::class_<rcs::JointsArrived, rcs::StepCallback>(m, "JointsArrived",
                                                     "True when position-controlled joints stand at their targets.")
       .def(nb::init<std::vector<int>, std::vector<int>, double, double>(), "joints"_a, "actuators"_a,
@@ -153,6 +157,8 @@ void bind_world(nb::module_& m) {
           },
           "first"_a, "second"_a,
           "Have the normal force between two sets of geoms (one uint8 flag per geom) read out. Returns its index.")
+      .def("read_opening", &rcs::World::read_opening, "joints"_a, "closed"_a, "open"_a,
+           "Have the mean position of joints read out as 0 at `closed` … 1 at `open`. Returns its index in `openings`.")
       .def("keep_initial_state", &rcs::World::keep_initial_state, "copy"_a = 0,
            "Take the present state of `copy` as the one that `reset` returns to, for all copies.")
       .def("reset", [](rcs::World& w) { w.reset(); }, "Return all copies to the initial state.")
@@ -226,6 +232,12 @@ void bind_world(nb::module_& m) {
             return view_of(self, w.forces(), w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r}
                                                           : std::vector<std::size_t>{r});
           }, "Force readouts ([copies,] readouts) [N], of the last physics step. Ask again after adding one.")
+      .def_prop_ro("openings", [](nb::handle self) {
+            auto& w = nb::cast<rcs::World&>(self);
+            const auto r = static_cast<std::size_t>(w.opening_count());
+            return view_of(self, w.openings(), w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r}
+                                                            : std::vector<std::size_t>{r});
+          }, "Opening readouts ([copies,] readouts) float32, 0 … 1. Ask again after adding one.")
       .def_prop_ro("ends", [](nb::handle self) {
             auto& w = nb::cast<rcs::World&>(self);
             return view_of(self, w.ends(), {std::size_t(w.copies())});

@@ -16,6 +16,7 @@ void bind_kinematics(nb::module_& m);
 void bind_world(nb::module_& m);
 void bind_sim_devices(nb::module_& m);
 void bind_render(nb::module_& m);
+void bind_rows(nb::module_& m);
 
 namespace {
 
@@ -51,4 +52,5 @@ NB_MODULE(_core, m) {
   bind_world(m);
   bind_sim_devices(m);
   bind_render(m);
+  bind_rows(m);
 }

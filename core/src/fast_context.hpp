@@ -7,7 +7,8 @@
 
 namespace rcs {
 
-/// Replace the spheres, capsules and cylinders of `context` by shapes with few triangles; call it while `gl` is current.
+/// Replace the spheres, capsules and cylinders of `context` by shapes with few triangles; call it while `gl` is
+/// current.
 ///
 /// MuJoCo divides a cylinder along its axis and its lids along the radius as finely as a sphere: 480 triangles at 16
 /// slices where 60 look the same. On a CPU the time of a small picture is its number of triangles.

@@ -23,7 +23,8 @@ std::string g_chosen;  // the backend of this process, once there is one
 
 thread_local GlContext* t_current = nullptr;
 
-// Sets LP_NUM_THREADS to 0 for its own lifetime, unless the user has set it. Mesa reads it with the first context.
+// Sets LP_NUM_THREADS to 0 for its own lifetime, unless the user has set it. Mesa reads it when it opens a display,
+// OSMesa with its first context.
 class RasteriseInCallingThread {
  public:
   RasteriseInCallingThread() : is_ours_(std::getenv(kName) == nullptr) {
@@ -44,12 +45,7 @@ GlLibrary& open_backend(const std::string& backend) {
   // Never freed: a context may outlive every static object when the interpreter exits.
   static auto& opened = *new std::map<std::string, std::unique_ptr<GlLibrary>>();
   std::unique_ptr<GlLibrary>& library = opened[backend];
-  if (!library) {
-    const RasteriseInCallingThread setting;
-    std::unique_ptr<GlLibrary> found = backend == "egl" ? open_egl() : open_osmesa();
-    found->destroy(found->create());
-    library = std::move(found);
-  }
+  if (!library) library = backend == "egl" ? open_egl() : open_osmesa();
   return *library;
 }
 
@@ -83,17 +79,17 @@ std::pair<void*, Capabilities> make_context(GlLibrary& library) {
   try {
     library.make_current(context);
     Capabilities found = check_capabilities(library);
-    library.release();
+    library.release(context);
     return {context, std::move(found)};
   } catch (...) {
-    library.release();
+    library.release(context);
     library.destroy(context);
     throw;
   }
 }
 
-// The backends to try, in order. libmujoco takes its functions from the first of EGL and OSMesa that another part of the
-// process has made global, so drawing with the other one would call into the wrong library.
+// The backends to try, in order. libmujoco takes its functions from the first of EGL and OSMesa that another part of
+// the process has made global, so drawing with the other one would call into the wrong library.
 std::vector<std::string> candidates(const std::string& backend) {
   const bool has_egl = dlsym(RTLD_DEFAULT, "eglGetProcAddress") != nullptr;
   const bool has_osmesa = dlsym(RTLD_DEFAULT, "OSMesaGetProcAddress") != nullptr;
@@ -119,6 +115,7 @@ std::vector<GlProbe> probe_gl() {
   for (const char* name : {"egl", "osmesa"}) {
     GlProbe& probe = probes.emplace_back(GlProbe{name, false, ""});
     try {
+      const RasteriseInCallingThread setting;
       GlLibrary& library = open_backend(name);
       auto [context, found] = make_context(library);
       library.destroy(context);
@@ -138,6 +135,7 @@ GlContext::GlContext(const std::string& backend) {
   std::string reasons;
   for (const std::string& name : candidates(backend)) {
     try {
+      const RasteriseInCallingThread setting;
       GlLibrary& library = open_backend(name);
       auto [context, found] = make_context(library);
       library.publish();
@@ -156,7 +154,10 @@ GlContext::GlContext(const std::string& backend) {
   throw GlUnavailable("No OpenGL to draw with:" + reasons);
 }
 
-GlContext::~GlContext() { library_->destroy(handle_); }
+GlContext::~GlContext() {
+  const std::lock_guard lock(g_mutex);
+  library_->destroy(handle_);
+}
 
 void* GlContext::function(const char* name) const { return library_->function(name); }
 
@@ -169,7 +170,7 @@ GlContext::Current::Current(GlContext& context) : context_(context), outer_(t_cu
 GlContext::Current::~Current() {
   if (outer_ == &context_) return;
   if (outer_ == nullptr)
-    context_.library_->release();
+    context_.library_->release(context_.handle_);
   else
     outer_->library_->make_current(outer_->handle_);
   t_current = outer_;

@@ -1,9 +1,10 @@
 #include <dlfcn.h>
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <cstdio>
-#include <cstring>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -31,6 +32,19 @@ bool has_extension(const char* extensions, const std::string& name) {
   return extensions != nullptr && (" " + std::string(extensions) + " ").find(" " + name + " ") != std::string::npos;
 }
 
+// A display that gives OpenGL contexts, and how many there are now.
+struct Screen {
+  Display display = nullptr;
+  Config config = nullptr;
+  Surface surface = nullptr;  // only where contexts cannot do without
+  int contexts = 0;
+};
+
+struct Handle {
+  Screen* screen;
+  Context context;
+};
+
 class Egl final : public GlLibrary {
  public:
   Egl() : library_(open_gl_library({kName}, kPackages)) {
@@ -45,83 +59,106 @@ class Egl final : public GlLibrary {
     find(destroy_context_, "eglDestroyContext");
     find(make_current_, "eglMakeCurrent");
     find(get_proc_, "eglGetProcAddress");
-    std::string reason = "no display";
-    for (const Display display : displays()) { reason = open_display(display); if (getenv("ONED") && screens_.size()==1) break; }
-    if (!screens_.empty()) return;
-    throw GlUnavailable(std::string(kName) + " is there, but " + reason + "; on Debian or Ubuntu: apt-get install " +
-                        kPackages);
+    open_screens();
   }
 
   void* create() override {
+    const auto fewer = [](const auto& a, const auto& b) { return a->contexts < b->contexts; };
+    Screen& screen = **std::min_element(screens_.begin(), screens_.end(), fewer);
     bind_api_(kOpenGlApi);  // a setting of the calling thread
-    Screen* s = screens_[n_++ % screens_.size()].get();
-    const Context context = create_context_(s->display, s->config, nullptr, nullptr);
+    const Context context = create_context_(screen.display, screen.config, nullptr, nullptr);
     if (context == nullptr) throw GlUnavailable("EGL makes no OpenGL context (error " + error() + ")");
-    return new Handle{s, context};
+    ++screen.contexts;
+    return new Handle{&screen, context};
   }
 
-  void destroy(void* context) override { Handle* h=(Handle*)context; destroy_context_(h->screen->display, h->context); }
+  void destroy(void* handle) override {
+    const std::unique_ptr<Handle> owned(static_cast<Handle*>(handle));
+    destroy_context_(owned->screen->display, owned->context);
+    --owned->screen->contexts;
+  }
 
-  void make_current(void* context) override {
+  void make_current(void* handle) override {
+    const auto [screen, context] = *static_cast<Handle*>(handle);
     bind_api_(kOpenGlApi);
-    Handle* h=(Handle*)context;
-    if (!make_current_(h->screen->display, h->screen->surface, h->screen->surface, h->context))
+    if (!make_current_(screen->display, screen->surface, screen->surface, context))
       throw GlUnavailable("eglMakeCurrent failed (error " + error() + "): is the context in use by another thread?");
   }
 
-  void release() override { make_current_(screens_[0]->display, nullptr, nullptr, nullptr); }
+  void release(void* handle) override {
+    make_current_(static_cast<Handle*>(handle)->screen->display, nullptr, nullptr, nullptr);
+  }
+
   void* function(const char* name) const override { return get_proc_(name); }
   void publish() override { dlopen(kName, RTLD_NOW | RTLD_GLOBAL); }
 
  private:
-  struct Screen { Display display=nullptr; Config config=nullptr; Surface surface=nullptr; };
-  struct Handle { Screen* screen; Context context; };
-  std::vector<std::unique_ptr<Screen>> screens_; int n_=0;
   template <typename Function>
   void find(Function& function, const char* name) {
     function = reinterpret_cast<Function>(dlsym(library_, name));
     if (function == nullptr) throw GlUnavailable(std::string(kName) + " has no function " + name);
   }
 
-  // Displays that need no window system: graphics cards first, software next, the default one (an X server) last.
-  std::vector<Display> displays() const {
-    std::vector<Display> found;
+  // Displays that need no window system: graphics cards, then software; the default one, an X server's, comes last.
+  // Displays are shared with other users of EGL in the process, so none is ever terminated.
+  void open_screens() {
     const char* client = query_string_(nullptr, kExtensions);
     const auto platform_display =
         reinterpret_cast<Display (*)(unsigned, void*, const Int*)>(get_proc_("eglGetPlatformDisplayEXT"));
     const auto query_devices = reinterpret_cast<unsigned (*)(Int, Device*, Int*)>(get_proc_("eglQueryDevicesEXT"));
     const auto query_device = reinterpret_cast<const char* (*)(Device, Int)>(get_proc_("eglQueryDeviceStringEXT"));
-    if (platform_display != nullptr && has_extension(client, "EGL_EXT_platform_base")) {
-      std::array<Device, 16> devices{};
-      Int count = 0;
-      if (query_devices != nullptr && query_device != nullptr && has_extension(client, "EGL_EXT_platform_device"))
-        query_devices(static_cast<Int>(devices.size()), devices.data(), &count);
-      for (Int i = 0; i < count; ++i)
-        if (!has_extension(query_device(devices[i], kExtensions), "EGL_MESA_device_software"))
-          found.push_back(platform_display(kPlatformDevice, devices[i], nullptr));
-      if (has_extension(client, "EGL_MESA_platform_surfaceless"))
-        found.push_back(platform_display(kPlatformSurfaceless, nullptr, nullptr));
-      for (Int i = 0; i < count; ++i)
-        if (has_extension(query_device(devices[i], kExtensions), "EGL_MESA_device_software"))
-          found.push_back(platform_display(kPlatformDevice, devices[i], nullptr));
+    std::array<Device, 16> devices{};
+    Int count = 0;
+    if (platform_display != nullptr && query_devices != nullptr && query_device != nullptr &&
+        has_extension(client, "EGL_EXT_platform_device"))
+      query_devices(static_cast<Int>(devices.size()), devices.data(), &count);
+    std::vector<Display> cards, software;
+    for (const Device device : std::span(devices).first(static_cast<std::size_t>(count))) {
+      const bool is_software = has_extension(query_device(device, kExtensions), "EGL_MESA_device_software");
+      (is_software ? software : cards).push_back(platform_display(kPlatformDevice, device, nullptr));
     }
-    found.push_back(get_display_(nullptr));
-    return found;
+    if (platform_display != nullptr && has_extension(client, "EGL_MESA_platform_surfaceless"))
+      software.push_back(platform_display(kPlatformSurfaceless, nullptr, nullptr));
+
+    std::string reason = "it has no display";
+    for (const Display card : cards)
+      if (open_screen(card, reason)) return;
+    // Mesa's software renderer rasterises one picture at a time per display: two threads on one display gain 30 to 50
+    // %, on two displays 100 %. So contexts are spread over both that it has. With a card about, the surfaceless
+    // display may be the card's, and pictures must not depend on the thread that draws them.
+    for (const Display display : software)
+      if (open_screen(display, reason) && !cards.empty()) return;
+    if (!screens_.empty() || open_screen(get_display_(nullptr), reason)) return;
+    throw GlUnavailable(std::string(kName) + " is there, but " + reason + "; on Debian or Ubuntu: apt-get install " +
+                        kPackages);
   }
 
-  std::string open_display(Display display) {
-    auto sc = std::make_unique<Screen>(); sc->display = display;
-    if (display == nullptr || !initialize_(display, nullptr, nullptr)) return "x";
+  // Keep this display if it gives OpenGL contexts; else say why not.
+  bool open_screen(Display display, std::string& reason) {
+    if (display == nullptr || !initialize_(display, nullptr, nullptr)) {
+      reason = "no display without a window system can be initialised (error " + error() + ")";
+      return false;
+    }
+    auto screen = std::make_unique<Screen>(Screen{.display = display});
     const std::array wanted{kSurfaceType, kPbufferBit, kRenderableType, kOpenGlBit, kNone};
     Int count = 0;
-    if (!choose_config_(display, wanted.data(), &sc->config, 1, &count) || count == 0) return "y";
+    if (!choose_config_(display, wanted.data(), &screen->config, 1, &count) || count == 0) {
+      reason = "no display offers OpenGL off screen (error " + error() + ")";
+      return false;
+    }
     bind_api_(kOpenGlApi);
-    const Context trial = create_context_(display, sc->config, nullptr, nullptr);
-    if (trial == nullptr) return "z";
+    const Context trial = create_context_(display, screen->config, nullptr, nullptr);
+    if (trial == nullptr) {
+      reason = "no display makes an OpenGL context (error " + error() + ")";
+      return false;
+    }
     destroy_context_(display, trial);
-    screens_.push_back(std::move(sc));
-    printf("screen %zu\n", screens_.size());
-    return "";
+    if (!has_extension(query_string_(display, kExtensions), "EGL_KHR_surfaceless_context")) {
+      const std::array size{kWidth, 16, kHeight, 16, kNone};
+      screen->surface = create_pbuffer_(display, screen->config, size.data());
+    }
+    screens_.push_back(std::move(screen));
+    return true;
   }
 
   std::string error() const {
@@ -131,9 +168,7 @@ class Egl final : public GlLibrary {
   }
 
   void* library_;
-  Display display_ = nullptr;
-  Config config_ = nullptr;
-  Surface surface_ = nullptr;
+  std::vector<std::unique_ptr<Screen>> screens_;
   Int (*get_error_)() = nullptr;
   const char* (*query_string_)(Display, Int) = nullptr;
   Display (*get_display_)(void*) = nullptr;

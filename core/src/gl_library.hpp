@@ -12,10 +12,11 @@ namespace rcs {
 class GlLibrary {
  public:
   virtual ~GlLibrary() = default;
+  /// One call at a time of these two, the others from any thread.
   virtual void* create() = 0;
   virtual void destroy(void* context) = 0;
   virtual void make_current(void* context) = 0;
-  virtual void release() = 0;
+  virtual void release(void* context) = 0;
   virtual void* function(const char* name) const = 0;
   /// Make the library's symbols global: there libmujoco looks for its OpenGL functions.
   virtual void publish() = 0;

@@ -39,7 +39,7 @@ class Osmesa final : public GlLibrary {
       throw GlUnavailable("OSMesaMakeCurrent failed");
   }
 
-  void release() override { make_current_(nullptr, nullptr, kUnsignedByte, 0, 0); }
+  void release(void*) override { make_current_(nullptr, nullptr, kUnsignedByte, 0, 0); }
   void* function(const char* name) const override { return get_proc_(name); }
 
   void publish() override {

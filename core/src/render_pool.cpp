@@ -23,7 +23,8 @@ struct RenderPool::Job {
 
 RenderPool::RenderPool(const mjModel* model, int threads, const RenderOptions& options) : threads_(threads) {
   if (threads < 1)
-    throw std::invalid_argument("render pool: " + std::to_string(threads) + " threads were asked for, at least 1 is needed");
+    throw std::invalid_argument("render pool: " + std::to_string(threads) +
+                                " threads were asked for, at least 1 is needed");
   for (int i = 0; i < threads; ++i) renderers_.push_back(std::make_unique<Renderer>(model, options));
   state_size_ = renderers_.front()->state_size();
   description_ = renderers_.front()->description();

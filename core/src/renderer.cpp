@@ -16,7 +16,8 @@ namespace {
 
 constexpr int kMaxGeomsBeyondModel = 1000;  // tendon segments, flexes, skins
 constexpr int kFullSamples = 4;
-constexpr int kFullShadowSize = 2048;  // at least; 4096, MuJoCo's default, at most, as it is most of the time of a picture
+constexpr int kFullShadowSize =
+    2048;  // at least; 4096, MuJoCo's default, at most, as it is most of the time of a picture
 constexpr int kMaxShadowSize = 4096;
 // Lighting is computed at the corners of a plane's squares. MuJoCo draws 200 × 200 of them for an infinite plane, which
 // takes longer than a whole robot.
@@ -30,8 +31,8 @@ struct Roundness {
 };
 constexpr Roundness kSmallRoundness{12, 2}, kRoundness{16, 3};
 
-// A copy of the model's struct, not of its arrays, with what quality `fast` or `full` wants while MuJoCo makes its OpenGL
-// objects. The model itself may be in use by other threads and is not touched.
+// A copy of the model's struct, not of its arrays, with what quality `fast` or `full` wants while MuJoCo makes its
+// OpenGL objects. The model itself may be in use by other threads and is not touched.
 struct DrawnModel {
   DrawnModel(const mjModel& model, const RenderOptions& options) : value(model) {
     mjVisual& visual = value.vis;
@@ -152,9 +153,9 @@ struct Renderer::Open {
   mjrContext context;
   mjvScene scene;
   mjvOption option;
-  mjData* own_data = nullptr;                         // of `update_from_state`, made on first use
-  std::vector<mjvGeom> geoms;                         // of the last update; the scene gets those that a camera may see
-  std::vector<std::array<mjvGLCamera, 2>> cameras;    // of the last update, for the left and right eye
+  mjData* own_data = nullptr;                       // of `update_from_state`, made on first use
+  std::vector<mjvGeom> geoms;                       // of the last update; the scene gets those that a camera may see
+  std::vector<std::array<mjvGLCamera, 2>> cameras;  // of the last update, for the left and right eye
   std::vector<float> depth;
   int slices = 0;  // of the round shapes in the context
 };
@@ -163,9 +164,11 @@ Renderer::Renderer(const mjModel* model, const RenderOptions& options)
     : model_(model), options_(options), state_size_(mj_stateSize(model, mjSTATE_INTEGRATION)) {
   if (options.max_width < 1 || options.max_height < 1)
     throw std::invalid_argument("renderer: pictures of at most " + std::to_string(options.max_width) + " x " +
-                                std::to_string(options.max_height) + " pixels were asked for, at least 1 x 1 is needed");
+                                std::to_string(options.max_height) +
+                                " pixels were asked for, at least 1 x 1 is needed");
   if (model->vis.map.znear * model->stat.extent < mjMINVAL)
-    throw std::invalid_argument("renderer: the model's near plane (visual/map znear × statistic extent) must be positive");
+    throw std::invalid_argument(
+        "renderer: the model's near plane (visual/map znear × statistic extent) must be positive");
   auto open = std::make_unique<Open>(options.backend);
   const int limit = open->gl.max_size();
   if (options.max_width > limit || options.max_height > limit)
@@ -225,8 +228,8 @@ void Renderer::update(mjData* data) {
 
 void Renderer::update_from_state(std::span<const double> state) {
   if (state.size() != static_cast<std::size_t>(state_size_))
-    throw std::invalid_argument("renderer: a state of " + std::to_string(state.size()) + " numbers was given, this model's has " +
-                                std::to_string(state_size_));
+    throw std::invalid_argument("renderer: a state of " + std::to_string(state.size()) +
+                                " numbers was given, this model's has " + std::to_string(state_size_));
   const std::lock_guard lock(mutex_);
   Open& open = require_open("update_from_state");
   if (open.own_data == nullptr) open.own_data = mj_makeData(model_);
@@ -249,7 +252,8 @@ void Renderer::check(int camera, const Picture& picture) const {
       text << (id == 0 ? "the model has " : ", ") << id << " (" << model_->names + model_->name_camadr[id] << ")";
     throw std::invalid_argument(text.str());
   }
-  if (picture.width < 1 || picture.height < 1 || picture.width > options_.max_width || picture.height > options_.max_height)
+  if (picture.width < 1 || picture.height < 1 || picture.width > options_.max_width ||
+      picture.height > options_.max_height)
     throw std::invalid_argument("renderer: a picture of " + std::to_string(picture.width) + " x " +
                                 std::to_string(picture.height) + " pixels was asked for, valid is 1 x 1 to " +
                                 std::to_string(options_.max_width) + " x " + std::to_string(options_.max_height));
@@ -261,7 +265,8 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
   mjrContext& context = open.context;
   if (picture.width > context.offWidth || picture.height > context.offHeight) {
     // Only as large as the pictures are: clearing a part of a buffer costs more than clearing a whole one.
-    mjr_resizeOffscreen(std::max(picture.width, context.offWidth), std::max(picture.height, context.offHeight), &context);
+    mjr_resizeOffscreen(std::max(picture.width, context.offWidth), std::max(picture.height, context.offHeight),
+                        &context);
     if (is_fast) drop_stencil(context, open.gl);
   }
   const Roundness& round = picture.height <= kSmallPicture ? kSmallRoundness : kRoundness;

@@ -114,6 +114,18 @@ int World::read_force(std::vector<std::uint8_t> first, std::vector<std::uint8_t>
   return force_count() - 1;
 }
 
+int World::read_opening(std::vector<int> joints, double closed, double open) {
+  if (joints.empty() || closed == open) throw InvalidCommand("world: an opening readout needs joints that move");
+  OpeningReadout readout{{}, closed, open};
+  for (const int joint : joints) {
+    if (joint < 0 || joint >= model_->njnt) throw InvalidCommand("world: a joint of an opening readout is not in the model");
+    readout.qpos.push_back(model_->jnt_qposadr[joint]);
+  }
+  opening_readouts_.push_back(std::move(readout));
+  openings_.assign(static_cast<std::size_t>(copies_) * opening_readouts_.size(), 0.0F);
+  return opening_count() - 1;
+}
+
 void World::check_copies(std::span<const int> copies) const {
   for (const int copy : copies)
     if (copy < 0 || copy >= copies_)
@@ -293,6 +305,14 @@ void World::read_out(const mjModel* model, const mjData* data, int copy, bool ha
     pose[5] = quat[3];
     pose[6] = quat[0];
     quat_to_rpy(quat, rpy + 3);
+  }
+  for (std::size_t r = 0; r < opening_readouts_.size(); ++r) {
+    const OpeningReadout& readout = opening_readouts_[r];
+    double sum = 0.0;
+    for (const int address : readout.qpos) sum += data->qpos[address];
+    const double mean = sum / static_cast<double>(readout.qpos.size());
+    openings_[index * opening_readouts_.size() + r] =
+        static_cast<float>(std::clamp((mean - readout.closed) / (readout.open - readout.closed), 0.0, 1.0));
   }
   for (std::size_t r = 0; r < force_readouts_.size(); ++r)
     forces_[index * force_readouts_.size() + r] =

@@ -56,8 +56,8 @@ class Renderer {
   void update(mjData* data);
   /// Take over the poses that follow from a row of `mjSTATE_INTEGRATION`, which has `state_size()` numbers.
   void update_from_state(std::span<const double> state);
-  /// Draw what camera `camera` sees. Its intrinsics are those of the model, stretched to the picture's aspect ratio only
-  /// if it has a sensor size (MuJoCo's `sensorsize`); a camera with `fovy` has square pixels.
+  /// Draw what camera `camera` sees. Its intrinsics are those of the model, stretched to the picture's aspect ratio
+  /// only if it has a sensor size (MuJoCo's `sensorsize`); a camera with `fovy` has square pixels.
   void render(int camera, const Picture& picture);
   /// Throws `std::invalid_argument` when there is no such camera or the picture does not fit.
   void check(int camera, const Picture& picture) const;

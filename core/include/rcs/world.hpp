@@ -59,6 +59,9 @@ class World {
   /// Have the normal force between two sets of geoms read out. Returns its index in `forces`.
   int read_force(std::vector<std::uint8_t> first, std::vector<std::uint8_t> second);
 
+  /// Have the mean position of joints read out as 0 at `closed` … 1 at `open`. Returns its index in `openings`.
+  int read_opening(std::vector<int> joints, double closed, double open);
+
   /// Take the present state of `copy` as the one that `reset` returns to, for all copies.
   void keep_initial_state(int copy = 0);
   /// Return copies to the initial state. Empty `copies` means all.
@@ -83,10 +86,12 @@ class World {
   std::vector<double>& poses() { return poses_; }    ///< copies × readouts × 7: translation [m], quaternion xyzw
   std::vector<double>& xyzrpy() { return xyzrpy_; }  ///< copies × readouts × 6: the same as roll, pitch, yaw [rad]
   std::vector<double>& forces() { return forces_; }  ///< copies × readouts [N], of the last physics step
+  std::vector<float>& openings() { return openings_; }  ///< copies × readouts, 0 … 1
   std::vector<std::uint8_t>& ends() { return ends_; }          ///< copies: StepEnd of the last step
   std::vector<std::int32_t>& substeps() { return substeps_; }  ///< copies: physics steps of the last step
   std::vector<std::int64_t>& steps() { return steps_; }        ///< copies: control steps since reset
   int pose_count() const { return static_cast<int>(pose_readouts_.size()); }
+  int opening_count() const { return static_cast<int>(opening_readouts_.size()); }
   int force_count() const { return static_cast<int>(force_readouts_.size()); }
 
  private:
@@ -102,6 +107,11 @@ class World {
   struct ForceReadout {
     std::vector<std::uint8_t> first;
     std::vector<std::uint8_t> second;
+  };
+  struct OpeningReadout {
+    std::vector<int> qpos;
+    double closed;
+    double open;
   };
   using Work = void (World::*)(const mjModel*, mjData*, int);
 
@@ -124,10 +134,12 @@ class World {
   std::vector<std::shared_ptr<StepCallback>> interrupt_;
   std::vector<PoseReadout> pose_readouts_;
   std::vector<ForceReadout> force_readouts_;
+  std::vector<OpeningReadout> opening_readouts_;
   std::vector<double> initial_state_;
   std::vector<double> poses_;
   std::vector<double> xyzrpy_;
   std::vector<double> forces_;
+  std::vector<float> openings_;
   std::vector<std::uint8_t> ends_;
   std::vector<std::int32_t> substeps_;
   std::vector<std::int64_t> steps_;

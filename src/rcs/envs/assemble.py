@@ -37,16 +37,17 @@ class Parts:
     task: Task
 
 
-def assemble(parts: Parts, *, has_picture: bool = False) -> Env:
+def assemble(parts: Parts, *, has_picture: bool = False, is_blind: bool = False) -> Env:
     """Put one simulated environment together.
 
     Args:
         parts: What it is made of.
         has_picture: Whether `render` draws.
+        is_blind: Leave the cameras in the scene, whose state they are part of, but observe no frames.
     """
     setup = parts.setup
     world = World(compose(parts).compile(), frequency=setup.frequency, mode=setup.mode)
-    scenario, stack = _populate(parts, world)
+    scenario, stack = _populate(parts, world, is_blind=is_blind)
     return Env(
         stack,
         SimClock(world),
@@ -84,7 +85,7 @@ def compose(parts: Parts) -> Scene:
     return scene
 
 
-def _populate(parts: Parts, world: World) -> tuple[Scenario, Stack]:
+def _populate(parts: Parts, world: World, *, is_blind: bool = False) -> tuple[Scenario, Stack]:
     setup = parts.setup
     robot = SimRobot(world, parts.robots[0])
     if setup.mode == "sync":
@@ -93,7 +94,7 @@ def _populate(parts: Parts, world: World) -> tuple[Scenario, Stack]:
     ports: list[Port] = [SimArmPort(robot)]
     if robot.placement.gripper is not None:
         ports.append(SimGripperPort(robot))
-    if parts.cameras:
+    if parts.cameras and not is_blind:
         cameras = SimCameras(
             world, list(parts.cameras), size=setup.size, has_depth=setup.depth, quality=setup.quality
         )

@@ -16,7 +16,7 @@ from rcs.envs.observers import Observer, Transition
 from rcs.envs.scenario import Scenario
 from rcs.envs.spaces import Observation
 from rcs.envs.stack import Stack
-from rcs.errors import DeviceFault, Diverged, InvalidSetup, WrongOrder
+from rcs.errors import Diverged, InvalidAction, InvalidSetup, WrongOrder
 from rcs.sim.picture import Picture
 
 END_NAMES = {end.value: end.name for end in (getattr(StepEnd, name) for name in StepEnd.__members__)}
@@ -165,7 +165,10 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             self._stack.command(action)
             self._clock.advance()
             measured = self._stack.measure()
-        except DeviceFault:
+        except InvalidAction:
+            raise
+        except BaseException:
+            # A device that failed, or Ctrl-C: nothing goes on moving unwatched.
             self._stack.hold()
             raise
         end = int(self._clock.ends[0])
@@ -248,4 +251,4 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
 
 def _plain(told: Mapping[str, Any]) -> dict[str, Any]:
     """Return numbers and booleans as Python's own, arrays as they are."""
-    return {key: value.item() if np.ndim(value) == 0 else value for key, value in told.items()}
+    return {key: value if value.ndim else value.item() for key, value in told.items()}

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
-from rcs.sim.camera import Quality
+from rcs.sim.camera import MAX_SIZE, Quality
 from rcs.sim.world import Mode
 
 Relative = Literal["last_step", "origin", "absolute"]
@@ -57,6 +58,11 @@ class Setup:
         for name in ("task", "robot"):
             if not isinstance(getattr(self, name), str):
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; it must be a name.")
+        if not isinstance(self.end_effector, str | None):
+            raise InvalidSetup(f"end_effector is {self.end_effector!r}; it must be a name, or None.")
+        for name in ("depth", "binary_gripper"):
+            if not isinstance(getattr(self, name), bool):
+                raise InvalidSetup(f"{name} is {getattr(self, name)!r}; valid: True, False.")
         object.__setattr__(self, "cameras", _names("cameras", self.cameras))
         object.__setattr__(self, "size", _size(self.size))
         relative: Any = self.relative
@@ -66,12 +72,14 @@ class Setup:
             value = getattr(self, name)
             if value not in get_args(options):
                 raise InvalidSetup(f"{name} is {value!r}; valid: {', '.join(map(repr, get_args(options)))}.")
-        if not 0 < self.frequency <= 1 / self.physics_step + 1e-9:
-            raise InvalidSetup(f"frequency is {self.frequency} Hz; valid is above 0 and up to {1 / self.physics_step:g} Hz.")
-        if not 0 < self.physics_step <= 0.01:
-            raise InvalidSetup(f"physics_step is {self.physics_step} s; valid is above 0 and up to 0.01 s.")
-        if self.max_episode_steps is not None and self.max_episode_steps < 1:
-            raise InvalidSetup(f"max_episode_steps is {self.max_episode_steps}; valid is 1 and more, or None.")
+        if not (_is_number(self.physics_step) and 0 < self.physics_step <= 0.01):
+            raise InvalidSetup(f"physics_step is {self.physics_step!r} s; valid is above 0 and up to 0.01 s.")
+        highest = 1 / self.physics_step
+        if not (_is_number(self.frequency) and 0 < self.frequency <= highest + 1e-9):
+            raise InvalidSetup(f"frequency is {self.frequency!r} Hz; valid is above 0 and up to {highest:g} Hz.")
+        steps: Any = self.max_episode_steps
+        if steps is not None and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
+            raise InvalidSetup(f"max_episode_steps is {steps!r}; valid is a whole number from 1, or None.")
 
     def to_json(self) -> dict[str, Any]:
         """Return the setup as JSON values."""
@@ -90,19 +98,26 @@ class Setup:
         return Setup(**values)
 
 
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def _names(field: str, value: Any) -> tuple[str, ...]:
     if isinstance(value, str):
         raise InvalidSetup(f"{field} is the text {value!r}; give a tuple of names, such as ({value!r},).")
-    names = tuple(value)
-    if not all(isinstance(name, str) for name in names) or len(set(names)) != len(names):
-        raise InvalidSetup(f"{field} is {value!r}; it must be different names.")
-    return names
+    if not isinstance(value, Sequence) or not all(isinstance(name, str) for name in value):
+        raise InvalidSetup(f"{field} is {value!r}; it must be a tuple of names.")
+    if len(set(value)) != len(value):
+        raise InvalidSetup(f"{field} is {value!r}; a name is there twice.")
+    return tuple(value)
 
 
 def _size(value: Any) -> tuple[int, int]:
-    if isinstance(value, int):
-        value = (value, value)
-    size = tuple(value)
-    if len(size) != 2 or not all(isinstance(edge, int) and 1 <= edge <= 4096 for edge in size):
-        raise InvalidSetup(f"size is {value!r}; valid is one number or (width, height) of 1 to 4096 px.")
-    return size
+    size = (value, value) if isinstance(value, int) else value
+    if not isinstance(size, Sequence) or len(size) != 2 or not all(_is_edge(edge) for edge in size):
+        raise InvalidSetup(f"size is {value!r}; valid is one number or (width, height) of 1 to {MAX_SIZE} px.")
+    return size[0], size[1]
+
+
+def _is_edge(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MAX_SIZE

@@ -21,6 +21,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from rcs._core import clip_rows
 from rcs.errors import InvalidAction
 
 Control = Literal["joints", "tquat", "xyzrpy"]
@@ -94,41 +95,65 @@ def depth_space(width: int, height: int) -> spaces.Box:
     return spaces.Box(0, 65535, (height, width), np.uint16)
 
 
-def check_action(
-    action: Any, boxes: Mapping[str, spaces.Box], leading: tuple[int, ...] = ()
-) -> dict[str, NDArray[Any]]:
-    """Check an action and return it as fresh arrays of the right dtype.
+class ActionCheck:
+    """Checks actions against the spaces of their keys. Made once, called at every step."""
 
-    Args:
-        action: What came: a mapping with one array per key.
-        boxes: The valid space of every key.
-        leading: Leading shape that every array must have: () or (copies,).
+    def __init__(self, boxes: Mapping[str, spaces.Box], leading: tuple[int, ...] = ()) -> None:
+        """Prepare the check.
 
-    Returns:
-        One array per key, (*leading, *shape), inside the bounds.
+        Args:
+            boxes: The valid space of every key.
+            leading: Leading shape that every array must have: () or (copies,).
+        """
+        self._boxes = dict(boxes)
+        self._forms = [(key, box, leading + box.shape, box.dtype, box.low, box.high) for key, box in boxes.items()]
+
+    def __call__(self, action: Any) -> dict[str, NDArray[Any]]:
+        """Check an action and return it as fresh arrays of the right dtype.
+
+        Args:
+            action: What came: a mapping with one array per key.
+
+        Returns:
+            One array per key, (*leading, *shape), inside the bounds.
+
+        Raises:
+            InvalidAction: A key is missing or unknown, or an array has a wrong shape or dtype, is not finite or is out of bounds; the
+                message names the key, what came and what is valid.
+        """
+        if not isinstance(action, Mapping) or action.keys() != self._boxes.keys():
+            raise InvalidAction(_describe_keys(action, self._boxes))
+        checked: dict[str, NDArray[Any]] = {}
+        for key, box, shape, dtype, low, high in self._forms:
+            array = action[key]
+            if type(array) is not np.ndarray or array.dtype != dtype or not array.flags.c_contiguous:
+                array = _as_numbers(key, array, box)
+            if array.shape != shape:
+                raise InvalidAction(f"Action {key!r} has shape {array.shape}; valid is {shape}.")
+            clipped = clip_rows(array, low, high, TOLERANCE)
+            if clipped is None:
+                raise InvalidAction(_describe_value(key, array, box))
+            checked[key] = clipped
+        return checked
+
+
+def check_action(action: Any, boxes: Mapping[str, spaces.Box], leading: tuple[int, ...] = ()) -> dict[str, NDArray[Any]]:
+    """Check one action as `ActionCheck` does.
 
     Raises:
-        InvalidAction: A key is missing or unknown, or an array has a wrong shape or dtype, is not finite or is out of bounds; the
-            message names the key, what came and what is valid.
+        InvalidAction: The action is not valid.
     """
-    if not isinstance(action, Mapping) or action.keys() != boxes.keys():
-        raise InvalidAction(_describe_keys(action, boxes))
-    checked: dict[str, NDArray[Any]] = {}
-    for key, box in boxes.items():
-        given = action[key]
-        try:
-            array = np.asarray(given)
-        except ValueError as err:
-            raise InvalidAction(f"Action {key!r} is not an array: {err}") from err
-        if array.dtype.kind not in "fiu":
-            raise InvalidAction(f"Action {key!r} has dtype {array.dtype}; valid is {box.dtype} or another number type.")
-        if array.shape != leading + box.shape:
-            raise InvalidAction(f"Action {key!r} has shape {array.shape}; valid is {leading + box.shape}.")
-        # One comparison finds NaN and infinity too: both are outside of finite bounds, NaN of any.
-        if not ((array >= box.low - TOLERANCE) & (array <= box.high + TOLERANCE)).all():
-            raise InvalidAction(_describe_value(key, array, box))
-        checked[key] = np.minimum(np.maximum(array, box.low), box.high).astype(box.dtype, copy=False)
-    return checked
+    return ActionCheck(boxes, leading)(action)
+
+
+def _as_numbers(key: str, given: Any, box: spaces.Box) -> NDArray[Any]:
+    try:
+        array = np.asarray(given)
+    except ValueError as err:
+        raise InvalidAction(f"Action {key!r} is not an array: {err}") from err
+    if array.dtype.kind not in "fiu":
+        raise InvalidAction(f"Action {key!r} has dtype {array.dtype}; valid is {box.dtype} or another number type.")
+    return np.ascontiguousarray(array, box.dtype).reshape(array.shape)
 
 
 def _describe_keys(action: Any, boxes: Mapping[str, spaces.Box]) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.layers import Layer, Where
 from rcs.envs.ports import Port
-from rcs.envs.spaces import Observation, check_action
+from rcs.envs.spaces import ActionCheck, Observation
 
 
 class Stack:
@@ -34,7 +34,7 @@ class Stack:
         for layer in layers:
             boxes = layer.action_spaces(boxes)
             observations = layer.observation_spaces(observations)
-        self._boxes = boxes
+        self._check = ActionCheck(boxes, leading)
         self.action_space = spaces.Dict(dict(boxes))
         self.observation_space = spaces.Dict(dict(observations))
         self.executed: dict[str, NDArray[Any]] = {}
@@ -46,7 +46,7 @@ class Stack:
         Raises:
             InvalidAction: The action is not valid; nothing was sent to any device.
         """
-        mapped = check_action(action, self._boxes, self.leading)
+        mapped = self._check(action)
         for layer in reversed(self.layers):
             mapped = layer.map_action(mapped)
         self.executed = mapped

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from rcs.agents import Replay
 from rcs.data import Dataset, EpisodeRecord
+from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import ACTION
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.setups.make import make
+from rcs.setups.make import resolve
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +56,8 @@ def replay(path: str | Path) -> Iterator[ReplayResult]:
     dataset = Dataset.open(path)
     if dataset.info.sim_state_size is None:
         raise InvalidSetup(f"The dataset in {path} has no simulation states; only simulated episodes can be replayed.")
-    # Cameras look and change nothing; without them a replay is ten times faster.
-    env = make(replace(setup_of(dataset), cameras=(), depth=False))
+    # Cameras look and change nothing; without their frames a replay is ten times faster.
+    env = assemble(resolve(setup_of(dataset)), is_blind=True)
     try:
         for episode in dataset.episodes:
             yield replay_episode(env, episode)

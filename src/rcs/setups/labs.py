@@ -80,11 +80,11 @@ def _labs() -> dict[str, Lab]:
                 # In front of the hand, its body clear of the fingers, tilted to see both pads and what is below them.
                 "wrist": CameraMount(
                     camera="realsense_d405",
-                    optical=looking((0.075, 0.0, 0.01), (0.0, 0.0, 0.16), up=(1.0, 0.0, 0.0)),
+                    optical=looking((0.070, 0.0, 0.045), (0.0, 0.0, 0.17), up=(1.0, 0.0, 0.0)),
                     on_gripper=True,
                 ),
                 # Where a second robot would hold it: beside the workspace, looking across it.
-                "side": CameraMount(camera="realsense_d435", optical=looking((0.80, 0.85, 0.50), (0.45, 0.0, 0.12))),
+                "side": CameraMount(camera="realsense_d435", optical=looking((0.66, 0.86, 0.44), (0.40, 0.0, 0.13))),
             },
         ),
     }

@@ -33,7 +33,12 @@ class SimRobot:
         self.world = world
         self.placement = robot
         self.layout = RobotLayout.of(robot, world.model)
-        self._tcp = world.core.read_pose(self.layout.tcp_site, self.layout.base_body)
+        self.tcp_readout = world.core.read_pose(self.layout.tcp_site, self.layout.base_body)
+        """Index of the TCP's pose in `world.poses`."""
+        self._opening = 0
+        if robot.gripper is not None:
+            closed, opened = robot.gripper.joint_closed[0], robot.gripper.joint_open[0]
+            self._opening = world.core.read_opening(self.layout.finger_joint_ids, closed, opened)
 
     @property
     def joints(self) -> NDArray[np.float64]:
@@ -48,12 +53,12 @@ class SimRobot:
     @property
     def tcp_tquat(self) -> NDArray[np.float64]:
         """Pose of the TCP in the base frame as translation [m] and quaternion xyzw, a fresh array."""
-        return self.world.core.poses[..., self._tcp, :].copy()
+        return self.world.poses[..., self.tcp_readout, :].copy()
 
     @property
     def tcp_xyzrpy(self) -> NDArray[np.float64]:
         """The same as translation [m] and roll, pitch, yaw [rad]."""
-        return self.world.core.xyzrpy[..., self._tcp, :].copy()
+        return self.world.xyzrpy[..., self.tcp_readout, :].copy()
 
     @property
     def gripper(self) -> GripperDescription:
@@ -69,11 +74,7 @@ class SimRobot:
     @property
     def opening(self) -> NDArray[np.float32]:
         """Measured opening of the gripper, 0 closed … 1 open, (*leading, 1)."""
-        gripper = self.gripper
-        fingers = self.world.qpos[..., self.layout.finger_qpos]
-        closed, opened = gripper.joint_closed[0], gripper.joint_open[0]
-        opening = (np.add.reduce(fingers, axis=-1, keepdims=True) / len(gripper.joints) - closed) / (opened - closed)
-        return np.minimum(np.maximum(opening, 0.0), 1.0).astype(np.float32)
+        return self.world.openings[..., self._opening : self._opening + 1].copy()
 
     def command_joints(self, joints: NDArray[np.float64]) -> None:
         """Set the joint targets [rad], (*leading, dof)."""

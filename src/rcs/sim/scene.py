@@ -104,14 +104,14 @@ class Scene:
         spec.visual.global_.offheight = 720
         spec.visual.map.znear = 0.005
         spec.visual.map.zfar = 20.0
-        spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
-        spec.visual.headlight.diffuse = [0.15, 0.15, 0.15]
+        spec.visual.headlight.ambient = [0.32, 0.32, 0.32]
+        spec.visual.headlight.diffuse = [0.12, 0.12, 0.12]
         spec.visual.headlight.specular = [0.0, 0.0, 0.0]
         # Fixed, so that pictures do not depend on what else is in the scene.
         spec.stat.extent = 1.5
         spec.stat.center = [0.4, 0.0, 0.3]
         scene = Scene(spec)
-        scene._add_floor()
+        scene._add_room()
         scene._add_lights()
         spec.worldbody.add_camera(
             name=OVERVIEW,
@@ -121,15 +121,26 @@ class Scene:
         )
         return scene
 
-    def _add_floor(self) -> None:
-        self.spec.worldbody.add_geom(
-            name="floor",
-            type=mujoco.mjtGeom.mjGEOM_PLANE,
-            size=[2.5, 2.5, 0.1],
-            pos=[0.3, 0.0, FLOOR_HEIGHT],
-            rgba=[0.45, 0.47, 0.50, 1.0],
-            group=0,
-        )
+    def _add_room(self) -> None:
+        """Add a floor and three walls: boxes are almost free to draw, and a black background is like no lab."""
+        room: dict[str, tuple[list[float], list[float], list[float]]] = {
+            "floor": ([0.3, 0.0, FLOOR_HEIGHT - 0.05], [2.5, 2.5, 0.05], [0.42, 0.44, 0.47, 1.0]),
+            "back wall": ([-1.25, 0.0, 0.8], [0.05, 2.5, 1.6], [0.80, 0.81, 0.82, 1.0]),
+            "right wall": ([0.3, -1.75, 0.8], [2.5, 0.05, 1.6], [0.76, 0.78, 0.80, 1.0]),
+            "left wall": ([0.3, 1.75, 0.8], [2.5, 0.05, 1.6], [0.76, 0.78, 0.80, 1.0]),
+        }
+        for name, (pos, size, rgba) in room.items():
+            self.spec.worldbody.add_geom(
+                name=name,
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=pos,
+                size=size,
+                rgba=rgba,
+                # Only what falls off the table meets the floor, and nothing meets the walls.
+                contype=int(name == "floor"),
+                conaffinity=int(name == "floor"),
+                group=0,
+            )
 
     def _add_lights(self) -> None:
         for x in (-0.6, 1.4):
@@ -139,7 +150,7 @@ class Scene:
                     type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
                     pos=[x, y, 2.2],
                     dir=[0.4 - x, -y, -2.2],
-                    diffuse=[0.28, 0.28, 0.28],
+                    diffuse=[0.17, 0.17, 0.17],
                     specular=[0.05, 0.05, 0.05],
                     # One light throws shadows in full quality: four shadow maps cost four times as much and add little.
                     castshadow=x < 0 and y < 0,
@@ -154,7 +165,7 @@ class Scene:
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=top,
             pos=[0.0, 0.0, -TABLE_THICKNESS / 2],
-            rgba=[0.72, 0.58, 0.42, 1.0],
+            rgba=[0.70, 0.56, 0.40, 1.0],
             friction=[1.0, 0.005, 0.0001],
             group=0,
         )

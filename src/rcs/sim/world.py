@@ -68,7 +68,9 @@ class World:
         if copies is None:
             self.data = mujoco.MjData(model) if data is None else data
             mujoco.mj_kinematics(model, self.data)
-            self.core = _core.World.on_data(model._address, self.data._address, *timing)  # pyright: ignore[reportPrivateUsage]
+            # The core keeps the two objects alive: arrays and devices may outlive this world.
+            owner = (model, self.data)
+            self.core = _core.World.on_data(model._address, self.data._address, *timing, owner)  # pyright: ignore[reportPrivateUsage]
         else:
             self.data = None
             self.core = _core.World.of_copies(model._address, copies, threads, *timing)  # pyright: ignore[reportPrivateUsage]
@@ -81,11 +83,46 @@ class World:
         """Live controls, (*leading, nu)."""
         self.time = self.core.component(state.mjSTATE_TIME.value)[..., 0]
         """Live simulated time [s], (*leading,)."""
+        self._is_read_out = False
 
     @property
     def copies(self) -> int:
         """Number of copies."""
         return self.core.copies
+
+    def _read_out(self) -> None:
+        """Take views of what is read out. The first use ends the time in which readouts may be added."""
+        self._poses, self._xyzrpy = self.core.poses, self.core.xyzrpy
+        self._forces, self._openings = self.core.forces, self.core.openings
+        self._is_read_out = True
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """Live poses of what was asked for by `core.read_pose`, (*leading, readouts, 7): translation [m], quaternion xyzw."""
+        if not self._is_read_out:
+            self._read_out()
+        return self._poses
+
+    @property
+    def xyzrpy(self) -> NDArray[np.float64]:
+        """The same poses as translation [m] and roll, pitch, yaw [rad], (*leading, readouts, 6)."""
+        if not self._is_read_out:
+            self._read_out()
+        return self._xyzrpy
+
+    @property
+    def forces(self) -> NDArray[np.float64]:
+        """Live forces of what was asked for by `core.read_force`, (*leading, readouts) [N]."""
+        if not self._is_read_out:
+            self._read_out()
+        return self._forces
+
+    @property
+    def openings(self) -> NDArray[np.float32]:
+        """Live openings of what was asked for by `core.read_opening`, (*leading, readouts), 0 … 1."""
+        if not self._is_read_out:
+            self._read_out()
+        return self._openings
 
     @property
     def period(self) -> float:

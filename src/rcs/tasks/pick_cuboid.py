@@ -116,21 +116,21 @@ class PickCuboid(Task):
 
     def evaluate(self) -> Outcome:
         """Judge height, grasp and how long the cuboid was held."""
-        forces = self._world.core.forces
-        cuboid = self._world.core.poses[..., self._pose, :].copy()
-        is_grasped = (forces[..., self._pads[0]] > TOUCH_FORCE) & (forces[..., self._pads[1]] > TOUCH_FORCE)
+        touches = self._world.forces > TOUCH_FORCE
+        poses = self._world.poses
+        cuboid = poses[..., self._pose, :].copy()
+        is_grasped = touches[..., self._pads[0]] & touches[..., self._pads[1]]
         height = cuboid[..., 2] - self._rest_height
-        is_held = (height > LIFT_HEIGHT) & is_grasped
-        self._steps_held = np.where(is_held, self._steps_held + 1, 0)
+        self._steps_held = (self._steps_held + 1) * ((height > LIFT_HEIGHT) & is_grasped)
         success = self._steps_held >= self._hold_steps
-        offset = cuboid[..., :3] - self._world.core.poses[..., 0, :3]
-        reach = 1.0 - np.tanh(5.0 * np.sqrt((offset * offset).sum(axis=-1)))
-        lift = np.minimum(np.maximum(height / LIFT_HEIGHT, 0.0), 1.0)
-        reward = np.where(success, 1.0, (reach + is_grasped + is_grasped * lift) / 3.0)
+        offset = cuboid[..., :3] - poses[..., self._robot.tcp_readout, :3]
+        reach = 1.0 - np.tanh(5.0 * np.sqrt(np.vecdot(offset, offset)))
+        lift = np.minimum(np.maximum(height * (1.0 / LIFT_HEIGHT), 0.0), 1.0)
+        reward = np.maximum((reach + is_grasped * (1.0 + lift)) * (1.0 / 3.0), success)
         info = {
             "success": success,
             "is_grasped": is_grasped,
-            "is_touched": forces[..., self._touched] > TOUCH_FORCE,
+            "is_touched": touches[..., self._touched],
             "cuboid": cuboid,
         }
         return Outcome(reward=reward, terminated=success, info=info)
@@ -138,5 +138,5 @@ class PickCuboid(Task):
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return where the cuboid lies."""
         never = np.zeros(self._world.leading, np.bool_)
-        cuboid = self._world.core.poses[..., self._pose, :].copy()
+        cuboid = self._world.poses[..., self._pose, :].copy()
         return {"success": never, "is_grasped": never, "is_touched": never, "cuboid": cuboid}

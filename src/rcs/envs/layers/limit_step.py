@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs._core import limit_rows
 from rcs.envs.layers.layer import Action, Layer, Where, everywhere, renew
 from rcs.envs.spaces import JOINTS, Observation
 
@@ -32,13 +33,15 @@ class LimitStep(Layer):
         self._max_lead = max_lead
         self._target: NDArray[np.float64] | None = None
         self._measured: NDArray[np.float64] | None = None
-        self._is_limited: NDArray[np.bool_] = np.zeros((), np.bool_)
+        self._never: NDArray[np.bool_] = np.zeros((), np.bool_)
+        self._is_limited = self._never
 
     def reset(self, observation: Observation, where: Where = everywhere) -> None:
         """Start from the measured joints."""
         self._target = renew(self._target, observation[JOINTS], where)
         self._measured = observation[JOINTS].copy()
-        self._is_limited = np.zeros(self._target.shape[:-1], np.bool_)
+        self._never = np.zeros(self._target.shape[:-1], np.bool_)
+        self._is_limited = self._never
 
     def map_observation(self, observation: Observation) -> Observation:
         """Remember the measured joints; the observation itself is the caller's own."""
@@ -50,17 +53,14 @@ class LimitStep(Layer):
         if self._target is None or self._measured is None:
             raise RuntimeError("LimitStep.map_action was called before reset")
         asked = action[JOINTS]
-        lowest = np.maximum(self._target - self._max_step, self._measured - self._max_lead)
-        highest = np.minimum(self._target + self._max_step, self._measured + self._max_lead)
-        # Where the two bounds exclude each other, the arm was pushed: the target stays within a step of the last one.
-        target = np.minimum(np.maximum(asked, np.minimum(lowest, highest)), np.maximum(lowest, highest))
-        self._is_limited = (np.abs(target - asked) > ROUNDING).any(axis=-1)
-        if not self._is_limited.any():
+        cut = limit_rows(asked, self._target, self._measured, self._max_step, self._max_lead, ROUNDING)
+        if cut is None:
             # The very array that was asked for tells the layers above that nothing was cut.
             self._target = asked
+            self._is_limited = self._never
             return action
-        self._target = target
-        return {**action, JOINTS: target}
+        self._target, self._is_limited = cut
+        return {**action, JOINTS: self._target}
 
     def info(self) -> dict[str, NDArray[Any]]:
         """Return whether the last action was cut."""

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 
 from rcs.envs.layers.layer import Layer
-from rcs.envs.spaces import check_action
+from rcs.envs.spaces import ActionCheck
 from rcs.errors import InvalidSetup
 
 
@@ -35,8 +35,9 @@ class LayerWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         if len(boxes) != len(env.action_space.spaces):
             raise InvalidSetup("A layer needs an action space whose entries are boxes.")
         self._layer = layer
-        self._boxes = layer.action_spaces(boxes)
-        self.action_space = spaces.Dict(self._boxes)  # pyright: ignore[reportArgumentType]  Dict takes any spaces
+        outer = layer.action_spaces(boxes)
+        self._check = ActionCheck(outer)
+        self.action_space = spaces.Dict(dict(outer))
         self.observation_space = spaces.Dict(layer.observation_spaces(env.observation_space.spaces))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -47,7 +48,7 @@ class LayerWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Check and map the action, step, map the observation."""
-        mapped = self._layer.map_action(check_action(action, self._boxes))
+        mapped = self._layer.map_action(self._check(action))
         observation, reward, terminated, truncated, info = self.env.step(mapped)
         # What a foreign environment makes of an action is not known; it counts as executed.
         self._layer.map_executed(mapped)

@@ -1,0 +1,50 @@
+#include "rcs/rows.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace rcs {
+
+template <typename T>
+bool clip_rows(std::span<const T> values, std::span<const T> lower, std::span<const T> upper, double tolerance,
+               std::span<T> clipped) {
+  const std::size_t width = lower.size();
+  const T slack = static_cast<T>(tolerance);
+  for (std::size_t i = 0, c = 0; i < values.size(); ++i, c = c + 1 == width ? 0 : c + 1) {
+    const T value = values[i];
+    // Written so that NaN, for which every comparison is false, is refused.
+    if (!(value >= lower[c] - slack && value <= upper[c] + slack)) return false;
+    clipped[i] = std::min(std::max(value, lower[c]), upper[c]);
+  }
+  return true;
+}
+
+template bool clip_rows<double>(std::span<const double>, std::span<const double>, std::span<const double>, double,
+                                std::span<double>);
+template bool clip_rows<float>(std::span<const float>, std::span<const float>, std::span<const float>, double,
+                               std::span<float>);
+
+bool limit_rows(std::span<const double> asked, std::span<const double> last, std::span<const double> measured,
+                std::span<const double> max_step, double max_lead, double rounding, std::span<double> target,
+                std::span<bool> is_cut) {
+  const std::size_t width = max_step.size();
+  bool is_any = false;
+  for (std::size_t row = 0; row < is_cut.size(); ++row) {
+    bool is_row = false;
+    for (std::size_t c = 0; c < width; ++c) {
+      const std::size_t i = row * width + c;
+      const double low = std::max(last[i] - max_step[c], measured[i] - max_lead);
+      const double high = std::min(last[i] + max_step[c], measured[i] + max_lead);
+      // The two bounds exclude each other when the arm was pushed away: then a step towards it is what is left.
+      const double least = low <= high ? low : std::clamp(measured[i], last[i] - max_step[c], last[i] + max_step[c]);
+      const double most = low <= high ? high : least;
+      target[i] = std::min(std::max(asked[i], least), most);
+      is_row = is_row || std::abs(target[i] - asked[i]) > rounding;
+    }
+    is_cut[row] = is_row;
+    is_any = is_any || is_row;
+  }
+  return is_any;
+}
+
+}  // namespace rcs

@@ -1,0 +1,63 @@
+"""Your own MuJoCo model and data, stepped by a world until your own Python functions say that the step is over.
+
+A world is the physics below an environment and can be used alone. A synchronous step ends when every convergence callback
+is true, when an interrupt is, or at a limit; a periodic callback runs at a rate of simulated time. The world works on the
+`MjData` that it is given: what you read there is what the world has, and what you write the world goes on with.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from rcs import _core
+from rcs.sim.world import Callback, World
+
+MODEL = """
+<mujoco>
+  <option timestep="0.002"/>
+  <worldbody>
+    <geom name="wall" type="box" size="0.02 0.2 0.2" pos="0.35 0 0"/>
+    <body name="slider">
+      <joint name="slide" type="slide" axis="1 0 0" damping="4"/>
+      <geom name="block" type="box" size="0.05 0.05 0.05" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="servo" joint="slide" kp="60" ctrlrange="-1 1"/>
+  </actuator>
+</mujoco>
+"""
+
+model = mujoco.MjModel.from_xml_string(MODEL)
+data = mujoco.MjData(model)
+world = World(model, data=data, mode="sync", max_substeps=2000)
+trace: list[float] = []
+
+
+def is_there(view: _core.StepView) -> bool:
+    """Return whether the block stands at its target."""
+    return bool(abs(view.qpos[0] - view.ctrl[0]) < 1e-3 and abs(view.qvel[0]) < 1e-3)
+
+
+def is_touching(view: _core.StepView) -> bool:
+    """Return whether anything touches anything."""
+    return view.contacts > 0
+
+
+def record(view: _core.StepView) -> None:
+    """Note where the block is."""
+    trace.append(float(view.qpos[0]))
+
+
+world.core.converge_when(Callback(is_there))
+world.core.interrupt_when(Callback(is_touching))
+world.core.on_period(Callback(record), 0.05)
+
+for target in (0.1, -0.2, 0.5):
+    data.ctrl[0] = target
+    trace.clear()
+    world.advance()
+    end = _core.StepEnd(int(world.core.ends[0])).name
+    print(f"to {target:+.1f} m: {end} at {data.qpos[0]:+.3f} m after {world.core.substeps[0]} physics steps")
+    print("   every 0.05 s:", np.round(trace[:12], 2), "..." if len(trace) > 12 else "")

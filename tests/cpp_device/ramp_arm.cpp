@@ -1,0 +1,73 @@
+// An arm in C++ outside of the project: every joint runs to its target at its largest velocity, on a clock that tests
+// move by hand.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
+
+#include <algorithm>
+#include <cmath>
+#include <span>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "rcs/arm.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace {
+
+class RampArm final : public rcs::Arm {
+ public:
+  RampArm(std::string name, rcs::ArmLimits limits) : Arm(std::move(name), std::move(limits)) {
+    for (int i = 0; i < dof(); ++i) joints_.push_back((this->limits().joint_lower[i] + this->limits().joint_upper[i]) / 2);
+    velocities_.assign(joints_.size(), 0.0);
+    target_ = joints_;
+  }
+
+  /// Let time pass.
+  void advance(double seconds) {
+    for (std::size_t i = 0; i < joints_.size(); ++i) {
+      const double reach = limits().joint_velocity[i] * seconds;
+      const double step = std::clamp(target_[i] - joints_[i], -reach, reach);
+      joints_[i] += step;
+      velocities_[i] = seconds > 0.0 ? step / seconds : 0.0;
+    }
+    time_ += seconds;
+  }
+
+  /// Have the device report what no device should: a joint too few, or a value that is not a number.
+  void lose_joint() { joints_.pop_back(); }
+  void measure_nan() { joints_.front() = std::nan(""); }
+  /// Have the next command fail as a broken connection does.
+  void disconnect() { is_connected_ = false; }
+
+ protected:
+  rcs::ArmState do_state() override { return {joints_, velocities_, time_}; }
+  void do_command_joints(std::span<const double> joints) override {
+    if (!is_connected_) throw std::runtime_error("no answer from the controller");
+    target_.assign(joints.begin(), joints.end());
+  }
+  bool do_has_arrived() override { return target_ == joints_; }
+  void do_hold() override { target_ = joints_; }
+
+ private:
+  std::vector<double> joints_;      // rad
+  std::vector<double> velocities_;  // rad/s
+  std::vector<double> target_;      // rad
+  double time_ = 0.0;               // s
+  bool is_connected_ = true;
+};
+
+}  // namespace
+
+NB_MODULE(ramp_arm, m) {
+  nb::module_::import_("rcs.devices");  // registers the types that this module shares
+  nb::class_<RampArm, rcs::Arm>(m, "RampArm")
+      .def(nb::init<std::string, rcs::ArmLimits>(), "name"_a, "limits"_a)
+      .def("advance", &RampArm::advance, "seconds"_a)
+      .def("lose_joint", &RampArm::lose_joint)
+      .def("measure_nan", &RampArm::measure_nan)
+      .def("disconnect", &RampArm::disconnect);
+}

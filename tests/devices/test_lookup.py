@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+import pytest
+
+from rcs.devices import lookup
+from rcs.errors import UnknownName
+from rcs.robots.fr3.description import FR3
+
+
+def test_what_the_project_brings_along_is_found_by_name() -> None:
+    assert lookup.find("arm", "fr3") is FR3
+    assert {"PickCuboid", "Free"} <= set(lookup.names("task"))
+    assert {"realsense_d405", "realsense_d435"} <= set(lookup.names("camera"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "nearest"),
+    [
+        ("arm", "fr33", "fr3"),
+        ("arm", "FR3", "fr3"),
+        ("gripper", "franka-hand", "franka_hand"),
+        ("camera", "realsense_d415", "realsense_d4"),
+        ("task", "pickcuboid", "PickCuboid"),
+        ("task", "PickCube", "PickCuboid"),
+    ],
+)
+def test_an_unknown_name_gives_the_nearest_match_and_all_known_ones(kind: lookup.Kind, given: str, nearest: str) -> None:
+    with pytest.raises(UnknownName) as caught:
+        lookup.find(kind, given)
+    text = str(caught.value)
+    assert f"Did you mean '{nearest}" in text
+    assert all(name in text for name in lookup.names(kind))
+    assert "entry-point group 'rcs." in text
+
+
+def test_a_name_like_no_other_gives_no_match() -> None:
+    with pytest.raises(UnknownName) as caught:
+        lookup.find("arm", "zzzzzzzz")
+    assert "Did you mean" not in str(caught.value)
+
+
+def test_the_group_of_policies_has_a_plural_of_its_own() -> None:
+    with pytest.raises(UnknownName, match=r"rcs\.policies"):
+        lookup.find("policy", "none")

@@ -1,0 +1,157 @@
+"""How long a control step lasts."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rcs._core import Collision, JointsArrived, JointsAtRest, StepEnd
+from rcs.errors import InvalidAction, InvalidSetup
+from rcs.sim.world import Callback, World, control_period
+
+
+def arrived(tolerance: float = 1e-3) -> JointsArrived:
+    return JointsArrived([0], [0], tolerance, 1e-2)
+
+
+def test_30_hz_at_2_ms_alternates_16_17_17_substeps_and_is_exact_in_the_mean(cart: mujoco.MjModel) -> None:
+    world = World(cart, frequency=30.0)
+    substeps = []
+    for _ in range(300):
+        world.advance()
+        substeps.append(int(world.core.substeps[0]))
+        assert world.core.ends[0] == StepEnd.period.value
+    assert substeps == [16, 17, 17] * 100
+    assert sum(substeps) == 5000
+    assert float(world.time) == pytest.approx(10.0, abs=1e-9)
+    assert world.core.steps[0] == 300
+
+
+@pytest.mark.parametrize("copies", [None, 3])
+def test_a_frequency_that_divides_the_physics_has_equal_steps(cart: mujoco.MjModel, copies: int | None) -> None:
+    world = World(cart, frequency=100.0, copies=copies, threads=2)
+    for _ in range(20):
+        world.advance()
+        np.testing.assert_array_equal(world.core.substeps, 5)
+
+
+def test_copies_count_their_steps_on_their_own(cart: mujoco.MjModel) -> None:
+    world = World(cart, frequency=30.0, copies=3, threads=2)
+    world.advance()
+    world.advance(np.array([1], np.int32))
+    np.testing.assert_array_equal(world.core.steps, [1, 2, 1])
+    world.reset(np.array([1], np.int32))
+    np.testing.assert_array_equal(world.core.steps, [1, 0, 1])
+    world.advance()
+    np.testing.assert_array_equal(world.core.substeps, [17, 16, 17])
+    np.testing.assert_allclose(world.time, [0.066, 0.032, 0.066], atol=1e-12)
+
+
+@settings(max_examples=50, deadline=None)
+@given(frequency=st.floats(0.5, 500.0), step=st.sampled_from([0.001, 0.002]))
+def test_the_mean_period_is_that_of_the_frequency(frequency: float, step: float) -> None:
+    period = control_period(frequency, step)
+    assert isinstance(period, Fraction)
+    assert float(period) * step * frequency == pytest.approx(1.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("frequency", [0.0, -1.0, float("nan"), float("inf"), 501.0])
+def test_a_frequency_that_makes_no_sense_is_refused(cart: mujoco.MjModel, frequency: float) -> None:
+    with pytest.raises(InvalidSetup, match="frequency"):
+        World(cart, frequency=frequency)
+
+
+def test_a_synchronous_step_ends_when_converged(cart: mujoco.MjModel) -> None:
+    world = World(cart, mode="sync", max_substeps=5000)
+    world.core.converge_when(arrived())
+    world.ctrl[0] = 0.5
+    world.advance()
+    assert world.core.ends[0] == StepEnd.converged.value
+    assert world.qpos[0] == pytest.approx(0.5, abs=1e-3)
+    assert abs(world.qvel[0]) < 1e-2
+    assert 100 < world.core.substeps[0] < 5000
+    assert float(world.time) == pytest.approx(world.core.substeps[0] * 0.002)
+
+
+def test_a_synchronous_step_ends_at_its_limit(cart: mujoco.MjModel) -> None:
+    world = World(cart, mode="sync", max_substeps=10)
+    world.core.converge_when(arrived())
+    world.ctrl[0] = 0.5
+    world.advance()
+    assert world.core.ends[0] == StepEnd.limit.value
+    assert world.core.substeps[0] == 10
+
+
+def test_a_synchronous_step_without_a_convergence_callback_lasts_to_its_limit(cart: mujoco.MjModel) -> None:
+    world = World(cart, mode="sync", max_substeps=7)
+    world.advance()
+    assert (world.core.ends[0], world.core.substeps[0]) == (StepEnd.limit.value, 7)
+
+
+def test_all_convergence_callbacks_must_agree(cart: mujoco.MjModel) -> None:
+    world = World(cart, mode="sync", max_substeps=50)
+    world.core.converge_when(Callback(lambda view: True))
+    world.core.converge_when(Callback(lambda view: view.time > 0.0399))
+    world.advance()
+    assert (world.core.ends[0], world.core.substeps[0]) == (StepEnd.converged.value, 20)
+
+
+def test_a_collision_interrupts_a_synchronous_step(cart: mujoco.MjModel) -> None:
+    world = World(cart, mode="sync", max_substeps=5000)
+    world.core.converge_when(arrived())
+    world.core.interrupt_when(Collision(world.geom_flags(["cart"]), world.geom_flags(["wall"]), 1.0))
+    force = world.core.read_force(world.geom_flags(["wall"]), world.geom_flags(["cart"]))
+    world.ctrl[0] = 2.0
+    world.advance()
+    assert world.core.ends[0] == StepEnd.interrupted.value
+    assert world.qpos[0] == pytest.approx(1.0, abs=0.03)
+    assert world.core.forces[force] > 1.0
+
+
+def test_an_interrupted_asynchronous_step_lasts_its_period_and_says_so(cart: mujoco.MjModel) -> None:
+    world = World(cart, frequency=50.0)
+    world.core.interrupt_when(Callback(lambda view: view.time < 0.003))
+    world.advance()
+    assert (world.core.ends[0], world.core.substeps[0]) == (StepEnd.interrupted.value, 10)
+    world.advance()
+    assert world.core.ends[0] == StepEnd.period.value
+
+
+def test_copies_converge_each_at_its_own_time(cart: mujoco.MjModel) -> None:
+    world = World(cart, mode="sync", copies=4, threads=2, max_substeps=5000)
+    world.core.converge_when(arrived())
+    world.ctrl[:, 0] = [0.0, 0.1, 0.4, 0.9]
+    world.advance()
+    np.testing.assert_array_equal(world.core.ends, StepEnd.converged.value)
+    np.testing.assert_allclose(world.qpos[:, 0], world.ctrl[:, 0], atol=1e-3)
+    assert (np.diff(world.core.substeps) > 0).all()
+
+
+def test_joints_are_at_rest_only_after_they_stood_still_for_the_duration(cart: mujoco.MjModel) -> None:
+    world = World(cart, mode="sync", max_substeps=5000)
+    world.core.converge_when(JointsAtRest([0], 1e-2, 0.1, 1))
+    world.advance()
+    assert world.core.ends[0] == StepEnd.converged.value
+    assert world.core.substeps[0] == pytest.approx(51, abs=1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "text"),
+    [
+        ({"copies": 0}, InvalidSetup, "copies is 0"),
+        ({"max_substeps": 0}, InvalidAction, "max_substeps"),
+    ],
+)
+def test_numbers_that_make_no_sense_are_refused(cart, arguments, error, text) -> None:
+    with pytest.raises(error, match=text):
+        World(cart, **arguments)
+
+
+def test_data_and_copies_exclude_each_other(cart: mujoco.MjModel) -> None:
+    with pytest.raises(InvalidSetup, match="not both"):
+        World(cart, data=mujoco.MjData(cart), copies=2)
