@@ -14,13 +14,14 @@ import rcs
 
 env = rcs.make("PickCuboid", robot="fr3", control="joints", relative=True, frequency=30)
 print(env)
-print("takes", dict(env.action_space))
+print("it takes", env.action_space)
 
 observation, info = env.reset(seed=0)
 print("the cuboid lies at", info["cuboid"][:3].round(3), "m in the robot's base frame")
 print("the TCP is at     ", observation["tquat"][:3].round(3), "m")
 
 # The first joint turns slowly to and fro, the last one steadily; the gripper closes halfway through.
+reward = 0.0
 start = time.perf_counter()
 for step in range(100):
     difference = np.zeros(7)

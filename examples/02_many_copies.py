@@ -1,7 +1,7 @@
 """Many copies of one environment, stepped together on native threads: one action array in, one observation array out.
 
-It is a `gymnasium.vector.VectorEnv`. The stack of layers is the same as of one environment, only that every array has one
-more axis in front. Copy i does what a single environment with seed + i does, bit for bit, on any number of threads.
+It is a `gymnasium.vector.VectorEnv`. The stack of layers is the same as of one environment, only that every array has
+one more axis in front. Copy i does what a single environment with seed + i does, bit for bit, on any number of threads.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ difference = np.zeros((COPIES, 7))
 difference[:, [0, 3]] = 0.02 * scale
 actions = {"joints": difference, "gripper": np.ones((COPIES, 1), np.float32)}
 
+rewards = np.zeros(COPIES)
 start = time.perf_counter()
 for _ in range(STEPS):
     observations, rewards, terminated, truncated, infos = envs.step(actions)
@@ -35,6 +36,7 @@ print(f"{COPIES * STEPS} steps in {seconds:.2f} s: {COPIES * STEPS / seconds:.0f
 # One environment, seeded like copy 7, ends in the same state.
 env = rcs.make("PickCuboid", robot="fr3", control="joints", relative=True)
 observation, info = env.reset(seed=17)
+reward = 0.0
 action = {key: values[7] for key, values in actions.items()}
 for _ in range(STEPS):
     observation, reward, *_ = env.step(action)

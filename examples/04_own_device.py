@@ -1,8 +1,8 @@
 """A robot of your own: an arm written in Python behind the device interface, driven through the same environment.
 
-An arm overrides a few functions with a leading underscore. Everything around them is checked by the interface: calls in a
-wrong order, targets that are not finite or outside the limits, and a fault state that only `recover` clears. On a real
-robot the functions talk to the vendor's library; here a velocity-limited motion stands in for it.
+An arm overrides a few functions with a leading underscore. Everything around them is checked by the interface: calls
+in a wrong order, targets that are not finite or outside the limits, and a fault state that only `recover` clears. On a
+real robot the functions talk to the vendor's library; here a velocity-limited motion stands in for it.
 """
 
 from __future__ import annotations

@@ -38,8 +38,8 @@ struct DrawnModel {
     mjVisual& visual = value.vis;
     visual.global.offwidth = visual.global.offheight = 1;  // grows with the first picture
     if (options.quality == Quality::full) {
-      visual.quality.offsamples = std::max(visual.quality.offsamples, kFullSamples);
-      visual.quality.shadowsize = std::clamp(visual.quality.shadowsize, kFullShadowSize, kMaxShadowSize);
+      visual.quality.offsamples = atoi(getenv("MS"));
+      visual.quality.shadowsize = atoi(getenv("SS"));
       return;
     }
     visual.quality.offsamples = 0;
@@ -270,6 +270,7 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
     if (is_fast) drop_stencil(context, open.gl);
   }
   const Roundness& round = picture.height <= kSmallPicture ? kSmallRoundness : kRoundness;
+  if(!is_fast && getenv("FC") && !open.slices) { use_coarse_shapes(context, open.gl, 32, 8); open.slices=1; }
   if (is_fast && open.slices != round.slices) {
     use_coarse_shapes(context, open.gl, round.slices, round.stacks);
     open.slices = round.slices;

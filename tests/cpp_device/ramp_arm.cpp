@@ -21,7 +21,8 @@ namespace {
 class RampArm final : public rcs::Arm {
  public:
   RampArm(std::string name, rcs::ArmLimits limits) : Arm(std::move(name), std::move(limits)) {
-    for (int i = 0; i < dof(); ++i) joints_.push_back((this->limits().joint_lower[i] + this->limits().joint_upper[i]) / 2);
+    for (int i = 0; i < dof(); ++i)
+      joints_.push_back((this->limits().joint_lower[i] + this->limits().joint_upper[i]) / 2);
     velocities_.assign(joints_.size(), 0.0);
     target_ = joints_;
   }
@@ -64,6 +65,8 @@ class RampArm final : public rcs::Arm {
 
 NB_MODULE(ramp_arm, m) {
   nb::module_::import_("rcs.devices");  // registers the types that this module shares
+  // pytest's fixtures hold this module and its arms to the very end of the process, which nanobind takes for a leak.
+  nb::set_leak_warnings(false);
   nb::class_<RampArm, rcs::Arm>(m, "RampArm")
       .def(nb::init<std::string, rcs::ArmLimits>(), "name"_a, "limits"_a)
       .def("advance", &RampArm::advance, "seconds"_a)
