@@ -96,17 +96,20 @@ std::vector<std::string> candidates(const std::string& backend) {
   const std::string settled = !g_chosen.empty() ? g_chosen : has_egl ? "egl" : has_osmesa ? "osmesa" : "";
   if (settled.empty()) return backend == "auto" ? std::vector<std::string>{"egl", "osmesa"} : std::vector{backend};
   if (backend == "auto" || backend == settled) return {settled};
-  throw GlUnavailable("OpenGL backend " + backend + " was asked for, but this process draws with " + settled +
-                      " already and MuJoCo can use only one per process; ask for \"auto\" or start a new process");
+  throw std::invalid_argument("OpenGL backend \"" + backend + "\" was asked for, but this process draws with \"" +
+                              settled +
+                              "\" already and MuJoCo can use one per process; ask for \"auto\" or start a new process");
 }
 
 }  // namespace
 
 void* open_gl_library(std::initializer_list<const char*> names, const char* packages) {
-  for (const char* name : names)
+  std::string reason;  // of the first name, the one to install
+  for (const char* name : names) {
     if (void* library = dlopen(name, RTLD_NOW | RTLD_LOCAL)) return library;
-  throw GlUnavailable(std::string(*names.begin()) + " is not installed; on Debian or Ubuntu: apt-get install " +
-                      packages);
+    if (const char* error = dlerror(); reason.empty()) reason = error == nullptr ? name : error;
+  }
+  throw GlUnavailable(reason + "; on Debian or Ubuntu: apt-get install " + packages);
 }
 
 std::vector<GlProbe> probe_gl() {

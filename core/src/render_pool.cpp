@@ -53,6 +53,7 @@ void RenderPool::render_states(std::span<const double> states, std::span<const F
   if (!is_open()) throw WrongOrder("render pool: render_states was called after close(); make a new pool");
   if (states.size() % static_cast<std::size_t>(state_size_) != 0)
     throw std::invalid_argument("render pool: rows of states must have " + std::to_string(state_size_) + " numbers");
+  if (states.empty()) return;
   for (const Film& film : films)
     renderers_.front()->check(film.camera, {film.width, film.height, film.rgb, film.depth_mm});
 

@@ -7,7 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
-#include "fast_context.hpp"
+#include "drawing_cost.hpp"
 #include "rcs/result.hpp"
 
 namespace rcs {
@@ -16,20 +16,22 @@ namespace {
 
 constexpr int kMaxGeomsBeyondModel = 1000;  // tendon segments, flexes, skins
 constexpr int kFullSamples = 4;
-constexpr int kFullShadowSize =
-    2048;  // at least; 4096, MuJoCo's default, at most, as it is most of the time of a picture
-constexpr int kMaxShadowSize = 4096;
-// Lighting is computed at the corners of a plane's squares. MuJoCo draws 200 × 200 of them for an infinite plane, which
-// takes longer than a whole robot.
+// Side of the shadow map [texels]: half the size, which a model may ask for, takes half the time of a whole picture.
+constexpr int kMinShadowSize = 2048, kMaxShadowSize = 4096;
+// Squares along the half side of a plane, at whose corners its lighting is computed. MuJoCo draws 200 × 200 squares for
+// an infinite plane, which takes longer than a robot.
 constexpr int kPlaneSquares = 16;
-// Up to this height of a picture [pixels] rounds with fewer corners look the same.
-constexpr int kSmallPicture = 128;
 
+// Corners of round shapes: around the axis, and from the equator to a pole.
 struct Roundness {
   int slices;
   int stacks;
 };
-constexpr Roundness kSmallRoundness{12, 2}, kRoundness{16, 3};
+
+Roundness roundness(Quality quality, int picture_height) {
+  if (quality == Quality::full) return {32, 8};
+  return picture_height > 128 ? Roundness{16, 3} : Roundness{12, 2};  // at few pixels fewer corners look the same
+}
 
 // A copy of the model's struct, not of its arrays, with what quality `fast` or `full` wants while MuJoCo makes its
 // OpenGL objects. The model itself may be in use by other threads and is not touched.
@@ -38,14 +40,12 @@ struct DrawnModel {
     mjVisual& visual = value.vis;
     visual.global.offwidth = visual.global.offheight = 1;  // grows with the first picture
     if (options.quality == Quality::full) {
-      visual.quality.offsamples = atoi(getenv("MS"));
-      visual.quality.shadowsize = atoi(getenv("SS"));
+      visual.quality.offsamples = std::max(visual.quality.offsamples, kFullSamples);
+      visual.quality.shadowsize = std::clamp(visual.quality.shadowsize, kMinShadowSize, kMaxShadowSize);
       return;
     }
     visual.quality.offsamples = 0;
     visual.quality.shadowsize = 0;
-    visual.quality.numslices = kRoundness.slices;
-    visual.quality.numstacks = 8;
     visual.quality.numquads = 1;
     geom_size.assign(model.geom_size, model.geom_size + 3 * model.ngeom);
     for (int geom = 0; geom < model.ngeom; ++geom) {
@@ -269,9 +269,7 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
                         &context);
     if (is_fast) drop_stencil(context, open.gl);
   }
-  const Roundness& round = picture.height <= kSmallPicture ? kSmallRoundness : kRoundness;
-  if(!is_fast && getenv("FC") && !open.slices) { use_coarse_shapes(context, open.gl, 32, 8); open.slices=1; }
-  if (is_fast && open.slices != round.slices) {
+  if (const Roundness round = roundness(options_.quality, picture.height); open.slices != round.slices) {
     use_coarse_shapes(context, open.gl, round.slices, round.stacks);
     open.slices = round.slices;
   }

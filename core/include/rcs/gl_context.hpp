@@ -34,7 +34,7 @@ class GlLibrary;
 class GlContext {
  public:
   /// `backend` is "auto" (what this process draws with already, else EGL, else OSMesa), "egl" or "osmesa".
-  /// Throws `std::invalid_argument` for another name, `GlUnavailable` when no such context can be had.
+  /// Throws `std::invalid_argument` for another name or a second backend, `GlUnavailable` when there is no OpenGL.
   explicit GlContext(const std::string& backend = "auto");
   ~GlContext();
   GlContext(const GlContext&) = delete;

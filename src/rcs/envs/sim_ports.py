@@ -58,24 +58,24 @@ class SimCameraPort(Port):
 
     def __init__(self, cameras: SimCameras) -> None:
         """Use the cameras of a world."""
-        self._cameras = cameras
+        self.cameras = cameras
         self.action_spaces = {}
         self.observation_spaces = {keys.FRAMES: cameras_space(cameras)}
 
     def observe(self) -> Observation:
         """Draw a frame of every camera."""
-        return {keys.FRAMES: self._cameras.read()}
+        return {keys.FRAMES: self.cameras.read()}
 
     def capture_times(self) -> dict[str, float]:
         """Return when each camera's frame was drawn."""
-        return {f"{keys.FRAMES}/{name}": time for name, time in self._cameras.capture_times.items()}
+        return {f"{keys.FRAMES}/{name}": time for name, time in self.cameras.capture_times.items()}
 
     def command(self, action: Arrays) -> None:
         """Do nothing: a camera takes no commands."""
 
     def close(self) -> None:
         """Free the renderer."""
-        self._cameras.close()
+        self.cameras.close()
 
 
 def cameras_space(cameras: SimCameras) -> keys.spaces.Dict:

@@ -84,7 +84,7 @@ def _labs() -> dict[str, Lab]:
                     on_gripper=True,
                 ),
                 # Where a second robot would hold it: beside the workspace, looking across it.
-                "side": CameraMount(camera="realsense_d435", optical=looking((0.66, 0.86, 0.44), (0.40, 0.0, 0.13))),
+                "side": CameraMount(camera="realsense_d435", optical=looking((0.66, 0.95, 0.50), (0.34, 0.0, 0.17))),
             },
         ),
     }

@@ -35,7 +35,7 @@ class SimRobot:
         self.layout = RobotLayout.of(robot, world.model)
         self.tcp_readout = world.core.read_pose(self.layout.tcp_site, self.layout.base_body)
         """Index of the TCP's pose in `world.poses`."""
-        self._opening = 0
+        self._opening: int | None = None
         if robot.gripper is not None:
             closed, opened = robot.gripper.joint_closed[0], robot.gripper.joint_open[0]
             self._opening = world.core.read_opening(self.layout.finger_joint_ids, closed, opened)
@@ -73,7 +73,13 @@ class SimRobot:
 
     @property
     def opening(self) -> NDArray[np.float32]:
-        """Measured opening of the gripper, 0 closed … 1 open, (*leading, 1)."""
+        """Measured opening of the gripper, 0 closed … 1 open, (*leading, 1).
+
+        Raises:
+            InvalidSetup: The robot has no gripper.
+        """
+        if self._opening is None:
+            raise InvalidSetup(f"Robot {self.placement.name!r} has no gripper.")
         return self.world.openings[..., self._opening : self._opening + 1].copy()
 
     def command_joints(self, joints: NDArray[np.float64]) -> None:

@@ -1,4 +1,4 @@
-// What quality `fast` changes in MuJoCo's OpenGL objects. Private to the sources.
+// Changes to the OpenGL objects of MuJoCo that make pictures cheaper. Private to the sources.
 #pragma once
 
 #include <mujoco/mujoco.h>

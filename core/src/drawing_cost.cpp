@@ -1,5 +1,6 @@
-#include "fast_context.hpp"
+#include "drawing_cost.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
@@ -65,14 +66,17 @@ class Tessellator {
   }
 
   // The wall of the cylinder of radius 1 from z = -1 to 1.
-  void wall() {
+  void wall(int stacks) {
     const auto at = [&](int slice, float z) {
       const auto [x, y] = circle(slice);
       return Vertex{{x, y, z}, {x, y, 0}};
     };
-    for (int slice = 0; slice < slices_; ++slice) {
-      triangle(at(slice, -1), at(slice + 1, -1), at(slice + 1, 1));
-      triangle(at(slice, -1), at(slice + 1, 1), at(slice, 1));
+    for (int stack = 0; stack < stacks; ++stack) {
+      const float lower = 2.0F * stack / stacks - 1, upper = 2.0F * (stack + 1) / stacks - 1;
+      for (int slice = 0; slice < slices_; ++slice) {
+        triangle(at(slice, lower), at(slice + 1, lower), at(slice + 1, upper));
+        triangle(at(slice, lower), at(slice + 1, upper), at(slice, upper));
+      }
     }
   }
 
@@ -115,6 +119,7 @@ void use_coarse_shapes(const mjrContext& context, const GlContext& gl, int slice
   if (context.rangeBuiltin != kListCount) return;  // another order than the one known here: MuJoCo's own shapes do
   Tessellator shapes(gl, slices);
   const unsigned base = context.baseBuiltin;
+  const int wall_stacks = std::max(1, stacks / 4);  // light varies little along an axis
   shapes.record(base + kSphere, [&] {
     shapes.half_sphere(1, stacks, 0);
     shapes.half_sphere(-1, stacks, 0);
@@ -122,9 +127,9 @@ void use_coarse_shapes(const mjrContext& context, const GlContext& gl, int slice
   // MuJoCo moves a capsule's ends to unit height before it draws them.
   shapes.record(base + kSphereTop, [&] { shapes.half_sphere(1, stacks, 1); });
   shapes.record(base + kSphereBottom, [&] { shapes.half_sphere(-1, stacks, -1); });
-  shapes.record(base + kOpenCylinder, [&] { shapes.wall(); });
+  shapes.record(base + kOpenCylinder, [&] { shapes.wall(wall_stacks); });
   shapes.record(base + kCylinder, [&] {
-    shapes.wall();
+    shapes.wall(wall_stacks);
     shapes.lid(1);
     shapes.lid(-1);
   });

@@ -1,0 +1,185 @@
+"""Frames per second of the lab scene through our camera, beside MuJoCo's own renderer with its default settings.
+
+The scene is the one that data is collected in: FR3 with hand and wrist camera, table, cuboid, room and side camera. The arm moves between frames. The pictures
+are checked: arm, table and cuboid must be in them, at the place where the camera's own matrices say.
+
+Prints one JSON object: `fps` (by edge length in pixels, side camera, fast quality, one thread), `bare_arm_fps` (the arm alone), `default_fps` (the reference).
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+import mujoco
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+import rcs
+from rcs.devices import lookup
+from rcs.rollout.collect import expert_for
+from rcs.setups.labs import looking
+from rcs.sim.camera import SimCameras
+from rcs.sim.scene import CameraPlacement, RobotPlacement, Scene
+from rcs.sim.world import World
+
+
+@dataclass(kw_only=True)
+class Options:
+    """What to measure."""
+
+    sizes: tuple[int, ...] = (84, 224)
+    """Edge lengths of the square frames [px]."""
+    frames: int = 400
+    """Frames per round."""
+    rounds: int = 7
+    """Rounds; the median counts."""
+    save: Path | None = None
+    """Folder to save one picture of each kind to (PPM), to look at."""
+
+
+def main(options: Options) -> None:
+    """Measure and print."""
+    setup = rcs.Setup(cameras=("wrist", "side"))
+    env = rcs.make(setup)
+    world = env.scenario.world
+    assert world.data is not None
+    states = positions_of_an_episode(env, setup)
+    side = next(camera for camera in side_cameras(env) if camera.name == "side")
+    result: dict[str, object] = {"benchmark": "render", "fps": {}, "bare_arm_fps": {}, "default_fps": {}}
+    for size in options.sizes:
+        cameras = SimCameras(world, [side], size=(size, size))
+        show(world, states[len(states) // 2])
+        picture = cameras.read()["side"]["rgb"]
+        check_picture(world, picture)
+        save(options.save, f"lab-{size}", picture)
+        result["fps"] |= {size: rate(cameras, world, states, options)}
+        cameras.close()
+        bare, bare_cameras = bare_arm(size)
+        show(bare, np.array(lookup.find("arm", "fr3").home))
+        save(options.save, f"bare-{size}", bare_cameras.read()["side"]["rgb"])
+        result["bare_arm_fps"] |= {size: rate(bare_cameras, bare, states[:, :7], options)}
+        bare_cameras.close()
+        result["default_fps"] |= {size: default_rate(world, side, size, states)}
+    env.close()
+    print(json.dumps(result))
+
+
+def positions_of_an_episode(env: rcs.envs.env.Env, setup: rcs.Setup) -> NDArray[np.float64]:
+    """Return the joint positions of every step of a scripted pick, (steps, nq)."""
+    blind = rcs.make(rcs.Setup())
+    expert = expert_for(blind, rcs.Setup())
+    observation, info = blind.reset(seed=0)
+    expert.reset(observation, info)
+    names = [blind.scenario.world.model.joint(i).name for i in range(blind.scenario.world.model.njnt)]
+    assert names == [env.scenario.world.model.joint(i).name for i in range(env.scenario.world.model.njnt)]
+    positions, is_over = [], False
+    while not is_over:
+        observation, _, terminated, truncated, info = blind.step(expert.act(observation, info))
+        positions.append(blind.scenario.world.qpos.copy())
+        is_over = terminated or truncated
+    return np.array(positions)
+
+
+def side_cameras(env: rcs.envs.env.Env) -> list[CameraPlacement]:
+    """Return the cameras of an environment."""
+    return env.stack.ports[-1].cameras.placements
+
+
+def bare_arm(size: int) -> tuple[World, SimCameras]:
+    """Return an arm without hand, table or room, and a camera that sees all of it."""
+    scene = Scene(mujoco.MjSpec())
+    robot = RobotPlacement(name="fr3", arm=lookup.find("arm", "fr3"))
+    scene.add_robot(robot)
+    mount = CameraPlacement(
+        name="side",
+        camera=lookup.find("camera", "realsense_d435"),
+        parent_body="world",
+        optical_in_parent=looking((0.9, 1.0, 0.7), (0.15, 0.0, 0.42)),
+    )
+    scene.add_camera(mount)
+    world = World(scene.compile())
+    return world, SimCameras(world, [mount], size=(size, size))
+
+
+def show(world: World, positions: NDArray[np.float64]) -> None:
+    """Put the scene into a state."""
+    world.qpos[: len(positions)] = positions
+    world.refresh()
+
+
+def rate(cameras: SimCameras, world: World, states: NDArray[np.float64], options: Options) -> float:
+    """Return the frames per second while the arm moves."""
+    rates = []
+    for _ in range(options.rounds):
+        begin = time.perf_counter()
+        for i in range(options.frames):
+            show(world, states[i % len(states)])
+            cameras.read()
+        rates.append(options.frames / (time.perf_counter() - begin))
+    return round(median(rates), 1)
+
+
+def default_rate(world: World, camera: CameraPlacement, size: int, states: NDArray[np.float64]) -> float | str:
+    """Return the frames per second of MuJoCo's Python renderer with the model's default settings, in a process of its own."""
+    import subprocess
+    import sys
+    import tempfile
+
+    program = (
+        "import sys, time, mujoco, numpy as np\n"
+        "model = mujoco.MjModel.from_binary_path(sys.argv[1]); data = mujoco.MjData(model)\n"
+        "renderer = mujoco.Renderer(model, int(sys.argv[3]), int(sys.argv[3]))\n"
+        "states = np.load(sys.argv[4]); frames = 20\n"
+        "for i in range(frames + 2):\n"
+        "    if i == 2: begin = time.perf_counter()\n"
+        "    data.qpos[:] = states[i]; mujoco.mj_kinematics(model, data); mujoco.mj_camlight(model, data)\n"
+        "    renderer.update_scene(data, int(sys.argv[2])); renderer.render()\n"
+        "print(frames / (time.perf_counter() - begin)); renderer.close()\n"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        model, positions = f"{folder}/model.mjb", f"{folder}/states.npy"
+        mujoco.mj_saveModel(world.model, model, None)
+        np.save(positions, states)
+        number = str(world.model.camera(camera.camera_name).id)
+        for backend in ("egl", "osmesa"):
+            done = subprocess.run(
+                [sys.executable, "-c", program, model, number, str(size), positions],
+                env={"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend, "PATH": ""},
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            if done.returncode == 0:
+                return round(float(done.stdout.split()[-1]), 1)
+    return "MuJoCo's renderer does not run here"
+
+
+def check_picture(world: World, picture: NDArray[np.uint8]) -> None:
+    """Check that arm, table and cuboid are plainly in a picture."""
+    red, green, blue = (picture[..., i].astype(int) for i in range(3))
+    parts = {
+        "arm": (np.abs(red - blue) < 12) & (red > 140),
+        "table": (red > blue + 40) & (red > green),
+        "cuboid": (green > red + 30) & (green > blue + 20),
+    }
+    for name, mask in parts.items():
+        least = 0.02 if name != "cuboid" else 0.001
+        share = mask.mean()
+        assert share > least, f"the {name} takes {100 * share:.2f} % of the picture; it is not there"
+
+
+def save(folder: Path | None, name: str, picture: NDArray[np.uint8]) -> None:
+    """Save a picture to look at."""
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        height, width, _ = picture.shape
+        (folder / f"{name}.ppm").write_bytes(b"P6 %d %d 255\n" % (width, height) + picture.tobytes())
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

@@ -1,0 +1,158 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rcs.errors import InvalidAction
+from rcs.kinematics import DampedLeastSquares, IkOptions, IkResult, IkStatus, Kinematics
+from rcs.robots.fr3.description import FR3
+from rcs.spatial import Pose, distance
+
+HOME = np.array(FR3.home)
+FAR = Pose([2.0, 0.0, 0.5])
+
+
+def test_at_least_99_percent_of_reachable_poses_are_solved_inside_the_limits(
+    solver: DampedLeastSquares, random_joints: NDArray[np.float64]
+) -> None:
+    targets = solver.forward_batch(random_joints)
+    starts = np.tile(HOME, (len(targets), 1))
+    joints, status = solver.inverse_batch(targets, starts, IkOptions())
+    is_solved = status == IkStatus.ok.value
+    assert is_solved.mean() >= 0.99
+    assert (joints >= solver.joint_lower).all()
+    assert (joints <= solver.joint_upper).all()
+    miss = distance(solver.forward_batch(joints), targets)[is_solved]
+    assert miss[:, 0].max() <= 1e-4
+    assert miss[:, 1].max() <= 2e-4
+
+
+def test_a_pose_near_the_start_is_solved_near_the_start(solver: DampedLeastSquares) -> None:
+    rng = np.random.default_rng(2)
+    for offset in rng.uniform(-0.05, 0.05, (50, 7)):
+        target = solver.forward(HOME + offset)
+        result = solver.inverse(target, HOME, IkOptions(restarts=0))
+        assert result.status is IkStatus.ok
+        assert np.abs(result.joints - HOME).max() < 0.3
+
+
+def test_the_pose_of_the_start_needs_no_iteration_and_gives_the_start(solver: DampedLeastSquares) -> None:
+    result = solver.inverse(solver.forward(HOME), HOME)
+    assert result.status is IkStatus.ok
+    assert result.iterations == 0
+    np.testing.assert_array_equal(result.joints, HOME)
+
+
+@pytest.mark.parametrize("fraction", [0.01, 0.5, 0.99])
+def test_a_solution_farther_away_than_allowed_is_clamped_towards(solver: DampedLeastSquares, fraction: float) -> None:
+    target = solver.forward(HOME + np.array([0.9, 0.1, 0.0, 0.1, 0.0, 0.1, 0.0]))
+    free = solver.inverse(target, HOME)
+    assert free.status is IkStatus.ok
+    whole = free.joints - HOME
+    max_step = fraction * float(np.abs(whole).max())
+    clamped = solver.inverse(target, HOME, IkOptions(max_step=max_step))
+    assert clamped.status is IkStatus.clamped
+    np.testing.assert_allclose(clamped.joints - HOME, fraction * whole, atol=1e-12)
+
+
+def test_a_pose_out_of_reach_gives_the_start(solver: DampedLeastSquares) -> None:
+    result = solver.inverse(FAR, HOME)
+    assert result.status is IkStatus.infeasible
+    np.testing.assert_array_equal(result.joints, HOME)
+    assert result.translation_error > 0.5
+
+
+@pytest.mark.parametrize("threads", [1, 2, 7])
+def test_a_batch_is_a_loop_at_any_number_of_threads(
+    solver: DampedLeastSquares, random_joints: NDArray[np.float64], threads: int
+) -> None:
+    targets = solver.forward_batch(random_joints[:40])
+    targets[3] = FAR.tquat
+    starts = np.tile(HOME, (40, 1))
+    options = IkOptions(restarts=3, max_step=1.0)
+    joints, status = solver.inverse_batch(targets, starts, options, threads=threads)
+    for i, target in enumerate(targets):
+        one = solver.inverse(Pose(target[:3], target[3:]), starts[i], options)
+        np.testing.assert_array_equal(joints[i], one.joints)
+        assert status[i] == one.status.value
+
+
+@pytest.mark.parametrize(
+    "translation", [[1e300, 0, 0], [1e9, -1e9, 1e9], [1e-300, 0, 0], [0.0, 0.0, 0.0], [0, 0, -0.5], [0, 0, 1e154]]
+)
+@pytest.mark.parametrize("quaternion", [[1, 0, 0, 0], [0, 0, 0, 1], [0.5, 0.5, 0.5, 0.5]])
+def test_absurd_poses_never_give_a_number_that_is_not_finite(
+    solver: DampedLeastSquares, translation: list[float], quaternion: list[float]
+) -> None:
+    result = solver.inverse(Pose(translation, quaternion), HOME, IkOptions(restarts=2))
+    assert np.isfinite(result.joints).all()
+    assert (result.joints >= solver.joint_lower).all()
+    assert (result.joints <= solver.joint_upper).all()
+    if result.status is IkStatus.infeasible:
+        np.testing.assert_array_equal(result.joints, HOME)
+
+
+def test_a_start_outside_the_limits_is_moved_inside(solver: DampedLeastSquares) -> None:
+    result = solver.inverse(FAR, np.full(7, 50.0))
+    np.testing.assert_array_equal(result.joints, solver.joint_upper)
+
+
+def test_same_seed_same_answer(solver: DampedLeastSquares, random_joints: NDArray[np.float64]) -> None:
+    target = solver.forward(random_joints[5])
+    answers = [solver.inverse(target, HOME, IkOptions(seed=3, iterations=8)).joints for _ in range(2)]
+    np.testing.assert_array_equal(*answers)
+
+
+def test_poses_and_starts_that_make_no_sense_are_refused(solver: DampedLeastSquares) -> None:
+    target = solver.forward(HOME)
+    for start in (HOME[1:], np.full(7, np.nan)):
+        with pytest.raises(InvalidAction):
+            solver.inverse(target, start)
+    rows, starts = np.tile(target.tquat, (3, 1)), np.tile(HOME, (3, 1))
+    for bad_rows, bad_starts in ((rows[:, :6], starts), (rows[:2], starts), (rows, starts[:, :6])):
+        with pytest.raises(InvalidAction):
+            solver.inverse_batch(bad_rows, bad_starts)
+    with pytest.raises(InvalidAction, match="not finite"):
+        solver.inverse_batch(rows, np.full((3, 7), np.nan))
+    with pytest.raises(ValueError, match="finite"):
+        solver.inverse_batch(np.full((3, 7), np.nan), starts)
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        {"iterations": 0},
+        {"restarts": -1},
+        {"damping": 0.0},
+        {"max_step": 0.0},
+        {"translation_tolerance": 0.0},
+        {"rotation_tolerance": -1.0},
+        {"damping": float("nan")},
+    ],
+)
+def test_options_that_make_no_sense_are_refused(option: dict[str, float]) -> None:
+    with pytest.raises(InvalidAction, match="IkOptions"):
+        IkOptions(**option)
+
+
+class Gantry(Kinematics):
+    """Kinematics in Python: three joints that are the translation."""
+
+    def _dof(self) -> int:
+        return 3
+
+    def _forward(self, joints: NDArray[np.float64]) -> Pose:
+        return Pose(joints)
+
+    def _inverse(self, target: Pose, start: NDArray[np.float64], options: IkOptions) -> IkResult:
+        return IkResult(list(target.translation), IkStatus.ok, iterations=options.iterations)
+
+
+def test_kinematics_can_be_written_in_python() -> None:
+    gantry = Gantry()
+    target = gantry.forward(np.array([0.1, 0.2, 0.3]))
+    result = gantry.inverse(target, np.zeros(3), IkOptions(iterations=9))
+    assert gantry.dof == 3
+    assert result.iterations == 9
+    np.testing.assert_array_equal(result.joints, [0.1, 0.2, 0.3])
