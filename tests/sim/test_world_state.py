@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -167,8 +168,9 @@ def test_poses_are_those_of_mujoco_in_the_frame_of_the_body(robot: SimRobot) -> 
 
 @pytest.mark.parametrize("copies", [None, 3])
 def test_a_state_that_is_not_finite_ends_the_step_as_failed_and_others_go_on(
-    cart: mujoco.MjModel, copies: int | None
+    cart: mujoco.MjModel, copies: int | None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its log there
     world = World(cart, copies=copies, threads=2)
     world.qvel[(-1, 0) if copies else 0] = np.nan
     world.advance()

@@ -14,8 +14,8 @@ from rcs.agents.action_writer import ActionWriter
 from rcs.agents.agent import Action, Agent
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import GRIPPER, TQUAT, Observation
-from rcs.kinematics import DampedLeastSquares, IkOptions, IkStatus
 from rcs.errors import WrongOrder
+from rcs.kinematics import DampedLeastSquares, IkOptions, IkStatus
 from rcs.spatial import Pose, distance, limit_step
 
 CLEARANCE = 0.09
@@ -52,6 +52,7 @@ class Phase(Enum):
     LIFT = "lift"
     HOLD = "hold"
     RETREAT = "retreat"
+    GIVEN_UP = "given up"
 
 
 class PickExpert(Agent):
@@ -108,12 +109,13 @@ class PickExpert(Agent):
     def _begin_attempt(self, info: Mapping[str, Any]) -> None:
         self._attempts += 1
         grasp = self._plan_grasp(np.asarray(info["cuboid"]))
+        self._opening = 1.0
         if grasp is None:
             self._failure = "ik"
+            self._enter(Phase.GIVEN_UP)
         else:
             self._grasp = grasp
-        self._opening = 1.0
-        self._enter(Phase.APPROACH)
+            self._enter(Phase.APPROACH)
 
     def _plan_grasp(self, cuboid: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Return the TCP pose that grasps across the short side, with the wrist turned as little as may be."""
@@ -155,6 +157,8 @@ class PickExpert(Agent):
         return action
 
     def _goal(self) -> tuple[NDArray[np.float64], float]:
+        if self._phase is Phase.GIVEN_UP:
+            return self._target, 0.0
         goal = self._grasp.copy()
         if self._phase in (Phase.APPROACH, Phase.RETREAT):
             goal[2] += CLEARANCE
@@ -191,9 +195,8 @@ class PickExpert(Agent):
     def _give_up(self, why: str) -> None:
         """Try again from above, or remember why not."""
         self._failure = why
-        if self._attempts < ATTEMPTS:
-            self._opening = 1.0
-            self._enter(Phase.RETREAT)
+        self._opening = 1.0
+        self._enter(Phase.RETREAT if self._attempts < ATTEMPTS else Phase.GIVEN_UP)
 
     def _enter(self, phase: Phase) -> None:
         self._phase = phase

@@ -1,0 +1,189 @@
+"""The command line: what it prints, what it leaves on disk, and its exit codes."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rcs.cli.main import main
+from rcs.data import Dataset
+
+RCS = [sys.executable, "-c", "from rcs.cli.main import main; main()"]
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+    with pytest.raises(SystemExit) as stopped:
+        main(list(arguments))
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out + captured.err
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("cli") / "dataset"
+    with pytest.raises(SystemExit) as stopped:
+        main(["collect", "PickCuboid", "--episodes", "2", "--cameras", "none", "--workers", "1", "--out", str(out)])
+    assert stopped.value.code == 0
+    return out
+
+
+def test_collect_leaves_a_dataset_and_a_report(dataset: Path) -> None:
+    assert len(Dataset.open(dataset)) == 2
+    assert "<html" in (dataset / "report.html").read_text()
+
+
+def test_collect_again_finds_everything_there(capsys: pytest.CaptureFixture[str], dataset: Path) -> None:
+    code, told = call(
+        capsys, "collect", "PickCuboid", "--episodes", "2", "--cameras", "none", "--workers", "1", "--out", str(dataset)
+    )
+    assert code == 0
+    assert "Nothing to do" in told
+
+
+def test_info_tells_episodes_success_and_features(capsys: pytest.CaptureFixture[str], dataset: Path) -> None:
+    code, told = call(capsys, "data", "info", str(dataset))
+    assert code == 0
+    for word in ("pick up the green cuboid", "Wilson", "observation/joints", "sha256"):
+        assert word in told
+
+
+def test_check_and_recover_are_content_with_a_good_dataset(capsys: pytest.CaptureFixture[str], dataset: Path) -> None:
+    assert call(capsys, "data", "check", str(dataset))[0] == 0
+    assert call(capsys, "data", "recover", str(dataset))[0] == 0
+
+
+def test_replay_finds_all_states_equal(capsys: pytest.CaptureFixture[str], dataset: Path) -> None:
+    code, told = call(capsys, "data", "replay", str(dataset))
+    assert code == 0
+    assert "2 of 2 episodes bit-equal" in told
+
+
+def test_check_finds_a_flipped_bit_and_fails(capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path) -> None:
+    import shutil
+
+    copy = tmp_path / "copy"
+    shutil.copytree(dataset, copy)
+    steps = copy / "episodes" / "000001" / "steps.parquet"
+    content = bytearray(steps.read_bytes())
+    content[len(content) // 2] ^= 1
+    steps.write_bytes(content)
+    code, told = call(capsys, "data", "check", str(copy))
+    assert code == 1
+    assert "000001" in told
+    assert "000000" not in told
+
+
+def test_list_names_robots_cameras_tasks_and_ids(capsys: pytest.CaptureFixture[str]) -> None:
+    code, told = call(capsys, "list")
+    assert code == 0
+    for word in ("fr3", "franka_hand", "realsense_d405", "realsense_d435", "PickCuboid", "rcs/FR3-v0"):
+        assert word in told
+
+
+def test_doctor_tells_which_backend_draws_and_why(capsys: pytest.CaptureFixture[str]) -> None:
+    code, told = call(capsys, "doctor")
+    assert "GL egl" in told
+    assert "GL osmesa" in told
+    assert (code == 0) == ("chosen" in told)
+
+
+def test_a_missing_gl_library_is_told_with_its_remedy(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rcs.cli import doctor
+
+    class Probe:
+        def __init__(self, name: str, detail: str) -> None:
+            self.name, self.ok, self.detail = name, False, detail
+
+    monkeypatch.setattr(doctor, "probe_gl", lambda: [Probe("egl", "no libEGL.so.1"), Probe("osmesa", "apt-get install libosmesa6")])
+    code, told = call(capsys, "doctor")
+    assert code == 1
+    assert "apt-get install libosmesa6" in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["collect", "PickCubiod"], ["PickCubiod", "Did you mean 'PickCuboid'"]),
+        (["collect", "PickCuboid", "--robot", "fr4"], ["fr4", "Did you mean 'fr3'"]),
+        (["collect", "PickCuboid", "--cameras", "wirst"], ["wirst", "Did you mean 'wrist'"]),
+        (["collect", "PickCuboid", "--episodes", "-1"], ["episodes is -1"]),
+        (["collect", "PickCuboid", "--workers", "-2"], ["workers is -2"]),
+        (["collect", "PickCuboid", "--size", "0"], ["size"]),
+        (["data", "info", "nowhere"], ["nowhere"]),
+    ],
+)
+def test_bad_arguments_get_a_clear_error_and_no_traceback(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], words: list[str]
+) -> None:
+    if arguments[0] == "collect":
+        arguments = [*arguments, "--out", str(tmp_path / "out")]
+    code, told = call(capsys, *arguments)
+    assert code == 1
+    assert "Traceback" not in told
+    for word in words:
+        assert word in told.replace("\n", " ")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_output_folder_that_is_a_file_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    code, told = call(capsys, "collect", "PickCuboid", "--cameras", "none", "--out", str(tmp_path / "file"))
+    assert code == 1
+    assert "DatasetError" in told
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def start(out: Path, *arguments: str, limit: int | None = None) -> subprocess.Popen[str]:
+    def set_limit() -> None:
+        if limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    command = [*RCS, "collect", "PickCuboid", "--cameras", "none", "--out", str(out), *arguments]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True, preexec_fn=set_limit
+    )
+
+
+def wait_for_episodes(out: Path, count: int) -> None:
+    deadline = time.monotonic() + 30
+    while len(list((out / "episodes").glob("0*/episode.json"))) < count:
+        assert time.monotonic() < deadline, "no episodes within 30 s"
+        time.sleep(0.02)
+
+
+def test_a_disk_without_room_ends_the_collection_with_a_clear_error(tmp_path: Path) -> None:
+    # A limit on the size of files stands in for a full disk: writes fail the same way.
+    process = start(tmp_path / "out", "--episodes", "2", "--workers", "1", limit=20_000)
+    told, _ = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "DatasetError" in told
+    assert "Traceback" not in told
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_ctrl_c_finishes_cleanly_and_the_same_command_goes_on(tmp_path: Path, workers: str) -> None:
+    out = tmp_path / "out"
+    process = start(out, "--episodes", "500", "--workers", workers)
+    wait_for_episodes(out, 2)
+    os.killpg(process.pid, signal.SIGINT)
+    told, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, told
+    kept = len(Dataset.open(out))
+    assert 2 <= kept < 500
+    assert not list((out / "episodes").glob(".*")), "nothing is left open"
+    assert (out / "report.html").exists()
+    again = start(out, "--episodes", str(kept + 1), "--workers", "1")
+    told, _ = again.communicate(timeout=60)
+    assert again.returncode == 0, told
+    assert len(Dataset.open(out)) == kept + 1

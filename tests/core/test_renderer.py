@@ -1,0 +1,442 @@
+"""Pictures show what the geometry of the scene says they must."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from rcs import _core
+
+from rcs.errors import WrongOrder
+
+STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+Image = np.ndarray[Any, np.dtype[np.uint8]]
+Depth = np.ndarray[Any, np.dtype[np.uint16]]
+MakeRenderer = Callable[..., _core.Renderer]
+
+SCENE = """
+<mujoco>
+  <statistic extent="1"/>
+  <visual><headlight ambient=".5 .5 .5" diffuse=".5 .5 .5" specular="0 0 0"/><quality shadowsize="2048"/></visual>
+  <worldbody>
+    <light pos="1 1 3" dir="-.3 -.3 -1" type="directional" diffuse=".3 .3 .3"/>
+    <geom name="floor" type="plane" size="0 0 1" rgba=".5 .5 .5 1"/>
+    <geom name="red" type="sphere" size=".06" pos=".2 .1 .06" rgba="1 0 0 1"/>
+    <geom name="green" type="capsule" size=".05 .06" pos="-.2 .15 .11" rgba="0 1 0 1"/>
+    <body name="blue" pos="0 -.15 .05">
+      <freejoint/>
+      <geom name="blue" type="cylinder" size=".06 .05" rgba="0 0 1 1"/>
+    </body>
+    <geom name="collision" type="box" size=".05 .05 .05" pos="0 .3 .05" rgba="1 1 0 1" group="3"/>
+    <camera name="top" pos="0 0 1.5" fovy="45"/>
+    <camera name="side" pos="1 -.4 .8" xyaxes=".37 .93 0 -.5 .2 .84" fovy="60"/>
+    <camera name="sensor" pos="0 0 1.5" resolution="80 60" sensorsize="8 6" focalpixel="70 70" principalpixel="6 -4"/>
+  </worldbody>
+</mujoco>
+"""
+
+# Shapes one at a time, on an axis that no camera below looks along.
+SHAPES = {
+    "sphere": 'type="sphere" size=".2"',
+    "ellipsoid": 'type="ellipsoid" size=".1 .2 .25"',
+    "capsule": 'type="capsule" size=".1 .15"',
+    "cylinder": 'type="cylinder" size=".12 .2"',
+}
+
+
+def build(xml: str = SCENE) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Return a model and a data at rest."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def state_of(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the integration state of a data."""
+    state = np.empty(mujoco.mj_stateSize(model, STATE))
+    mujoco.mj_getState(model, data, state, STATE)
+    return state
+
+
+@pytest.fixture
+def make() -> Iterator[MakeRenderer]:
+    """Make renderers that are closed after the test."""
+    made: list[_core.Renderer] = []
+
+    def make_renderer(model: mujoco.MjModel, **options: Any) -> _core.Renderer:
+        made.append(_core.Renderer(model._address, **options))
+        return made[-1]
+
+    yield make_renderer
+    for renderer in made:
+        renderer.close()
+
+
+def draw(
+    renderer: _core.Renderer, data: mujoco.MjData, camera: int = 0, height: int = 90, width: int = 120
+) -> tuple[Image, Depth]:
+    """Return the colours and the depth [mm] that a camera sees."""
+    rgb, depth = np.zeros((height, width, 3), np.uint8), np.zeros((height, width), np.uint16)
+    renderer.update(data._address)
+    renderer.render(camera, rgb, depth)
+    return rgb, depth
+
+
+def in_camera(data: mujoco.MjData, camera: int, point: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return a point of the world in a camera's OpenCV axes: x right, y down, z forward."""
+    rotation = data.cam_xmat[camera].reshape(3, 3) * [1, -1, -1]
+    return rotation.T @ (point - data.cam_xpos[camera])
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("quality", ["fast", "full"])
+@pytest.mark.parametrize("camera", ["top", "side"])
+def test_geoms_appear_where_a_pinhole_camera_projects_them(make: MakeRenderer, quality: str, camera: str) -> None:
+    model, data = build()
+    camera_id = model.camera(camera).id
+    rgb, _ = draw(make(model, quality=quality), data, camera_id)
+    focal = 45 / np.tan(np.radians(model.cam_fovy[camera_id]) / 2)
+    for channel, name in enumerate(("red", "green", "blue")):
+        x, y, z = in_camera(data, camera_id, data.geom(name).xpos)
+        pixel = rgb[int(45 + focal * y / z), int(60 + focal * x / z)].astype(int)
+        assert pixel[channel] > 100
+        assert np.delete(pixel, channel).max() < 30
+
+
+@pytest.mark.gl
+def test_a_camera_with_a_sensor_has_its_focal_length_and_principal_point(make: MakeRenderer) -> None:
+    model, data = build()
+    camera = model.camera("sensor").id
+    rgb, _ = draw(make(model), data, camera, 60, 80)
+    x, y, z = in_camera(data, camera, data.geom("red").xpos)
+    rows, columns = np.nonzero(rgb[:, :, 0].astype(int) - rgb[:, :, 1] > 60)
+    # MuJoCo counts the principal point from the middle, to the right and up in the picture's sense of its projection.
+    shift = np.array([columns.mean() + 0.5 - 40, rows.mean() + 0.5 - 30]) - 70 * np.array([x, y]) / z
+    print(shift); np.testing.assert_allclose(np.abs(shift), [6, 4], atol=0.5)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("quality", ["fast", "full"])
+def test_depth_is_the_distance_of_the_plane_along_the_optical_axis(make: MakeRenderer, quality: str) -> None:
+    model, data = build()
+    rgb, depth = draw(make(model, quality=quality), data, model.camera("top").id, 240, 320)
+    floor = (np.ptp(rgb.astype(int), axis=2) < 10) & (depth > 1499)
+    assert floor.mean() > 0.8
+    np.testing.assert_allclose(depth[floor], 1500, atol=1)
+
+
+@pytest.mark.gl
+def test_depth_of_a_tilted_view_puts_every_floor_pixel_on_the_floor(make: MakeRenderer) -> None:
+    model, data = build()
+    camera = model.camera("side").id
+    rgb, depth = draw(make(model), data, camera, 90, 120)
+    focal = 45 / np.tan(np.radians(60) / 2)
+    rows, columns = np.nonzero((np.ptp(rgb.astype(int), axis=2) < 3) & (depth > 0))
+    rays = np.stack([(columns + 0.5 - 60) / focal, (rows + 0.5 - 45) / focal, np.ones(len(rows))])
+    rotation = data.cam_xmat[camera].reshape(3, 3) * [1, -1, -1]
+    height = data.cam_xpos[camera, 2] + (rotation @ rays)[2] * depth[rows, columns] / 1000
+    assert len(rows) > 4000
+    assert np.abs(height).max() < 0.0015
+
+
+@pytest.mark.gl
+def test_depth_is_zero_where_nothing_is_and_beyond_what_sixteen_bits_hold(make: MakeRenderer) -> None:
+    model, data = build(
+        """<mujoco><statistic extent="5"/><worldbody>
+        <geom type="box" size="9 9 1" pos="-9 0 -66"/><geom type="box" size="9 9 1" pos="9 0 -68"/>
+        <camera pos="0 0 0" fovy="10"/></worldbody></mujoco>"""
+    )
+    _, depth = draw(make(model), data, height=64, width=64)
+    assert depth[32, 10] == pytest.approx(65000, abs=5)
+    assert depth[32, 50] == 0
+    model, data = build("<mujoco><worldbody><camera/></worldbody></mujoco>")
+    rgb, depth = draw(make(model), data)
+    assert not rgb.any()
+    assert not depth.any()
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("height", [96, 240])
+def test_coarse_round_shapes_fill_the_outline_of_fine_ones(make: MakeRenderer, shape: str, height: int) -> None:
+    axes = ("0 1 0 0 0 1", "0 1 0 1 0 1", "1 0 0 0 1 0", "1 0 0 0 -1 0")
+    points = ("1 0 0", "1 0 -1", "0 0 1", "0 0 -1")
+    cameras = "".join(f'<camera pos="{p}" xyaxes="{a}"/>' for p, a in zip(points, axes, strict=True))
+    model, data = build(f"<mujoco><worldbody><geom {SHAPES[shape]}/>{cameras}</worldbody></mujoco>")
+    fast, full = make(model), make(model, quality="full")
+    for camera in range(model.ncam):
+        (_, coarse), (_, fine) = (draw(r, data, camera, height, height) for r in (fast, full))
+        assert ((coarse > 0) & (fine > 0)).sum() > 0.9 * ((coarse > 0) | (fine > 0)).sum()
+        both = (coarse > 0) & (fine > 0)
+        # A polygon of 12 sides and 2 stacks stays within 8 % of the radius of its ball.
+        assert np.median(np.abs(coarse[both].astype(int) - fine[both])) < 12
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("offset", [(1, 0), (-1, 0), (0, 1), (0, -1)])
+def test_a_geom_with_its_middle_outside_the_picture_is_still_seen(make: MakeRenderer, offset: tuple[int, int]) -> None:
+    half = np.tan(np.radians(45) / 2)
+    x, y = np.array(offset) * (half + 0.03)
+    model, data = build(
+        f"""<mujoco><worldbody><geom type="sphere" size=".06" pos="{x} {y} 0"/><camera pos="0 0 1" fovy="45"/>
+        </worldbody></mujoco>"""
+    )
+    _, depth = draw(make(model), data, height=96, width=96)
+    rows, columns = np.nonzero(depth)
+    assert len(rows) > 10
+    assert np.sign(np.round([columns.mean() - 47.5, 47.5 - rows.mean()], -1)).astype(int).tolist() == list(offset)
+
+
+@pytest.mark.gl
+def test_the_same_poses_give_the_same_picture_whatever_was_drawn_before(make: MakeRenderer) -> None:
+    model, data = build()
+    renderer = make(model)
+    first = draw(renderer, data, 1)
+    draw(renderer, data, 0, 200, 300)
+    again = draw(renderer, data, 1)
+    fresh = draw(make(model), data, 1)
+    for rgb, depth in (again, fresh):
+        np.testing.assert_array_equal(rgb, first[0])
+        np.testing.assert_array_equal(depth, first[1])
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_a_pool_draws_the_pictures_of_a_single_renderer(make: MakeRenderer, threads: int) -> None:
+    model, data = build()
+    renderer = make(model)
+    cameras = [model.camera("side").id, model.camera("top").id]
+    sizes = [(60, 80), (132, 100)]
+    states = []
+    expected: list[list[tuple[Image, Depth]]] = [[], []]
+    for step in range(7):
+        data.qpos[:3] = [0.03 * step, -0.2, 0.05]
+        mujoco.mj_forward(model, data)
+        states.append(state_of(model, data))
+        for film, camera, size in zip(expected, cameras, sizes, strict=True):
+            film.append(draw(renderer, data, camera, *size))
+    pool = _core.RenderPool(model._address, threads)
+    rgb = [np.zeros((7, *size, 3), np.uint8) for size in sizes]
+    depth = [None, np.zeros((7, *sizes[1]), np.uint16)]
+    pool.render_states(np.array(states), cameras, rgb, depth)
+    pool.render_states(np.zeros((0, pool.state_size)), cameras, [film[:0] for film in rgb])
+    pool.close()
+    for film, wanted in zip(rgb, expected, strict=True):
+        np.testing.assert_array_equal(film, [picture for picture, _ in wanted])
+    np.testing.assert_array_equal(depth[1], [picture for _, picture in expected[1]])
+    assert not np.array_equal(rgb[1][0], rgb[1][6])
+
+
+@pytest.mark.gl
+def test_a_state_gives_the_picture_of_the_data_it_was_taken_from(make: MakeRenderer) -> None:
+    model, data = build()
+    data.qpos[:3] = [0.1, 0, 0.3]
+    mujoco.mj_forward(model, data)
+    renderer = make(model)
+    wanted, _ = draw(renderer, data)
+    rgb = np.zeros_like(wanted)
+    renderer.update_from_state(state_of(model, data))
+    renderer.render(0, rgb)
+    np.testing.assert_array_equal(rgb, wanted)
+
+
+@pytest.mark.gl
+def test_threads_may_share_a_renderer_or_have_their_own(make: MakeRenderer) -> None:
+    model, data = build()
+    shared = make(model)
+    wanted, _ = draw(shared, data)
+
+    def draw_often(renderer: _core.Renderer) -> bool:
+        rgb = np.zeros_like(wanted)
+        equal = True
+        for _ in range(20):
+            renderer.render(0, rgb)
+            equal &= np.array_equal(rgb, wanted)
+        return equal
+
+    own = [make(model), make(model)]
+    for renderer in own:
+        renderer.update(data._address)
+    with ThreadPoolExecutor(4) as threads:
+        assert all(threads.map(draw_often, [shared, shared, *own]))
+
+
+@pytest.mark.gl
+def test_collision_geoms_are_drawn_only_when_asked_for(make: MakeRenderer) -> None:
+    model, data = build()
+    x, y, z = in_camera(data, 0, data.geom("collision").xpos)
+    focal = 45 / np.tan(np.radians(45) / 2)
+    row, column = int(45 + focal * y / z), int(60 + focal * x / z)
+    hidden, _ = draw(make(model), data)
+    shown, _ = draw(make(model, geom_groups=[True, False, False, True, False, False]), data)
+    assert np.ptp(hidden[row, column].astype(int)) < 5
+    assert shown[row, column, 0] > 100 > 30 > shown[row, column, 2]
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("quality", ["fast", "full"])
+def test_drawing_does_not_change_the_model(make: MakeRenderer, quality: str) -> None:
+    model, data = build()
+
+    def content() -> bytes:
+        buffer = np.zeros(mujoco.mj_sizeModel(model), np.uint8)
+        mujoco.mj_saveModel(model, None, buffer)
+        return buffer.tobytes()
+
+    before = content()
+    draw(make(model, quality=quality), data)
+    assert content() == before
+
+
+@pytest.mark.gl
+def test_a_closed_renderer_refuses_to_draw_and_closes_twice(make: MakeRenderer) -> None:
+    model, data = build()
+    renderer = make(model)
+    draw(renderer, data)
+    renderer.close()
+    renderer.close()
+    assert not renderer.is_open
+    with pytest.raises(WrongOrder, match="after close"):
+        draw(renderer, data)
+    pool = _core.RenderPool(model._address, 2)
+    pool.close()
+    pool.close()
+    assert not pool.is_open
+    with pytest.raises(WrongOrder, match="after close"):
+        pool.render_states(np.zeros((1, pool.state_size)), [0], [np.zeros((1, 8, 8, 3), np.uint8)])
+
+
+@pytest.mark.gl
+def test_drawing_before_there_are_poses_is_refused(make: MakeRenderer) -> None:
+    model, _ = build()
+    with pytest.raises(WrongOrder, match="before update"):
+        make(model).render(0, np.zeros((8, 8, 3), np.uint8))
+
+
+@pytest.mark.gl
+def test_pictures_that_do_not_fit_are_refused_with_what_is_valid(make: MakeRenderer) -> None:
+    model, data = build()
+    renderer = make(model, max_width=64, max_height=48)
+    renderer.update(data._address)
+    good = np.zeros((48, 64, 3), np.uint8)
+    with pytest.raises(ValueError, match=r"no camera 3; the model has 0 \(top\), 1 \(side\), 2 \(sensor\)"):
+        renderer.render(3, good)
+    with pytest.raises(ValueError, match="1 x 1 to 64 x 48"):
+        renderer.render(0, np.zeros((48, 65, 3), np.uint8))
+    with pytest.raises(ValueError, match="height and width of rgb"):
+        renderer.render(0, good, np.zeros((48, 63), np.uint16))
+    with pytest.raises(ValueError, match=f"{renderer.state_size}"):
+        renderer.update_from_state(np.zeros(renderer.state_size + 1))
+    # These would be filled in a copy that nobody sees.
+    for wrong in (good.astype(float), good[:, ::2], np.zeros((48, 64), np.uint8)):
+        with pytest.raises(TypeError):
+            renderer.render(0, wrong)  # pyright: ignore[reportArgumentType]
+    good.flags.writeable = False
+    with pytest.raises(TypeError):
+        renderer.render(0, good)
+
+
+@pytest.mark.gl
+def test_a_pool_refuses_arrays_that_do_not_belong_together() -> None:
+    model, data = build()
+    pool = _core.RenderPool(model._address, 1)
+    states = np.stack([state_of(model, data)] * 2)
+    rgb = np.zeros((2, 8, 8, 3), np.uint8)
+    with pytest.raises(ValueError, match="rows of"):
+        pool.render_states(states[:, 1:], [0], [rgb])
+    with pytest.raises(ValueError, match="one picture for each row"):
+        pool.render_states(states, [0], [rgb[:1]])
+    with pytest.raises(ValueError, match="one array for each camera"):
+        pool.render_states(states, [0, 1], [rgb])
+    with pytest.raises(ValueError, match="height and width"):
+        pool.render_states(states, [0], [rgb], [np.zeros((2, 8, 9), np.uint16)])
+    with pytest.raises(ValueError, match="no camera -1"):
+        pool.render_states(states, [-1], [rgb])
+    with pytest.raises(TypeError):
+        pool.render_states(states, [0], [rgb[:, :, ::2]])
+    pool.close()
+
+
+@pytest.mark.gl
+def test_options_that_mean_nothing_are_refused(make: MakeRenderer) -> None:
+    model, _ = build()
+    with pytest.raises(ValueError, match="known: fast, full"):
+        make(model, quality="best")
+    with pytest.raises(ValueError, match="known: auto, egl, osmesa"):
+        make(model, backend="vulkan")
+    with pytest.raises(ValueError, match="at least 1 x 1"):
+        make(model, max_width=0)
+    with pytest.raises(ValueError, match="pixels can be drawn here"):
+        make(model, max_width=10**6)
+    with pytest.raises(ValueError, match="at least 1 is needed"):
+        _core.RenderPool(model._address, 0)
+
+
+@pytest.mark.gl
+def test_a_second_backend_in_one_process_is_refused(make: MakeRenderer) -> None:
+    model, _ = build()
+    first = make(model).description.split(":")[0]
+    with pytest.raises(ValueError, match="one per process"):
+        make(model, backend="osmesa" if first == "egl" else "egl")
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("backend", ["egl", "osmesa"])
+def test_every_backend_that_the_probe_calls_good_draws(backend: str) -> None:
+    probe = next(probe for probe in _core.probe_gl() if probe.name == backend)
+    if not probe.ok:
+        pytest.skip(probe.detail)
+    program = f"""
+        import mujoco, numpy as np
+        from rcs import _core
+        model = mujoco.MjModel.from_xml_string({SCENE!r})
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        renderer = _core.Renderer(model._address, backend={backend!r})
+        rgb = np.zeros((64, 64, 3), np.uint8)
+        renderer.update(data._address)
+        renderer.render(0, rgb)
+        print(renderer.description.split(":")[0], np.ptp(rgb) > 100)
+    """
+    assert run(program).stdout.split() == [backend, "True"]
+
+
+def test_without_opengl_the_error_has_the_remedy_for_each_backend(tmp_path: Path) -> None:
+    for name in ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6"):
+        (tmp_path / name).write_bytes(b"\0" * 4096)  # found first, and no library
+    program = """
+        import mujoco
+        from rcs import _core
+        from rcs.errors import MissingDependency
+        assert not any(probe.ok for probe in _core.probe_gl())
+        model = mujoco.MjModel.from_xml_string("<mujoco/>")
+        try:
+            _core.Renderer(model._address)
+        except MissingDependency as error:
+            print(error)
+    """
+    answer = run(program, LD_LIBRARY_PATH=str(tmp_path))
+    assert "apt-get install libegl1" in answer.stdout, answer.stderr
+    assert "apt-get install libosmesa6" in answer.stdout
+
+
+def run(program: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a program in a fresh process, where no backend is chosen yet."""
+    return subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)],
+        env={**os.environ, **environment, "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )

@@ -1,0 +1,81 @@
+"""Every kind of environment that the project makes keeps the contract."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import pytest
+
+import rcs
+from rcs.testing import EnvContract
+
+
+class Made(EnvContract):
+    """An environment of `rcs.make`."""
+
+    options: ClassVar[dict[str, Any]]
+    longest_episode = 6
+
+    def make_env(self) -> Any:
+        return rcs.make(**{"max_episode_steps": 6, **self.options})
+
+
+class TestPickCuboidWithRelativeJoints(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "PickCuboid"}
+
+
+class TestPickCuboidWithAbsoluteJoints(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "PickCuboid", "relative": False}
+
+
+class TestPickCuboidWithRelativePoses(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "PickCuboid", "control": "tquat"}
+
+
+class TestPickCuboidWithAbsolutePoses(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "PickCuboid", "control": "tquat", "relative": False}
+
+
+class TestFreeWithRelativeRollPitchYaw(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "Free", "control": "xyzrpy"}
+
+
+class TestFreeWithAbsoluteRollPitchYaw(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "Free", "control": "xyzrpy", "relative": "absolute"}
+
+
+class TestFreeWithPosesRelativeToAnOrigin(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "Free", "control": "tquat", "relative": "origin"}
+
+
+class TestFreeWithSynchronousSteps(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "Free", "mode": "sync", "binary_gripper": False}
+
+
+@pytest.mark.gl
+class TestPickCuboidWithCameras(Made):
+    steps = 2
+    options: ClassVar[dict[str, Any]] = {
+        "task": "PickCuboid",
+        "cameras": ("wrist", "side"),
+        "size": (24, 16),
+        "depth": True,
+    }
+
+
+class TestFakeDevices(EnvContract):
+    longest_episode = 20
+    is_reset_complete = False  # a reset opens the devices and moves nothing
+
+    @pytest.fixture(autouse=True)
+    def _on_a_bench(self, make_bench: Callable[..., Any]) -> None:
+        self.make_bench = make_bench
+
+    def make_env(self) -> Any:
+        return self.make_bench().env
+
+
+class TestFakeDevicesWithSynchronousSteps(TestFakeDevices):
+    def make_env(self) -> Any:
+        return self.make_bench(is_synchronous=True).env

@@ -1,0 +1,168 @@
+"""A collection depends on its seed alone: not on workers, interruptions or resumptions."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.data import Dataset, compare_steps
+from rcs.errors import DatasetError, InvalidSetup
+from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.replay import replay, setup_of
+
+
+def run(collection: Collection) -> Progress:
+    progress = Progress()
+    for _ in collect(collection, progress):
+        pass
+    return progress
+
+
+def plan(out: Path, **changes: object) -> Collection:
+    return dataclasses.replace(Collection(setup=rcs.Setup(), out=out, episodes=3, seed=7), **changes)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("collect") / "dataset with spaces ü"
+    assert run(plan(out)).kept == 3
+    return out
+
+
+def hashes(path: Path) -> list[str]:
+    return [episode.content_hash for episode in Dataset.open(path).episodes]
+
+
+def test_a_second_collection_has_the_same_content(dataset: Path, tmp_path: Path) -> None:
+    run(plan(tmp_path / "again"))
+    assert hashes(tmp_path / "again") == hashes(dataset)
+    for one, two in zip(Dataset.open(dataset).episodes, Dataset.open(tmp_path / "again").episodes, strict=True):
+        assert compare_steps(one.steps(), two.steps()) == []
+
+
+def test_another_seed_has_other_content(dataset: Path, tmp_path: Path) -> None:
+    run(plan(tmp_path / "other", episodes=1, seed=8))
+    assert hashes(tmp_path / "other")[0] != hashes(dataset)[0]
+
+
+def test_two_workers_make_the_same_dataset_as_one(dataset: Path, tmp_path: Path) -> None:
+    run(plan(tmp_path / "two", workers=2))
+    assert hashes(tmp_path / "two") == hashes(dataset)
+
+
+def test_an_interrupted_collection_is_resumed_to_the_same_dataset(dataset: Path, tmp_path: Path) -> None:
+    progress = Progress()
+    for _ in collect(plan(tmp_path / "part"), progress):
+        progress.is_interrupted = True
+    assert progress.kept == 1
+    again = run(plan(tmp_path / "part"))
+    assert (again.found, again.kept) == (1, 3)
+    assert hashes(tmp_path / "part") == hashes(dataset)
+
+
+def test_a_complete_collection_has_nothing_to_do(dataset: Path) -> None:
+    assert run(plan(dataset)).attempts == []
+
+
+def test_the_first_row_is_the_reset_observation(dataset: Path) -> None:
+    env = rcs.make(rcs.Setup())
+    episode = Dataset.open(dataset).episodes[0]
+    observation, _ = env.reset(seed=episode.seed)
+    np.testing.assert_array_equal(episode.column("observation/joints")[0], observation["joints"])
+    assert episode.column("simulated_time")[0] == 0.0
+    assert np.isnan(episode.column("reward")[0])
+
+
+def test_the_executed_action_is_what_the_arm_was_sent(dataset: Path) -> None:
+    episode = Dataset.open(dataset).episodes[0]
+    executed, given = episode.column("executed/joints")[1:], episode.column("action/joints")[1:]
+    first = episode.column("observation/joints")[0]
+    np.testing.assert_allclose(executed, first + np.cumsum(given, axis=0), atol=1e-9)
+
+
+def test_times_are_measured_and_never_go_back(dataset: Path) -> None:
+    for episode in Dataset.open(dataset).episodes:
+        assert (np.diff(episode.column("time/monotonic")) > 0).all()
+        np.testing.assert_allclose(np.diff(episode.column("simulated_time")).mean(), 1 / 30, rtol=0.01)
+
+
+def test_every_episode_replays_bit_for_bit(dataset: Path) -> None:
+    results = list(replay(dataset))
+    assert len(results) == 3
+    assert all(result.is_equal for result in results)
+
+
+def test_a_changed_state_is_found_by_replay(dataset: Path) -> None:
+    from rcs.envs.assemble import assemble
+    from rcs.rollout.replay import replay_episode
+    from rcs.setups.make import resolve
+
+    episode = Dataset.open(dataset).episodes[0]
+    states = episode.sim_state().copy()
+    states[40, 3] = np.nextafter(states[40, 3], 1.0)
+    episode.sim_state = lambda: states  # pyright: ignore[reportAttributeAccessIssue]  one bit of one number
+    result = replay_episode(assemble(resolve(rcs.Setup())), episode)
+    assert result.first_difference == 40
+
+
+def test_only_success_keeps_trying_until_there_are_enough(tmp_path: Path) -> None:
+    # Too few steps for a pick that starts far away: some attempts fail.
+    collection = plan(tmp_path / "good", setup=rcs.Setup(max_episode_steps=116), episodes=3, only_success=True)
+    progress = run(collection)
+    episodes = Dataset.open(tmp_path / "good").episodes
+    assert len(episodes) == 3
+    assert all(episode.success for episode in episodes)
+    assert len(progress.attempts) > 3
+    assert {attempt.result.failure for attempt in progress.attempts} == {None, "timeout"}
+
+
+def test_the_setup_in_a_dataset_makes_the_same_environment(dataset: Path) -> None:
+    assert setup_of(Dataset.open(dataset)) == rcs.Setup()
+
+
+def test_a_dataset_of_another_setup_is_refused_with_what_differs(dataset: Path) -> None:
+    before = hashes(dataset)
+    with pytest.raises(DatasetError, match=r"control.*'joints'.*'tquat'"):
+        run(plan(dataset, setup=rcs.Setup(control="tquat")))
+    assert hashes(dataset) == before
+
+
+@pytest.mark.parametrize(("field", "value"), [("episodes", 0), ("episodes", -3), ("seed", -1), ("workers", 0)])
+def test_counts_that_make_no_sense_are_refused(tmp_path: Path, field: str, value: int) -> None:
+    with pytest.raises(InvalidSetup, match=field):
+        plan(tmp_path, **{field: value})
+
+
+def test_synchronous_steps_are_not_recorded_as_a_fixed_rate(tmp_path: Path) -> None:
+    with pytest.raises(InvalidSetup, match="sync"):
+        plan(tmp_path, setup=rcs.Setup(mode="sync"))
+
+
+def test_a_task_without_an_expert_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(InvalidSetup, match="no scripted expert"):
+        run(plan(tmp_path / "none", setup=rcs.Setup(task="Free")))
+    assert not (tmp_path / "none").exists()
+
+
+def test_an_error_in_a_worker_reaches_the_caller(tmp_path: Path, dataset: Path) -> None:
+    from rcs.rollout.pool import WorkerPool
+
+    with WorkerPool(FailingWork(), 2) as pool, pytest.raises(Exception, match="out of order"):
+        list(pool.map(iter(range(3))))
+
+
+class FailingWork:
+    """Makes a worker that fails; at module level, so that it can be sent to a process."""
+
+    def __call__(self) -> FailingWork:
+        return self
+
+    def attempt(self, number: int) -> int:
+        raise ValueError("out of order")
+
+    def close(self) -> None:
+        return
