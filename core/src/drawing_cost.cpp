@@ -54,7 +54,7 @@ class Tessellator {
       const double elevation = mjPI / 2 * stack / stacks;
       const auto [x, y] = circle(side * slice);  // mirrored for the lower half, so that triangles keep facing outwards
       const auto radius = static_cast<float>(std::cos(elevation));
-      const auto z = static_cast<float>(side * std::sin(elevation));
+      const auto z = static_cast<float>(side * std::sin(elevation) * outset(4 * stacks));
       return Vertex{{radius * x, radius * y, shift + z}, {radius * x, radius * y, z}};
     };
     for (int stack = 0; stack < stacks; ++stack) {
@@ -94,8 +94,12 @@ class Tessellator {
   std::pair<float, float> circle(int slice) const {
     // The modulus closes the ring exactly, so that its ends share their vertices.
     const double azimuth = 2 * mjPI * ((slice + slices_) % slices_) / slices_;
-    return {static_cast<float>(std::cos(azimuth)), static_cast<float>(std::sin(azimuth))};
+    const double radius = outset(slices_);
+    return {static_cast<float>(radius * std::cos(azimuth)), static_cast<float>(radius * std::sin(azimuth))};
   }
+
+  // Radius of a polygon's corners at which its sides are as far inside the unit circle as its corners are outside.
+  static double outset(int corners) { return 2 / (1 + std::cos(mjPI / corners)); }
 
   void triangle(const Vertex& a, const Vertex& b, const Vertex& c) {
     for (const Vertex* v : {&a, &b, &c}) {

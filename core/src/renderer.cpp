@@ -30,7 +30,7 @@ struct Roundness {
 
 Roundness roundness(Quality quality, int picture_height) {
   if (quality == Quality::full) return {32, 8};
-  return picture_height > 128 ? Roundness{16, 3} : Roundness{12, 2};  // at few pixels fewer corners look the same
+  return picture_height > 128 ? Roundness{16, 3} : Roundness{12, 3};  // at few pixels fewer corners look the same
 }
 
 // A copy of the model's struct, not of its arrays, with what quality `fast` or `full` wants while MuJoCo makes its
@@ -208,6 +208,9 @@ Renderer::Open& Renderer::require_open(const char* call) const {
 void Renderer::take_over(Open& open, mjData* data) const {
   mjvCamera camera;
   mjv_defaultFreeCamera(model_, &camera);
+  // Infinite planes are laid around the camera that the scene has when its geoms are made: not that of the last
+  // picture.
+  mjv_updateCamera(model_, data, &camera, &open.scene);
   mjv_updateScene(model_, data, &open.option, nullptr, &camera, mjCAT_STATIC | mjCAT_DYNAMIC, &open.scene);
   open.geoms.assign(open.scene.geoms, open.scene.geoms + open.scene.ngeom);
   // Floors last, so that the pixels under everything else are not shaded first.

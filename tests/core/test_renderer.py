@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-import textwrap
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
-from rcs import _core
 
+from rcs import _core
 from rcs.errors import WrongOrder
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -120,9 +115,9 @@ def test_a_camera_with_a_sensor_has_its_focal_length_and_principal_point(make: M
     rgb, _ = draw(make(model), data, camera, 60, 80)
     x, y, z = in_camera(data, camera, data.geom("red").xpos)
     rows, columns = np.nonzero(rgb[:, :, 0].astype(int) - rgb[:, :, 1] > 60)
-    # MuJoCo counts the principal point from the middle, to the right and up in the picture's sense of its projection.
     shift = np.array([columns.mean() + 0.5 - 40, rows.mean() + 0.5 - 30]) - 70 * np.array([x, y]) / z
-    print(shift); np.testing.assert_allclose(np.abs(shift), [6, 4], atol=0.5)
+    # MuJoCo moves the picture, not the axis: to the left for a positive first number, down for a negative second one.
+    np.testing.assert_allclose(shift, [-6, 4], atol=0.5)
 
 
 @pytest.mark.gl
@@ -178,8 +173,8 @@ def test_coarse_round_shapes_fill_the_outline_of_fine_ones(make: MakeRenderer, s
         (_, coarse), (_, fine) = (draw(r, data, camera, height, height) for r in (fast, full))
         assert ((coarse > 0) & (fine > 0)).sum() > 0.9 * ((coarse > 0) | (fine > 0)).sum()
         both = (coarse > 0) & (fine > 0)
-        # A polygon of 12 sides and 2 stacks stays within 8 % of the radius of its ball.
-        assert np.median(np.abs(coarse[both].astype(int) - fine[both])) < 12
+        # A corner every 30 degrees keeps a surface within 1.7 % of its radius both ways, and both curvatures add up.
+        assert np.median(np.abs(coarse[both].astype(int) - fine[both])) < 0.034 * 200
 
 
 @pytest.mark.gl
@@ -380,63 +375,3 @@ def test_options_that_mean_nothing_are_refused(make: MakeRenderer) -> None:
         make(model, max_width=10**6)
     with pytest.raises(ValueError, match="at least 1 is needed"):
         _core.RenderPool(model._address, 0)
-
-
-@pytest.mark.gl
-def test_a_second_backend_in_one_process_is_refused(make: MakeRenderer) -> None:
-    model, _ = build()
-    first = make(model).description.split(":")[0]
-    with pytest.raises(ValueError, match="one per process"):
-        make(model, backend="osmesa" if first == "egl" else "egl")
-
-
-@pytest.mark.gl
-@pytest.mark.parametrize("backend", ["egl", "osmesa"])
-def test_every_backend_that_the_probe_calls_good_draws(backend: str) -> None:
-    probe = next(probe for probe in _core.probe_gl() if probe.name == backend)
-    if not probe.ok:
-        pytest.skip(probe.detail)
-    program = f"""
-        import mujoco, numpy as np
-        from rcs import _core
-        model = mujoco.MjModel.from_xml_string({SCENE!r})
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        renderer = _core.Renderer(model._address, backend={backend!r})
-        rgb = np.zeros((64, 64, 3), np.uint8)
-        renderer.update(data._address)
-        renderer.render(0, rgb)
-        print(renderer.description.split(":")[0], np.ptp(rgb) > 100)
-    """
-    assert run(program).stdout.split() == [backend, "True"]
-
-
-def test_without_opengl_the_error_has_the_remedy_for_each_backend(tmp_path: Path) -> None:
-    for name in ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6"):
-        (tmp_path / name).write_bytes(b"\0" * 4096)  # found first, and no library
-    program = """
-        import mujoco
-        from rcs import _core
-        from rcs.errors import MissingDependency
-        assert not any(probe.ok for probe in _core.probe_gl())
-        model = mujoco.MjModel.from_xml_string("<mujoco/>")
-        try:
-            _core.Renderer(model._address)
-        except MissingDependency as error:
-            print(error)
-    """
-    answer = run(program, LD_LIBRARY_PATH=str(tmp_path))
-    assert "apt-get install libegl1" in answer.stdout, answer.stderr
-    assert "apt-get install libosmesa6" in answer.stdout
-
-
-def run(program: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run a program in a fresh process, where no backend is chosen yet."""
-    return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program)],
-        env={**os.environ, **environment, "PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )

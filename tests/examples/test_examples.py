@@ -34,4 +34,4 @@ def test_the_first_program_of_the_readme_runs_and_moves_the_arm(tmp_path: Path) 
     path = tmp_path / "program.py"
     path.write_text(program)
     names = runpy.run_path(str(path))
-    assert names["observation"]["tquat"][2] < names["start"][2] - 0.05  # lower than at the start [m]
+    assert names["observation"]["tquat"][2] < names["start"]["tquat"][2] - 0.05  # lower than at the start [m]

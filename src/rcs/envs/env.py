@@ -11,7 +11,7 @@ import numpy as np
 
 from rcs._core import StepEnd
 from rcs.envs.clock import Clock
-from rcs.envs.draws import Draws
+from rcs.envs.draws import SEED_LIMIT, Draws
 from rcs.envs.observers import Observer, Transition
 from rcs.envs.scenario import Scenario
 from rcs.envs.spaces import Observation
@@ -21,9 +21,6 @@ from rcs.sim.picture import Picture
 
 END_NAMES = {end.value: end.name for end in (getattr(StepEnd, name) for name in StepEnd.__members__)}
 """What `info["end"]` says."""
-
-SEED_LIMIT = 2**63
-"""Seeds are below this, as those of a batch are."""
 
 
 class Env(gymnasium.Env[Observation, dict[str, Any]]):

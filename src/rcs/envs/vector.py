@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rcs._core import StepEnd
 from rcs.envs.clock import Clock
-from rcs.envs.draws import Draws
+from rcs.envs.draws import SEED_LIMIT, Draws
 from rcs.envs.scenario import Scenario
 from rcs.envs.spaces import FRAMES, Observation
 from rcs.envs.stack import Stack
@@ -123,7 +123,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         if self._autoreset is AutoresetMode.DISABLED and self._is_done.any():
             raise WrongOrder("Some episodes are over; call reset with options={'reset_mask': mask of those copies}.")
         self._stack.command(actions)
-        starting = self._is_done if self._autoreset is AutoresetMode.NEXT_STEP else np.zeros_like(self._is_done)
+        starting = self._is_done.copy() if self._autoreset is AutoresetMode.NEXT_STEP else np.zeros_like(self._is_done)
         some_start = bool(starting.any())
         ids = np.flatnonzero(starting).astype(np.int32) if some_start else None
         if ids is None:
@@ -174,20 +174,20 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
     def _take_seeds(self, seed: int | Sequence[int | None] | None) -> None:
         if seed is None and self._has_seeds:
             return
-        if seed is None:
-            given = np.random.SeedSequence().generate_state(1)[0] + np.arange(self.num_envs)
-        elif isinstance(seed, int | np.integer):
-            given = int(seed) + np.arange(self.num_envs)
+        own = self._seeds if self._has_seeds else np.random.SeedSequence().generate_state(self.num_envs)
+        if seed is None or isinstance(seed, int | np.integer):
+            given = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
         else:
-            given = np.array([-1 if value is None else value for value in seed], np.int64)
-            if given.shape != (self.num_envs,):
+            given = list(seed)
+            if len(given) != self.num_envs:
                 raise InvalidSetup(f"{len(given)} seeds were given for {self.num_envs} copies.")
-            # None keeps the copy's own seed, as in gymnasium.
-            given = np.where(given == -1, self._seeds, given) if self._has_seeds else np.abs(given)
-        if (given < 0).any():
-            raise InvalidSetup(f"Seeds must not be negative; {int(given.min())} came.")
-        self._seeds = given.astype(np.int64)
-        self._episodes[:] = -1
+        if wrong := [value for value in given if value is not None and not 0 <= value < SEED_LIMIT]:
+            raise InvalidSetup(f"A seed is {wrong[0]}; valid is 0 to 2**63 - 1, for every copy.")
+        # None goes on with the next episode of the copy's own seed, as in gymnasium.
+        is_new = np.array([value is not None or not self._has_seeds for value in given])
+        seeds = [int(mine) if value is None else value for value, mine in zip(given, own, strict=True)]
+        self._seeds = np.array(seeds, np.int64)
+        self._episodes[is_new] = -1
         self._has_seeds = True
 
     def _check_options(self, options: Mapping[str, Any] | None) -> NDArray[np.bool_] | None:

@@ -51,7 +51,8 @@ def write_report(dataset_path: str | Path, *, wall_time: float | None = None) ->
     # Decoding and encoding run without Python's lock.
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1), "report") as pool:
         details = dict(zip(detailed, pool.map(lambda i: _detail(facts[i]), detailed), strict=True))
-    rows = [_row(episode, details.get(i)) for i, episode in enumerate(facts)]
+    is_live = not _is_faster_than_life(dataset)
+    rows = [_row(episode, details.get(i), is_live=is_live) for i, episode in enumerate(facts)]
     limits = ""
     if len(detailed) < len(facts):
         limits = (
@@ -66,7 +67,7 @@ def write_report(dataset_path: str | Path, *, wall_time: float | None = None) ->
         tiles="".join(_tiles(dataset, facts, wall_time)),
         success=_success(facts),
         failures=_failures(facts),
-        quality=_quality(facts, is_live=not _is_faster_than_life(dataset)),
+        quality=_quality(facts, is_live=is_live),
         setup=_setup(dataset),
         episodes="\n".join(rows) or '<p class="note">No episode is complete yet.</p>',
         limits=f'<p class="note">{limits}</p>' if limits else "",
@@ -234,10 +235,11 @@ def _table(rows: Iterable[tuple[str, str]]) -> str:
     return f"<table>{''.join(cells)}</table>"
 
 
-def _row(episode: _Facts, detail: str | None) -> str:
+def _row(episode: _Facts, detail: str | None, *, is_live: bool) -> str:
     kind = {"success": "good", "failure": "bad", "damaged": "bad"}.get(episode.verdict, "none")
     seed = "" if episode.about.get("seed") is None else f"seed {episode.about['seed']}"
-    seconds = f"{episode.period['mean'] * (episode.length - 1):.1f} s" if episode.period else ""
+    period = episode.period["mean" if is_live else "expected"] if episode.period else 0.0
+    seconds = f"{period * (episode.length - 1):.1f} s" if period else ""
     why = episode.failure or episode.about.get("outcome", {}).get("aborted") or episode.damage
     cells = (
         f'<span class="badge {kind}">{episode.verdict}</span><span class="id">{html.escape(episode.record.id)}</span>'

@@ -14,6 +14,7 @@ import numpy as np
 from rcs.errors import InvalidSetup
 from rcs.kinematics.chain import GRIPPER_PREFIX, attach_gripper, load, mount_frame
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, Mount
+from rcs.spatial import Pose
 
 OVERVIEW = "overview"
 """Name of the camera that sees the whole scene; it is for people and in no observation."""
@@ -104,7 +105,7 @@ class Scene:
         spec.visual.global_.offheight = 720
         spec.visual.map.znear = 0.005
         spec.visual.map.zfar = 20.0
-        spec.visual.headlight.ambient = [0.32, 0.32, 0.32]
+        spec.visual.headlight.ambient = [0.36, 0.36, 0.36]
         spec.visual.headlight.diffuse = [0.12, 0.12, 0.12]
         spec.visual.headlight.specular = [0.0, 0.0, 0.0]
         # Fixed, so that pictures do not depend on what else is in the scene.
@@ -117,7 +118,7 @@ class Scene:
             name=OVERVIEW,
             pos=[1.45, -1.05, 0.85],
             xyaxes=_axes_looking([1.45, -1.05, 0.85], [0.28, 0.02, 0.22]),
-            fovy=42,
+            fovy=38,
         )
         return scene
 
@@ -210,6 +211,25 @@ class Scene:
         frame = mount_frame(parent, camera.optical_in_parent)
         self.spec.attach(load(camera.camera), frame=frame, prefix=f"{camera.name}/")
         self.cameras.append(camera)
+        if camera.parent_body in {"world", *(robot.base_body for robot in self.robots)}:
+            self._add_stand(parent, camera)
+
+    def _add_stand(self, parent: mujoco.MjsBody, camera: CameraPlacement) -> None:
+        """Stand a camera that does not move on a post, which nothing can touch."""
+        x, y, z = camera.optical_in_parent.translation
+        # Behind the optical centre, so that the camera does not see its own post.
+        back = -0.02 * Pose((0.0, 0.0, 0.0), camera.optical_in_parent.quaternion).matrix[:3, 2]
+        top = z - 0.02
+        parent.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[0.012, 0.012, (top - FLOOR_HEIGHT) / 2],
+            pos=[x + back[0], y + back[1], (top + FLOOR_HEIGHT) / 2],
+            rgba=[0.20, 0.20, 0.22, 1.0],
+            contype=0,
+            conaffinity=0,
+            group=1,
+            mass=0.0,
+        )
 
     def compile(self) -> mujoco.MjModel:
         """Make the model."""

@@ -44,8 +44,9 @@ class CartesianControl(Layer):
     def reset(self, observation: Observation, where: Where = everywhere) -> None:
         """Start from the measured joints."""
         joints = observation[JOINTS]
+        nothing = np.zeros(joints.shape[:-1], np.uint8)
+        self._status = renew(None if self._joints is None else self._status, nothing, where)
         self._joints = renew(self._joints, joints, where)
-        self._status = np.zeros(joints.shape[:-1], np.uint8)
 
     def map_action(self, action: Action) -> Action:
         """Solve for the joints.

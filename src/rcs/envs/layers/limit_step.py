@@ -33,15 +33,14 @@ class LimitStep(Layer):
         self._max_lead = max_lead
         self._target: NDArray[np.float64] | None = None
         self._measured: NDArray[np.float64] | None = None
-        self._never: NDArray[np.bool_] = np.zeros((), np.bool_)
-        self._is_limited = self._never
+        self._is_limited: NDArray[np.bool_] = np.zeros((), np.bool_)
 
     def reset(self, observation: Observation, where: Where = everywhere) -> None:
         """Start from the measured joints."""
-        self._target = renew(self._target, observation[JOINTS], where)
         self._measured = observation[JOINTS].copy()
-        self._never = np.zeros(self._target.shape[:-1], np.bool_)
-        self._is_limited = self._never
+        never = np.zeros(self._measured.shape[:-1], np.bool_)
+        self._is_limited = renew(None if self._target is None else self._is_limited, never, where)
+        self._target = renew(self._target, self._measured, where)
 
     def map_observation(self, observation: Observation) -> Observation:
         """Remember the measured joints; the observation itself is the caller's own."""
@@ -57,7 +56,7 @@ class LimitStep(Layer):
         if cut is None:
             # The very array that was asked for tells the layers above that nothing was cut.
             self._target = asked
-            self._is_limited = self._never
+            self._is_limited = np.zeros_like(self._is_limited)
             return action
         self._target, self._is_limited = cut
         return {**action, JOINTS: self._target}

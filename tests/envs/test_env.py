@@ -1,0 +1,260 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.envs.observers import Observer, Transition
+from rcs.errors import DeviceFault, Diverged, InvalidSetup, WrongOrder
+from rcs.testing.env_contract import require_same_bits
+
+
+def test_without_a_seed_episodes_of_the_last_seed_go_on() -> None:
+    env, other = rcs.make("PickCuboid"), rcs.make("PickCuboid")
+    starts = [env.reset(seed=5)[1]["cuboid"], env.reset()[1]["cuboid"], env.reset()[1]["cuboid"]]
+    again = [other.reset(seed=5)[1]["cuboid"], other.reset()[1]["cuboid"], other.reset()[1]["cuboid"]]
+    np.testing.assert_array_equal(starts, again)
+    assert len(np.unique(starts, axis=0)) == 3
+
+
+def test_without_any_seed_two_environments_differ() -> None:
+    cuboids = [rcs.make("PickCuboid").reset()[1]["cuboid"] for _ in range(3)]
+    assert len(np.unique(cuboids, axis=0)) == 3
+
+
+@pytest.mark.parametrize("seed", [2**63, 2**70])
+def test_a_seed_out_of_range_is_refused(seed: int) -> None:
+    with pytest.raises(InvalidSetup, match="seed"):
+        rcs.make("Free").reset(seed=seed)
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_bits_in_another_process() -> None:
+    program = """
+import hashlib, rcs
+env = rcs.make("PickCuboid", control="xyzrpy")
+env.action_space.seed(4)
+observation, info = env.reset(seed=4)
+digest = hashlib.sha256()
+for _ in range(5):
+    observation, reward, *_ = env.step(env.action_space.sample())
+    for key in sorted(observation):
+        digest.update(observation[key].tobytes())
+    digest.update(repr(reward).encode())
+print(digest.hexdigest())
+"""
+    answers = {
+        subprocess.run(
+            [sys.executable, "-c", program],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=60,
+            env={**os.environ, "PYTHONHASHSEED": seed},
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(answers) == 1
+
+
+def test_an_episode_can_start_in_a_state() -> None:
+    env = rcs.make("PickCuboid")
+    env.reset(seed=1)
+    action = env.action_space.sample()
+    for _ in range(3):
+        env.step(action)
+    state = env.scenario.world.states()
+    observation, info = env.reset(seed=9, options={"state": state})
+    np.testing.assert_array_equal(env.scenario.world.states(), state)
+    np.testing.assert_array_equal(observation["joints"], env.scenario.robots[0].joints)
+    assert not np.array_equal(info["cuboid"], env.reset(seed=9)[1]["cuboid"])
+
+
+@pytest.mark.parametrize("options", [{"state": np.zeros(3)}, {"state": np.nan}, {"no_such_option": 1}])
+def test_wrong_reset_options_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(InvalidSetup):
+        rcs.make("Free").reset(seed=0, options=options)
+
+
+def test_a_simulation_that_diverges_raises_and_reset_starts_anew(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its log there
+    env = rcs.make("Free")
+    expected, _ = env.reset(seed=0)
+    env.scenario.world.qvel[0] = np.nan
+    with pytest.raises(Diverged, match="reset"):
+        env.step(env.action_space.sample())
+    with pytest.raises(WrongOrder):
+        env.step(env.action_space.sample())
+    observation, _ = env.reset(seed=0)
+    require_same_bits(observation, expected)
+    env.step(env.action_space.sample())
+
+
+def test_info_says_why_a_step_ended() -> None:
+    env = rcs.make("Free")
+    env.reset(seed=0)
+    assert env.step(env.action_space.sample())[-1]["end"] == "period"
+    sync = rcs.make("Free", mode="sync", relative=False)
+    observation, _ = sync.reset(seed=0)
+    action = {"joints": observation["joints"] + 0.05, "gripper": np.ones(1, np.float32)}
+    observation, *_, info = sync.step(action)
+    assert info["end"] == "converged"
+    np.testing.assert_allclose(observation["joints"], action["joints"], atol=2e-3)
+
+
+def test_a_synchronous_step_of_the_gripper_alone_waits_for_the_fingers() -> None:
+    env = rcs.make("Free", mode="sync", relative=False)
+    observation, _ = env.reset(seed=0)
+    for opening in (0.0, 1.0):
+        action = {"joints": observation["joints"], "gripper": np.full(1, opening, np.float32)}
+        observation, *_, info = env.step(action)
+        assert info["end"] == "converged"
+        assert observation["gripper"][0] == pytest.approx(opening, abs=0.05)
+
+
+def test_an_episode_is_truncated_after_its_steps_and_not_before() -> None:
+    env = rcs.make("Free", max_episode_steps=3)
+    env.reset(seed=0)
+    assert [env.step(env.action_space.sample())[3] for _ in range(3)] == [False, False, True]
+    endless = rcs.make("Free", max_episode_steps=None)
+    endless.reset(seed=0)
+    assert not any(endless.step(endless.action_space.sample())[3] for _ in range(10))
+
+
+class Notebook(Observer):
+    def __init__(self) -> None:
+        self.seeds: list[int | None] = []
+        self.seen: list[Transition] = []
+        self.closed = 0
+
+    def on_reset(self, first: Transition, seed: int | None) -> None:
+        self.seeds.append(seed)
+        self.seen.append(first)
+
+    def on_step(self, transition: Transition) -> None:
+        self.seen.append(transition)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def test_an_observer_sees_every_transition() -> None:
+    env, notebook = rcs.make("Free", relative=False), Notebook()
+    env.add_observer(notebook)
+    observation, _ = env.reset(seed=3)
+    action = {"joints": observation["joints"] + 2.0, "gripper": np.zeros(1, np.float32)}
+    action["joints"] = np.clip(action["joints"], env.action_space["joints"].low, env.action_space["joints"].high)
+    after, *_ = env.step(action)
+    first, second = notebook.seen
+    assert notebook.seeds == [3]
+    assert first.action is None
+    assert first.executed is None
+    require_same_bits((first.observation, second.observation), (observation, after))
+    np.testing.assert_array_equal(second.action["joints"], action["joints"])
+    # The target was cut to what an arm can do in one period: what was executed is not what was asked.
+    assert np.abs(second.executed["joints"] - observation["joints"]).max() < 0.2
+    assert second.time >= first.time
+    env.close()
+    env.close()
+    assert notebook.closed == 1
+
+
+def test_render_gives_nothing_unless_asked_for() -> None:
+    env = rcs.make("Free")
+    env.reset(seed=0)
+    assert env.render() is None
+    with pytest.raises(InvalidSetup, match="render_mode"):
+        rcs.make("Free", render_mode="human")
+
+
+@pytest.mark.gl
+def test_render_gives_a_picture() -> None:
+    env = rcs.make("Free", render_mode="rgb_array")
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.shape == (480, 640, 3)
+    assert picture.std() > 10
+    env.close()
+
+
+def test_a_printed_environment_shows_its_stack_from_top_to_bottom() -> None:
+    lines = str(rcs.make("PickCuboid", control="xyzrpy", relative=False)).splitlines()
+    parts = ["rcs PickCuboid with fr3", "500 Hz", "BinaryGripper", "XyzrpyControl", "CartesianControl"]
+    parts += ["LimitStep", "SimArmPort: joints -> joints, tquat", "SimGripperPort: gripper -> gripper"]
+    assert len(lines) == len(parts)
+    for line, part in zip(lines, parts, strict=True):
+        assert part in line
+
+
+def test_an_environment_on_devices_moves_them(make_bench) -> None:
+    bench = make_bench()
+    assert not bench.arm.is_open
+    observation, info = bench.env.reset(seed=0)
+    assert bench.arm.is_open
+    assert info == {}
+    action = {"joints": np.full(7, 0.03), "gripper": np.zeros(1, np.float32)}
+    start = observation["joints"]
+    for _ in range(10):
+        observation, reward, terminated, truncated, info = bench.env.step(action)
+    np.testing.assert_allclose(observation["joints"], start + 0.3, atol=1e-9)
+    assert observation["gripper"][0] < 0.5
+    assert (reward, terminated, truncated) == (0.0, False, False)
+    assert bench.clock.now == pytest.approx(100.0 + 10 / 30)
+    bench.env.hold()
+    bench.env.close()
+    bench.env.hold()
+    assert not bench.arm.is_open
+    with pytest.raises(WrongOrder, match="no simulated world"):
+        _ = bench.env.scenario
+
+
+def test_a_device_in_fault_stops_all_others(make_bench) -> None:
+    bench = make_bench()
+    observation, _ = bench.env.reset(seed=0)
+    action = {"joints": np.full(7, 0.03), "gripper": np.zeros(1, np.float32)}
+    bench.env.step(action)
+    bench.gripper.set_fault("the fingers are blocked")
+    with pytest.raises(DeviceFault, match="the fingers are blocked"):
+        bench.env.step(action)
+    before = bench.arm.state().joints
+    bench.clock.sleep(1.0)
+    np.testing.assert_array_equal(bench.arm.state().joints, before)
+
+
+def test_an_interrupted_step_stops_the_robot(make_bench) -> None:
+    bench = make_bench()
+    bench.env.reset(seed=0)
+
+    def interrupt(seconds: float) -> None:
+        bench.clock.now += seconds / 4
+        raise KeyboardInterrupt
+
+    bench.env._clock._sleep = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        bench.env.step({"joints": np.full(7, 0.03), "gripper": np.zeros(1, np.float32)})
+    before = bench.arm.state().joints
+    bench.clock.now += 1.0
+    np.testing.assert_array_equal(bench.arm.state().joints, before)
+
+
+def test_every_device_is_closed_also_when_one_fails_to(make_bench) -> None:
+    bench = make_bench()
+    bench.env.reset(seed=0)
+
+    bench.env.stack.ports[0].close = _fail
+    with pytest.raises(OSError, match="no answer"):
+        bench.env.close()
+    assert not bench.gripper.is_open
+    bench.env.close()
+
+
+def _fail() -> None:
+    raise OSError("no answer")

@@ -1,0 +1,266 @@
+"""Copy i of a batch is, bit for bit, a single environment with the same seed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import rcs
+from rcs._core import StepEnd
+from rcs.envs.env import END_NAMES
+from rcs.errors import InvalidAction, InvalidSetup, WrongOrder
+from rcs.testing.env_contract import require_same_bits
+
+COPIES = 3
+STEPS = 9
+SETUPS: dict[str, dict[str, Any]] = {
+    "relative joints": {"control": "joints"},
+    "absolute joints": {"control": "joints", "relative": False},
+    "relative poses": {"control": "tquat"},
+    "absolute poses": {"control": "tquat", "relative": False},
+    "relative roll-pitch-yaw": {"control": "xyzrpy"},
+    "poses relative to an origin": {"control": "tquat", "relative": "origin"},
+    "synchronous": {"control": "joints", "mode": "sync"},
+}
+
+
+def of_copy(tree: Any, copy: int) -> Any:
+    """Return one copy's part of a batched observation."""
+    return {key: of_copy(value, copy) for key, value in tree.items()} if isinstance(tree, dict) else tree[copy]
+
+
+def require_same_info(batch: dict[str, Any], copy: int, single: dict[str, Any]) -> None:
+    for key, value in single.items():
+        assert batch[f"_{key}"][copy], key
+        given = batch[key][copy]
+        if key == "end":
+            assert END_NAMES[int(given)] == value
+        else:
+            np.testing.assert_array_equal(given, value, err_msg=key)
+
+
+def make_pair(autoreset: AutoresetMode, threads: int, **options: Any) -> tuple[Any, list[Any]]:
+    options = {"task": "PickCuboid", "max_episode_steps": 4, **options}
+    envs = rcs.make_vec(copies=COPIES, threads=threads, autoreset=autoreset, **options)
+    envs.action_space.seed(3)
+    return envs, [rcs.make(**options) for _ in range(COPIES)]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("name", SETUPS)
+def test_the_next_step_starts_a_new_episode(name: str, threads: int) -> None:
+    envs, singles = make_pair(AutoresetMode.NEXT_STEP, threads, **SETUPS[name])
+    observation, info = envs.reset(seed=11)
+    is_done = [False] * COPIES
+    for copy, single in enumerate(singles):
+        first, told = single.reset(seed=11 + copy)
+        require_same_bits(of_copy(observation, copy), first)
+        require_same_info(info, copy, told)
+    for step in range(STEPS):
+        if step == 2:
+            # One copy starts anew in between, so that episodes end at different times from here on.
+            observation, _ = envs.reset(options={"reset_mask": np.array([False, True, False])})
+            first, _ = singles[1].reset()
+            require_same_bits(of_copy(observation, 1), first)
+        actions = envs.action_space.sample()
+        observation, reward, terminated, truncated, info = envs.step(actions)
+        for copy, single in enumerate(singles):
+            if is_done[copy]:
+                first, _ = single.reset()
+                expected: tuple[Any, ...] = (first, 0.0, False, False)
+            else:
+                *expected, told = single.step(of_copy(actions, copy))
+                require_same_info(info, copy, told)
+            given = (of_copy(observation, copy), float(reward[copy]), bool(terminated[copy]), bool(truncated[copy]))
+            require_same_bits(given, tuple(expected))
+            is_done[copy] = given[2] or given[3]
+    for env in (envs, *singles):
+        env.close()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_same_step_starts_a_new_episode_and_keeps_the_end_of_the_last(threads: int) -> None:
+    envs, singles = make_pair(AutoresetMode.SAME_STEP, threads)
+    envs.reset(seed=11)
+    for copy, single in enumerate(singles):
+        single.reset(seed=11 + copy)
+    ends = 0
+    for _ in range(STEPS):
+        actions = envs.action_space.sample()
+        observation, reward, terminated, truncated, info = envs.step(actions)
+        for copy, single in enumerate(singles):
+            last, *expected, told = single.step(of_copy(actions, copy))
+            require_same_bits((float(reward[copy]), bool(terminated[copy]), bool(truncated[copy])), tuple(expected))
+            if expected[1] or expected[2]:
+                ends += 1
+                assert info["_final_obs"][copy]
+                assert info["_final_info"][copy]
+                require_same_bits(of_copy(info["final_obs"], copy), last)
+                for key, value in told.items():
+                    if key != "end":
+                        np.testing.assert_array_equal(info["final_info"][key][copy], value)
+                last, _ = single.reset()
+            require_same_bits(of_copy(observation, copy), last)
+    assert ends == 2 * COPIES
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_without_autoreset_copies_wait_for_the_caller(threads: int) -> None:
+    envs, singles = make_pair(AutoresetMode.DISABLED, threads)
+    envs.reset(seed=11)
+    for copy, single in enumerate(singles):
+        single.reset(seed=11 + copy)
+    for _ in range(4):
+        actions = envs.action_space.sample()
+        observation, _, _, truncated, _ = envs.step(actions)
+        for copy, single in enumerate(singles):
+            require_same_bits(of_copy(observation, copy), single.step(of_copy(actions, copy))[0])
+    assert truncated.all()
+    with pytest.raises(WrongOrder, match="reset_mask"):
+        envs.step(actions)
+    observation, _ = envs.reset(options={"reset_mask": truncated})
+    for copy, single in enumerate(singles):
+        require_same_bits(of_copy(observation, copy), single.reset()[0])
+
+
+@pytest.mark.gl
+def test_cameras_of_a_batch_see_what_those_of_single_environments_see() -> None:
+    cameras = {"cameras": ("wrist", "side"), "size": (24, 16), "depth": True}
+    envs, singles = make_pair(AutoresetMode.NEXT_STEP, 2, **cameras)
+    observation, _ = envs.reset(seed=5)
+    assert "with cameras" in repr(envs)
+    for copy, single in enumerate(singles):
+        require_same_bits(of_copy(observation, copy), single.reset(seed=5 + copy)[0])
+    actions = envs.action_space.sample()
+    observation, *_ = envs.step(actions)
+    for copy, single in enumerate(singles):
+        require_same_bits(of_copy(observation, copy), single.step(of_copy(actions, copy))[0])
+        single.close()
+    envs.close()
+
+
+def test_seeds_may_be_given_one_by_one() -> None:
+    envs, _ = make_pair(AutoresetMode.NEXT_STEP, 1)
+    by_number, _ = envs.reset(seed=[4, 9, 4])
+    require_same_bits(of_copy(by_number, 0), of_copy(by_number, 2))
+
+
+def test_a_copy_without_a_seed_of_its_own_goes_on_with_its_next_episode() -> None:
+    envs, singles = make_pair(AutoresetMode.NEXT_STEP, 1)
+    envs.reset(seed=[4, 9, 4])
+    observation, _ = envs.reset(seed=[None, 7, None])
+    for copy, (first, second) in enumerate([(4, None), (9, 7), (4, None)]):
+        singles[copy].reset(seed=first)
+        require_same_bits(of_copy(observation, copy), singles[copy].reset(seed=second)[0])
+    other, _ = make_pair(AutoresetMode.NEXT_STEP, 1)
+    other.reset(seed=[None, 7, None])
+
+
+def test_without_a_seed_every_start_is_another() -> None:
+    first, second = (rcs.make_vec(copies=2) for _ in range(2))
+    cuboids = [first.reset()[1]["cuboid"], first.reset()[1]["cuboid"], second.reset()[1]["cuboid"]]
+    places = np.concatenate(cuboids)[:, :2]
+    assert len(np.unique(places, axis=0)) == 6
+
+
+@pytest.mark.parametrize("seed", [-1, [1, 2], [1, 2, -3], 2**70])
+def test_wrong_seeds_are_refused(seed: Any) -> None:
+    envs, _ = make_pair(AutoresetMode.NEXT_STEP, 1)
+    with pytest.raises(InvalidSetup, match="eed"):
+        envs.reset(seed=seed)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"reset_mask": np.zeros(COPIES, np.bool_)},
+        {"reset_mask": np.ones(COPIES - 1, np.bool_)},
+        {"reset_mask": np.ones(COPIES, np.int64)},
+        {"no_such_option": 1},
+    ],
+)
+def test_wrong_reset_options_are_refused(options: dict[str, Any]) -> None:
+    envs, _ = make_pair(AutoresetMode.NEXT_STEP, 1)
+    with pytest.raises(InvalidSetup, match="reset"):
+        envs.reset(seed=0, options=options)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 100.0])
+def test_a_bad_action_of_one_copy_moves_nothing_in_any_copy(value: float) -> None:
+    envs, _ = make_pair(AutoresetMode.NEXT_STEP, 1)
+    envs.reset(seed=0)
+    before = envs.scenario.world.states().copy()
+    actions = envs.action_space.sample()
+    actions["joints"][1, 4] = value
+    with pytest.raises(InvalidAction, match=r"'joints'\[1, 4\]"):
+        envs.step(actions)
+    np.testing.assert_array_equal(envs.scenario.world.states(), before)
+    with pytest.raises(InvalidAction, match=r"shape \(7,\); valid is \(3, 7\)"):
+        envs.step({**actions, "joints": np.zeros(7)})
+
+
+def test_a_copy_that_diverges_is_truncated_and_the_others_go_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its log there
+    envs, singles = make_pair(AutoresetMode.NEXT_STEP, 2)
+    envs.reset(seed=11)
+    for copy, single in enumerate(singles):
+        single.reset(seed=11 + copy)
+    envs.scenario.world.qvel[1, 0] = np.nan
+    for step in range(3):
+        actions = envs.action_space.sample()
+        observation, reward, terminated, truncated, info = envs.step(actions)
+        if step == 0:
+            np.testing.assert_array_equal(info["diverged"], [False, True, False])
+            np.testing.assert_array_equal(info["end"] == StepEnd.failed.value, [False, True, False])
+            assert reward[1] == 0.0
+        else:
+            assert not info["diverged"].any()
+        np.testing.assert_array_equal(truncated, [False, step == 0, False])
+        assert not terminated.any()
+        for copy in (0, 2):
+            require_same_bits(of_copy(observation, copy), singles[copy].step(of_copy(actions, copy))[0])
+    assert all(np.isfinite(value).all() for value in observation.values())
+
+
+def test_calls_at_the_wrong_time_are_refused() -> None:
+    envs, _ = make_pair(AutoresetMode.NEXT_STEP, 1)
+    actions = envs.action_space.sample()
+    with pytest.raises(WrongOrder, match="before the first reset"):
+        envs.step(actions)
+    envs.reset(seed=0)
+    envs.close()
+    envs.close()
+    envs.close_extras()
+    with pytest.raises(WrongOrder, match="closed"):
+        envs.step(actions)
+    with pytest.raises(WrongOrder, match="closed"):
+        envs.reset()
+
+
+def test_writing_to_what_a_batch_returns_changes_nothing() -> None:
+    runs = []
+    for is_spoiled in (False, True):
+        envs, _ = make_pair(AutoresetMode.NEXT_STEP, 1)
+        envs.reset(seed=2)
+        for _ in range(6):
+            observation, *_, info = envs.step(envs.action_space.sample())
+            if is_spoiled:
+                for value in (*observation.values(), *info.values()):
+                    value[...] = 1
+        runs.append(envs.step(envs.action_space.sample()))
+    require_same_bits(*runs)
+
+
+def test_a_printed_batch_shows_its_stack() -> None:
+    envs, _ = make_pair(AutoresetMode.NEXT_STEP, 1)
+    text = str(envs)
+    for part in ("PickCuboid", "3 copies", "LimitStep", "Relative", "SimArmPort"):
+        assert part in text
+    assert "3 copies" in repr(envs)
+    assert envs.stack.leading == (3,)
