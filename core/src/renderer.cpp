@@ -145,8 +145,13 @@ struct Renderer::Open {
   ~Open() {
     mj_deleteData(own_data);
     mjv_freeScene(&scene);
-    const GlContext::Current current(gl);
-    mjr_freeContext(&context);
+    try {
+      const GlContext::Current current(gl);
+      mjr_freeContext(&context);
+    } catch (const GlUnavailable&) {
+      // Another user of the display has ended it, as MuJoCo's Python package does at exit, and all in it is gone
+      // already.
+    }
   }
 
   GlContext gl;

@@ -1,12 +1,15 @@
 """The Robot Control Stack: one Gymnasium API for a simulated or a real robot.
 
-Nothing happens at import: the names below are loaded when they are first used.
+Importing it registers the ids of `gymnasium.make` (gymnasium 1.4 no longer looks for plugins by itself) and does nothing else: the names below are
+loaded when they are first used.
 """
 
 from __future__ import annotations
 
 import importlib
 from typing import TYPE_CHECKING, Any
+
+from rcs.setups import ids
 
 if TYPE_CHECKING:
     from rcs.setups.make import make, make_vec
@@ -35,3 +38,6 @@ def __getattr__(name: str) -> Any:
 def __dir__() -> list[str]:
     """Return the public names, loaded or not."""
     return sorted(__all__)
+
+
+ids.register()

@@ -94,6 +94,7 @@ def test_it_draws_next_to_the_renderer_of_mujoco(backend: str) -> None:
     """
     answer = run(program, MUJOCO_GL=backend)
     assert answer.stdout.split() == ["True", "True"], answer.stderr
+    assert answer.returncode == 0, answer.stderr  # MuJoCo ends the display at exit, before ours is closed
 
 
 def test_without_opengl_the_error_has_the_remedy_for_each_backend(tmp_path: Path) -> None:

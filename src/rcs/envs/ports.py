@@ -55,13 +55,13 @@ class Port(ABC):
         """Let go of the device; closing twice is harmless."""
 
 
-def arm_observation_spaces(joints: spaces.Box, velocity_limit: Any) -> dict[str, spaces.Space[Any]]:
+def arm_observation_spaces(joints: spaces.Box) -> dict[str, spaces.Space[Any]]:
     """Return the observation spaces of an arm with a space of joint commands."""
     return {
         keys.JOINTS: keys.measured(joints, OVERSHOOT),
         keys.TQUAT: keys.tquat_space(),
         keys.XYZRPY: keys.xyzrpy_space(),
-        keys.JOINT_VELOCITIES: keys.velocities_space(velocity_limit),
+        keys.JOINT_VELOCITIES: keys.velocities_space(joints.shape[0]),
     }
 
 
@@ -80,7 +80,7 @@ class ArmPort(Port):
         self._arm = arm
         self._kinematics = kinematics
         self.action_spaces = {keys.JOINTS: box}
-        self.observation_spaces = arm_observation_spaces(box, limits.joint_velocity)
+        self.observation_spaces = arm_observation_spaces(box)
 
     def command(self, action: Arrays) -> None:
         """Send the joint target."""

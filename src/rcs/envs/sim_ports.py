@@ -18,7 +18,7 @@ class SimArmPort(Port):
         box = keys.joints_space(arm.joint_lower, arm.joint_upper)
         self._robot = robot
         self.action_spaces = {keys.JOINTS: box}
-        self.observation_spaces = arm_observation_spaces(box, arm.velocity_limit)
+        self.observation_spaces = arm_observation_spaces(box)
 
     def command(self, action: Arrays) -> None:
         """Set the joint targets."""

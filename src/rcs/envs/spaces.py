@@ -49,6 +49,9 @@ UNITS = {JOINTS: "rad", TQUAT: "m, xyzw", XYZRPY: "m, rad", JOINT_VELOCITIES: "r
 REACH = 2.0
 """Bound on the coordinates of a pose [m]: farther than any arm here reaches."""
 
+FASTEST = 100.0
+"""Bound on measured joint velocities [rad/s]: collisions exceed a servo's limits, but not by this much."""
+
 TOLERANCE = 1e-6
 """How far out of bounds a value may be and count as rounded: a bound that went through float32 is off by up to 1e-7."""
 
@@ -75,9 +78,9 @@ def measured(space: spaces.Box, margin: float) -> spaces.Box:
     return spaces.Box(space.low - margin, space.high + margin, dtype=np.float64)
 
 
-def velocities_space(limit: Sequence[float]) -> spaces.Box:
-    """Return the space of joint velocities [rad/s]; a collision can exceed the servo's limits manifold."""
-    return spaces.Box(-np.inf, np.inf, (len(limit),), np.float64)
+def velocities_space(dof: int) -> spaces.Box:
+    """Return the space of measured joint velocities [rad/s], beyond what any arm does short of an explosion."""
+    return spaces.Box(-FASTEST, FASTEST, (dof,), np.float64)
 
 
 def normalised_space(size: int) -> spaces.Box:

@@ -1,8 +1,9 @@
-"""The ids of `gymnasium.make`, registered by gymnasium itself through this package's entry point."""
+"""The ids of `gymnasium.make`, registered when `rcs` is imported; the simulator is imported when one is made."""
 
 from __future__ import annotations
 
-import gymnasium
+from gymnasium.envs.registration import register as register_id
+from gymnasium.envs.registration import registry
 
 LABELS = {"fr3": "FR3"}
 """How a robot is written in ids."""
@@ -20,7 +21,9 @@ def ids() -> dict[str, tuple[str, str]]:
 def register() -> None:
     """Register all ids; imports no simulator."""
     for name, (task, robot) in ids().items():
-        gymnasium.register(
+        if name in registry:
+            continue
+        register_id(
             name,
             entry_point="rcs.setups.make:make",
             vector_entry_point="rcs.setups.ids:make_registered_vec",

@@ -72,11 +72,16 @@ class CartesianControl(Layer):
 
     def map_executed(self, executed: Action) -> Action:
         """Start the next solve where the arm was really sent, and say which pose that is."""
-        joints = executed[JOINTS]
-        pose = self._target
-        if pose is None or joints is not self._joints or self._status.any():
-            rows = joints.reshape(-1, joints.shape[-1])
-            pose = self._kinematics.forward_batch(rows).reshape((*joints.shape[:-1], 7))
+        joints, pose = executed[JOINTS], self._target
+        is_elsewhere = self._status != 0
+        if joints is not self._joints:
+            is_elsewhere = is_elsewhere | (joints != self._joints).any(axis=-1)
+        if pose is None:
+            raise RuntimeError("CartesianControl.map_executed was called before map_action")
+        if is_elsewhere.any():
+            # Copy by copy: the pose of one must not depend on what happened to another.
+            pose = pose.copy()
+            pose[is_elsewhere] = self._kinematics.forward_batch(joints[is_elsewhere])
         self._joints = joints
         return {(TQUAT if key == JOINTS else key): (pose if key == JOINTS else value) for key, value in executed.items()}
 

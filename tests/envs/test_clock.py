@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs._core import StepEnd
+from rcs.envs import clock as clock_module
+from rcs.envs.clock import SimClock, WallClock
+from rcs.envs.ports import Port
+from rcs.errors import InvalidSetup
+
+
+class Lift(Port):
+    """A device that needs a while."""
+
+    action_spaces = {}
+    observation_spaces = {}
+
+    def __init__(self, now, arrival: float) -> None:
+        self._now, self._arrival = now, arrival
+
+    def command(self, action) -> None:
+        return
+
+    def observe(self):
+        return {}
+
+    def has_arrived(self) -> bool:
+        return self._now() >= self._arrival
+
+
+def test_a_loop_keeps_its_rate_exactly_in_the_mean(clock) -> None:
+    wall = WallClock([], frequency=30.0, now=clock, sleep=clock.sleep)
+    wall.reset()
+    for _ in range(300):
+        clock.now += 0.013  # what the step itself takes
+        wall.advance()
+        assert wall.ends[0] == StepEnd.period.value
+    assert clock.now == pytest.approx(110.0, abs=1e-9)
+
+
+def test_a_late_step_is_not_caught_up(clock) -> None:
+    wall = WallClock([], frequency=10.0, now=clock, sleep=clock.sleep)
+    wall.reset()
+    clock.now += 0.75
+    wall.advance()
+    assert clock.slept == []
+    wall.advance()
+    wall.advance()
+    np.testing.assert_allclose(clock.slept, [0.1, 0.1], atol=1e-9)
+
+
+def test_time_before_reset_does_not_count(clock) -> None:
+    wall = WallClock([], frequency=10.0, now=clock, sleep=clock.sleep)
+    clock.now += 5.0
+    wall.reset()
+    wall.advance()
+    np.testing.assert_allclose(clock.slept, [0.1], atol=1e-9)
+
+
+def test_a_synchronous_step_waits_for_the_slowest_device(clock) -> None:
+    ports = [Lift(clock, 100.2), Lift(clock, 100.5)]
+    wall = WallClock(ports, is_synchronous=True, now=clock, sleep=clock.sleep)
+    wall.advance()
+    assert wall.ends[0] == StepEnd.converged.value
+    assert clock.now == pytest.approx(100.5, abs=2e-3)
+
+
+def test_a_synchronous_step_ends_at_its_time_limit(clock) -> None:
+    wall = WallClock([Lift(clock, 1e9)], is_synchronous=True, time_limit=0.5, now=clock, sleep=clock.sleep)
+    wall.advance()
+    assert wall.ends[0] == StepEnd.limit.value
+    assert clock.now == pytest.approx(100.5, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "numbers", [{"frequency": 0.0}, {"frequency": -1.0}, {"frequency": float("nan")}, {"time_limit": 0.0}]
+)
+def test_numbers_that_are_not_positive_are_refused(numbers: dict[str, float]) -> None:
+    with pytest.raises(InvalidSetup, match="must be positive"):
+        WallClock([], **numbers)
+
+
+def test_a_simulation_in_real_time_waits_for_the_wall_clock(clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clock_module.time, "perf_counter", clock)
+    monkeypatch.setattr(clock_module.time, "sleep", clock.sleep)
+    env = rcs.make("Free", mode="realtime", frequency=50.0)
+    env.reset(seed=0)
+    start = clock.now
+    for _ in range(10):
+        clock.now += 0.004
+        env.step(env.action_space.sample())
+    assert clock.now - start == pytest.approx(0.2, abs=1e-9)
+    clock.now += 1.0
+    slept = len(clock.slept)
+    env.step(env.action_space.sample())
+    assert len(clock.slept) == slept
+    env.step(env.action_space.sample())
+    assert clock.slept[-1] == pytest.approx(0.02, abs=1e-9)
+
+
+def test_a_simulation_that_is_not_in_real_time_never_waits(clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clock_module.time, "sleep", clock.sleep)
+    env = rcs.make("Free")
+    assert isinstance(env._clock, SimClock)
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    assert clock.slept == []

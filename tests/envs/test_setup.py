@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+import pickle
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rcs.envs.setup import Setup
+from rcs.errors import InvalidSetup
+
+SETUPS = st.builds(
+    Setup,
+    task=st.sampled_from(["PickCuboid", "Free"]),
+    end_effector=st.none() | st.just("franka_hand"),
+    cameras=st.lists(st.sampled_from(["wrist", "side"]), unique=True).map(tuple),
+    size=st.tuples(st.integers(1, 4096), st.integers(1, 4096)),
+    depth=st.booleans(),
+    quality=st.sampled_from(["fast", "full"]),
+    control=st.sampled_from(["joints", "tquat", "xyzrpy"]),
+    relative=st.sampled_from(["last_step", "origin", "absolute"]),
+    binary_gripper=st.booleans(),
+    frequency=st.floats(0.1, 100.0),
+    mode=st.sampled_from(["async", "sync", "realtime"]),
+    max_episode_steps=st.none() | st.integers(1, 10**6),
+    physics_step=st.floats(1e-4, 0.01),
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(setup=SETUPS)
+def test_json_and_pickle_give_the_same_setup_back(setup: Setup) -> None:
+    assert Setup.from_json(json.loads(json.dumps(setup.to_json(), allow_nan=False))) == setup
+    assert pickle.loads(pickle.dumps(setup)) == setup
+    assert hash(pickle.loads(pickle.dumps(setup))) == hash(setup)
+
+
+def test_a_setup_is_frozen_and_changed_with_replace() -> None:
+    setup = Setup()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setup.frequency = 10.0  # pyright: ignore[reportAttributeAccessIssue]
+    assert dataclasses.replace(setup, frequency=10.0).frequency == 10.0
+    with pytest.raises(InvalidSetup):
+        dataclasses.replace(setup, frequency=0.0)
+
+
+@pytest.mark.parametrize(("given", "relative"), [(True, "last_step"), (False, "absolute"), ("origin", "origin")])
+def test_relative_may_be_a_boolean(given: Any, relative: str) -> None:
+    assert Setup(relative=given).relative == relative
+
+
+def test_a_size_may_be_one_number() -> None:
+    assert Setup(size=96).size == (96, 96)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        *(("task", value) for value in (None, 3)),
+        *(("robot", value) for value in (None, ["fr3"])),
+        *(("end_effector", value) for value in (3, ("franka_hand",))),
+        *(("cameras", value) for value in ("wrist", ("wrist", "wrist"), (1,), 5, None)),
+        *(("size", value) for value in (0, -1, (224,), (1, 2, 3), (0, 5), (5000, 5), 2.5, (2.5, 2.5), "224", True, None)),
+        *(("depth", value) for value in (1, None, "yes")),
+        *(("quality", value) for value in ("best", None, True)),
+        *(("control", value) for value in ("joint", "", None, 7)),
+        *(("relative", value) for value in ("last", None, 3)),
+        *(("binary_gripper", value) for value in (1, None)),
+        *(("frequency", value) for value in (0, -1.0, 501.0, float("nan"), float("inf"), "30", None, True)),
+        *(("mode", value) for value in ("fast", None)),
+        *(("max_episode_steps", value) for value in (0, -5, 2.5, "10", True)),
+        *(("physics_step", value) for value in (0, -0.001, 0.02, float("nan"), "0.002", None)),
+    ],
+)
+def test_a_value_that_makes_no_sense_is_refused_by_name(field: str, value: Any) -> None:
+    with pytest.raises(InvalidSetup, match=field):
+        Setup(**{field: value})
+
+
+def test_an_unknown_field_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(InvalidSetup) as caught:
+        Setup.from_json({"frequenzy": 30.0})
+    assert "frequenzy" in str(caught.value)
+    assert "frequency" in str(caught.value)
