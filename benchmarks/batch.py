@@ -1,7 +1,8 @@
 """What a whole step of `make_vec` costs on top of MuJoCo's own batch stepping of the same model.
 
-Ours: actions checked and mapped through the layers, physics, observations, reward, autoreset. The reference: `mujoco.batch.Batch.step` alone, from the
-same states, with the same threads and the same number of physics steps per control step. Rounds alternate; the ratio is the median over rounds.
+Ours: actions checked and mapped through the layers, physics, observations, reward, autoreset. The reference:
+`mujoco.batch.Batch.step` alone, from the same states, with the same threads and the same number of physics steps per
+control step. Rounds alternate; the ratio is the median over rounds.
 
 Prints one JSON object: `efficiency` (ours over the reference), `env_steps_per_s`, `batch_steps_per_s`.
 """

@@ -1,7 +1,8 @@
 """Inverse kinematics of the FR3 on random reachable targets, checked independently.
 
-Targets are the forward kinematics of joint vectors drawn uniformly inside the limits; every solve starts at home. Each answer is put into a model of its own
-and compared with its target; the reference time is one evaluation of MuJoCo's kinematics and Jacobian, in the same run.
+Targets are the forward kinematics of joint vectors drawn uniformly inside the limits; every solve starts at home. Each
+answer is put into a model of its own and compared with its target; the reference time is one evaluation of MuJoCo's
+kinematics and Jacobian, in the same run.
 
 Prints one JSON object: `solved` (of 1000), `violations` (answers outside the joint limits), `median_us`.
 """

@@ -1,10 +1,11 @@
 """Kill collections at random moments with SIGKILL and see what is left.
 
-Half of the trials kill the whole process tree of `rcs collect` with two workers. The other half kill a collection in one process that notes, in memory
-shared with this program, how many rows it has recorded: there the loss is exact. After every kill the finished episodes are checked by hash and
-`recover` brings back the open ones.
+Half of the trials kill the whole process tree of `rcs collect` with two workers. The other half kill a collection in
+one process that notes, in memory shared with this program, how many rows it has recorded: there the loss is exact.
+After every kill the finished episodes are checked by hash and `recover` brings back the open ones.
 
-Prints one JSON object: `trials`, `damaged` (finished episodes that are not as they were written), `lost_rows_max` and `lost_s_max` (of the open episode).
+Prints one JSON object: `trials`, `damaged` (finished episodes that are not as they were written), `lost_rows_max` and
+`lost_s_max` (of the open episode).
 """
 
 from __future__ import annotations
@@ -94,7 +95,14 @@ def main(options: Options) -> None:
         collect_and_count(Path(options.child), setup)
         return
     rng = random.Random(options.seed)
-    totals: dict[str, Any] = {"finished": 0, "damaged": 0, "recovered": 0, "lost": [], "unreadable": 0, "failed_checks": 0}
+    totals: dict[str, Any] = {
+        "finished": 0,
+        "damaged": 0,
+        "recovered": 0,
+        "lost": [],
+        "unreadable": 0,
+        "failed_checks": 0,
+    }
     with tempfile.TemporaryDirectory(prefix="rcs-kill-") as root:
         for trial in track(range(options.trials), "Killing", console=Console(stderr=True)):
             one_trial(Path(root) / f"trial {trial}", rng, options.cameras, trial % 2 == 0, totals)

@@ -1,7 +1,8 @@
 """What an environment costs on top of its physics: `env.step` against MuJoCo's own `mj_step` with the same controls.
 
-Both run the same episode, a scripted pick of the cuboid, from the same state with the same controls and the same number of physics steps; the
-states at the end are compared. Rounds of the two alternate, and the ratio is the median over rounds.
+Both run the same episode, a scripted pick of the cuboid, from the same state with the same controls and the same number
+of physics steps; the states at the end are compared. Rounds of the two alternate, and the ratio is the median over
+rounds.
 
 Prints one JSON object: `env_over_raw` (environment steps/s over raw), `env_steps_per_s`, `raw_steps_per_s`.
 """

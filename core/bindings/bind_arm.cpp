@@ -46,16 +46,24 @@ void bind_arm(nb::module_& m) {
   nb::class_<rcs::ArmLimits>(m, "ArmLimits", "Limits of an arm, one value per joint.")
       .def(nb::init<std::vector<double>, std::vector<double>, std::vector<double>>(), "joint_lower"_a, "joint_upper"_a,
            "joint_velocity"_a, "Lower and upper joint limits [rad] and largest joint velocities [rad/s].")
-      .def_prop_ro("joint_lower", [](const rcs::ArmLimits& l) { return to_array(l.joint_lower); }, nb::rv_policy::move, "Lower limits [rad].")
-      .def_prop_ro("joint_upper", [](const rcs::ArmLimits& l) { return to_array(l.joint_upper); }, nb::rv_policy::move, "Upper limits [rad].")
-      .def_prop_ro("joint_velocity", [](const rcs::ArmLimits& l) { return to_array(l.joint_velocity); }, nb::rv_policy::move,
-                   "Largest velocities [rad/s].");
+      .def_prop_ro(
+          "joint_lower", [](const rcs::ArmLimits& l) { return to_array(l.joint_lower); }, nb::rv_policy::move,
+          "Lower limits [rad].")
+      .def_prop_ro(
+          "joint_upper", [](const rcs::ArmLimits& l) { return to_array(l.joint_upper); }, nb::rv_policy::move,
+          "Upper limits [rad].")
+      .def_prop_ro(
+          "joint_velocity", [](const rcs::ArmLimits& l) { return to_array(l.joint_velocity); }, nb::rv_policy::move,
+          "Largest velocities [rad/s].");
   nb::class_<rcs::ArmState>(m, "ArmState", "What an arm measures.")
       .def(nb::init<std::vector<double>, std::vector<double>, double>(), "joints"_a, "joint_velocities"_a, "time"_a,
            "Joints [rad], joint velocities [rad/s] and the time of measurement [s] on the device's monotonic clock.")
-      .def_prop_ro("joints", [](const rcs::ArmState& s) { return to_array(s.joints); }, nb::rv_policy::move, "Joint positions [rad].")
-      .def_prop_ro("joint_velocities", [](const rcs::ArmState& s) { return to_array(s.joint_velocities); }, nb::rv_policy::move,
-                   "Joint velocities [rad/s].")
+      .def_prop_ro(
+          "joints", [](const rcs::ArmState& s) { return to_array(s.joints); }, nb::rv_policy::move,
+          "Joint positions [rad].")
+      .def_prop_ro(
+          "joint_velocities", [](const rcs::ArmState& s) { return to_array(s.joint_velocities); }, nb::rv_policy::move,
+          "Joint velocities [rad/s].")
       .def_ro("time", &rcs::ArmState::time, "When it was measured [s].");
   nb::class_<rcs::Arm, PyArm>(m, "Arm",
                               "One manipulator. Subclasses override `_state`, `_command_joints`, `_has_arrived`, "
@@ -67,14 +75,18 @@ void bind_arm(nb::module_& m) {
       .def_prop_ro("is_open", &rcs::Arm::is_open)
       .def_prop_ro("fault", &rcs::Arm::fault, "The reason of the fault state, empty when there is none.")
       // An optional override must exist in the base class: nanobind takes a name that it finds nowhere for an error.
-      .def("_open", [](rcs::Arm&) {}, "Connect; nothing unless overridden.")
-      .def("_recover", [](rcs::Arm&) {}, "Leave the device's own fault state; nothing unless overridden.")
-      .def("_close", [](rcs::Arm&) {}, "Let go of the device; nothing unless overridden.")
+      .def(
+          "_open", [](rcs::Arm&) {}, "Connect; nothing unless overridden.")
+      .def(
+          "_recover", [](rcs::Arm&) {}, "Leave the device's own fault state; nothing unless overridden.")
+      .def(
+          "_close", [](rcs::Arm&) {}, "Let go of the device; nothing unless overridden.")
       .def("open", &rcs::Arm::open, "Connect. Nothing moves. Opening an open arm does nothing.")
       .def("state", &rcs::Arm::state, "Measure joints and velocities.")
       .def(
           "command_joints", [](rcs::Arm& arm, Vector joints) { arm.command_joints(to_span(joints)); }, "joints"_a,
-          "Set the joint target [rad] and return at once.\n\nRaises InvalidAction for a wrong size, a value that is not "
+          "Set the joint target [rad] and return at once.\n\nRaises InvalidAction for a wrong size, a value that is "
+          "not "
           "finite or out of limits,\nWrongOrder when closed, DeviceFault in the fault state; the arm then holds.")
       .def("has_arrived", &rcs::Arm::has_arrived, "Whether the last target is reached and the arm stands still.")
       .def("hold", &rcs::Arm::hold, "Stop where the arm is now. Allowed in the fault state.")
@@ -96,14 +108,18 @@ void bind_arm(nb::module_& m) {
       .def_prop_ro("max_force", &rcs::Gripper::max_force, "Largest grasping force [N].")
       .def_prop_ro("is_open", &rcs::Gripper::is_open, "Whether the device is connected.")
       .def_prop_ro("fault", &rcs::Gripper::fault)
-      .def("_open", [](rcs::Gripper&) {}, "Connect; nothing unless overridden.")
-      .def("_recover", [](rcs::Gripper&) {}, "Leave the device's own fault state; nothing unless overridden.")
-      .def("_close", [](rcs::Gripper&) {}, "Let go of the device; nothing unless overridden.")
+      .def(
+          "_open", [](rcs::Gripper&) {}, "Connect; nothing unless overridden.")
+      .def(
+          "_recover", [](rcs::Gripper&) {}, "Leave the device's own fault state; nothing unless overridden.")
+      .def(
+          "_close", [](rcs::Gripper&) {}, "Let go of the device; nothing unless overridden.")
       .def("open", &rcs::Gripper::open, "Connect. Nothing moves.")
       .def("state", &rcs::Gripper::state)
       .def("command_opening", &rcs::Gripper::command_opening, "opening"_a,
            "Set the opening (0 closed … 1 open) and return at once. Raises as `Arm.command_joints` does.")
-      .def("has_arrived", &rcs::Gripper::has_arrived, "Whether the fingers stand still: at the target, or on an object.")
+      .def("has_arrived", &rcs::Gripper::has_arrived,
+           "Whether the fingers stand still: at the target, or on an object.")
       .def("hold", &rcs::Gripper::hold)
       .def("set_fault", &rcs::Gripper::set_fault, "reason"_a)
       .def("recover", &rcs::Gripper::recover)

@@ -51,15 +51,18 @@ void bind_camera(nb::module_& m) {
       .def_ro("fps", &rcs::CameraMode::fps, "Frames per second.")
       .def_ro("has_depth", &rcs::CameraMode::has_depth);
   nb::class_<rcs::Frame>(m, "Frame", "One picture. Arrays are flat copies; `Camera.read` knows the size.")
-      .def("__init__",
-           [](rcs::Frame* self, const Rgb& rgb, const std::optional<Depth>& depth_mm, double time,
-              std::uint64_t number) { new (self) rcs::Frame(make_frame(rgb, depth_mm, time, number)); },
-           "rgb"_a, "depth_mm"_a = nb::none(), "time"_a = 0.0, "number"_a = 0,
-           "Make a frame of rgb (H, W, 3) uint8, depth [mm] (H, W) uint16 or None, and its capture time [s].")
-      .def_prop_ro("rgb", [](const rcs::Frame& f) { return copy_out(f.rgb, {f.rgb.size() / 3, 3}); }, nb::rv_policy::move,
-                   "Colours, (H·W, 3) uint8, rows from the top.")
-      .def_prop_ro("depth_mm", [](const rcs::Frame& f) { return copy_out(f.depth_mm, {f.depth_mm.size()}); }, nb::rv_policy::move,
-                   "Depth [mm], (H·W,) uint16, 0 = no reading; empty without depth.")
+      .def(
+          "__init__",
+          [](rcs::Frame* self, const Rgb& rgb, const std::optional<Depth>& depth_mm, double time,
+             std::uint64_t number) { new (self) rcs::Frame(make_frame(rgb, depth_mm, time, number)); },
+          "rgb"_a, "depth_mm"_a = nb::none(), "time"_a = 0.0, "number"_a = 0,
+          "Make a frame of rgb (H, W, 3) uint8, depth [mm] (H, W) uint16 or None, and its capture time [s].")
+      .def_prop_ro(
+          "rgb", [](const rcs::Frame& f) { return copy_out(f.rgb, {f.rgb.size() / 3, 3}); }, nb::rv_policy::move,
+          "Colours, (H·W, 3) uint8, rows from the top.")
+      .def_prop_ro(
+          "depth_mm", [](const rcs::Frame& f) { return copy_out(f.depth_mm, {f.depth_mm.size()}); },
+          nb::rv_policy::move, "Depth [mm], (H·W,) uint16, 0 = no reading; empty without depth.")
       .def_ro("time", &rcs::Frame::time, "When the picture was taken [s].")
       .def_ro("number", &rcs::Frame::number, "Counts frames of the device.");
   nb::class_<rcs::Camera, PyCamera>(m, "Camera",
@@ -70,9 +73,12 @@ void bind_camera(nb::module_& m) {
       .def_prop_ro("mode", &rcs::Camera::mode)
       .def_prop_ro("is_open", &rcs::Camera::is_open)
       .def_prop_ro("fault", &rcs::Camera::fault)
-      .def("_open", [](rcs::Camera&) {}, "Connect; nothing unless overridden.")
-      .def("_recover", [](rcs::Camera&) {}, "Leave the device's own fault state; nothing unless overridden.")
-      .def("_close", [](rcs::Camera&) {}, "Let go of the device; nothing unless overridden.")
+      .def(
+          "_open", [](rcs::Camera&) {}, "Connect; nothing unless overridden.")
+      .def(
+          "_recover", [](rcs::Camera&) {}, "Leave the device's own fault state; nothing unless overridden.")
+      .def(
+          "_close", [](rcs::Camera&) {}, "Let go of the device; nothing unless overridden.")
       .def("open", &rcs::Camera::open)
       .def("read", &rcs::Camera::read, "The newest frame. Raises DeviceFault when its size is not that of the mode.")
       .def("set_fault", &rcs::Camera::set_fault, "reason"_a)

@@ -30,7 +30,9 @@ struct PyHand : rcs::Hand {
 void bind_hand(nb::module_& m) {
   nb::class_<rcs::HandState>(m, "HandState", "What a hand measures.")
       .def(nb::init<std::vector<double>, double>(), "joints"_a, "time"_a)
-      .def_prop_ro("joints", [](const rcs::HandState& s) { return to_array(s.joints); }, nb::rv_policy::move, "Normalised joints, 0 … 1.")
+      .def_prop_ro(
+          "joints", [](const rcs::HandState& s) { return to_array(s.joints); }, nb::rv_policy::move,
+          "Normalised joints, 0 … 1.")
       .def_ro("time", &rcs::HandState::time, "When it was measured [s].");
   nb::class_<rcs::Hand, PyHand>(m, "Hand",
                                 "One multi-fingered hand. Subclasses override `_state`, `_command_joints`, "
@@ -40,9 +42,12 @@ void bind_hand(nb::module_& m) {
       .def_prop_ro("joint_count", &rcs::Hand::joint_count)
       .def_prop_ro("is_open", &rcs::Hand::is_open)
       .def_prop_ro("fault", &rcs::Hand::fault)
-      .def("_open", [](rcs::Hand&) {}, "Connect; nothing unless overridden.")
-      .def("_recover", [](rcs::Hand&) {}, "Leave the device's own fault state; nothing unless overridden.")
-      .def("_close", [](rcs::Hand&) {}, "Let go of the device; nothing unless overridden.")
+      .def(
+          "_open", [](rcs::Hand&) {}, "Connect; nothing unless overridden.")
+      .def(
+          "_recover", [](rcs::Hand&) {}, "Leave the device's own fault state; nothing unless overridden.")
+      .def(
+          "_close", [](rcs::Hand&) {}, "Let go of the device; nothing unless overridden.")
       .def("open", &rcs::Hand::open, "Connect. Nothing moves.")
       .def("state", &rcs::Hand::state)
       .def(

@@ -38,7 +38,8 @@ nb::tuple solve_batch(rcs::DampedLeastSquares& self, const Rows& targets, const 
   const nb::capsule owner(status, [](void* p) noexcept { delete static_cast<std::vector<std::uint8_t>*>(p); });
   {
     const nb::gil_scoped_release release;
-    rcs::inverse_batch(self, {targets.data(), 7 * count}, {starts.data(), n * count}, options, threads, joints, *status);
+    rcs::inverse_batch(self, {targets.data(), 7 * count}, {starts.data(), n * count}, options, threads, joints,
+                       *status);
   }
   return nb::make_tuple(to_array(joints, {count, n}),
                         nb::ndarray<nb::numpy, std::uint8_t>(status->data(), {count}, owner));
@@ -52,18 +53,19 @@ void bind_kinematics(nb::module_& m) {
       .value("clamped", rcs::IkStatus::clamped, "A solution exists, the answer is the allowed step towards it.")
       .value("infeasible", rcs::IkStatus::infeasible, "No solution inside the joint limits; the answer is the start.");
   nb::class_<rcs::IkOptions>(m, "IkOptions", "How hard inverse kinematics tries, and what it may answer.")
-      .def("__init__",
-           [](rcs::IkOptions* self, double translation_tolerance, double rotation_tolerance, int iterations,
-              int restarts, double damping, double max_step, std::uint64_t seed) {
-             if (!(translation_tolerance > 0) || !(rotation_tolerance > 0) || iterations < 1 || restarts < 0 ||
-                 !(damping > 0) || !(max_step > 0))
-               throw rcs::InvalidCommand(
-                   "IkOptions: tolerances, iterations, damping and max_step must be positive, restarts not negative");
-             new (self) rcs::IkOptions{translation_tolerance, rotation_tolerance, iterations, restarts,
-                                       damping,               max_step,           seed};
-           },
-           nb::kw_only(), "translation_tolerance"_a = 1e-4, "rotation_tolerance"_a = 1e-4, "iterations"_a = 30,
-           "restarts"_a = 60, "damping"_a = 1e-4, "max_step"_a = std::numeric_limits<double>::infinity(), "seed"_a = 0)
+      .def(
+          "__init__",
+          [](rcs::IkOptions* self, double translation_tolerance, double rotation_tolerance, int iterations,
+             int restarts, double damping, double max_step, std::uint64_t seed) {
+            if (!(translation_tolerance > 0) || !(rotation_tolerance > 0) || iterations < 1 || restarts < 0 ||
+                !(damping > 0) || !(max_step > 0))
+              throw rcs::InvalidCommand(
+                  "IkOptions: tolerances, iterations, damping and max_step must be positive, restarts not negative");
+            new (self) rcs::IkOptions{
+                translation_tolerance, rotation_tolerance, iterations, restarts, damping, max_step, seed};
+          },
+          nb::kw_only(), "translation_tolerance"_a = 1e-4, "rotation_tolerance"_a = 1e-4, "iterations"_a = 30,
+          "restarts"_a = 60, "damping"_a = 1e-4, "max_step"_a = std::numeric_limits<double>::infinity(), "seed"_a = 0)
       .def_ro("translation_tolerance", &rcs::IkOptions::translation_tolerance, "m")
       .def_ro("rotation_tolerance", &rcs::IkOptions::rotation_tolerance, "rad")
       .def_ro("iterations", &rcs::IkOptions::iterations, "Per attempt.")
@@ -74,13 +76,16 @@ void bind_kinematics(nb::module_& m) {
               "Largest change of any joint from the start [rad]; a solution farther away is clamped to this step.")
       .def_ro("seed", &rcs::IkOptions::seed, "Of the restarts: same seed, same answer.");
   nb::class_<rcs::IkResult>(m, "IkResult", "The answer of inverse kinematics.")
-      .def("__init__",
-           [](rcs::IkResult* self, std::vector<double> joints, rcs::IkStatus status, double translation_error,
-              double rotation_error, int iterations) {
-             new (self) rcs::IkResult{std::move(joints), status, translation_error, rotation_error, iterations};
-           },
-           "joints"_a, "status"_a, "translation_error"_a = 0.0, "rotation_error"_a = 0.0, "iterations"_a = 0)
-      .def_prop_ro("joints", [](const rcs::IkResult& r) { return to_array(r.joints); }, nb::rv_policy::move, "Inside the limits [rad].")
+      .def(
+          "__init__",
+          [](rcs::IkResult* self, std::vector<double> joints, rcs::IkStatus status, double translation_error,
+             double rotation_error, int iterations) {
+            new (self) rcs::IkResult{std::move(joints), status, translation_error, rotation_error, iterations};
+          },
+          "joints"_a, "status"_a, "translation_error"_a = 0.0, "rotation_error"_a = 0.0, "iterations"_a = 0)
+      .def_prop_ro(
+          "joints", [](const rcs::IkResult& r) { return to_array(r.joints); }, nb::rv_policy::move,
+          "Inside the limits [rad].")
       .def_ro("status", &rcs::IkResult::status)
       .def_ro("translation_error", &rcs::IkResult::translation_error, "m, before any clamping.")
       .def_ro("rotation_error", &rcs::IkResult::rotation_error, "rad, before any clamping.")
@@ -103,14 +108,15 @@ void bind_kinematics(nb::module_& m) {
           "Joints [rad] that bring the TCP to `target` (in the base frame), looked for from `start`, shape (dof,).");
   nb::class_<rcs::DampedLeastSquares, rcs::Kinematics>(
       m, "DampedLeastSquares", "Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.")
-      .def("__init__",
-           [](rcs::DampedLeastSquares* self, std::uintptr_t model, std::vector<int> joints, int tcp_site,
-              int base_body) {
-             new (self) rcs::DampedLeastSquares(reinterpret_cast<const mjModel*>(model), std::move(joints), tcp_site,
-                                                base_body);
-           },
-           "model_address"_a, "joints"_a, "tcp_site"_a, "base_body"_a,
-           "Copy the model at `MjModel._address`; the ids of joints (base to tip), TCP site and base body are its.")
+      .def(
+          "__init__",
+          [](rcs::DampedLeastSquares* self, std::uintptr_t model, std::vector<int> joints, int tcp_site,
+             int base_body) {
+            new (self) rcs::DampedLeastSquares(reinterpret_cast<const mjModel*>(model), std::move(joints), tcp_site,
+                                               base_body);
+          },
+          "model_address"_a, "joints"_a, "tcp_site"_a, "base_body"_a,
+          "Copy the model at `MjModel._address`; the ids of joints (base to tip), TCP site and base body are its.")
       .def(
           "jacobian",
           [](rcs::DampedLeastSquares& self, Vector joints) {
@@ -133,6 +139,10 @@ void bind_kinematics(nb::module_& m) {
       .def("inverse_batch", &solve_batch, "targets"_a, "starts"_a, "options"_a = rcs::IkOptions{}, "threads"_a = 1,
            "Solve for targets (N, 7) from starts (N, dof).\n\nReturns joints (N, dof) and IkStatus values (N,) uint8. "
            "The GIL is released.")
-      .def_prop_ro("joint_lower", [](const rcs::DampedLeastSquares& k) { return to_array(k.joint_lower()); }, nb::rv_policy::move, "rad")
-      .def_prop_ro("joint_upper", [](const rcs::DampedLeastSquares& k) { return to_array(k.joint_upper()); }, nb::rv_policy::move, "rad");
+      .def_prop_ro(
+          "joint_lower", [](const rcs::DampedLeastSquares& k) { return to_array(k.joint_lower()); },
+          nb::rv_policy::move, "rad")
+      .def_prop_ro(
+          "joint_upper", [](const rcs::DampedLeastSquares& k) { return to_array(k.joint_upper()); },
+          nb::rv_policy::move, "rad");
 }

@@ -80,16 +80,17 @@ void bind_world(nb::module_& m) {
                             "One copy of a scene while it is stepped. Arrays are views of MuJoCo's own memory, valid "
                             "only during the call.")
       .def_ro("copy", &rcs::StepView::copy, "Which copy this is.")
-      .def_prop_ro("time", [](const rcs::StepView& v) { return v.data->time; }, "Simulated time [s].")
+      .def_prop_ro(
+          "time", [](const rcs::StepView& v) { return v.data->time; }, "Simulated time [s].")
       .def_prop_ro("qpos", [](nb::handle v) { return data_view(v, &mjData::qpos, &mjModel::nq); })
       .def_prop_ro("qvel", [](nb::handle v) { return data_view(v, &mjData::qvel, &mjModel::nv); })
       .def_prop_ro("ctrl", [](nb::handle v) { return data_view(v, &mjData::ctrl, &mjModel::nu); })
       .def_prop_ro("xpos", [](nb::handle v) { return data_view(v, &mjData::xpos, &mjModel::nbody, 3); })
       .def_prop_ro("site_xpos", [](nb::handle v) { return data_view(v, &mjData::site_xpos, &mjModel::nsite, 3); })
       .def_prop_ro("qfrc_applied", [](nb::handle v) { return data_view(v, &mjData::qfrc_applied, &mjModel::nv); })
-      .def_prop_ro("xfrc_applied",
-                   [](nb::handle v) { return data_view(v, &mjData::xfrc_applied, &mjModel::nbody, 6); })
-      .def_prop_ro("contacts", [](const rcs::StepView& v) { return v.data->ncon; }, "Number of contacts.")
+      .def_prop_ro("xfrc_applied", [](nb::handle v) { return data_view(v, &mjData::xfrc_applied, &mjModel::nbody, 6); })
+      .def_prop_ro(
+          "contacts", [](const rcs::StepView& v) { return v.data->ncon; }, "Number of contacts.")
       .def_prop_ro("model_address", [](const rcs::StepView& v) { return reinterpret_cast<std::uintptr_t>(v.model); })
       .def_prop_ro("data_address", [](const rcs::StepView& v) { return reinterpret_cast<std::uintptr_t>(v.data); });
 
@@ -99,7 +100,8 @@ void bind_world(nb::module_& m) {
       "something per copy, `reset(copy)`. Copies are stepped on several threads.")
       .def(nb::init<>())
       .def(
-          "reset", [](rcs::StepCallback&, int) {}, "copy"_a, "Forget what was remembered of a copy; its episode starts anew.");
+          "reset", [](rcs::StepCallback&, int) {}, "copy"_a,
+          "Forget what was remembered of a copy; its episode starts anew.");
   nb::class_<rcs::JointsArrived, rcs::StepCallback>(m, "JointsArrived",
                                                     "True when position-controlled joints stand at their targets.")
       .def(nb::init<std::vector<int>, std::vector<int>, double, double>(), "joints"_a, "actuators"_a,
@@ -109,11 +111,12 @@ void bind_world(nb::module_& m) {
            "copies"_a, "Tolerance in rad/s (or m/s), duration in s.");
   nb::class_<rcs::Collision, rcs::StepCallback>(
       m, "Collision", "True when a geom of one set touches a geom of the other with more than a force.")
-      .def("__init__",
-           [](rcs::Collision* self, const Flags& first, const Flags& second, double force) {
-             new (self) rcs::Collision(to_flags(first), to_flags(second), force);
-           },
-           "first"_a, "second"_a, "force"_a, "One uint8 flag per geom of the model for each set; force in N.");
+      .def(
+          "__init__",
+          [](rcs::Collision* self, const Flags& first, const Flags& second, double force) {
+            new (self) rcs::Collision(to_flags(first), to_flags(second), force);
+          },
+          "first"_a, "second"_a, "force"_a, "One uint8 flag per geom of the model for each set; force in N.");
 
   nb::class_<rcs::World>(m, "World", "N copies of one MuJoCo scene, advanced together by one control step at a time.")
       .def_static(
@@ -135,8 +138,8 @@ void bind_world(nb::module_& m) {
             return std::make_shared<rcs::World>(reinterpret_cast<const mjModel*>(model), copies, threads,
                                                 timing(numerator, denominator, is_synchronous, max_substeps));
           },
-          "model_address"_a, "copies"_a, "threads"_a, "period_numerator"_a, "period_denominator"_a,
-          "is_synchronous"_a, "max_substeps"_a, "Many copies of a copy of the model, on `threads` threads (0: one per CPU).")
+          "model_address"_a, "copies"_a, "threads"_a, "period_numerator"_a, "period_denominator"_a, "is_synchronous"_a,
+          "max_substeps"_a, "Many copies of a copy of the model, on `threads` threads (0: one per CPU).")
       .def_prop_ro("copies", &rcs::World::copies)
       .def_prop_ro("threads", &rcs::World::threads)
       .def_prop_ro("is_batch", &rcs::World::is_batch, "False for a world on the user's own data.")
@@ -161,23 +164,36 @@ void bind_world(nb::module_& m) {
            "Have the mean position of joints read out as 0 at `closed` … 1 at `open`. Returns its index in `openings`.")
       .def("keep_initial_state", &rcs::World::keep_initial_state, "copy"_a = 0,
            "Take the present state of `copy` as the one that `reset` returns to, for all copies.")
-      .def("reset", [](rcs::World& w) { w.reset(); }, "Return all copies to the initial state.")
-      .def("reset", [](rcs::World& w, const Ids& ids) { if (ids.shape(0)) w.reset(to_ids(ids)); }, "copies"_a,
-           "Return some copies (int32 ids) to the initial state.")
-      .def("refresh", [](rcs::World& w) { w.refresh(); }, nb::call_guard<nb::gil_scoped_release>(),
-           "Recompute the readouts of all copies after the state was written to.")
-      .def("refresh", [](rcs::World& w, const Ids& ids) {
-             if (!ids.shape(0)) return;
-             const nb::gil_scoped_release release;
-             w.refresh(to_ids(ids));
-           }, "copies"_a, "Recompute the readouts of some copies.")
-      .def("advance", [](rcs::World& w) { w.advance(); }, nb::call_guard<nb::gil_scoped_release>(),
-           "Advance all copies by one control step. The GIL is released.")
-      .def("advance", [](rcs::World& w, const Ids& ids) {
-             if (!ids.shape(0)) return;
-             const nb::gil_scoped_release release;
-             w.advance(to_ids(ids));
-           }, "copies"_a, "Advance some copies by one control step.")
+      .def(
+          "reset", [](rcs::World& w) { w.reset(); }, "Return all copies to the initial state.")
+      .def(
+          "reset",
+          [](rcs::World& w, const Ids& ids) {
+            if (ids.shape(0)) w.reset(to_ids(ids));
+          },
+          "copies"_a, "Return some copies (int32 ids) to the initial state.")
+      .def(
+          "refresh", [](rcs::World& w) { w.refresh(); }, nb::call_guard<nb::gil_scoped_release>(),
+          "Recompute the readouts of all copies after the state was written to.")
+      .def(
+          "refresh",
+          [](rcs::World& w, const Ids& ids) {
+            if (!ids.shape(0)) return;
+            const nb::gil_scoped_release release;
+            w.refresh(to_ids(ids));
+          },
+          "copies"_a, "Recompute the readouts of some copies.")
+      .def(
+          "advance", [](rcs::World& w) { w.advance(); }, nb::call_guard<nb::gil_scoped_release>(),
+          "Advance all copies by one control step. The GIL is released.")
+      .def(
+          "advance",
+          [](rcs::World& w, const Ids& ids) {
+            if (!ids.shape(0)) return;
+            const nb::gil_scoped_release release;
+            w.advance(to_ids(ids));
+          },
+          "copies"_a, "Advance some copies by one control step.")
       .def_prop_ro("state_size", &rcs::World::state_size, "Number of values of mjSTATE_INTEGRATION.")
       .def(
           "get_state",
@@ -187,8 +203,9 @@ void bind_world(nb::module_& m) {
             return to_array(state);
           },
           "copy"_a = 0, "The whole integration state of one copy, (state_size,).")
-      .def("set_state", [](rcs::World& w, Vector state, int copy) { w.set_state(copy, to_span(state)); }, "state"_a,
-           "copy"_a = 0, "Write the whole integration state of one copy.")
+      .def(
+          "set_state", [](rcs::World& w, Vector state, int copy) { w.set_state(copy, to_span(state)); }, "state"_a,
+          "copy"_a = 0, "Write the whole integration state of one copy.")
       .def_prop_ro(
           "states",
           [](nb::handle self) {
@@ -199,8 +216,9 @@ void bind_world(nb::module_& m) {
             return View<double>(w.states(), 2, shape, self);
           },
           "Live state rows (copies, state_size) of a batch.")
-      .def("component", [](nb::handle self, int which) { return component(self, which); }, "which"_a,
-           "Live array of one mjtState component: (copies, n), or (n,) for a world on the user's own data.")
+      .def(
+          "component", [](nb::handle self, int which) { return component(self, which); }, "which"_a,
+          "Live array of one mjtState component: (copies, n), or (n,) for a world on the user's own data.")
       .def(
           "expand",
           [](nb::handle self, const char* field) {
@@ -214,40 +232,65 @@ void bind_world(nb::module_& m) {
             return View<double>(static_cast<double*>(values), 2, shape, self);
           },
           "field"_a, "Give a float64 field of MjModel values per copy; returns them, (copies, size), to write to.")
-      .def_prop_ro("poses", [](nb::handle self) {
+      .def_prop_ro(
+          "poses",
+          [](nb::handle self) {
             auto& w = nb::cast<rcs::World&>(self);
             const auto r = static_cast<std::size_t>(w.pose_count());
-            return view_of(self, w.poses(), w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r, 7}
-                                                         : std::vector<std::size_t>{r, 7});
-          }, "Pose readouts ([copies,] readouts, 7): translation [m], quaternion xyzw. Ask again after adding one.")
-      .def_prop_ro("xyzrpy", [](nb::handle self) {
+            return view_of(self, w.poses(),
+                           w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r, 7}
+                                        : std::vector<std::size_t>{r, 7});
+          },
+          "Pose readouts ([copies,] readouts, 7): translation [m], quaternion xyzw. Ask again after adding one.")
+      .def_prop_ro(
+          "xyzrpy",
+          [](nb::handle self) {
             auto& w = nb::cast<rcs::World&>(self);
             const auto r = static_cast<std::size_t>(w.pose_count());
-            return view_of(self, w.xyzrpy(), w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r, 6}
-                                                          : std::vector<std::size_t>{r, 6});
-          }, "The same poses as translation [m] and roll, pitch, yaw [rad] (extrinsic xyz).")
-      .def_prop_ro("forces", [](nb::handle self) {
+            return view_of(self, w.xyzrpy(),
+                           w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r, 6}
+                                        : std::vector<std::size_t>{r, 6});
+          },
+          "The same poses as translation [m] and roll, pitch, yaw [rad] (extrinsic xyz).")
+      .def_prop_ro(
+          "forces",
+          [](nb::handle self) {
             auto& w = nb::cast<rcs::World&>(self);
             const auto r = static_cast<std::size_t>(w.force_count());
-            return view_of(self, w.forces(), w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r}
-                                                          : std::vector<std::size_t>{r});
-          }, "Force readouts ([copies,] readouts) [N], of the last physics step. Ask again after adding one.")
-      .def_prop_ro("openings", [](nb::handle self) {
+            return view_of(
+                self, w.forces(),
+                w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r} : std::vector<std::size_t>{r});
+          },
+          "Force readouts ([copies,] readouts) [N], of the last physics step. Ask again after adding one.")
+      .def_prop_ro(
+          "openings",
+          [](nb::handle self) {
             auto& w = nb::cast<rcs::World&>(self);
             const auto r = static_cast<std::size_t>(w.opening_count());
-            return view_of(self, w.openings(), w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r}
-                                                            : std::vector<std::size_t>{r});
-          }, "Opening readouts ([copies,] readouts) float32, 0 … 1. Ask again after adding one.")
-      .def_prop_ro("ends", [](nb::handle self) {
+            return view_of(
+                self, w.openings(),
+                w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r} : std::vector<std::size_t>{r});
+          },
+          "Opening readouts ([copies,] readouts) float32, 0 … 1. Ask again after adding one.")
+      .def_prop_ro(
+          "ends",
+          [](nb::handle self) {
             auto& w = nb::cast<rcs::World&>(self);
             return view_of(self, w.ends(), {std::size_t(w.copies())});
-          }, "StepEnd of the last step (copies,) uint8.")
-      .def_prop_ro("substeps", [](nb::handle self) {
+          },
+          "StepEnd of the last step (copies,) uint8.")
+      .def_prop_ro(
+          "substeps",
+          [](nb::handle self) {
             auto& w = nb::cast<rcs::World&>(self);
             return view_of(self, w.substeps(), {std::size_t(w.copies())});
-          }, "Physics steps of the last step (copies,) int32.")
-      .def_prop_ro("steps", [](nb::handle self) {
+          },
+          "Physics steps of the last step (copies,) int32.")
+      .def_prop_ro(
+          "steps",
+          [](nb::handle self) {
             auto& w = nb::cast<rcs::World&>(self);
             return view_of(self, w.steps(), {std::size_t(w.copies())});
-          }, "Control steps since reset (copies,) int64.");
+          },
+          "Control steps since reset (copies,) int64.");
 }

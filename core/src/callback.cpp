@@ -25,9 +25,7 @@ bool JointsAtRest::call(const StepView& view) {
   return view.data->time - since >= duration_;
 }
 
-bool Collision::call(const StepView& view) {
-  return contact_force(view.model, view.data, first_, second_) > force_;
-}
+bool Collision::call(const StepView& view) { return contact_force(view.model, view.data, first_, second_) > force_; }
 
 double contact_force(const mjModel* model, const mjData* data, const std::vector<std::uint8_t>& first,
                      const std::vector<std::uint8_t>& second) {

@@ -12,7 +12,8 @@ namespace {
 constexpr double kMaxJointStep = 0.5;  // rad per iteration; larger steps leave the range where the Jacobian holds
 constexpr int kTask = 6;
 
-// SplitMix64 (Steele, Lea, Flood 2014): a restart's joints depend on the seed alone, so the same call gives the same answer.
+// SplitMix64 (Steele, Lea, Flood 2014): a restart's joints depend on the seed alone, so the same call gives the same
+// answer.
 double next_uniform(std::uint64_t& state) {
   state += 0x9E3779B97F4A7C15ULL;
   std::uint64_t z = state;
@@ -136,7 +137,8 @@ bool DampedLeastSquares::attempt(const std::array<double, 7>& target, std::vecto
     error_to(target, error);
     result.translation_error = norm3(error.data());
     result.rotation_error = norm3(error.data() + 3);
-    if (result.translation_error <= options.translation_tolerance && result.rotation_error <= options.rotation_tolerance)
+    if (result.translation_error <= options.translation_tolerance &&
+        result.rotation_error <= options.rotation_tolerance)
       return true;
     if (iteration == options.iterations) return false;
     ++result.iterations;

@@ -99,8 +99,7 @@ int World::read_pose(int site, int frame_body) {
 }
 
 int World::read_body_pose(int body, int frame_body) {
-  if (body < 0 || body >= model_->nbody)
-    throw InvalidCommand("world: the body of a pose readout is not in the model");
+  if (body < 0 || body >= model_->nbody) throw InvalidCommand("world: the body of a pose readout is not in the model");
   const int index = read_pose(0, frame_body);
   pose_readouts_.back() = {-1, body, frame_body};
   return index;
@@ -118,7 +117,8 @@ int World::read_opening(std::vector<int> joints, double closed, double open) {
   if (joints.empty() || closed == open) throw InvalidCommand("world: an opening readout needs joints that move");
   OpeningReadout readout{{}, closed, open};
   for (const int joint : joints) {
-    if (joint < 0 || joint >= model_->njnt) throw InvalidCommand("world: a joint of an opening readout is not in the model");
+    if (joint < 0 || joint >= model_->njnt)
+      throw InvalidCommand("world: a joint of an opening readout is not in the model");
     readout.qpos.push_back(model_->jnt_qposadr[joint]);
   }
   opening_readouts_.push_back(std::move(readout));
@@ -137,7 +137,8 @@ void World::keep_initial_state(int copy) { get_state(copy, initial_state_); }
 
 void World::get_state(int copy, std::span<double> state) const {
   if (state.size() != static_cast<std::size_t>(state_size_) || copy < 0 || copy >= copies_)
-    throw InvalidCommand("world: a state has " + std::to_string(state_size_) + " values, and copies are counted from 0");
+    throw InvalidCommand("world: a state has " + std::to_string(state_size_) +
+                         " values, and copies are counted from 0");
   if (batch_)
     std::memcpy(state.data(), mjb_state(batch_) + static_cast<std::ptrdiff_t>(copy) * state_size_,
                 sizeof(double) * state.size());
@@ -147,7 +148,8 @@ void World::get_state(int copy, std::span<double> state) const {
 
 void World::set_state(int copy, std::span<const double> state) {
   if (state.size() != static_cast<std::size_t>(state_size_) || copy < 0 || copy >= copies_)
-    throw InvalidCommand("world: a state has " + std::to_string(state_size_) + " values, and copies are counted from 0");
+    throw InvalidCommand("world: a state has " + std::to_string(state_size_) +
+                         " values, and copies are counted from 0");
   if (batch_)
     std::memcpy(mjb_state(batch_) + static_cast<std::ptrdiff_t>(copy) * state_size_, state.data(),
                 sizeof(double) * state.size());

@@ -24,7 +24,9 @@ def test_what_the_project_brings_along_is_found_by_name() -> None:
         ("task", "PickCube", "PickCuboid"),
     ],
 )
-def test_an_unknown_name_gives_the_nearest_match_and_all_known_ones(kind: lookup.Kind, given: str, nearest: str) -> None:
+def test_an_unknown_name_gives_the_nearest_match_and_all_known_ones(
+    kind: lookup.Kind, given: str, nearest: str
+) -> None:
     with pytest.raises(UnknownName) as caught:
         lookup.find(kind, given)
     text = str(caught.value)

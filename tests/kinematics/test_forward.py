@@ -50,9 +50,7 @@ def test_the_jacobian_is_the_derivative_of_the_pose(
         np.testing.assert_allclose(jacobian, numeric, atol=1e-6)
 
 
-def test_a_batch_of_poses_is_a_loop_over_poses(
-    solver: DampedLeastSquares, random_joints: NDArray[np.float64]
-) -> None:
+def test_a_batch_of_poses_is_a_loop_over_poses(solver: DampedLeastSquares, random_joints: NDArray[np.float64]) -> None:
     batch = solver.forward_batch(random_joints)
     np.testing.assert_array_equal(batch, [solver.forward(joints).tquat for joints in random_joints])
 

@@ -59,9 +59,7 @@ def test_a_camera_needs_a_body_to_be_mounted_on() -> None:
 def test_a_mounted_camera_looks_along_the_z_axis_of_its_optical_frame() -> None:
     scene = Scene.empty()
     turned = Mount(translation=(0.1, 0.2, 0.3), quaternion=(0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)))
-    scene.add_camera(
-        CameraPlacement(name="eye", camera=REALSENSE_D405, parent_body="world", optical_in_parent=turned)
-    )
+    scene.add_camera(CameraPlacement(name="eye", camera=REALSENSE_D405, parent_body="world", optical_in_parent=turned))
     model = scene.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

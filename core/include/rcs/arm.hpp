@@ -42,7 +42,8 @@ class Arm {
   void open();
   /// Measure joints and velocities.
   ArmState state();
-  /// Set the joint target [rad] and return at once. Throws `InvalidCommand`, `WrongOrder`, `DeviceFault`; the arm then holds.
+  /// Set the joint target [rad] and return at once. Throws `InvalidCommand`, `WrongOrder`, `DeviceFault`; the arm then
+  /// holds.
   void command_joints(std::span<const double> joints);
   /// Whether the last target is reached and the arm stands still.
   bool has_arrived();

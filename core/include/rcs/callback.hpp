@@ -58,9 +58,9 @@ class JointsAtRest final : public StepCallback {
 
  private:
   std::vector<int> joints_;
-  double velocity_tolerance_;   // rad/s or m/s
-  double duration_;             // s
-  std::vector<double> since_;   // s, when the joints came to rest; negative while they move
+  double velocity_tolerance_;  // rad/s or m/s
+  double duration_;            // s
+  std::vector<double> since_;  // s, when the joints came to rest; negative while they move
 };
 
 /// True when a geom of one set touches a geom of the other with more than a given force.

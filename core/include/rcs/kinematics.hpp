@@ -18,7 +18,7 @@ namespace rcs {
 
 /// The answer of inverse kinematics.
 struct IkResult {
-  std::vector<double> joints;      ///< rad, always inside the joint limits
+  std::vector<double> joints;  ///< rad, always inside the joint limits
   IkStatus status = IkStatus::infeasible;
   double translation_error = 0.0;  ///< m, of the best solution found, before any clamping
   double rotation_error = 0.0;     ///< rad, likewise
@@ -34,7 +34,7 @@ struct IkOptions {
   double damping = 1e-4;                ///< of the least squares; smaller is faster and wilder near singularities
   /// Largest change of any joint from the start [rad]; a solution farther away is `clamped` to this step towards it.
   double max_step = std::numeric_limits<double>::infinity();
-  std::uint64_t seed = 0;               ///< of the restarts: same seed, same answer
+  std::uint64_t seed = 0;  ///< of the restarts: same seed, same answer
 };
 
 /// Kinematics of one arm: TCP pose in the base frame from joints, and back. Implementable in C++ and Python.
@@ -50,7 +50,8 @@ class Kinematics {
 
 /// Many targets at once. Row i of every output depends on row i of the inputs alone, at any number of threads.
 ///
-/// `targets` is count × 7 (translation, quaternion xyzw), `starts` and `joints` are count × dof, `status` is count long.
+/// `targets` is count × 7 (translation, quaternion xyzw), `starts` and `joints` are count × dof, `status` is count
+/// long.
 class DampedLeastSquares;
 void inverse_batch(DampedLeastSquares& kinematics, std::span<const double> targets, std::span<const double> starts,
                    const IkOptions& options, int threads, std::span<double> joints, std::span<std::uint8_t> status);

@@ -6,14 +6,15 @@
 
 namespace rcs {
 
-/// Write `values` to `clipped`, each cut to its bounds; return false, with `clipped` unusable, if one is not finite or farther out than
-/// `tolerance`. Rows have the length of the bounds.
+/// Write `values` to `clipped`, each cut to its bounds; return false, with `clipped` unusable, if one is not finite or
+/// farther out than `tolerance`. Rows have the length of the bounds.
 template <typename T>
 bool clip_rows(std::span<const T> values, std::span<const T> lower, std::span<const T> upper, double tolerance,
                std::span<T> clipped);
 
-/// Cut `asked` to at most `max_step` from `last` and `max_lead` from `measured`, and to within a step of `last` where these exclude each
-/// other. Rows have the length of `max_step`; `is_cut` has one flag per row, for changes above `rounding`. Returns whether any is set.
+/// Cut `asked` to at most `max_step` from `last` and `max_lead` from `measured`, and to within a step of `last` where
+/// these exclude each other. Rows have the length of `max_step`; `is_cut` has one flag per row, for changes above
+/// `rounding`. Returns whether any is set.
 bool limit_rows(std::span<const double> asked, std::span<const double> last, std::span<const double> measured,
                 std::span<const double> max_step, double max_lead, double rounding, std::span<double> target,
                 std::span<bool> is_cut);

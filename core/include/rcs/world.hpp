@@ -1,12 +1,12 @@
 // N copies of one MuJoCo scene, advanced together by one control step at a time.
 //
-// Time: a copy counts its own control steps. Asynchronously, step k lasts floor((k+1) r) - floor(k r) physics steps with
-// r = control period / physics step, kept as a ratio of integers, so the mean rate is exact (30 Hz at 2 ms: 16, 17, 17).
-// Threads: copies run on MuJoCo's own pool (mjbatch.h); the result does not depend on the number of threads.
+// Time: a copy counts its own control steps. Asynchronously, step k lasts floor((k+1) r) - floor(k r) physics steps
+// with r = control period / physics step, kept as a ratio of integers, so the mean rate is exact (30 Hz at 2 ms: 16,
+// 17, 17). Threads: copies run on MuJoCo's own pool (mjbatch.h); the result does not depend on the number of threads.
 #pragma once
 
-#include <mujoco/mujoco.h>
 #include <mujoco/mjbatch.h>
+#include <mujoco/mujoco.h>
 
 #include <cstdint>
 #include <exception>
@@ -83,11 +83,11 @@ class World {
   mjBatch* batch() { return batch_; }
   mjData* data() { return data_; }
 
-  std::vector<double>& poses() { return poses_; }    ///< copies × readouts × 7: translation [m], quaternion xyzw
-  std::vector<double>& xyzrpy() { return xyzrpy_; }  ///< copies × readouts × 6: the same as roll, pitch, yaw [rad]
-  std::vector<double>& forces() { return forces_; }  ///< copies × readouts [N], of the last physics step
+  std::vector<double>& poses() { return poses_; }       ///< copies × readouts × 7: translation [m], quaternion xyzw
+  std::vector<double>& xyzrpy() { return xyzrpy_; }     ///< copies × readouts × 6: the same as roll, pitch, yaw [rad]
+  std::vector<double>& forces() { return forces_; }     ///< copies × readouts [N], of the last physics step
   std::vector<float>& openings() { return openings_; }  ///< copies × readouts, 0 … 1
-  std::vector<std::uint8_t>& ends() { return ends_; }          ///< copies: StepEnd of the last step
+  std::vector<std::uint8_t>& ends() { return ends_; }   ///< copies: StepEnd of the last step
   std::vector<std::int32_t>& substeps() { return substeps_; }  ///< copies: physics steps of the last step
   std::vector<std::int64_t>& steps() { return steps_; }        ///< copies: control steps since reset
   int pose_count() const { return static_cast<int>(pose_readouts_.size()); }

@@ -33,8 +33,8 @@ INTERRUPTED = 130
 class CollectCommand:
     """Collect a dataset of scripted episodes and write a report page.
 
-    Episode i depends on the seed and on i alone: an interrupted collection is resumed by the same command, and the number of workers does
-    not change the data. Ctrl-C ends after the episodes at work; a second one ends at once.
+    Episode i depends on the seed and on i alone: an interrupted collection is resumed by the same command, and the
+    number of workers does not change the data. Ctrl-C ends after the episodes at work; a second one ends at once.
     """
 
     task: tyro.conf.Positional[str]
@@ -163,9 +163,15 @@ def _summarise(collection: Collection, progress: CollectionProgress, console: Co
     failures = Counter(attempt.result.failure for attempt in progress.attempts if not attempt.result.success)
     steps = sum(attempt.result.steps for attempt in progress.attempts)
     table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_row("success", f"{good} of {made} = {100 * good / made:.1f} % (95 % Wilson interval {100 * low:.1f} to {100 * high:.1f} %)")
+    table.add_row(
+        "success",
+        f"{good} of {made} = {100 * good / made:.1f} % (95 % Wilson interval {100 * low:.1f} to {100 * high:.1f} %)",
+    )
     table.add_row("failures", ", ".join(f"{name} {count}" for name, count in failures.most_common()) or "none")
     rate = made / progress.seconds
-    table.add_row("speed", f"{made} episodes in {progress.seconds:.1f} s: {rate:.2f}/s, {1200 * rate:.0f} per 20 minutes, {steps / progress.seconds:.0f} steps/s")
+    table.add_row(
+        "speed",
+        f"{made} episodes in {progress.seconds:.1f} s: {rate:.2f}/s, {1200 * rate:.0f} per 20 minutes, {steps / progress.seconds:.0f} steps/s",
+    )
     table.add_row("workers", str(collection.workers))
     console.print(table)

@@ -107,5 +107,7 @@ class ReplayCommand:
             console.print(f"episode {result.episode_id}: state {result.first_difference} differs", highlight=False)
         steps = sum(result.steps for result in results)
         equal = len(results) - len(different)
-        console.print(f"{equal} of {len(results)} episodes bit-equal ({steps} steps in {seconds:.1f} s)", highlight=False)
+        console.print(
+            f"{equal} of {len(results)} episodes bit-equal ({steps} steps in {seconds:.1f} s)", highlight=False
+        )
         return 1 if different else 0

@@ -31,13 +31,18 @@ class DoctorCommand:
         probes = probe_gl()
         chosen = next((probe.name for probe in probes if probe.ok), None)
         for probe in probes:
-            verdict = "chosen: the first that works" if probe.name == chosen else "works" if probe.ok else "does not work"
+            verdict = (
+                "chosen: the first that works" if probe.name == chosen else "works" if probe.ok else "does not work"
+            )
             table.add_row(f"GL {probe.name}", f"{verdict} ({probe.detail})")
         display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         table.add_row("display", display or "none: no viewer, everything else works")
         for extra, module in EXTRAS.items():
             found = importlib.util.find_spec(module) is not None
-            table.add_row(f"extra {extra}", "installed" if found else f"not installed: pip install 'robot-control-stack\\[{extra}]'")
+            table.add_row(
+                f"extra {extra}",
+                "installed" if found else f"not installed: pip install 'robot-control-stack\\[{extra}]'",
+            )
         console.print(table)
         if chosen is None:
             console.print("Nothing can draw: cameras will not work until one of the remedies above is done.")

@@ -61,7 +61,8 @@ class RowBuffer:
         self._images: dict[str, list[bytes]] = {f.key: [] for f in info.features if f.encoding != "plain"}
         self._sim_states = np.zeros((_CAPACITY, info.sim_state_size or 0))
         self._image_bytes = 0
-        # Simulations record faster than they would live: half a second of the episode, not of the wall clock, is at stake.
+        # Simulations record faster than they would live: half a second of the episode, not of the wall clock, is at
+        # stake.
         self._capacity = max(1, min(_CAPACITY, int(info.fps / 2)))
         self._rows = 0
         self._at_reset = True

@@ -13,8 +13,8 @@ from rcs.data.layout import (
     DATASET_FILE,
     EPISODES_FOLDER,
     check_episode_id,
-    episodes_folder,
     episode_folder,
+    episodes_folder,
     new_trash_folder,
     open_folder,
 )

@@ -123,7 +123,9 @@ class FakeGripper(Gripper):
 class FakeHand(Hand):
     """A hand whose joints are at their targets at once."""
 
-    def __init__(self, joint_count: int, *, clock: Callable[[], float] = time.monotonic, name: str = "fake hand") -> None:
+    def __init__(
+        self, joint_count: int, *, clock: Callable[[], float] = time.monotonic, name: str = "fake hand"
+    ) -> None:
         """Stand open, all joints at 0."""
         super().__init__(name, joint_count)
         self._clock = clock

@@ -95,9 +95,7 @@ def _populate(parts: Parts, world: World, *, is_blind: bool = False) -> tuple[Sc
     if robot.placement.gripper is not None:
         ports.append(SimGripperPort(robot))
     if parts.cameras and not is_blind:
-        cameras = SimCameras(
-            world, list(parts.cameras), size=setup.size, has_depth=setup.depth, quality=setup.quality
-        )
+        cameras = SimCameras(world, list(parts.cameras), size=setup.size, has_depth=setup.depth, quality=setup.quality)
         ports.append(SimCameraPort(cameras))
     return scenario, Stack(ports, layers_of(setup, robot.placement), world.leading)
 

@@ -83,7 +83,9 @@ class Setup:
 
     def to_json(self) -> dict[str, Any]:
         """Return the setup as JSON values."""
-        return {key: list(value) if isinstance(value, tuple) else value for key, value in dataclasses.asdict(self).items()}
+        return {
+            key: list(value) if isinstance(value, tuple) else value for key, value in dataclasses.asdict(self).items()
+        }
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> Setup:

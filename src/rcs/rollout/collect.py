@@ -1,7 +1,7 @@
 """Collect a dataset of scripted episodes, on one process or several.
 
-Episode i depends on the seed of the collection and on i alone, so that the number of workers, an interruption and a resumption change
-nothing in the data.
+Episode i depends on the seed of the collection and on i alone, so that the number of workers, an interruption and a
+resumption change nothing in the data.
 """
 
 from __future__ import annotations
@@ -131,12 +131,14 @@ def expert_for(env: Env, setup: Setup) -> Agent:
 def collect(collection: Collection, progress: Progress, env: Env | None = None) -> Iterator[Attempt]:
     """Collect until the dataset is complete, yielding every attempt as it ends.
 
-    Closing the iterator, or setting `progress.is_interrupted`, ends the collection after the episodes at work; the dataset stays resumable.
+    Closing the iterator, or setting `progress.is_interrupted`, ends the collection after the episodes at work; the
+    dataset stays resumable.
 
     Args:
         collection: What to collect.
         progress: Updated while it runs.
-        env: An environment of the collection's setup to use in this process; made when not given. It is closed in the end.
+        env: An environment of the collection's setup to use in this process; made when not given. It is closed in the
+            end.
 
     Raises:
         DatasetError: The dataset cannot be written, is locked, or belongs to another setup.

@@ -1,7 +1,7 @@
 """Worker processes that each make one thing and then answer numbers with results.
 
-Workers die with their parent (Linux tells them; elsewhere they see their pipe end), so that no writer outlives the lock on its dataset.
-Ctrl-C is the parent's business: workers finish what they have at work.
+Workers die with their parent (Linux tells them; elsewhere they see their pipe end), so that no writer outlives the lock
+on its dataset. Ctrl-C is the parent's business: workers finish what they have at work.
 """
 
 from __future__ import annotations
@@ -49,7 +49,9 @@ class WorkerPool:
         self._pipes: list[multiprocessing.connection.Connection] = []
         for i in range(workers):
             here, there = context.Pipe()
-            process = context.Process(target=_serve, args=(make, there, os.getpid()), name=f"rcs worker {i}", daemon=True)
+            process = context.Process(
+                target=_serve, args=(make, there, os.getpid()), name=f"rcs worker {i}", daemon=True
+            )
             process.start()
             there.close()
             self._processes.append(process)
@@ -70,7 +72,9 @@ class WorkerPool:
                 try:
                     is_answer, value = ready.recv()
                 except EOFError as err:
-                    raise RcsError("A worker process died (was it killed, or out of memory?); resume to go on.") from err
+                    raise RcsError(
+                        "A worker process died (was it killed, or out of memory?); resume to go on."
+                    ) from err
                 busy.discard(ready)
                 if not is_answer:
                     raise value

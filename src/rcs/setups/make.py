@@ -6,16 +6,16 @@ from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
+from rcs.devices import lookup
 from rcs.envs.assemble import Parts, assemble, assemble_vec
 from rcs.envs.env import Env
+from rcs.envs.setup import Setup
 from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.kinematics.chain import GRIPPER_PREFIX
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription
-from rcs.devices import lookup
 from rcs.setups.labs import lab_of
-from rcs.envs.setup import Setup
 from rcs.sim.scene import CameraPlacement, RobotPlacement
 
 

@@ -65,7 +65,8 @@ class SimCameras:
         """Draw every camera.
 
         Returns:
-            Per camera `rgb` (*leading, H, W, 3) uint8 and, with depth, `depth` (*leading, H, W) uint16 [mm], 0 = no reading.
+            Per camera `rgb` (*leading, H, W, 3) uint8 and, with depth, `depth` (*leading, H, W) uint16 [mm], 0 = no
+            reading.
         """
         width, height = self.size
         leading = self._world.leading
@@ -116,7 +117,9 @@ class SimCamera(Camera):
             InvalidSetup: The world has many copies, or no camera of that name.
         """
         if world.leading or name not in cameras.names:
-            raise InvalidSetup(f"SimCamera needs a world of one copy and one of the cameras {cameras.names}, not {name!r}.")
+            raise InvalidSetup(
+                f"SimCamera needs a world of one copy and one of the cameras {cameras.names}, not {name!r}."
+            )
         width, height = cameras.size
         super().__init__(name, CameraMode(width, height, world.frequency, cameras.has_depth))
         self._cameras = cameras

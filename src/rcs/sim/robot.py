@@ -126,9 +126,7 @@ class SimRobot:
             InvalidSetup: The robot has none.
         """
         gripper = self.gripper
-        mapping = GripperMap(
-            gripper.joint_closed[0], gripper.joint_open[0], gripper.ctrl_closed, gripper.ctrl_open
-        )
+        mapping = GripperMap(gripper.joint_closed[0], gripper.joint_open[0], gripper.ctrl_closed, gripper.ctrl_open)
         fingers, actuator = self.layout.finger_joint_ids, self.layout.finger_actuator
         name = f"{self.placement.name} gripper"
         return SimGripper(name, gripper.max_width, gripper.max_force, self.world.core, copy, fingers, actuator, mapping)

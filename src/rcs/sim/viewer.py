@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import warnings
 from types import TracebackType
 from typing import Any, Self
 
@@ -25,6 +27,7 @@ class Viewer:
             raise InvalidSetup("A viewer shows a world of one copy.")
         self._world = world
         self._handle: Any = None
+        self._threads: set[threading.Thread] = set()
 
     def open(self) -> None:
         """Open the window.
@@ -37,11 +40,19 @@ class Viewer:
             import mujoco.viewer
         except ImportError as err:
             raise MissingDependency("The viewer needs glfw: pip install 'mujoco-core[rendering]'.") from err
-        if not glfw.init():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # GLFW's own words on a missing display; ours follow
+            has_display = glfw.init()
+        if not has_display:
             raise MissingDependency(
                 "The viewer needs a display and there is none (or GLFW cannot reach it). Without a window, look at report.html."
             )
-        self._handle = mujoco.viewer.launch_passive(self._world.model, self._world.data, show_left_ui=False, show_right_ui=False)
+        before = set(threading.enumerate())
+        self._handle = mujoco.viewer.launch_passive(
+            self._world.model, self._world.data, show_left_ui=False, show_right_ui=False
+        )
+        # The handle does not give its thread away, and a program that ends before the thread does crashes in it.
+        self._threads = set(threading.enumerate()) - before
 
     @property
     def is_running(self) -> bool:
@@ -58,6 +69,8 @@ class Viewer:
         if self._handle is not None:
             self._handle.close()
             self._handle = None
+            for thread in self._threads:
+                thread.join()
 
     def __enter__(self) -> Self:
         """Open the window."""

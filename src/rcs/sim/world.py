@@ -1,8 +1,8 @@
 """Copies of a scene that are advanced together, one control step at a time.
 
-A world on the user's own `MjModel` and `MjData` has arrays without a leading axis; a world of copies has arrays (copies, ...).
-Everything that indexes from the right (`qpos[..., 3]`) works on both. Stepping runs in C++ on MuJoCo's thread pool without the GIL,
-and its result does not depend on the number of threads or copies.
+A world on the user's own `MjModel` and `MjData` has arrays without a leading axis; a world of copies has arrays
+(copies, ...). Everything that indexes from the right (`qpos[..., 3]`) works on both. Stepping runs in C++ on MuJoCo's
+thread pool without the GIL, and its result does not depend on the number of threads or copies.
 """
 
 from __future__ import annotations
@@ -199,5 +199,7 @@ def control_period(frequency: float, physics_step: float) -> Fraction:
         InvalidSetup: The frequency is not positive, or higher than that of the physics.
     """
     if not (np.isfinite(frequency) and 0 < frequency <= 1 / physics_step + 1e-9):
-        raise InvalidSetup(f"frequency is {frequency} Hz; valid is above 0 and up to the physics' {1 / physics_step:g} Hz.")
+        raise InvalidSetup(
+            f"frequency is {frequency} Hz; valid is above 0 and up to the physics' {1 / physics_step:g} Hz."
+        )
     return 1 / (Fraction(frequency).limit_denominator(10**6) * Fraction(physics_step).limit_denominator(10**9))

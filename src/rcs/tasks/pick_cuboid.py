@@ -32,8 +32,8 @@ CUBOID = "cuboid"
 class PickCuboid(Task):
     """Lift the cuboid 10 cm above the table and hold it there for one second.
 
-    The reward is 1 per step at success, below that the mean of three parts in [0, 1]: reaching, grasping, and lifting while grasping, in the
-    form of ManiSkill 3's PickCube-v1 (`1 - tanh(5 d)`).
+    The reward is 1 per step at success, below that the mean of three parts in [0, 1]: reaching, grasping, and lifting
+    while grasping, in the form of ManiSkill 3's PickCube-v1 (`1 - tanh(5 d)`).
     """
 
     instruction = "pick up the green cuboid"
@@ -54,8 +54,8 @@ class PickCuboid(Task):
             size=[edge / 2 for edge in SIZE],
             mass=MASS,
             rgba=[0.10, 0.55, 0.20, 1.0],
-            # Sliding friction of PLA on rubber is about 1. Torsional friction counts from condim 4 on, and is what keeps the cuboid
-            # from turning between the pads.
+            # Sliding friction of PLA on rubber is about 1. Torsional friction counts from condim 4 on, and is what
+            # keeps the cuboid from turning between the pads.
             friction=[1.0, 0.01, 0.0001],
             condim=4,
             solref=[0.01, 1.0],

@@ -1,7 +1,8 @@
 """The interface of a layer, the f and g of the paper's wrapper W = <f, g, P', R'>.
 
-A layer maps actions down (g, `map_action`) and observations up (f, `map_observation`). It touches no device, reads no clock and
-moves no time; arrays are indexed from the right, so that one layer serves one environment and a batch of any size.
+A layer maps actions down (g, `map_action`) and observations up (f, `map_observation`). It touches no device, reads no
+clock and moves no time; arrays are indexed from the right, so that one layer serves one environment and a batch of any
+size.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ class Layer:
     def map_executed(self, executed: Action) -> Action:
         """Return what this level's action came to, given what the level below made of it.
 
-        Called after `map_action`, from the lowest layer up: a layer that keeps a reference learns here that a target was cut.
+        Called after `map_action`, from the lowest layer up: a layer that keeps a reference learns here that a target
+        was cut.
         """
         return executed
 

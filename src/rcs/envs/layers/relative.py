@@ -19,8 +19,9 @@ RelativeTo = Literal["last_step", "origin"]
 class Relative(Layer):
     """Take differences and pass on absolute targets.
 
-    Joints add up. A pose difference moves the TCP by its translation along the axes of the base frame and turns it by its rotation about
-    those axes. Relative to the last step, the reference is the last *target*, so that servo lag does not add up.
+    Joints add up. A pose difference moves the TCP by its translation along the axes of the base frame and turns it by
+    its rotation about those axes. Relative to the last step, the reference is the last *target*, so that servo lag does
+    not add up.
     """
 
     def __init__(
@@ -65,8 +66,10 @@ class Relative(Layer):
         else:
             bound = np.array([self._max_translation] * 3 + [self._max_rotation] * 3)
         difference = spaces.Box(-bound, bound, dtype=np.float64)
-        return {(self._control if key == self._key else key): (difference if key == self._key else value)
-                for key, value in inner.items()}
+        return {
+            (self._control if key == self._key else key): (difference if key == self._key else value)
+            for key, value in inner.items()
+        }
 
     def reset(self, observation: Observation, where: Where = everywhere) -> None:
         """Start from the measured joints or pose."""
@@ -109,9 +112,7 @@ class Relative(Layer):
         return f"Relative({self._control} to the {self._to.replace('_', ' ')})"
 
 
-def shift(
-    start: NDArray[np.float64], step: NDArray[np.float64], max_rotation: float = np.inf
-) -> NDArray[np.float64]:
+def shift(start: NDArray[np.float64], step: NDArray[np.float64], max_rotation: float = np.inf) -> NDArray[np.float64]:
     """Move poses along and turn them about the axes of their parent frame.
 
     Args:

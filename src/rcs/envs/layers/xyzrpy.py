@@ -12,7 +12,9 @@ class XyzrpyControl(Layer):
 
     def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
         """Replace `tquat` by `xyzrpy`."""
-        return {(XYZRPY if key == TQUAT else key): (xyzrpy_space() if key == TQUAT else box) for key, box in inner.items()}
+        return {
+            (XYZRPY if key == TQUAT else key): (xyzrpy_space() if key == TQUAT else box) for key, box in inner.items()
+        }
 
     def map_action(self, action: Action) -> Action:
         """Convert the pose."""
