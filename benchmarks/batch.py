@@ -34,7 +34,7 @@ class Options:
     threads: int = 0
     """Threads of both; 0 for one per CPU."""
     steps: int = 60
-    """Control steps per round; a multiple of 3, so that both make the same number of physics steps per second of simulated time."""
+    """Control steps per round; a multiple of 3, so that both make the same number of physics steps per second."""
     rounds: int = 21
     """Alternating rounds."""
 

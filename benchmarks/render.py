@@ -1,9 +1,11 @@
 """Frames per second of the lab scene through our camera, beside MuJoCo's own renderer with its default settings.
 
-The scene is the one that data is collected in: FR3 with hand and wrist camera, table, cuboid, room and side camera. The arm moves between frames. The pictures
-are checked: arm, table and cuboid must be in them, at the place where the camera's own matrices say.
+The scene is the one that data is collected in: FR3 with hand and wrist camera, table, cuboid, room and side camera. The
+arm moves between frames. The pictures are checked: arm, table and cuboid must be in them, at the place where the
+camera's own matrices say.
 
-Prints one JSON object: `fps` (by edge length in pixels, side camera, fast quality, one thread), `bare_arm_fps` (the arm alone), `default_fps` (the reference).
+Prints one JSON object: `fps` (by edge length in pixels, side camera, fast quality, one thread), `bare_arm_fps` (the arm
+alone), `default_fps` (the reference).
 """
 
 from __future__ import annotations
@@ -125,7 +127,7 @@ def rate(cameras: SimCameras, world: World, states: NDArray[np.float64], options
 
 
 def default_rate(world: World, camera: CameraPlacement, size: int, states: NDArray[np.float64]) -> float | str:
-    """Return the frames per second of MuJoCo's Python renderer with the model's default settings, in a process of its own."""
+    """Return the frames per second of MuJoCo's Python renderer as the model has it, in a process of its own."""
     import subprocess
     import sys
     import tempfile

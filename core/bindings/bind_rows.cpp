@@ -1,8 +1,12 @@
 // Checks and limits on rows of numbers.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 
 #include <memory>
+#include <optional>
+#include <utility>
 #include <vector>
 
 #include "rcs/rows.hpp"
@@ -26,19 +30,20 @@ Numpy<T> like(T* data, const nb::ndarray<const T, nb::c_contig, nb::device::cpu>
 }
 
 template <typename T>
-nb::object clip(const Rows<T>& values, const Rows<T>& lower, const Rows<T>& upper, double tolerance) {
+std::optional<Numpy<T>> clip(const Rows<T>& values, const Rows<T>& lower, const Rows<T>& upper, double tolerance) {
   const std::size_t width = lower.size();
   if (width == 0 || upper.size() != width || values.size() % width)
     throw nb::value_error("clip_rows: rows must have the length of the bounds");
   std::unique_ptr<T[]> clipped(new T[values.size()]);
   if (!rcs::clip_rows<T>({values.data(), values.size()}, {lower.data(), width}, {upper.data(), width}, tolerance,
                          {clipped.get(), values.size()}))
-    return nb::none();
-  return nb::cast(like<T>(clipped.release(), values), nb::rv_policy::move);
+    return std::nullopt;
+  return like<T>(clipped.release(), values);
 }
 
-nb::object limit(const Rows<double>& asked, const Rows<double>& last, const Rows<double>& measured,
-                 const Rows<double>& max_step, double max_lead, double rounding) {
+std::optional<std::pair<Numpy<double>, Numpy<bool>>> limit(const Rows<double>& asked, const Rows<double>& last,
+                                                           const Rows<double>& measured, const Rows<double>& max_step,
+                                                           double max_lead, double rounding) {
   const std::size_t width = max_step.size(), size = asked.size();
   if (width == 0 || last.size() != size || measured.size() != size || size % width)
     throw nb::value_error("limit_rows: asked, last and measured must be rows of the length of max_step");
@@ -46,13 +51,12 @@ nb::object limit(const Rows<double>& asked, const Rows<double>& last, const Rows
   std::unique_ptr<bool[]> is_cut(new bool[size / width]);
   if (!rcs::limit_rows({asked.data(), size}, {last.data(), size}, {measured.data(), size}, {max_step.data(), width},
                        max_lead, rounding, {target.get(), size}, {is_cut.get(), size / width}))
-    return nb::none();
+    return std::nullopt;
   std::vector<std::size_t> shape;
   for (std::size_t i = 0; i + 1 < asked.ndim(); ++i) shape.push_back(asked.shape(i));
   bool* flags = is_cut.release();
   const nb::capsule owner(flags, [](void* p) noexcept { delete[] static_cast<bool*>(p); });
-  return nb::make_tuple(nb::cast(like<double>(target.release(), asked), nb::rv_policy::move),
-                        nb::cast(Numpy<bool>(flags, shape.size(), shape.data(), owner), nb::rv_policy::move));
+  return std::pair(like<double>(target.release(), asked), Numpy<bool>(flags, shape.size(), shape.data(), owner));
 }
 
 }  // namespace

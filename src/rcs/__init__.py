@@ -1,7 +1,7 @@
 """The Robot Control Stack: one Gymnasium API for a simulated or a real robot.
 
-Importing it registers the ids of `gymnasium.make` (gymnasium 1.4 no longer looks for plugins by itself) and does nothing else: the names below are
-loaded when they are first used.
+Importing it registers the ids of `gymnasium.make` (gymnasium 1.4 no longer looks for plugins by itself) and does
+nothing else: the names below are loaded when they are first used.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from rcs.setups import ids
 
 if TYPE_CHECKING:
-    from rcs.setups.make import make, make_vec
     from rcs.envs.setup import Setup
+    from rcs.setups.make import make, make_vec
     from rcs.spatial import Pose
 
 __version__ = "0.1.0"

@@ -17,7 +17,9 @@ from rcs.rollout.collect import expert_for
 from rcs.rollout.episode import run_episode
 from rcs.spatial import Pose
 
-KINDS = [(control, relative) for control in ("joints", "tquat", "xyzrpy") for relative in ("last_step", "origin", "absolute")]
+KINDS = [
+    (control, relative) for control in ("joints", "tquat", "xyzrpy") for relative in ("last_step", "origin", "absolute")
+]
 
 
 @pytest.mark.parametrize(("control", "relative"), KINDS)

@@ -103,7 +103,9 @@ def test_a_missing_gl_library_is_told_with_its_remedy(
         def __init__(self, name: str, detail: str) -> None:
             self.name, self.ok, self.detail = name, False, detail
 
-    monkeypatch.setattr(doctor, "probe_gl", lambda: [Probe("egl", "no libEGL.so.1"), Probe("osmesa", "apt-get install libosmesa6")])
+    monkeypatch.setattr(
+        doctor, "probe_gl", lambda: [Probe("egl", "no libEGL.so.1"), Probe("osmesa", "apt-get install libosmesa6")]
+    )
     code, told = call(capsys, "doctor")
     assert code == 1
     assert "apt-get install libosmesa6" in told
@@ -150,7 +152,12 @@ def start(out: Path, *arguments: str, limit: int | None = None) -> subprocess.Po
 
     command = [*RCS, "collect", "PickCuboid", "--cameras", "none", "--out", str(out), *arguments]
     return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True, preexec_fn=set_limit
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+        preexec_fn=set_limit,
     )
 
 

@@ -45,9 +45,7 @@ class Bench:
         ports = [ArmPort(self.arm, kinematics_of(FR3, FRANKA_HAND)), GripperPort(self.gripper)]
         step = np.array(FR3.velocity_limit) / 30
         layers = [LimitStep(step), Relative("joints", max_joint_step=step), BinaryGripper()]
-        clock = WallClock(
-            ports, frequency=30.0, is_synchronous=is_synchronous, now=self.clock, sleep=self.clock.sleep
-        )
+        clock = WallClock(ports, frequency=30.0, is_synchronous=is_synchronous, now=self.clock, sleep=self.clock.sleep)
         self.env = Env(Stack(ports, layers), clock, max_episode_steps=max_episode_steps)
 
 

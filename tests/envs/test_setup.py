@@ -63,7 +63,10 @@ def test_a_size_may_be_one_number() -> None:
         *(("robot", value) for value in (None, ["fr3"])),
         *(("end_effector", value) for value in (3, ("franka_hand",))),
         *(("cameras", value) for value in ("wrist", ("wrist", "wrist"), (1,), 5, None)),
-        *(("size", value) for value in (0, -1, (224,), (1, 2, 3), (0, 5), (5000, 5), 2.5, (2.5, 2.5), "224", True, None)),
+        *(
+            ("size", value)
+            for value in (0, -1, (224,), (1, 2, 3), (0, 5), (5000, 5), 2.5, (2.5, 2.5), "224", True, None)
+        ),
         *(("depth", value) for value in (1, None, "yes")),
         *(("quality", value) for value in ("best", None, True)),
         *(("control", value) for value in ("joint", "", None, 7)),

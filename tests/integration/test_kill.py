@@ -12,7 +12,11 @@ BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "kill.py"
 
 def test_sigkill_damages_nothing_and_loses_at_most_a_second() -> None:
     done = subprocess.run(
-        [sys.executable, str(BENCHMARK), "--trials", "4", "--seed", "3"], capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, str(BENCHMARK), "--trials", "4", "--seed", "3"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout.splitlines()[-1])

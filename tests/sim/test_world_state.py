@@ -9,8 +9,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-
 from rcs._core import StepEnd
+
 from rcs.errors import InvalidAction
 from rcs.sim import RobotPlacement, World
 from rcs.sim.robot import SimRobot
@@ -43,7 +43,9 @@ def test_stepping_a_world_is_stepping_mujoco(cart: mujoco.MjModel) -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_every_copy_has_the_bits_of_a_world_of_one(lab: mujoco.MjModel, placement: RobotPlacement, threads: int) -> None:
+def test_every_copy_has_the_bits_of_a_world_of_one(
+    lab: mujoco.MjModel, placement: RobotPlacement, threads: int
+) -> None:
     rng = np.random.default_rng(0)
     targets = np.array(placement.arm.home) + rng.uniform(-0.3, 0.3, (6, 3, 7))
     batch = SimRobot(World(lab, copies=3, threads=threads), placement)
@@ -157,9 +159,7 @@ def test_poses_are_those_of_mujoco_in_the_frame_of_the_body(robot: SimRobot) -> 
     assert data is not None
     site, base = data.site(robot.placement.tcp_site), data.body(robot.placement.base_body)
     world_of = [np.eye(4), np.eye(4)]
-    for matrix, rotation, translation in zip(
-        world_of, (base.xmat, site.xmat), (base.xpos, site.xpos), strict=True
-    ):
+    for matrix, rotation, translation in zip(world_of, (base.xmat, site.xmat), (base.xpos, site.xpos), strict=True):
         matrix[:3, :3], matrix[:3, 3] = rotation.reshape(3, 3), translation
     expected = Pose.from_matrix(np.linalg.inv(world_of[0]) @ world_of[1])
     np.testing.assert_allclose(robot.tcp_tquat, expected.tquat, atol=1e-9)
@@ -174,9 +174,7 @@ def test_a_state_that_is_not_finite_ends_the_step_as_failed_and_others_go_on(
     world = World(cart, copies=copies, threads=2)
     world.qvel[(-1, 0) if copies else 0] = np.nan
     world.advance()
-    np.testing.assert_array_equal(
-        world.core.ends, [StepEnd.period.value] * (world.copies - 1) + [StepEnd.failed.value]
-    )
+    np.testing.assert_array_equal(world.core.ends, [StepEnd.period.value] * (world.copies - 1) + [StepEnd.failed.value])
     world.reset()
     world.advance()
     np.testing.assert_array_equal(world.core.ends, StepEnd.period.value)

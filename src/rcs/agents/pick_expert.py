@@ -83,7 +83,7 @@ class PickExpert(Agent):
 
     @property
     def failure(self) -> str | None:
-        """`ik` when no grasp is feasible, `no_contact` when the gripper closed on nothing, `slip` when it lost the cuboid."""
+        """`ik`: no grasp is feasible; `no_contact`: the gripper closed on nothing; `slip`: it lost the cuboid."""
         return self._failure
 
     @property

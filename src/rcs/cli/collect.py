@@ -6,7 +6,7 @@ import os
 import signal
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -135,7 +135,7 @@ class CollectCommand:
 
 
 @contextmanager
-def _interruptible(progress: CollectionProgress, console: Console) -> Iterator[None]:
+def _interruptible(progress: CollectionProgress, console: Console) -> Generator[None]:
     """Let the first Ctrl-C end the collection after the episodes at work, and the second at once."""
 
     def on_interrupt(number: int, frame: object) -> None:
@@ -169,9 +169,7 @@ def _summarise(collection: Collection, progress: CollectionProgress, console: Co
     )
     table.add_row("failures", ", ".join(f"{name} {count}" for name, count in failures.most_common()) or "none")
     rate = made / progress.seconds
-    table.add_row(
-        "speed",
-        f"{made} episodes in {progress.seconds:.1f} s: {rate:.2f}/s, {1200 * rate:.0f} per 20 minutes, {steps / progress.seconds:.0f} steps/s",
-    )
+    speed = f"{made} episodes in {progress.seconds:.1f} s: {rate:.2f}/s, {1200 * rate:.0f} per 20 minutes"
+    table.add_row("speed", f"{speed}, {steps / progress.seconds:.0f} steps/s")
     table.add_row("workers", str(collection.workers))
     console.print(table)

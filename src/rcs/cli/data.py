@@ -51,7 +51,7 @@ class InfoCommand:
 
 
 def digest(dataset: Dataset) -> str:
-    """Return one hash over the contents of all episodes, measured times left out: equal for two runs of one collection."""
+    """Return one hash over all episodes without their measured times: equal for two runs of one collection."""
     total = hashlib.sha256()
     for episode in dataset.episodes:
         total.update(f"{episode.id} {episode.content_hash}\n".encode())

@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ _CHUNK = 1 << 20
 
 
 @contextlib.contextmanager
-def disk_errors(doing: str, path: Path) -> Iterator[None]:
+def disk_errors(doing: str, path: Path) -> Generator[None]:
     """Turn an error of the operating system into one that says what was being done, where, and what to do.
 
     Args:

@@ -1,7 +1,8 @@
 """Random numbers for the starts of episodes: the same for one environment and for any copy of a batch.
 
-Every copy has a seed and counts its episodes; the numbers of an episode depend on these two alone. They come from SplitMix64 (Steele, Lea,
-Flood, "Fast splittable pseudorandom number generators", 2014), computed for all copies at once.
+Every copy has a seed and counts its episodes; the numbers of an episode depend on these two alone. They come from
+SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014), computed for all copies at
+once.
 """
 
 from __future__ import annotations

@@ -95,7 +95,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         """Start an episode.
 
         Args:
-            seed: Same seed, same episode, and the same episodes after it. Without one, the next episode of the last seed.
+            seed: Same seed, same episode, and the same episodes after it. Without one, the next episode of the last
+                seed.
             options: `state` starts the episode in a simulation state of `env.scenario.world.states()`.
 
         Raises:

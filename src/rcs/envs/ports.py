@@ -1,6 +1,7 @@
-"""Ports: what an environment needs of a device. A port takes the device's part of an action and gives its part of an observation.
+"""Ports: what an environment needs of a device.
 
-Commands set targets and return; time passes only in the environment's clock. Ports of simulated devices serve one copy and many.
+A port takes the device's part of an action and gives its part of an observation. Commands set targets and return; time
+passes only in the environment's clock. Ports of simulated devices serve one copy and many.
 """
 
 from __future__ import annotations

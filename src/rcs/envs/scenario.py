@@ -58,4 +58,5 @@ class Scenario:
         """Return the task's name and the number of copies."""
         copies = f", {self.world.copies} copies" if self.world.leading else ""
         physics = np.round(1 / self.world.model.opt.timestep)
-        return f"{type(self.task).__name__} in MuJoCo at {physics:g} Hz, {self.world.mode} {self.world.frequency:g} Hz{copies}"
+        control = f"{self.world.mode} {self.world.frequency:g} Hz"
+        return f"{type(self.task).__name__} in MuJoCo at {physics:g} Hz, {control}{copies}"

@@ -14,12 +14,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rcs._core import clip_rows
 from rcs.errors import InvalidAction
@@ -56,7 +56,7 @@ TOLERANCE = 1e-6
 """How far out of bounds a value may be and count as rounded: a bound that went through float32 is off by up to 1e-7."""
 
 
-def joints_space(lower: Sequence[float], upper: Sequence[float]) -> spaces.Box:
+def joints_space(lower: ArrayLike, upper: ArrayLike) -> spaces.Box:
     """Return the space of joint positions [rad]."""
     return spaces.Box(np.array(lower, np.float64), np.array(upper, np.float64), dtype=np.float64)
 
@@ -109,7 +109,9 @@ class ActionCheck:
             leading: Leading shape that every array must have: () or (copies,).
         """
         self._boxes = dict(boxes)
-        self._forms = [(key, box, leading + box.shape, box.dtype, box.low, box.high) for key, box in boxes.items()]
+        self._forms: list[tuple[str, spaces.Box, tuple[int, ...], Any, NDArray[Any], NDArray[Any]]] = [
+            (key, box, leading + box.shape, box.dtype, box.low, box.high) for key, box in boxes.items()
+        ]
 
     def __call__(self, action: Any) -> dict[str, NDArray[Any]]:
         """Check an action and return it as fresh arrays of the right dtype.
@@ -121,8 +123,8 @@ class ActionCheck:
             One array per key, (*leading, *shape), inside the bounds.
 
         Raises:
-            InvalidAction: A key is missing or unknown, or an array has a wrong shape or dtype, is not finite or is out of bounds; the
-                message names the key, what came and what is valid.
+            InvalidAction: A key is missing or unknown, or an array has a wrong shape or dtype, is not finite or is out
+                of bounds; the message names the key, what came and what is valid.
         """
         if not isinstance(action, Mapping) or action.keys() != self._boxes.keys():
             raise InvalidAction(_describe_keys(action, self._boxes))
@@ -140,7 +142,9 @@ class ActionCheck:
         return checked
 
 
-def check_action(action: Any, boxes: Mapping[str, spaces.Box], leading: tuple[int, ...] = ()) -> dict[str, NDArray[Any]]:
+def check_action(
+    action: Any, boxes: Mapping[str, spaces.Box], leading: tuple[int, ...] = ()
+) -> dict[str, NDArray[Any]]:
     """Check one action as `ActionCheck` does.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The interface of a task, the P' and R' of the paper's wrapper: what is in the scene, how an episode starts, what counts."""
+"""The interface of a task, the P' and R' of the paper's wrapper: scene, start of an episode, reward and success."""
 
 from __future__ import annotations
 

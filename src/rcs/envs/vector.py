@@ -23,8 +23,8 @@ from rcs.errors import InvalidSetup, WrongOrder
 class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
     """Copies of a simulated environment as a Gymnasium vector environment.
 
-    Copy i behaves, bit for bit, as a single environment with the same seed. Physics runs on native threads; every layer is one pass over
-    all copies. A copy whose simulation diverges is truncated, with `info["diverged"]`.
+    Copy i behaves, bit for bit, as a single environment with the same seed. Physics runs on native threads; every layer
+    is one pass over all copies. A copy whose simulation diverges is truncated, with `info["diverged"]`.
     """
 
     def __init__(
@@ -44,7 +44,8 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             clock: Lets time pass.
             scenario: The world with its task.
             max_episode_steps: An episode is truncated after this many steps; None for no limit.
-            autoreset: When a copy starts its next episode: in the step after its end, in the same step, or never by itself.
+            autoreset: When a copy starts its next episode: in the step after its end, in the same step, or never by
+                itself.
             title: First line of the printed environment.
         """
         self._stack = stack
@@ -85,7 +86,8 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         """Start an episode in every copy.
 
         Args:
-            seed: A number s gives copy i the seed s + i; a sequence gives each copy its own; None goes on with the next episodes.
+            seed: A number s gives copy i the seed s + i; a sequence gives each copy its own; None goes on with the next
+                episodes.
             options: `reset_mask`, (copies,) bool, resets only some copies.
 
         Raises:
@@ -105,20 +107,25 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         told = self._scenario.describe()
         return self._stack.lift(measured), self._with_masks(told)
 
-    def step(
+    def step(  # pyright: ignore[reportIncompatibleMethodOverride]  gymnasium types the done flags as floats
         self, actions: Mapping[str, NDArray[Any]]
     ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Step every copy.
 
         Args:
-            actions: One array (copies, ...) per key of the action space. Those of copies that start anew in this step are not used.
+            actions: One array (copies, ...) per key of the action space. Those of copies that start anew in this step
+                are not used.
 
         Raises:
             InvalidAction: An action of any copy is not valid; nothing moved in any copy.
             WrongOrder: The environment was not reset, or is closed.
         """
         if not self._is_reset or not self._is_open:
-            why = "on a closed environment; make a new one." if not self._is_open else "before the first reset; call reset."
+            why = (
+                "on a closed environment; make a new one."
+                if not self._is_open
+                else "before the first reset; call reset."
+            )
             raise WrongOrder(f"step was called {why}")
         if self._autoreset is AutoresetMode.DISABLED and self._is_done.any():
             raise WrongOrder("Some episodes are over; call reset with options={'reset_mask': mask of those copies}.")

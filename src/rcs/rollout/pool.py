@@ -46,7 +46,7 @@ class WorkerPool:
         """
         context = multiprocessing.get_context("spawn")  # a fork would copy threads and GL contexts in unknown states
         self._processes: list[Any] = []
-        self._pipes: list[multiprocessing.connection.Connection] = []
+        self._pipes: list[Any] = []  # connections; their class depends on the platform
         for i in range(workers):
             here, there = context.Pipe()
             process = context.Process(

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from gymnasium.envs.registration import register as register_id
 from gymnasium.envs.registration import registry
+
+if TYPE_CHECKING:
+    from rcs.envs.vector import VecEnv
 
 LABELS = {"fr3": "FR3"}
 """How a robot is written in ids."""
@@ -31,7 +36,7 @@ def register() -> None:
         )
 
 
-def make_registered_vec(num_envs: int = 1, task: str = "PickCuboid", **options: object) -> object:
+def make_registered_vec(num_envs: int = 1, task: str = "PickCuboid", **options: Any) -> VecEnv:
     """Make copies for `gymnasium.make_vec(..., vectorization_mode="vector_entry_point")`."""
     from rcs.setups.make import make_vec
 

@@ -1,6 +1,7 @@
 """The lab of each robot: its usual end effector, the workspace on its table and where its cameras are mounted.
 
-The paper does not print camera poses. These are ours: the wrist camera sees the fingertips, the side camera the whole workspace.
+The paper does not print camera poses. These are ours: the wrist camera sees the fingertips, the side camera the whole
+workspace.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def looking(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
     """
     forward = np.subtract(target, eye)
     forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, up)
+    right = np.cross(forward, np.asarray(up, np.float64))
     right = right / np.linalg.norm(right)
     matrix = np.eye(4)
     matrix[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])

@@ -17,7 +17,7 @@ ARRIVED_TOLERANCE = 1e-3
 STILL_TOLERANCE = 1e-2
 """… at less than this speed [rad/s, m/s]."""
 REST_TIME = 0.05
-"""Fingers are at rest after standing still for this long [s]; shorter and a gripper that just starts counts as at rest."""
+"""Fingers are at rest after standing still for this long [s]; shorter, and a gripper that just starts counts."""
 
 
 class SimRobot:

@@ -1,7 +1,7 @@
 """A scene put together from robots, cameras and furniture, as one MuJoCo model.
 
-The frame of the scene has its origin on the table top, x away from the robot, z up. Names of a robot's elements get the robot's
-name as prefix (`fr3/joint1`, `fr3/gripper/tcp`), those of a camera the camera's (`wrist/...`).
+The frame of the scene has its origin on the table top, x away from the robot, z up. Names of a robot's elements get the
+robot's name as prefix (`fr3/joint1`, `fr3/gripper/tcp`), those of a camera the camera's (`wrist/...`).
 """
 
 from __future__ import annotations
@@ -96,8 +96,9 @@ class Scene:
         option = spec.option
         option.timestep = physics_step
         option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        # A soft contact creeps at a rate of about 1 / impratio, and high ratios need elliptic cones: 7 um/s at 100, where
-        # MuJoCo's defaults let a grasped object slide by 1.4 mm/s (MuJoCo documentation, "Preventing slip"; measured).
+        # A soft contact creeps at a rate of about 1 / impratio, and high ratios need elliptic cones: 7 um/s at 100,
+        # where MuJoCo's defaults let a grasped object slide by 1.4 mm/s (MuJoCo documentation, "Preventing slip";
+        # measured).
         option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         option.impratio = 20.0
         option.tolerance = 1e-10
@@ -207,7 +208,9 @@ class Scene:
             raise InvalidSetup(f"Two cameras are named {camera.name!r}; give each a name of its own.")
         parent = self.spec.body(camera.parent_body)
         if parent is None:
-            raise InvalidSetup(f"Camera {camera.name!r} is to be mounted on {camera.parent_body!r}, which is not there.")
+            raise InvalidSetup(
+                f"Camera {camera.name!r} is to be mounted on {camera.parent_body!r}, which is not there."
+            )
         frame = mount_frame(parent, camera.optical_in_parent)
         self.spec.attach(load(camera.camera), frame=frame, prefix=f"{camera.name}/")
         self.cameras.append(camera)

@@ -45,7 +45,8 @@ class Viewer:
             has_display = glfw.init()
         if not has_display:
             raise MissingDependency(
-                "The viewer needs a display and there is none (or GLFW cannot reach it). Without a window, look at report.html."
+                "The viewer needs a display and there is none (or GLFW cannot reach it). "
+                "Without a window, look at report.html."
             )
         before = set(threading.enumerate())
         self._handle = mujoco.viewer.launch_passive(

@@ -20,7 +20,7 @@ from rcs._core import StepCallback, StepView
 from rcs.errors import InvalidSetup
 
 Mode = Literal["async", "sync", "realtime"]
-"""How long a step lasts: one control period of simulated time, until converged, or one control period on the wall clock."""
+"""How long a step lasts: one control period of simulated time, until converged, or one on the wall clock."""
 
 Copies = NDArray[np.int32] | None
 """Which copies a call is for; None means all."""
@@ -98,7 +98,7 @@ class World:
 
     @property
     def poses(self) -> NDArray[np.float64]:
-        """Live poses of what was asked for by `core.read_pose`, (*leading, readouts, 7): translation [m], quaternion xyzw."""
+        """Live poses asked for by `core.read_pose`, (*leading, readouts, 7): translation [m], quaternion xyzw."""
         if not self._is_read_out:
             self._read_out()
         return self._poses

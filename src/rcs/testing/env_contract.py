@@ -69,7 +69,7 @@ class EnvContract:
     longest_episode: int = 50
     """After how many steps an episode of `make_env` is over at the latest; 0 if it never ends."""
     is_reset_complete: bool = True
-    """Whether a reset with a seed leads to the same state every time; not so for a real robot, which stays where it is."""
+    """Whether a reset with a seed leads to the same state every time; a real robot stays where it is."""
 
     def make_env(self) -> AnyEnv:
         """Return a new environment, equal to the last one, not reset. To be overridden."""

@@ -20,8 +20,8 @@ MINIMAL_NORM = 0.1
 class CartesianControl(Layer):
     """Take `tquat` actions (TCP in the robot's base frame) and pass them on as `joints` by inverse kinematics.
 
-    The solve starts at the last joint target and stays on its branch. A pose that cannot be reached leaves the target where it is;
-    `info["ik_status"]` says so (values of `IkStatus`).
+    The solve starts at the last joint target and stays on its branch. A pose that cannot be reached leaves the target
+    where it is; `info["ik_status"]` says so (values of `IkStatus`).
     """
 
     def __init__(self, kinematics: DampedLeastSquares, *, max_step: float = np.inf) -> None:
@@ -39,7 +39,9 @@ class CartesianControl(Layer):
 
     def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
         """Replace `joints` by `tquat`."""
-        return {(TQUAT if key == JOINTS else key): (tquat_space() if key == JOINTS else box) for key, box in inner.items()}
+        return {
+            (TQUAT if key == JOINTS else key): (tquat_space() if key == JOINTS else box) for key, box in inner.items()
+        }
 
     def reset(self, observation: Observation, where: Where = everywhere) -> None:
         """Start from the measured joints."""
@@ -59,15 +61,18 @@ class CartesianControl(Layer):
         target = action[TQUAT]
         norms = np.sqrt((target[..., 3:] ** 2).sum(axis=-1))
         if (norms < MINIMAL_NORM).any():
-            raise InvalidAction(f"The quaternion of {TQUAT!r} has norm {norms.min():.3g}; valid is a unit quaternion xyzw.")
+            raise InvalidAction(
+                f"The quaternion of {TQUAT!r} has norm {norms.min():.3g}; valid is a unit quaternion xyzw."
+            )
         rows = normalize(target).reshape(-1, 7)
         starts = self._joints.reshape(len(rows), -1)
         joints, status = self._kinematics.inverse_batch(rows, starts, self._options)
-        self._joints = joints.reshape(self._joints.shape)
+        solved = joints.reshape(self._joints.shape)
+        self._joints = solved
         self._target = rows.reshape(target.shape)
         self._status = status.reshape(target.shape[:-1])
         mapped: Action = {(JOINTS if key == TQUAT else key): value for key, value in action.items()}
-        mapped[JOINTS] = self._joints
+        mapped[JOINTS] = solved
         return mapped
 
     def map_executed(self, executed: Action) -> Action:
@@ -83,7 +88,9 @@ class CartesianControl(Layer):
             pose = pose.copy()
             pose[is_elsewhere] = self._kinematics.forward_batch(joints[is_elsewhere])
         self._joints = joints
-        return {(TQUAT if key == JOINTS else key): (pose if key == JOINTS else value) for key, value in executed.items()}
+        return {
+            (TQUAT if key == JOINTS else key): (pose if key == JOINTS else value) for key, value in executed.items()
+        }
 
     def info(self) -> dict[str, NDArray[Any]]:
         """Return the IkStatus of the last solve."""

@@ -18,8 +18,8 @@ ROUNDING = 1e-9
 class LimitStep(Layer):
     """Bound every joint target against the last target and against the measured joints.
 
-    The first bound is the joint velocity limit times the control period. The second keeps the target from running away while the
-    arm is blocked. A target farther away is cut joint by joint; `info["is_limited"]` says so.
+    The first bound is the joint velocity limit times the control period. The second keeps the target from running away
+    while the arm is blocked. A target farther away is cut joint by joint; `info["is_limited"]` says so.
     """
 
     def __init__(self, max_step: NDArray[np.float64], *, max_lead: float = 0.6) -> None:
@@ -27,7 +27,8 @@ class LimitStep(Layer):
 
         Args:
             max_step: Largest change of the target per action [rad], shape (dof,).
-            max_lead: Largest distance of the target from the measured joint [rad]; above the lag of the servo at full speed.
+            max_lead: Largest distance of the target from the measured joint [rad]; above the lag of the servo at full
+                speed.
         """
         self._max_step = np.asarray(max_step, np.float64)
         self._max_lead = max_lead
@@ -37,10 +38,11 @@ class LimitStep(Layer):
 
     def reset(self, observation: Observation, where: Where = everywhere) -> None:
         """Start from the measured joints."""
-        self._measured = observation[JOINTS].copy()
-        never = np.zeros(self._measured.shape[:-1], np.bool_)
+        measured: NDArray[np.float64] = observation[JOINTS].copy()
+        self._measured = measured
+        never = np.zeros(measured.shape[:-1], np.bool_)
         self._is_limited = renew(None if self._target is None else self._is_limited, never, where)
-        self._target = renew(self._target, self._measured, where)
+        self._target = renew(self._target, measured, where)
 
     def map_observation(self, observation: Observation) -> Observation:
         """Remember the measured joints; the observation itself is the caller's own."""
@@ -58,8 +60,9 @@ class LimitStep(Layer):
             self._target = asked
             self._is_limited = np.zeros_like(self._is_limited)
             return action
-        self._target, self._is_limited = cut
-        return {**action, JOINTS: self._target}
+        target, self._is_limited = cut
+        self._target = target
+        return {**action, JOINTS: target}
 
     def info(self) -> dict[str, NDArray[Any]]:
         """Return whether the last action was cut."""

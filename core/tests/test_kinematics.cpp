@@ -1,0 +1,149 @@
+// Laws of kinematics: the Jacobian is the derivative of the pose, inverse and forward undo each other, answers stay
+// inside the limits, and nothing is ever not finite.
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <random>
+#include <vector>
+
+#include "check.hpp"
+#include "model.hpp"
+#include "rcs/kinematics.hpp"
+
+namespace {
+
+using rcs::DampedLeastSquares;
+using rcs::IkOptions;
+using rcs::IkResult;
+using rcs::IkStatus;
+using rcs::Pose;
+
+constexpr int kDof = 6;
+
+DampedLeastSquares make_solver() {
+  const rcs::test::Model model = rcs::test::make_model(rcs::test::kArm);
+  std::vector<int> joints;
+  for (int i = 0; i < kDof; ++i) joints.push_back(i);
+  return {model.get(), joints, 0, 1};
+}
+
+std::vector<double> random_joints(const DampedLeastSquares& solver, std::mt19937& generator) {
+  std::vector<double> joints;
+  for (int i = 0; i < kDof; ++i)
+    joints.push_back(
+        std::uniform_real_distribution<double>(solver.joint_lower()[i], solver.joint_upper()[i])(generator));
+  return joints;
+}
+
+bool is_inside(const DampedLeastSquares& solver, const std::vector<double>& joints) {
+  for (int i = 0; i < kDof; ++i)
+    if (!(joints[i] >= solver.joint_lower()[i] && joints[i] <= solver.joint_upper()[i])) return false;
+  return true;
+}
+
+void the_jacobian_is_the_derivative_of_the_pose() {
+  DampedLeastSquares solver = make_solver();
+  std::mt19937 generator(1);
+  constexpr double step = 1e-6;
+  for (int round = 0; round < 20; ++round) {
+    const std::vector<double> joints = random_joints(solver, generator);
+    const std::vector<double> jacobian = solver.jacobian(joints);
+    for (int c = 0; c < kDof; ++c) {
+      std::vector<double> more = joints, less = joints;
+      more[c] += step;
+      less[c] -= step;
+      const Pose after = solver.forward(more), before = solver.forward(less);
+      const auto turn = (after * before.inverse()).rotvec();
+      for (int r = 0; r < 3; ++r) {
+        CHECK_NEAR(jacobian[r * kDof + c], (after.translation()[r] - before.translation()[r]) / (2 * step), 1e-6);
+        CHECK_NEAR(jacobian[(r + 3) * kDof + c], turn[r] / (2 * step), 1e-6);
+      }
+    }
+  }
+}
+
+void inverse_undoes_forward() {
+  DampedLeastSquares solver = make_solver();
+  std::mt19937 generator(2);
+  const std::vector<double> start(kDof, 0.3);
+  int solved = 0;
+  for (int round = 0; round < 100; ++round) {
+    const Pose target = solver.forward(random_joints(solver, generator));
+    const IkResult result = solver.inverse(target, start, IkOptions{});
+    CHECK(is_inside(solver, result.joints));
+    if (result.status != IkStatus::ok) continue;
+    ++solved;
+    const Pose reached = solver.forward(result.joints);
+    CHECK(reached.distance_to(target) <= 1e-4);
+    CHECK(reached.angle_to(target) <= 2e-4);
+  }
+  CHECK(solved >= 97);
+}
+
+void a_solution_too_far_away_is_clamped() {
+  DampedLeastSquares solver = make_solver();
+  const std::vector<double> start(kDof, 0.3);
+  std::vector<double> there = start;
+  there[0] = 1.0;
+  IkOptions options;
+  options.max_step = 0.05;
+  const IkResult result = solver.inverse(solver.forward(there), start, options);
+  CHECK(result.status == IkStatus::clamped);
+  double largest = 0.0;
+  for (int i = 0; i < kDof; ++i) largest = std::max(largest, std::abs(result.joints[i] - start[i]));
+  CHECK_NEAR(largest, 0.05, 1e-12);
+}
+
+void a_pose_out_of_reach_gives_the_start() {
+  DampedLeastSquares solver = make_solver();
+  const std::vector<double> start(kDof, 0.3);
+  for (const double x : {2.0, 1e9, 1e154, 1e300}) {
+    const IkResult result = solver.inverse(Pose({x, 0.0, 0.0}), start, IkOptions{});
+    CHECK(result.status == IkStatus::infeasible);
+    CHECK(result.joints == start);
+  }
+}
+
+void a_batch_is_a_loop_at_any_number_of_threads() {
+  DampedLeastSquares solver = make_solver();
+  std::mt19937 generator(3);
+  constexpr std::size_t count = 30;
+  std::vector<double> targets, starts(count * kDof, 0.3);
+  for (std::size_t i = 0; i < count; ++i) {
+    const Pose pose = solver.forward(random_joints(solver, generator));
+    targets.insert(targets.end(), pose.translation().begin(), pose.translation().end());
+    targets.insert(targets.end(), pose.quaternion().begin(), pose.quaternion().end());
+  }
+  std::vector<std::vector<double>> answers;
+  for (const int threads : {1, 2, 4, 64}) {
+    std::vector<double> joints(count * kDof);
+    std::vector<std::uint8_t> status(count);
+    rcs::inverse_batch(solver, targets, starts, IkOptions{}, threads, joints, status);
+    answers.push_back(joints);
+    CHECK(answers.back() == answers.front());
+  }
+}
+
+void what_makes_no_sense_is_refused() {
+  DampedLeastSquares solver = make_solver();
+  const std::vector<double> short_joints(kDof - 1, 0.0), nan_joints(kDof, std::nan(""));
+  CHECK_THROWS(rcs::InvalidCommand, solver.forward(short_joints));
+  CHECK_THROWS(rcs::InvalidCommand, solver.jacobian(nan_joints));
+  CHECK_THROWS(rcs::InvalidCommand, solver.inverse(Pose(), short_joints, IkOptions{}));
+  const rcs::test::Model model = rcs::test::make_model(rcs::test::kArm);
+  CHECK_THROWS(rcs::InvalidCommand, DampedLeastSquares(model.get(), {}, 0, 1));
+  CHECK_THROWS(rcs::InvalidCommand, DampedLeastSquares(model.get(), {0, 99}, 0, 1));
+  CHECK_THROWS(rcs::InvalidCommand, DampedLeastSquares(model.get(), {0}, 1, 1));
+}
+
+}  // namespace
+
+int main() {
+  the_jacobian_is_the_derivative_of_the_pose();
+  inverse_undoes_forward();
+  a_solution_too_far_away_is_clamped();
+  a_pose_out_of_reach_gives_the_start();
+  a_batch_is_a_loop_at_any_number_of_threads();
+  what_makes_no_sense_is_refused();
+  return rcs::test::result();
+}

@@ -1,0 +1,999 @@
+"""The C++ core of the Robot Control Stack."""
+
+from collections.abc import Sequence
+import enum
+from typing import Annotated, overload
+
+import numpy
+import numpy.typing
+from numpy.typing import NDArray
+
+
+class Pose:
+    """
+    A translation [m] and a rotation: the pose of one frame in another, or a rigid motion.
+
+    Immutable and hashable. The quaternion is xyzw, of norm 1, and w is not negative, so equal rotations compare equal.
+    Bad numbers raise ValueError: not finite, a quaternion more than 1e-3 off norm 1, a matrix more than 1e-6
+    off a rotation.
+    """
+
+    def __init__(self, translation: numpy.typing.ArrayLike = (0.0, 0.0, 0.0), quaternion: numpy.typing.ArrayLike = (0.0, 0.0, 0.0, 1.0)) -> None:
+        """From a translation [m], shape (3,), and a quaternion xyzw, shape (4,)."""
+
+    @staticmethod
+    def from_matrix(matrix: numpy.typing.ArrayLike) -> Pose:
+        """From a homogeneous matrix, shape (4, 4)."""
+
+    @staticmethod
+    def from_rpy(translation: numpy.typing.ArrayLike, rpy: numpy.typing.ArrayLike) -> Pose:
+        """
+        From a translation [m] and roll, pitch, yaw [rad] about the fixed x, y, z axes, in that order.
+        """
+
+    @staticmethod
+    def from_rotvec(translation: numpy.typing.ArrayLike, rotvec: numpy.typing.ArrayLike) -> Pose:
+        """
+        From a translation [m] and a rotation vector: the axis times the angle [rad].
+        """
+
+    @staticmethod
+    def from_tquat(tquat: numpy.typing.ArrayLike) -> Pose:
+        """From translation [m] and quaternion xyzw in one array, shape (7,)."""
+
+    @staticmethod
+    def from_xyzrpy(xyzrpy: numpy.typing.ArrayLike) -> Pose:
+        """
+        From translation [m] and roll, pitch, yaw [rad] in one array, shape (6,).
+        """
+
+    @staticmethod
+    def exp(twist: numpy.typing.ArrayLike) -> Pose:
+        """
+        The motion after one second at a constant twist [v m/s, w rad/s], shape (6,); the inverse of log.
+        """
+
+    @property
+    def translation(self) -> numpy.typing.NDArray[numpy.float64]:
+        """Translation [m], shape (3,)."""
+
+    @property
+    def quaternion(self) -> numpy.typing.NDArray[numpy.float64]:
+        """Unit quaternion xyzw with w >= 0, shape (4,)."""
+
+    @property
+    def rpy(self) -> numpy.typing.NDArray[numpy.float64]:
+        """
+        Roll, pitch, yaw [rad] about the fixed x, y, z axes, shape (3,); roll is 0 where pitch is +-pi/2.
+        """
+
+    @property
+    def rotvec(self) -> numpy.typing.NDArray[numpy.float64]:
+        """
+        Rotation vector: axis times angle [rad], the angle in [0, pi], shape (3,).
+        """
+
+    @property
+    def matrix(self) -> numpy.typing.NDArray[numpy.float64]:
+        """Homogeneous matrix, shape (4, 4)."""
+
+    @property
+    def tquat(self) -> numpy.typing.NDArray[numpy.float64]:
+        """Translation [m] and quaternion xyzw in one array, shape (7,)."""
+
+    @property
+    def xyzrpy(self) -> numpy.typing.NDArray[numpy.float64]:
+        """Translation [m] and roll, pitch, yaw [rad] in one array, shape (6,)."""
+
+    def log(self) -> numpy.typing.NDArray[numpy.float64]:
+        """
+        The twist [v m/s, w rad/s] that reaches this pose from the identity in one second, shape (6,).
+        """
+
+    def inverse(self) -> Pose:
+        """The pose of A in B from that of B in A."""
+
+    def apply(self, points: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+        """
+        Points given in this frame [m], shape (..., 3), in the frame that this pose is in.
+        """
+
+    def interpolate(self, to: Pose, fraction: float) -> Pose:
+        """
+        The pose a fraction in [0, 1] of the way: straight line and shortest rotation, both at constant speed.
+        """
+
+    def angle_to(self, other: Pose) -> float:
+        """Angle of the rotation to another pose [rad], in [0, pi]."""
+
+    def distance_to(self, other: Pose) -> float:
+        """Distance of the origin to that of another pose [m]."""
+
+    def is_close(self, other: Pose, metres: float, radians: float) -> bool:
+        """Whether another pose is within a distance and an angle."""
+
+    def __mul__(self, arg: Pose, /) -> Pose:
+        """The pose of C in A from those of B in A and C in B."""
+
+    def __eq__(self, other: object, /) -> bool:
+        """Whether every bit is the same."""
+
+    def __hash__(self) -> int: ...
+
+    def __repr__(self) -> str: ...
+
+    def __reduce__(self) -> tuple: ...
+
+def compose_tquat(a: numpy.typing.ArrayLike, b: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+    """a * b for arrays of poses, shape (..., 7)."""
+
+def inverse_tquat(a: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+    """The inverse of each pose, shape (..., 7)."""
+
+def relative_tquat(a: numpy.typing.ArrayLike, b: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+    """inverse(a) * b for arrays of poses, shape (..., 7)."""
+
+def interpolate_tquat(a: numpy.typing.ArrayLike, b: numpy.typing.ArrayLike, fraction: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+    """
+    Poses, shape (..., 7), a fraction in [0, 1], shape (...), of the way from a to b.
+    """
+
+def limit_step_tquat(start: numpy.typing.ArrayLike, goal: numpy.typing.ArrayLike, max_translation: float, max_rotation: float) -> numpy.typing.NDArray[numpy.float64]:
+    """
+    The poses nearest to the goals within a distance [m] and an angle [rad] of the starts, shape (..., 7).
+    """
+
+def distance_tquat(a: numpy.typing.ArrayLike, b: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+    """Distance [m] and angle [rad] between poses, shape (..., 2)."""
+
+def normalize_tquat(tquat: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+    """The same poses with unit quaternions and w >= 0, shape (..., 7)."""
+
+def tquat_to_xyzrpy(tquat: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+    """Shape (..., 7) to (..., 6)."""
+
+def xyzrpy_to_tquat(xyzrpy: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+    """Shape (..., 6) to (..., 7)."""
+
+def tquat_to_matrix(tquat: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+    """Shape (..., 7) to (..., 4, 4)."""
+
+def matrix_to_tquat(matrix: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+    """Shape (..., 4, 4) to (..., 7)."""
+
+def wxyz_to_xyzw(wxyz: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+    """MuJoCo's quaternion order to that of this library, shape (..., 4)."""
+
+def xyzw_to_wxyz(xyzw: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
+    """This library's quaternion order to that of MuJoCo, shape (..., 4)."""
+
+class ArmLimits:
+    """Limits of an arm, one value per joint."""
+
+    def __init__(self, joint_lower: Sequence[float], joint_upper: Sequence[float], joint_velocity: Sequence[float]) -> None:
+        """
+        Lower and upper joint limits [rad] and largest joint velocities [rad/s].
+        """
+
+    @property
+    def joint_lower(self) -> NDArray[numpy.float64]:
+        """Lower limits [rad]."""
+
+    @property
+    def joint_upper(self) -> NDArray[numpy.float64]:
+        """Upper limits [rad]."""
+
+    @property
+    def joint_velocity(self) -> NDArray[numpy.float64]:
+        """Largest velocities [rad/s]."""
+
+class ArmState:
+    """What an arm measures."""
+
+    def __init__(self, joints: Sequence[float], joint_velocities: Sequence[float], time: float) -> None:
+        """
+        Joints [rad], joint velocities [rad/s] and the time of measurement [s] on the device's monotonic clock.
+        """
+
+    @property
+    def joints(self) -> NDArray[numpy.float64]:
+        """Joint positions [rad]."""
+
+    @property
+    def joint_velocities(self) -> NDArray[numpy.float64]:
+        """Joint velocities [rad/s]."""
+
+    @property
+    def time(self) -> float:
+        """When it was measured [s]."""
+
+class Arm:
+    """
+    One manipulator. Subclasses override `_state`, `_command_joints`, `_has_arrived`, `_hold` and, where needed, `_open`, `_recover`, `_close`; users call the others.
+    """
+
+    def __init__(self, name: str, limits: ArmLimits) -> None: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+
+    @property
+    def limits(self) -> ArmLimits: ...
+
+    @property
+    def is_open(self) -> bool: ...
+
+    @property
+    def fault(self) -> str:
+        """The reason of the fault state, empty when there is none."""
+
+    def open(self) -> None:
+        """Connect. Nothing moves. Opening an open arm does nothing."""
+
+    def state(self) -> ArmState:
+        """Measure joints and velocities."""
+
+    def command_joints(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """
+        Set the joint target [rad] and return at once.
+
+        Raises InvalidAction for a wrong size, a value that is not finite or out of limits,
+        WrongOrder when closed, DeviceFault in the fault state; the arm then holds.
+        """
+
+    def has_arrived(self) -> bool:
+        """Whether the last target is reached and the arm stands still."""
+
+    def hold(self) -> None:
+        """Stop where the arm is now. Allowed in the fault state."""
+
+    def set_fault(self, reason: str) -> None:
+        """Enter the fault state and hold, until `recover`."""
+
+    def recover(self) -> None:
+        """Leave the fault state, holding the present position."""
+
+    def close(self) -> None:
+        """Hold and let go of the device. Closing twice is harmless."""
+
+class GripperState:
+    """What a gripper measures."""
+
+    def __init__(self, opening: float, force: float, time: float) -> None: ...
+
+    @property
+    def opening(self) -> float:
+        """0 closed … 1 open."""
+
+    @property
+    def force(self) -> float:
+        """Grasping force [N], 0 when not measured."""
+
+    @property
+    def time(self) -> float:
+        """When it was measured [s]."""
+
+class Gripper:
+    """
+    One gripper. Subclasses override `_state`, `_command_opening`, `_has_arrived`, `_hold` and, where needed, `_open`, `_recover`, `_close`.
+    """
+
+    def __init__(self, name: str, max_width: float, max_force: float) -> None: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def max_width(self) -> float:
+        """Opening at 1 [m]."""
+
+    @property
+    def max_force(self) -> float:
+        """Largest grasping force [N]."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the device is connected."""
+
+    @property
+    def fault(self) -> str: ...
+
+    def open(self) -> None:
+        """Connect. Nothing moves."""
+
+    def state(self) -> GripperState: ...
+
+    def command_opening(self, opening: float) -> None:
+        """
+        Set the opening (0 closed … 1 open) and return at once. Raises as `Arm.command_joints` does.
+        """
+
+    def has_arrived(self) -> bool:
+        """Whether the fingers stand still: at the target, or on an object."""
+
+    def hold(self) -> None: ...
+
+    def set_fault(self, reason: str) -> None: ...
+
+    def recover(self) -> None: ...
+
+    def close(self) -> None:
+        """Hold and let go of the device. Closing twice is harmless."""
+
+class HandState:
+    """What a hand measures."""
+
+    def __init__(self, joints: Sequence[float], time: float) -> None: ...
+
+    @property
+    def joints(self) -> NDArray[numpy.float64]:
+        """Normalised joints, 0 … 1."""
+
+    @property
+    def time(self) -> float:
+        """When it was measured [s]."""
+
+class Hand:
+    """
+    One multi-fingered hand. Subclasses override `_state`, `_command_joints`, `_has_arrived`, `_hold` and, where needed, `_open`, `_recover`, `_close`.
+    """
+
+    def __init__(self, name: str, joint_count: int) -> None: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def joint_count(self) -> int: ...
+
+    @property
+    def is_open(self) -> bool: ...
+
+    @property
+    def fault(self) -> str: ...
+
+    def open(self) -> None:
+        """Connect. Nothing moves."""
+
+    def state(self) -> HandState: ...
+
+    def command_joints(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """
+        Set every joint (normalised, 0 … 1) and return at once. Raises as `Arm.command_joints` does.
+        """
+
+    def has_arrived(self) -> bool: ...
+
+    def hold(self) -> None: ...
+
+    def set_fault(self, reason: str) -> None: ...
+
+    def recover(self) -> None: ...
+
+    def close(self) -> None:
+        """Hold and let go of the device. Closing twice is harmless."""
+
+class CameraMode:
+    """What a camera delivers, and at what size."""
+
+    def __init__(self, width: int, height: int, fps: float, has_depth: bool = False) -> None: ...
+
+    @property
+    def width(self) -> int:
+        """Pixels."""
+
+    @property
+    def height(self) -> int:
+        """Pixels."""
+
+    @property
+    def fps(self) -> float:
+        """Frames per second."""
+
+    @property
+    def has_depth(self) -> bool: ...
+
+class Frame:
+    """One picture. Arrays are flat copies; `Camera.read` knows the size."""
+
+    def __init__(self, rgb: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], depth_mm: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None, time: float = 0.0, number: int = 0) -> None:
+        """
+        Make a frame of rgb (H, W, 3) uint8, depth [mm] (H, W) uint16 or None, and its capture time [s].
+        """
+
+    @property
+    def rgb(self) -> NDArray[numpy.uint8]:
+        """Colours, (H·W, 3) uint8, rows from the top."""
+
+    @property
+    def depth_mm(self) -> NDArray[numpy.uint16]:
+        """Depth [mm], (H·W,) uint16, 0 = no reading; empty without depth."""
+
+    @property
+    def time(self) -> float:
+        """When the picture was taken [s]."""
+
+    @property
+    def number(self) -> int:
+        """Counts frames of the device."""
+
+class Camera:
+    """
+    One camera. Subclasses override `_read` and, where needed, `_open`, `_recover`, `_close`.
+    """
+
+    def __init__(self, name: str, mode: CameraMode) -> None: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def mode(self) -> CameraMode: ...
+
+    @property
+    def is_open(self) -> bool: ...
+
+    @property
+    def fault(self) -> str: ...
+
+    def open(self) -> None: ...
+
+    def read(self) -> Frame:
+        """
+        The newest frame. Raises DeviceFault when its size is not that of the mode.
+        """
+
+    def set_fault(self, reason: str) -> None: ...
+
+    def recover(self) -> None: ...
+
+    def close(self) -> None:
+        """Let go of the device. Closing twice is harmless."""
+
+class IkStatus(enum.Enum):
+    """What inverse kinematics found."""
+
+    ok = 0
+    """The target is reached within the tolerances."""
+
+    clamped = 1
+    """A solution exists, the answer is the allowed step towards it."""
+
+    infeasible = 2
+    """No solution inside the joint limits; the answer is the start."""
+
+class IkOptions:
+    """How hard inverse kinematics tries, and what it may answer."""
+
+    def __init__(self, *, translation_tolerance: float = 0.0001, rotation_tolerance: float = 0.0001, iterations: int = 30, restarts: int = 60, damping: float = 0.0001, max_step: float = float('inf'), seed: int = 0) -> None: ...
+
+    @property
+    def translation_tolerance(self) -> float:
+        """m"""
+
+    @property
+    def rotation_tolerance(self) -> float:
+        """rad"""
+
+    @property
+    def iterations(self) -> int:
+        """Per attempt."""
+
+    @property
+    def restarts(self) -> int:
+        """
+        Further attempts from random joints; 0 keeps to the branch of the start.
+        """
+
+    @property
+    def damping(self) -> float:
+        """Of the least squares."""
+
+    @property
+    def max_step(self) -> float:
+        """
+        Largest change of any joint from the start [rad]; a solution farther away is clamped to this step.
+        """
+
+    @property
+    def seed(self) -> int:
+        """Of the restarts: same seed, same answer."""
+
+class IkResult:
+    """The answer of inverse kinematics."""
+
+    def __init__(self, joints: Sequence[float], status: IkStatus, translation_error: float = 0.0, rotation_error: float = 0.0, iterations: int = 0) -> None: ...
+
+    @property
+    def joints(self) -> NDArray[numpy.float64]:
+        """Inside the limits [rad]."""
+
+    @property
+    def status(self) -> IkStatus: ...
+
+    @property
+    def translation_error(self) -> float:
+        """m, before any clamping."""
+
+    @property
+    def rotation_error(self) -> float:
+        """rad, before any clamping."""
+
+    @property
+    def iterations(self) -> int: ...
+
+class Kinematics:
+    """
+    Kinematics of one arm: TCP pose in the base frame from joints, and back. Subclasses override `_dof`, `_forward(joints)` and `_inverse(target, start, options)`.
+    """
+
+    def __init__(self) -> None: ...
+
+    @property
+    def dof(self) -> int: ...
+
+    def forward(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Pose:
+        """Pose of the TCP in the base frame for joints [rad], shape (dof,)."""
+
+    def inverse(self, target: Pose, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], options: IkOptions = ...) -> IkResult:
+        """
+        Joints [rad] that bring the TCP to `target` (in the base frame), looked for from `start`, shape (dof,).
+        """
+
+class DampedLeastSquares(Kinematics):
+    """
+    Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.
+    """
+
+    def __init__(self, model_address: int, joints: Sequence[int], tcp_site: int, base_body: int) -> None:
+        """
+        Copy the model at `MjModel._address`; the ids of joints (base to tip), TCP site and base body are its.
+        """
+
+    def jacobian(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+        """
+        Jacobian of the TCP in the base frame, (6, dof): translation [m/rad] above rotation [rad/rad].
+        """
+
+    def forward_batch(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+        """
+        TCP poses (N, 7) in the base frame for joints (N, dof): translation [m], quaternion xyzw.
+        """
+
+    def inverse_batch(self, targets: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], options: IkOptions = ..., threads: int = 1) -> tuple:
+        """
+        Solve for targets (N, 7) from starts (N, dof).
+
+        Returns joints (N, dof) and IkStatus values (N,) uint8. The GIL is released.
+        """
+
+    @property
+    def joint_lower(self) -> NDArray[numpy.float64]:
+        """rad"""
+
+    @property
+    def joint_upper(self) -> NDArray[numpy.float64]:
+        """rad"""
+
+class StepEnd(enum.Enum):
+    """Why a control step of a simulation ended."""
+
+    period = 0
+    """Asynchronous: one control period has passed."""
+
+    converged = 1
+    """Synchronous: every convergence callback agreed."""
+
+    interrupted = 2
+    """A callback interrupted the step."""
+
+    limit = 3
+    """Synchronous: the substep limit came before convergence."""
+
+    failed = 4
+    """The state left the range of finite numbers."""
+
+class StepView:
+    """
+    One copy of a scene while it is stepped. Arrays are views of MuJoCo's own memory, valid only during the call.
+    """
+
+    @property
+    def copy(self) -> int:
+        """Which copy this is."""
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+
+    @property
+    def qpos(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def qvel(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def ctrl(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def xpos(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def site_xpos(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def qfrc_applied(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def xfrc_applied(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def contacts(self) -> int:
+        """Number of contacts."""
+
+    @property
+    def model_address(self) -> int: ...
+
+    @property
+    def data_address(self) -> int: ...
+
+class StepCallback:
+    """
+    A function run between physics steps. Subclasses override `call(view) -> bool` and, where they remember something per copy, `reset(copy)`. Copies are stepped on several threads.
+    """
+
+    def __init__(self) -> None: ...
+
+    def reset(self, copy: int) -> None:
+        """Forget what was remembered of a copy; its episode starts anew."""
+
+class JointsArrived(StepCallback):
+    """True when position-controlled joints stand at their targets."""
+
+    def __init__(self, joints: Sequence[int], actuators: Sequence[int], position_tolerance: float, velocity_tolerance: float) -> None:
+        """Tolerances in rad (or m) and rad/s (or m/s)."""
+
+class JointsAtRest(StepCallback):
+    """True when joints have stood still for a while."""
+
+    def __init__(self, joints: Sequence[int], velocity_tolerance: float, duration: float, copies: int) -> None:
+        """Tolerance in rad/s (or m/s), duration in s."""
+
+class Collision(StepCallback):
+    """
+    True when a geom of one set touches a geom of the other with more than a force.
+    """
+
+    def __init__(self, first: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], second: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], force: float) -> None:
+        """One uint8 flag per geom of the model for each set; force in N."""
+
+class World:
+    """
+    N copies of one MuJoCo scene, advanced together by one control step at a time.
+    """
+
+    @staticmethod
+    def on_data(model_address: int, data_address: int, period_numerator: int, period_denominator: int, is_synchronous: bool, max_substeps: int, owner: object | None = None) -> World:
+        """
+        One copy, on the caller's own model and data, which must outlive the world: `owner` holds both, and the world holds `owner`.
+        """
+
+    @staticmethod
+    def of_copies(model_address: int, copies: int, threads: int, period_numerator: int, period_denominator: int, is_synchronous: bool, max_substeps: int) -> World:
+        """
+        Many copies of a copy of the model, on `threads` threads (0: one per CPU).
+        """
+
+    @property
+    def copies(self) -> int: ...
+
+    @property
+    def threads(self) -> int: ...
+
+    @property
+    def is_batch(self) -> bool:
+        """False for a world on the user's own data."""
+
+    def on_period(self, callback: StepCallback, period: float) -> None:
+        """Call every `period` seconds of simulated time."""
+
+    def converge_when(self, callback: StepCallback) -> None:
+        """A synchronous step ends when all of these are true."""
+
+    def interrupt_when(self, callback: StepCallback) -> None:
+        """
+        A synchronous step ends when any of these is true; an asynchronous one lasts its period and says so.
+        """
+
+    def read_pose(self, site: int, frame_body: int) -> int:
+        """
+        Have the pose of a site in the frame of a body read out after every call. Returns its index in `poses`.
+        """
+
+    def read_body_pose(self, body: int, frame_body: int) -> int:
+        """
+        Have the pose of a body in the frame of another read out. Returns its index in `poses`.
+        """
+
+    def read_force(self, first: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], second: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> int:
+        """
+        Have the normal force between two sets of geoms (one uint8 flag per geom) read out. Returns its index.
+        """
+
+    def read_opening(self, joints: Sequence[int], closed: float, open: float) -> int:
+        """
+        Have the mean position of joints read out as 0 at `closed` … 1 at `open`. Returns its index in `openings`.
+        """
+
+    def keep_initial_state(self, copy: int = 0) -> None:
+        """
+        Take the present state of `copy` as the one that `reset` returns to, for all copies.
+        """
+
+    @overload
+    def reset(self) -> None:
+        """Return all copies to the initial state."""
+
+    @overload
+    def reset(self, copies: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """Return some copies (int32 ids) to the initial state."""
+
+    @overload
+    def refresh(self) -> None:
+        """Recompute the readouts of all copies after the state was written to."""
+
+    @overload
+    def refresh(self, copies: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """Recompute the readouts of some copies."""
+
+    @overload
+    def advance(self) -> None:
+        """Advance all copies by one control step. The GIL is released."""
+
+    @overload
+    def advance(self, copies: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """Advance some copies by one control step."""
+
+    @property
+    def state_size(self) -> int:
+        """Number of values of mjSTATE_INTEGRATION."""
+
+    def get_state(self, copy: int = 0) -> NDArray[numpy.float64]:
+        """The whole integration state of one copy, (state_size,)."""
+
+    def set_state(self, state: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], copy: int = 0) -> None:
+        """Write the whole integration state of one copy."""
+
+    @property
+    def states(self) -> NDArray[numpy.float64]:
+        """Live state rows (copies, state_size) of a batch."""
+
+    def component(self, which: int) -> NDArray[numpy.float64]:
+        """
+        Live array of one mjtState component: (copies, n), or (n,) for a world on the user's own data.
+        """
+
+    def expand(self, field: str) -> NDArray[numpy.float64]:
+        """
+        Give a float64 field of MjModel values per copy; returns them, (copies, size), to write to.
+        """
+
+    @property
+    def poses(self) -> NDArray[numpy.float64]:
+        """
+        Pose readouts ([copies,] readouts, 7): translation [m], quaternion xyzw. Ask again after adding one.
+        """
+
+    @property
+    def xyzrpy(self) -> NDArray[numpy.float64]:
+        """
+        The same poses as translation [m] and roll, pitch, yaw [rad] (extrinsic xyz).
+        """
+
+    @property
+    def forces(self) -> NDArray[numpy.float64]:
+        """
+        Force readouts ([copies,] readouts) [N], of the last physics step. Ask again after adding one.
+        """
+
+    @property
+    def openings(self) -> NDArray[numpy.float32]:
+        """
+        Opening readouts ([copies,] readouts) float32, 0 … 1. Ask again after adding one.
+        """
+
+    @property
+    def ends(self) -> NDArray[numpy.uint8]:
+        """StepEnd of the last step (copies,) uint8."""
+
+    @property
+    def substeps(self) -> NDArray[numpy.int32]:
+        """Physics steps of the last step (copies,) int32."""
+
+    @property
+    def steps(self) -> NDArray[numpy.int64]:
+        """Control steps since reset (copies,) int64."""
+
+class SimArm(Arm):
+    """The arm of one copy of a world. Time passes only in `World.advance`."""
+
+    def __init__(self, name: str, limits: ArmLimits, world: World, copy: int, joints: Sequence[int], actuators: Sequence[int]) -> None:
+        """
+        Joint and actuator (position servo) ids are of the world's model, base to tip.
+        """
+
+class GripperMap:
+    """How the opening of a gripper relates to its model."""
+
+    def __init__(self, joint_closed: float, joint_open: float, ctrl_closed: float, ctrl_open: float) -> None: ...
+
+class SimGripper(Gripper):
+    """The gripper of one copy of a world."""
+
+    def __init__(self, name: str, max_width: float, max_force: float, world: World, copy: int, joints: Sequence[int], actuator: int, map: GripperMap) -> None: ...
+
+class GlProbe:
+    """What a look at one OpenGL backend found."""
+
+    @property
+    def name(self) -> str:
+        """"egl" or "osmesa"."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether MuJoCo can draw with it."""
+
+    @property
+    def detail(self) -> str:
+        """Renderer and version, or why not and what to do."""
+
+    def __repr__(self) -> str: ...
+
+def probe_gl() -> list[GlProbe]:
+    """
+    Look at every OpenGL backend by making a context and dropping it. Chooses none.
+    """
+
+class Renderer:
+    """
+    Draws one scene as seen by the cameras of its model, off screen.
+
+    Calls may come from any thread; they wait for each other and run without the GIL.
+    """
+
+    def __init__(self, model_address: int, *, quality: str = 'fast', max_width: int = 640, max_height: int = 480, backend: str = 'auto', geom_groups: Sequence[bool] = [True, True, True, False, False, False]) -> None:
+        """
+        Make the OpenGL objects of a model, which is not changed.
+
+        Args:
+            model_address: `MjModel._address`; the caller keeps the model alive.
+            quality: "fast" without shadows, reflections, sky and antialiasing and with coarse round shapes, or "full".
+            max_width: Largest width of a picture [pixels].
+            max_height: Largest height of a picture [pixels].
+            backend: "auto" (EGL, else OSMesa), "egl" or "osmesa"; one per process.
+            geom_groups: Which of the six groups of geoms are drawn; 3 to 5 are collision shapes by custom.
+
+        Raises:
+            ValueError: An argument is not valid.
+            MissingDependency: There is no OpenGL; the message has the remedy.
+        """
+
+    def update(self, data_address: int) -> None:
+        """
+        Take over the poses in a data, once for all cameras.
+
+        Args:
+            data_address: `MjData._address`, after `mj_forward` or `mj_kinematics`, `mj_comPos` and `mj_camlight`.
+        """
+
+    def update_from_state(self, state: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """
+        Take over the poses that follow from a state.
+
+        Args:
+            state: A row of `mjSTATE_INTEGRATION`, shape (state_size,).
+        """
+
+    def render(self, camera_id: int, rgb: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, 3), order='C', device='cpu')], depth: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu')] | None = None) -> None:
+        """
+        Draw what a camera sees.
+
+        Args:
+            camera_id: Index of the camera in the model.
+            rgb: Filled in place, shape (height, width, 3), rows from the top.
+            depth: Filled in place when given, shape (height, width) [mm], 0 where nothing is or it is beyond 65.535 m.
+
+        Raises:
+            ValueError: There is no such camera, or the picture does not fit.
+        """
+
+    def close(self) -> None:
+        """Free everything. Closing twice is harmless."""
+
+    @property
+    def is_open(self) -> bool: ...
+
+    @property
+    def state_size(self) -> int:
+        """Length of a state."""
+
+    @property
+    def description(self) -> str:
+        """Backend, renderer and OpenGL version."""
+
+class RenderPool:
+    """
+    Draws many states of one scene at once, on several threads.
+
+    The pictures are those of a single `Renderer`, bit for bit. Calls run without the GIL and wait for each other.
+    """
+
+    def __init__(self, model_address: int, threads: int, *, quality: str = 'fast', max_width: int = 640, max_height: int = 480, backend: str = 'auto', geom_groups: Sequence[bool] = [True, True, True, False, False, False]) -> None:
+        """
+        Make one renderer for each thread.
+
+        Args:
+            model_address: `MjModel._address`; the caller keeps the model alive.
+            threads: How many threads draw, the calling one included.
+            quality: As for `Renderer`, like all that follow.
+            max_width: Largest width of a picture [pixels].
+            max_height: Largest height of a picture [pixels].
+            backend: "auto", "egl" or "osmesa".
+            geom_groups: Which of the six groups of geoms are drawn.
+
+        Raises:
+            ValueError: An argument is not valid.
+            MissingDependency: There is no OpenGL; the message has the remedy.
+        """
+
+    def render_states(self, states: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], camera_ids: Sequence[int], rgb: Sequence[Annotated[NDArray[numpy.uint8], dict(shape=(None, None, None, 3), order='C', device='cpu')]], depth: Sequence[Annotated[NDArray[numpy.uint16], dict(shape=(None, None, None), order='C', device='cpu')] | None] | None = None) -> None:
+        """
+        Draw each state with each camera.
+
+        Args:
+            states: Rows of `mjSTATE_INTEGRATION`, shape (n, state_size).
+            camera_ids: Indices of the cameras in the model.
+            rgb: For each camera an array that is filled in place, shape (n, height, width, 3), rows from the top.
+            depth: None, or for each camera None or an array that is filled in place, shape (n, height, width) [mm].
+
+        Raises:
+            ValueError: A shape or a camera is not valid.
+        """
+
+    def close(self) -> None:
+        """End the threads and free everything. Closing twice is harmless."""
+
+    @property
+    def is_open(self) -> bool: ...
+
+    @property
+    def threads(self) -> int: ...
+
+    @property
+    def state_size(self) -> int:
+        """Length of a state."""
+
+    @property
+    def description(self) -> str:
+        """Backend, renderer and OpenGL version."""
+
+@overload
+def clip_rows(values: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], tolerance: float) -> NDArray[numpy.float64] | None:
+    """
+    Return a copy of `values` (..., n) cut to the bounds (n,); None if one is not finite or farther out than `tolerance`.
+    """
+
+@overload
+def clip_rows(values: Annotated[NDArray[numpy.float32], dict(order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float32], dict(order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.float32], dict(order='C', device='cpu', writable=False)], tolerance: float) -> NDArray[numpy.float32] | None:
+    """The same in float32."""
+
+def limit_rows(asked: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], last: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], measured: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_step: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_lead: float, rounding: float) -> tuple[NDArray[numpy.float64], NDArray[numpy.bool_]] | None:
+    """
+    Cut `asked` (..., n) to at most `max_step` (n,) from `last` and `max_lead` from `measured`.
+
+    Returns the targets and a flag per row that says whether it was cut by more than `rounding`; None if no row was.
+    """

@@ -1,0 +1,208 @@
+"""Devices written in Python: what they do wrong is found, and their exceptions arrive as they are."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rcs.devices import Arm, ArmLimits, ArmState, Camera, CameraMode, Frame, Gripper, GripperState
+from rcs.errors import DeviceFault, InvalidAction, WrongOrder
+
+
+class Scripted(Arm):
+    """An arm that answers what it is told to, and notes what is asked of it."""
+
+    def __init__(self, limits: ArmLimits, **answers: Any) -> None:
+        super().__init__("scripted", limits)
+        self.answers, self.calls = answers, []
+
+    def _answer(self, call: str, usual: Any = None) -> Any:
+        self.calls.append(call)
+        answer = self.answers.get(call, usual)
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+
+    def _open(self) -> None:
+        self._answer("open")
+
+    def _state(self) -> ArmState:
+        return self._answer("state", ArmState([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0))
+
+    def _command_joints(self, joints: Any) -> None:
+        self._answer("command_joints")
+
+    def _has_arrived(self) -> bool:
+        return self._answer("has_arrived", True)
+
+    def _hold(self) -> None:
+        self._answer("hold")
+
+    def _recover(self) -> None:
+        self._answer("recover")
+
+    def _close(self) -> None:
+        self._answer("close")
+
+
+def test_calls_reach_the_device_in_order(limits: ArmLimits) -> None:
+    arm = Scripted(limits)
+    arm.open()
+    arm.open()
+    arm.command_joints(np.zeros(3))
+    arm.recover()
+    arm.close()
+    arm.close()
+    assert arm.calls == ["open", "command_joints", "hold", "recover", "hold", "close"]
+
+
+@pytest.mark.parametrize("call", ["open", "state", "command_joints", "has_arrived", "hold", "recover", "close"])
+def test_an_exception_of_the_device_arrives_as_it_is(limits: ArmLimits, call: str) -> None:
+    arm = Scripted(limits, **{call: TimeoutError("no answer within 10 ms")})
+    arguments = (np.zeros(3),) if call == "command_joints" else ()
+    if call != "open":
+        arm.open()
+    with pytest.raises(TimeoutError, match="no answer within 10 ms") as caught:
+        getattr(arm, call)(*arguments)
+    assert any(entry.name == "_answer" for entry in caught.traceback)
+
+
+def test_an_arm_that_failed_to_open_is_closed(limits: ArmLimits) -> None:
+    arm = Scripted(limits, open=OSError("unplugged"))
+    with pytest.raises(OSError, match="unplugged"):
+        arm.open()
+    assert not arm.is_open
+    with pytest.raises(WrongOrder):
+        arm.state()
+
+
+@pytest.mark.parametrize("call", ["hold", "close"])
+def test_an_arm_that_failed_to_close_is_closed_and_let_go_of(limits: ArmLimits, call: str) -> None:
+    arm = Scripted(limits, **{call: OSError("unplugged")})
+    arm.open()
+    with pytest.raises(OSError, match="unplugged"):
+        arm.close()
+    assert not arm.is_open
+    assert arm.calls[-1] == "close"
+    arm.close()
+
+
+def test_a_fault_is_kept_when_the_arm_fails_to_hold(limits: ArmLimits) -> None:
+    arm = Scripted(limits, hold=OSError("unplugged"))
+    arm.open()
+    with pytest.raises(OSError, match="unplugged"):
+        arm.set_fault("collision")
+    assert arm.fault == "collision"
+
+
+@pytest.mark.parametrize(
+    ("state", "text"),
+    [
+        (ArmState([0.0, 0.0], [0.0, 0.0], 0.0), "measured 2 joints, it has 3"),
+        (ArmState([0.0, math.nan, 0.0], [0.0] * 3, 0.0), "not finite at joint 1"),
+        (ArmState([0.0] * 3, [0.0, 0.0, math.inf], 0.0), "not finite at joint 2"),
+    ],
+)
+def test_a_measurement_that_makes_no_sense_is_a_fault_and_the_arm_holds(
+    limits: ArmLimits, state: ArmState, text: str
+) -> None:
+    arm = Scripted(limits, state=state)
+    arm.open()
+    with pytest.raises(DeviceFault, match=text):
+        arm.state()
+    assert arm.calls == ["open", "state", "hold"]
+    with pytest.raises(DeviceFault, match="recover"):
+        arm.command_joints(np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        ([], [], []),
+        ([0.0], [1.0, 2.0], [1.0]),
+        ([0.0], [1.0], [1.0, 1.0]),
+        ([1.0], [0.0], [1.0]),
+        ([0.0], [1.0], [0.0]),
+        ([math.nan], [1.0], [1.0]),
+        ([0.0], [1.0], [math.nan]),
+    ],
+)
+def test_limits_that_make_no_sense_are_refused(limits: tuple[list[float], list[float], list[float]]) -> None:
+    with pytest.raises(InvalidAction, match="limits"):
+        Scripted(ArmLimits(*limits))
+
+
+def test_a_target_on_its_limit_that_went_through_float32_is_accepted(limits: ArmLimits) -> None:
+    arm = Scripted(limits)
+    arm.open()
+    arm.command_joints(limits.joint_upper.astype(np.float32))
+
+
+class Pincers(Gripper):
+    def __init__(self, opening: float = 0.5, max_width: float = 0.1, max_force: float = 10.0) -> None:
+        super().__init__("pincers", max_width, max_force)
+        self.opening = opening
+
+    def _state(self) -> GripperState:
+        return GripperState(self.opening, 0.0, 0.0)
+
+    def _command_opening(self, opening: float) -> None:
+        self.opening = opening
+
+    def _has_arrived(self) -> bool:
+        return True
+
+    def _hold(self) -> None:
+        return
+
+
+def test_a_gripper_that_measures_nonsense_is_in_fault() -> None:
+    gripper = Pincers(opening=math.nan)
+    gripper.open()
+    with pytest.raises(DeviceFault, match="not finite"):
+        gripper.state()
+
+
+@pytest.mark.parametrize("figures", [{"max_width": 0.0}, {"max_force": -1.0}, {"max_width": math.nan}])
+def test_figures_of_a_gripper_must_be_positive(figures: dict[str, float]) -> None:
+    with pytest.raises(InvalidAction, match="must be positive"):
+        Pincers(**figures)
+
+
+class Eye(Camera):
+    def __init__(self, mode: CameraMode, frame: Frame) -> None:
+        super().__init__("eye", mode)
+        self.frame = frame
+
+    def _read(self) -> Frame:
+        return self.frame
+
+
+RGB = np.zeros((4, 6, 3), np.uint8)
+DEPTH = np.zeros((4, 6), np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("mode", "frame"),
+    [
+        (CameraMode(6, 5, 30.0), Frame(RGB)),
+        (CameraMode(6, 4, 30.0), Frame(RGB, DEPTH)),
+        (CameraMode(6, 4, 30.0, True), Frame(RGB)),
+        (CameraMode(6, 4, 30.0, True), Frame(RGB, DEPTH[1:])),
+    ],
+)
+def test_a_frame_of_another_size_than_the_mode_is_a_fault(mode: CameraMode, frame: Frame) -> None:
+    camera = Eye(mode, frame)
+    camera.open()
+    with pytest.raises(DeviceFault, match="not the size of the camera's mode"):
+        camera.read()
+    assert camera.fault != ""
+
+
+@pytest.mark.parametrize("mode", [CameraMode(0, 4, 30.0), CameraMode(6, -1, 30.0), CameraMode(6, 4, 0.0)])
+def test_a_mode_that_makes_no_sense_is_refused(mode: CameraMode) -> None:
+    with pytest.raises(InvalidAction, match="must be positive"):
+        Eye(mode, Frame(RGB))

@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.envs.layers import CartesianControl, XyzrpyControl
+from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, joints_space
+from rcs.errors import InvalidAction
+from rcs.kinematics import IkStatus, kinematics_of
+from rcs.robots.fr3.description import FR3
+from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.spatial import distance, tquat_to_xyzrpy
+
+HOME = np.array(FR3.home)
+OPEN = np.ones(1, np.float32)
+
+
+@pytest.fixture
+def layer() -> CartesianControl:
+    layer = CartesianControl(kinematics_of(FR3, FRANKA_HAND))
+    layer.reset({JOINTS: HOME})
+    return layer
+
+
+@pytest.fixture
+def home() -> np.ndarray:
+    return kinematics_of(FR3, FRANKA_HAND).forward(HOME).tquat
+
+
+def test_a_pose_near_by_is_reached(layer: CartesianControl, home: np.ndarray) -> None:
+    target = home + np.array([0.02, -0.03, 0.04, 0, 0, 0, 0])
+    joints = layer.map_action({TQUAT: target, "gripper": OPEN})[JOINTS]
+    reached = kinematics_of(FR3, FRANKA_HAND).forward(joints).tquat
+    assert distance(reached, target)[0] < 1e-4
+    assert distance(reached, target)[1] < 1e-4
+    assert layer.info()["ik_status"] == IkStatus.ok.value
+
+
+def test_a_pose_out_of_reach_leaves_the_target_where_it_is(layer: CartesianControl, home: np.ndarray) -> None:
+    far = home.copy()
+    far[0] = 1.9
+    joints = layer.map_action({TQUAT: far, "gripper": OPEN})[JOINTS]
+    np.testing.assert_array_equal(joints, HOME)
+    assert layer.info()["ik_status"] == IkStatus.infeasible.value
+    # The level above learns where the arm really is, and not where it was asked to go.
+    executed = layer.map_executed({JOINTS: joints, "gripper": OPEN})
+    np.testing.assert_allclose(executed[TQUAT], home, atol=1e-9)
+
+
+def test_an_arm_that_cannot_follow_says_so_in_info_and_stays() -> None:
+    env = rcs.make("Free", control="tquat", relative=False)
+    observation, _ = env.reset(seed=0)
+    far = observation["tquat"].copy()
+    far[0] = 1.9
+    after, *_, info = env.step({"tquat": far, "gripper": OPEN})
+    assert info["ik_status"] == IkStatus.infeasible.value
+    np.testing.assert_allclose(after["joints"], observation["joints"], atol=2e-3)
+
+
+def test_the_sign_and_the_length_of_a_quaternion_do_not_matter(layer: CartesianControl, home: np.ndarray) -> None:
+    scale = np.array([1, 1, 1, -0.5, -0.5, -0.5, -0.5])
+    joints = [layer.map_action({TQUAT: target})[JOINTS] for target in (home, home * scale)]
+    np.testing.assert_allclose(*joints, atol=1e-12)
+
+
+def test_a_quaternion_without_a_direction_is_refused(layer: CartesianControl, home: np.ndarray) -> None:
+    home[3:] = 0.01
+    with pytest.raises(InvalidAction, match="unit quaternion xyzw"):
+        layer.map_action({TQUAT: home})
+
+
+def test_a_refused_quaternion_moves_nothing() -> None:
+    env, untouched = (rcs.make("Free", control="tquat", relative=False) for _ in range(2))
+    pose = env.reset(seed=0)[0]["tquat"]
+    untouched.reset(seed=0)
+    with pytest.raises(InvalidAction):
+        env.step({"tquat": np.zeros(7), "gripper": OPEN})
+    pose[2] -= 0.05
+    after = [each.step({"tquat": pose, "gripper": OPEN})[0]["joints"] for each in (env, untouched)]
+    np.testing.assert_array_equal(*after)
+
+
+def test_roll_pitch_yaw_is_the_same_as_a_quaternion() -> None:
+    rng = np.random.default_rng(3)
+    one, other = (rcs.make("Free", control=control, relative=False) for control in ("tquat", "xyzrpy"))
+    pose = one.reset(seed=0)[0]["tquat"]
+    other.reset(seed=0)
+    for _ in range(10):
+        pose = pose + np.append(rng.uniform(-0.01, 0.01, 3), np.zeros(4))
+        a = one.step({"tquat": pose, "gripper": OPEN})[0]
+        b = other.step({"xyzrpy": tquat_to_xyzrpy(pose), "gripper": OPEN})[0]
+        np.testing.assert_allclose(a["joints"], b["joints"], atol=1e-6)
+
+
+def test_pose_layers_replace_the_key_of_the_level_below_and_keep_the_others() -> None:
+    inner = {JOINTS: joints_space(list(FR3.joint_lower), list(FR3.joint_upper)), "gripper": joints_space([0], [1])}
+    cartesian = CartesianControl(kinematics_of(FR3, FRANKA_HAND))
+    poses = cartesian.action_spaces(inner)
+    assert list(poses) == [TQUAT, "gripper"]
+    assert list(XyzrpyControl().action_spaces(poses)) == [XYZRPY, "gripper"]
+    assert "IkStatus in info" in str(cartesian)
+
+
+def test_copies_are_solved_each_on_its_own(home: np.ndarray) -> None:
+    targets = np.tile(home, (3, 1))
+    targets[:, 2] += [0.05, 5.0, -0.05]
+    targets[1, 2] = 1.9
+    batch = CartesianControl(kinematics_of(FR3, FRANKA_HAND))
+    batch.reset({JOINTS: np.tile(HOME, (3, 1))})
+    joints = batch.map_action({TQUAT: targets})[JOINTS]
+    executed = batch.map_executed({JOINTS: joints})
+    for copy, target in enumerate(targets):
+        single = CartesianControl(kinematics_of(FR3, FRANKA_HAND))
+        single.reset({JOINTS: HOME})
+        alone = single.map_action({TQUAT: target})[JOINTS]
+        np.testing.assert_array_equal(alone, joints[copy])
+        np.testing.assert_array_equal(single.map_executed({JOINTS: alone})[TQUAT], executed[TQUAT][copy])
+        assert single.info()["ik_status"] == batch.info()["ik_status"][copy]
+
+
+@pytest.mark.parametrize("call", ["map_action", "map_executed"])
+def test_without_a_reset_there_is_no_start(call: str) -> None:
+    layer: Any = CartesianControl(kinematics_of(FR3, FRANKA_HAND))
+    with pytest.raises(RuntimeError, match="before"):
+        getattr(layer, call)({TQUAT: np.zeros(7), JOINTS: HOME})

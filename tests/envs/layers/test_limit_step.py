@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from rcs.envs.layers import LimitStep
+from rcs.envs.spaces import JOINTS
+
+STEP = np.array([0.1, 0.2])
+LEAD = 0.6
+SOME = arrays(np.float64, (3, 2), elements=st.floats(-3.0, 3.0))
+
+
+def layer(start: Any) -> LimitStep:
+    made = LimitStep(STEP, max_lead=LEAD)
+    made.reset({JOINTS: np.asarray(start)})
+    return made
+
+
+@settings(max_examples=100, deadline=None)
+@given(starts=SOME, measured=SOME, asked=SOME)
+def test_a_target_stays_within_a_step_of_the_last_and_within_the_lead_of_the_measured(
+    starts: Any, measured: Any, asked: Any
+) -> None:
+    limit = layer(starts)
+    limit.map_observation({JOINTS: measured})
+    target = limit.map_action({JOINTS: asked})[JOINTS]
+    rounding = 1e-9
+    assert (np.abs(target - starts) <= STEP + rounding).all()
+    # Where the arm was pushed farther than a step can make up for, the target goes towards it by a whole step.
+    is_pushed = np.abs(measured - starts) > LEAD + STEP
+    assert (np.abs(target - measured) <= LEAD + rounding)[~is_pushed].all()
+    assert (np.abs(target - measured) <= np.abs(starts - measured))[is_pushed].all()
+    is_cut = np.abs(target - asked).max(axis=-1) > rounding
+    np.testing.assert_array_equal(limit.info()["is_limited"], is_cut)
+
+
+@settings(max_examples=50, deadline=None)
+@given(starts=SOME, measured=SOME, asked=SOME)
+def test_rows_do_not_know_of_each_other(starts: Any, measured: Any, asked: Any) -> None:
+    batch = layer(starts)
+    batch.map_observation({JOINTS: measured})
+    targets = batch.map_action({JOINTS: asked})[JOINTS]
+    for row in range(3):
+        single = layer(starts[row])
+        single.map_observation({JOINTS: measured[row]})
+        np.testing.assert_array_equal(single.map_action({JOINTS: asked[row]})[JOINTS], targets[row])
+        assert single.info()["is_limited"] == batch.info()["is_limited"][row]
+
+
+def test_a_target_inside_the_bounds_passes_as_it_is() -> None:
+    limit = layer([0.0, 0.0])
+    action = {JOINTS: np.array([0.05, -0.2]), "gripper": np.ones(1)}
+    assert limit.map_action(action) is action
+    assert not limit.info()["is_limited"]
+
+
+def test_a_row_that_counts_as_not_cut_keeps_its_bits_also_when_another_is_cut() -> None:
+    limit = layer(np.zeros((2, 2)))
+    asked = np.array([STEP + 5e-10, STEP + 1.0])
+    target = limit.map_action({JOINTS: asked})[JOINTS]
+    np.testing.assert_array_equal(target[0], asked[0])
+    np.testing.assert_array_equal(target[1], STEP)
+    np.testing.assert_array_equal(limit.info()["is_limited"], [False, True])
+
+
+def test_the_argument_stays_as_it_is() -> None:
+    limit = layer([0.0, 0.0])
+    action = {JOINTS: np.array([5.0, 5.0])}
+    assert limit.map_action(action) is not action
+    np.testing.assert_array_equal(action[JOINTS], [5.0, 5.0])
+
+
+def test_a_reset_of_some_copies_leaves_the_others() -> None:
+    limit = layer(np.zeros((3, 2)))
+    limit.map_action({JOINTS: np.full((3, 2), 9.0)})
+    limit.reset({JOINTS: np.full((3, 2), 1.0)}, np.array([1], np.int32))
+    np.testing.assert_array_equal(limit.info()["is_limited"], [True, False, True])
+    target = limit.map_action({JOINTS: np.full((3, 2), 1.0)})[JOINTS]
+    np.testing.assert_allclose(target, [STEP * 2, [1.0, 1.0], STEP * 2])
+
+
+def test_without_a_reset_there_is_nothing_to_limit_against() -> None:
+    with pytest.raises(RuntimeError, match="before reset"):
+        LimitStep(STEP).map_action({JOINTS: np.zeros(2)})

@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.errors import InvalidSetup, UnknownName
+from rcs.setups.labs import lab_of, looking
+from rcs.spatial import Pose
+
+
+def test_a_setup_makes_what_its_fields_make() -> None:
+    setup = rcs.Setup(task="Free", control="xyzrpy", frequency=50.0)
+    one, other = rcs.make(setup), rcs.make("Free", control="xyzrpy", frequency=50.0)
+    assert str(one) == str(other)
+    a, b = one.reset(seed=1)[0], other.reset(seed=1)[0]
+    for key in a:
+        np.testing.assert_array_equal(a[key], b[key])
+    assert str(rcs.make_vec(setup, copies=2)) == str(rcs.make_vec("Free", copies=2, control="xyzrpy", frequency=50.0))
+
+
+@pytest.mark.parametrize(
+    ("options", "texts"),
+    [
+        ({"task": "PickCubiod"}, ["task named 'PickCubiod'", "Did you mean 'PickCuboid'?", "Free"]),
+        ({"robot": "fr4"}, ["robot named 'fr4'", "Did you mean 'fr3'?"]),
+        ({"end_effector": "franka_hnd"}, ["gripper named 'franka_hnd'", "Did you mean 'franka_hand'?"]),
+        ({"cameras": ("wirst",)}, ["lab of 'fr3'", "'wirst'", "Did you mean 'wrist'?", "side"]),
+        ({"cameras": ("wrist", "top")}, ["'top'", "side, wrist"]),
+    ],
+)
+def test_an_unknown_name_gives_the_nearest_match(options: dict[str, Any], texts: list[str]) -> None:
+    for make in (rcs.make, rcs.make_vec):
+        with pytest.raises(UnknownName) as caught:
+            make(**options)
+        for text in texts:
+            assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"frequenzy": 30.0}, "frequenzy"),
+        ({"control": "velocity"}, "control"),
+        ({"copies": 0}, "copies"),
+        ({"copies": 2.5}, "copies"),
+        ({"threads": -1}, "threads"),
+        ({"mode": "realtime"}, "wall clock"),
+    ],
+)
+def test_an_option_of_a_batch_that_makes_no_sense_is_refused(options: dict[str, Any], text: str) -> None:
+    with pytest.raises(InvalidSetup, match=text):
+        rcs.make_vec("Free", **options)
+
+
+def test_a_setup_and_options_exclude_each_other() -> None:
+    with pytest.raises(InvalidSetup, match="replace"):
+        rcs.make(rcs.Setup(), frequency=10.0)
+    assert rcs.make(dataclasses.replace(rcs.Setup(task="Free"), frequency=10.0)) is not None
+
+
+def test_a_gripper_that_is_not_binary_stops_in_between() -> None:
+    openings = {}
+    for is_binary in (True, False):
+        env = rcs.make("Free", binary_gripper=is_binary)
+        env.reset(seed=0)
+        for _ in range(30):
+            observation, *_ = env.step({"joints": np.zeros(7), "gripper": np.full(1, 0.6, np.float32)})
+        openings[is_binary] = float(observation["gripper"][0])
+    assert openings[True] == pytest.approx(1.0, abs=0.02)
+    assert openings[False] == pytest.approx(0.6, abs=0.02)
+
+
+def test_control_steps_last_what_the_frequency_says() -> None:
+    env = rcs.make("Free", frequency=20.0, physics_step=0.001)
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(env.action_space.sample())
+    world = env.scenario.world
+    assert float(world.time) == pytest.approx(0.25, abs=1e-9)
+    assert world.model.opt.timestep == 0.001
+
+
+def test_a_robot_without_a_lab_is_refused() -> None:
+    with pytest.raises(UnknownName, match="fr3"):
+        lab_of("fr5")
+
+
+def test_a_camera_that_looks_at_a_point_has_it_in_the_middle_of_its_picture() -> None:
+    eye, target = np.array([0.8, 0.85, 0.5]), np.array([0.45, 0.0, 0.12])
+    mount = looking(eye, target)
+    optical = Pose(mount.translation, mount.quaternion)
+    in_optical = optical.inverse() * Pose(target)
+    np.testing.assert_allclose(in_optical.translation, [0.0, 0.0, np.linalg.norm(target - eye)], atol=1e-9)
+    above = optical.inverse() * Pose(target + np.array([0.0, 0.0, 0.1]))
+    assert above.translation[1] < -0.01  # y is down in a picture
+    assert above.translation[0] == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,170 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.envs.draws import Draws
+from rcs.errors import InvalidSetup
+from rcs.robots.description import Mount
+from rcs.robots.fr3.description import FR3
+from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.sim import RobotPlacement, Scene, World
+from rcs.sim.robot import SimRobot
+from rcs.spatial import Pose
+from rcs.tasks.pick_cuboid import HOLD_TIME, LIFT_HEIGHT, SIZE, PickCuboid
+
+DOWN = Pose.from_rpy([0.0, 0.0, 0.0], [np.pi, 0.0, 0.0])
+
+
+def carry(env: Any, height: float) -> np.ndarray:
+    """Put the cuboid between the fingers at home and take it to a height; return its qpos address."""
+    world = env.scenario.world
+    first = int(world.model.joint("cuboid").qposadr[0])
+    world.qpos[first : first + 3] = world.poses[0, :3] + [0.0, 0.0, height - world.poses[0, 2]]
+    world.qpos[first + 3 : first + 7] = [1.0, 0.0, 0.0, 0.0]
+    return first
+
+
+def test_the_cuboid_has_the_size_and_mass_of_the_papers() -> None:
+    model = rcs.make("PickCuboid").scenario.world.model
+    np.testing.assert_allclose(2 * model.geom("cuboid").size, SIZE)
+    assert SIZE == (0.064, 0.032, 0.0576)
+    assert model.body("cuboid").mass[0] == pytest.approx(0.05)
+
+
+def test_the_cuboid_lies_anywhere_in_the_area_at_any_yaw() -> None:
+    envs = rcs.make_vec("PickCuboid", copies=200, threads=1)
+    _, info = envs.reset(seed=0)
+    cuboid = info["cuboid"]
+    area = envs.scenario.task.area
+    low = np.array(area.center) - np.array(area.size) / 2
+    high = np.array(area.center) + np.array(area.size) / 2
+    places = cuboid[:, :2]
+    assert ((places >= low) & (places <= high)).all()
+    assert (places.min(axis=0) < low + 0.05 * np.array(area.size)).all()
+    assert (places.max(axis=0) > high - 0.05 * np.array(area.size)).all()
+    np.testing.assert_allclose(cuboid[:, 2], SIZE[2] / 2, atol=1e-9)
+    yaw = np.array([Pose(pose[:3], pose[3:]).rpy[2] for pose in cuboid])
+    assert yaw.min() < -2.8
+    assert yaw.max() > 2.8
+    np.testing.assert_allclose(cuboid[:, 3:5], 0.0, atol=1e-9)
+
+
+def test_an_untouched_cuboid_stays_where_it_lies() -> None:
+    env = rcs.make("PickCuboid")
+    _, info = env.reset(seed=2)
+    for _ in range(30):
+        *_, after = env.step({"joints": np.zeros(7), "gripper": np.ones(1, np.float32)})
+    np.testing.assert_allclose(after["cuboid"], info["cuboid"], atol=1e-4)
+    assert not any(after[key] for key in ("is_grasped", "is_touched", "success"))
+
+
+def test_a_cuboid_that_is_only_high_is_not_a_success() -> None:
+    env = rcs.make("PickCuboid")
+    env.reset(seed=0)
+    first = carry(env, 0.5)
+    world = env.scenario.world
+    for _ in range(int(2 * HOLD_TIME * 30)):
+        world.qpos[first + 2] = 0.5
+        world.qvel[-6:] = 0.0
+        _, reward, terminated, _, info = env.step({"joints": np.zeros(7), "gripper": np.ones(1, np.float32)})
+        assert not terminated
+        assert not info["is_grasped"]
+        assert reward <= 1 / 3
+
+
+def test_a_cuboid_that_is_grasped_high_for_the_hold_time_is_a_success_and_not_before() -> None:
+    env = rcs.make("PickCuboid")
+    env.reset(seed=0)
+    world = env.scenario.world
+    tcp = world.poses[0].copy()
+    first = carry(env, tcp[2])
+    # The fingers open along y, across which the cuboid is 32 mm wide.
+    rewards, ends = [], []
+    held = 0
+    for step in range(60):
+        if step < 10:  # until the fingers have closed on it, it is kept in its place
+            world.qpos[first : first + 3] = tcp[:3]
+            world.qpos[first + 3 : first + 7] = [1.0, 0.0, 0.0, 0.0]
+            world.qvel[-6:] = 0.0
+        _, reward, terminated, _, info = env.step({"joints": np.zeros(7), "gripper": np.zeros(1, np.float32)})
+        rewards.append(float(reward))
+        ends.append(terminated)
+        held = held + 1 if info["is_grasped"] and info["cuboid"][2] - SIZE[2] / 2 > LIFT_HEIGHT else 0
+        assert terminated == (held >= round(HOLD_TIME * 30))
+        if terminated:
+            break
+    assert ends[-1]
+    assert rewards[-1] == 1.0
+    assert max(rewards[:-1]) < 1.0
+    assert info["success"]
+
+
+def test_rewards_lie_between_0_and_1_and_grow_towards_the_cuboid() -> None:
+    env = rcs.make("PickCuboid", control="tquat", relative=False)
+    _, info = env.reset(seed=1)
+    target = info["cuboid"].copy()
+    rewards = []
+    for height in np.linspace(0.25, 0.05, 30):
+        pose = np.concatenate([target[:2], [height], DOWN.quaternion])
+        _, reward, *_ = env.step({"tquat": pose, "gripper": np.ones(1, np.float32)})
+        rewards.append(reward)
+    assert all(0.0 <= reward <= 1.0 for reward in rewards)
+    assert rewards[-1] > rewards[0] + 0.05
+
+
+def test_a_new_episode_forgets_how_long_the_cuboid_was_held() -> None:
+    envs = rcs.make_vec("PickCuboid", copies=3, autoreset="Disabled")
+    envs.reset(seed=0)
+    task = envs.scenario.task
+    task._steps_held[:] = 7
+    envs.reset(options={"reset_mask": np.array([True, False, True])})
+    np.testing.assert_array_equal(task._steps_held, [0, 7, 0])
+    envs.reset()
+    np.testing.assert_array_equal(task._steps_held, 0)
+
+
+@pytest.mark.parametrize(
+    ("robots", "text"),
+    [
+        ([], "one robot"),
+        ([RobotPlacement(name="fr3", arm=FR3)], "with a gripper"),
+        (
+            [
+                RobotPlacement(
+                    name="fr3",
+                    arm=FR3,
+                    gripper=FRANKA_HAND,
+                    base_in_scene=Mount(quaternion=(0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))),
+                )
+            ],
+            "not turned",
+        ),
+    ],
+)
+def test_a_scene_that_the_task_cannot_use_is_refused(robots: list[RobotPlacement], text: str) -> None:
+    task = PickCuboid(rcs.make("PickCuboid").scenario.task.area)
+    scene = Scene.empty()
+    task.furnish(scene)
+    for robot in robots:
+        scene.add_robot(robot)
+    world = World(scene.compile())
+    with pytest.raises(InvalidSetup, match=text):
+        task.bind(world, [SimRobot(world, robot) for robot in robots])
+
+
+def test_the_area_is_in_the_frame_of_the_base() -> None:
+    task = PickCuboid(rcs.make("PickCuboid").scenario.task.area)
+    scene = Scene.empty()
+    task.furnish(scene)
+    moved = RobotPlacement(name="fr3", arm=FR3, gripper=FRANKA_HAND, base_in_scene=Mount(translation=(-0.1, 0.2, 0.0)))
+    scene.add_robot(moved)
+    world = World(scene.compile())
+    task.bind(world, [SimRobot(world, moved)])
+    task.reset(Draws(0, 0), ...)
+    world.refresh()
+    expected = rcs.make("PickCuboid").reset(seed=0)[1]["cuboid"]
+    np.testing.assert_allclose(task.describe()["cuboid"], expected, atol=1e-9)

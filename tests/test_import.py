@@ -1,0 +1,86 @@
+"""Import does nothing: no network, no file but modules, no environment variable, no plugin, no GL."""
+
+from __future__ import annotations
+
+import json
+import site
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rcs
+
+WATCHED = """
+import json, os, sys
+import encodings.idna, site  # what any program has
+
+opened, connected, asked, found = [], [], [], []
+
+def watch(event, arguments):
+    if event == "open" and not str(arguments[0]).endswith((".py", ".pyc", ".so", ".pth")):
+        opened.append(str(arguments[0]))
+    if event.startswith("socket."):
+        connected.append(event)
+    if event in ("subprocess.Popen", "os.system", "glob.glob"):
+        found.append(event)
+
+class Environment(type(os.environ)):
+    def __getitem__(self, key):
+        frame = sys._getframe(1)
+        while frame.f_globals["__name__"] in ("os", "collections.abc"):
+            frame = frame.f_back
+        asked.append([frame.f_globals["__name__"], key])
+        return super().__getitem__(key)
+
+os.environ.__class__ = Environment
+{before}
+already = set(sys.modules)
+sys.addaudithook(watch)
+import rcs
+{after}
+modules = sorted(set(sys.modules) - already)
+print(json.dumps(dict(opened=opened, connected=connected, asked=asked, found=found, modules=modules)))
+"""
+
+
+def watch(*options: str, before: str = "", after: str = "") -> dict[str, Any]:
+    program = WATCHED.format(before=before, after=after)
+    done = subprocess.run(
+        [sys.executable, *options, "-c", program], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def roots(modules: list[str]) -> set[str]:
+    return {name.partition(".")[0] for name in modules}
+
+
+def test_importing_the_package_has_no_effect() -> None:
+    # No site module: an editable install has an import hook of its own.
+    paths = [str(Path(rcs.__file__).parents[1]), *site.getsitepackages()]
+    seen = watch("-I", "-S", "-B", before=f"sys.path += {paths!r}")
+    assert seen["opened"] == []
+    assert seen["connected"] == []
+    assert seen["found"] == []
+    # NumPy, which gymnasium imports, asks for its own.
+    assert [key for module, key in seen["asked"] if not module.startswith("numpy")] == []
+    assert not roots(seen["modules"]) & {"OpenGL", "mujoco", "pyarrow", "av", "torch", "tyro", "rich"}
+    assert "rcs._core" not in seen["modules"]
+
+
+@pytest.mark.slow
+def test_making_and_stepping_an_environment_needs_no_gl_and_no_network() -> None:
+    seen = watch(after='env = rcs.make("PickCuboid"); env.reset(seed=0); env.step(env.action_space.sample())')
+    assert seen["connected"] == []
+    assert not roots(seen["modules"]) & {"OpenGL", "torch", "pyarrow", "av", "tyro", "ray"}
+
+
+def test_public_names_are_listed_and_others_are_refused_with_them() -> None:
+    assert {"make", "make_vec", "Setup", "Pose"} <= set(dir(rcs))
+    assert all(getattr(rcs, name) is not None for name in rcs.__all__)
+    with pytest.raises(AttributeError, match="make_vec"):
+        _ = rcs.no_such_name
