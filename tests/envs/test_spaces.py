@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from rcs.envs.spaces import check_action, joints_space, normalised_space, tquat_space, xyzrpy_space

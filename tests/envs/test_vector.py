@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from rcs._core import StepEnd
 
 import rcs
+from rcs._core import StepEnd
 from rcs.envs.env import END_NAMES
 from rcs.errors import InvalidAction, InvalidSetup, WrongOrder
 from rcs.testing.env_contract import require_same_bits

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 import pytest
-from rcs._core import ArmLimits, GripperMap, SimArm, SimGripper
 
+from rcs._core import ArmLimits, GripperMap, SimArm, SimGripper
 from rcs.devices import Arm, Gripper
 from rcs.errors import InvalidAction, InvalidSetup
 from rcs.kinematics import kinematics_of

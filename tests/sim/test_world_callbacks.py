@@ -7,8 +7,8 @@ from collections import Counter
 import mujoco
 import numpy as np
 import pytest
-from rcs._core import StepCallback, StepEnd, StepView
 
+from rcs._core import StepCallback, StepEnd, StepView
 from rcs.errors import InvalidAction
 from rcs.sim.world import Callback, World
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from rcs._core import StepEnd
 
+from rcs._core import StepEnd
 from rcs.errors import InvalidAction
 from rcs.sim import RobotPlacement, World
 from rcs.sim.robot import SimRobot

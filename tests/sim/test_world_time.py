@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rcs._core import Collision, JointsArrived, JointsAtRest, StepEnd
 
+from rcs._core import Collision, JointsArrived, JointsAtRest, StepEnd
 from rcs.errors import InvalidAction, InvalidSetup
 from rcs.sim.world import Callback, World, control_period
 

@@ -20,6 +20,8 @@ OVERVIEW = "overview"
 """Name of the camera that sees the whole scene; it is for people and in no observation."""
 
 TABLE_THICKNESS = 0.04
+STEEPEST = -0.7
+"""A camera whose view points down more steeply than this (z of its direction) gets no stand."""
 FLOOR_HEIGHT = -0.76
 """A common table height [m], below the table top."""
 
@@ -220,8 +222,14 @@ class Scene:
     def _add_stand(self, parent: mujoco.MjsBody, camera: CameraPlacement) -> None:
         """Stand a camera that does not move on a post, which nothing can touch."""
         x, y, z = camera.optical_in_parent.translation
+        forward = Pose((0.0, 0.0, 0.0), camera.optical_in_parent.quaternion).matrix[:3, 2]
+        if forward[2] < -0.7:
+            return  # it looks down at more than 45 degrees: it hangs from above, or it would see its own post
         # Behind the optical centre, so that the camera does not see its own post.
-        back = -0.02 * Pose((0.0, 0.0, 0.0), camera.optical_in_parent.quaternion).matrix[:3, 2]
+        forward = forward
+        if forward[2] < STEEPEST:
+            return  # it would look at its own post; such a camera hangs from somewhere
+        back = -0.02 * forward
         top = z - 0.02
         parent.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
