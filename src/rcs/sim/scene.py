@@ -223,12 +223,9 @@ class Scene:
         """Stand a camera that does not move on a post, which nothing can touch."""
         x, y, z = camera.optical_in_parent.translation
         forward = Pose((0.0, 0.0, 0.0), camera.optical_in_parent.quaternion).matrix[:3, 2]
-        if forward[2] < -0.7:
-            return  # it looks down at more than 45 degrees: it hangs from above, or it would see its own post
-        # Behind the optical centre, so that the camera does not see its own post.
-        forward = forward
         if forward[2] < STEEPEST:
-            return  # it would look at its own post; such a camera hangs from somewhere
+            return  # it hangs from above, or it would see its own post
+        # Behind the optical centre, so that the camera does not see its own post.
         back = -0.02 * forward
         top = z - 0.02
         parent.add_geom(
