@@ -44,6 +44,9 @@ NB_MODULE(_core, m) {
       raise_as("DeviceFault", error.what());
     }
   });
+  // A callback that refers to its world keeps it alive to the end of the program: common, harmless, and not worth a
+  // page of text.
+  nb::set_leak_warnings(false);
   bind_pose(m);
   bind_arm(m);
   bind_hand(m);
