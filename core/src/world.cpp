@@ -93,8 +93,8 @@ int World::read_pose(int site, int frame_body) {
   if (site < 0 || site >= model_->nsite || frame_body < 0 || frame_body >= model_->nbody)
     throw InvalidCommand("world: the site or the body of a pose readout is not in the model");
   pose_readouts_.push_back({site, -1, frame_body});
-  poses_.assign(static_cast<std::size_t>(copies_) * pose_readouts_.size() * 7, 0.0);
-  xyzrpy_.assign(static_cast<std::size_t>(copies_) * pose_readouts_.size() * 6, 0.0);
+  renew(poses_, static_cast<std::size_t>(copies_) * pose_readouts_.size() * 7);
+  renew(xyzrpy_, static_cast<std::size_t>(copies_) * pose_readouts_.size() * 6);
   return pose_count() - 1;
 }
 
@@ -109,7 +109,7 @@ int World::read_force(std::vector<std::uint8_t> first, std::vector<std::uint8_t>
   if (first.size() != static_cast<std::size_t>(model_->ngeom) || second.size() != first.size())
     throw InvalidCommand("world: a force readout needs one flag per geom of the model");
   force_readouts_.push_back({std::move(first), std::move(second)});
-  forces_.assign(static_cast<std::size_t>(copies_) * force_readouts_.size(), 0.0);
+  renew(forces_, static_cast<std::size_t>(copies_) * force_readouts_.size());
   return force_count() - 1;
 }
 
@@ -122,7 +122,7 @@ int World::read_opening(std::vector<int> joints, double closed, double open) {
     readout.qpos.push_back(model_->jnt_qposadr[joint]);
   }
   opening_readouts_.push_back(std::move(readout));
-  openings_.assign(static_cast<std::size_t>(copies_) * opening_readouts_.size(), 0.0F);
+  renew(openings_, static_cast<std::size_t>(copies_) * opening_readouts_.size());
   return opening_count() - 1;
 }
 

@@ -167,6 +167,32 @@ def test_poses_are_those_of_mujoco_in_the_frame_of_the_body(robot: SimRobot) -> 
 
 
 @pytest.mark.parametrize("copies", [None, 3])
+def test_an_array_of_readouts_stays_valid_when_readouts_are_added(cart: mujoco.MjModel, copies: int | None) -> None:
+    world = World(cart, copies=copies)
+    core = world.core
+    core.read_pose(cart.site("front").id, 0)
+    core.read_force(np.ones(2, np.uint8), np.ones(2, np.uint8))
+    core.read_opening([0], 0.0, 1.0)
+    world.refresh()
+    views = [core.poses, core.xyzrpy, core.forces, core.openings]
+    kept = [view.copy() for view in views]
+    for _ in range(20):
+        core.read_pose(0, 0)
+        core.read_body_pose(1, 0)
+        core.read_force(np.ones(2, np.uint8), np.zeros(2, np.uint8))
+        core.read_opening([0], 0.0, 2.0)
+    world.qpos[..., 0] = 0.5
+    world.refresh()
+    for view, before in zip(views, kept, strict=True):
+        np.testing.assert_array_equal(view, before)
+    assert core.poses.shape == (*world.leading, 41, 7)
+    np.testing.assert_allclose(core.openings[..., :2], np.broadcast_to([0.5, 0.25], (*world.leading, 2)))
+    for joints, opened in (([], 1.0), ([0], 0.0), ([7], 1.0)):
+        with pytest.raises(InvalidAction, match="opening readout"):
+            core.read_opening(joints, 0.0, opened)
+
+
+@pytest.mark.parametrize("copies", [None, 3])
 def test_a_state_that_is_not_finite_ends_the_step_as_failed_and_others_go_on(
     cart: mujoco.MjModel, copies: int | None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

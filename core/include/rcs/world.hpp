@@ -116,6 +116,12 @@ class World {
   using Work = void (World::*)(const mjModel*, mjData*, int);
 
   void allocate();
+  /// Make a readout's array anew for one more readout. Views of the old one stay valid, with their last values.
+  template <typename T>
+  void renew(std::vector<T>& values, std::size_t size) {
+    retired_.push_back(std::make_shared<std::vector<T>>(std::move(values)));
+    values.assign(size, T{});
+  }
   void check_copies(std::span<const int> copies) const;
   void run(std::span<const int> copies, Work work, bool is_saved);
   void step_copy(const mjModel* model, mjData* data, int copy);
@@ -140,6 +146,7 @@ class World {
   std::vector<double> xyzrpy_;
   std::vector<double> forces_;
   std::vector<float> openings_;
+  std::vector<std::shared_ptr<void>> retired_;
   std::vector<std::uint8_t> ends_;
   std::vector<std::int32_t> substeps_;
   std::vector<std::int64_t> steps_;

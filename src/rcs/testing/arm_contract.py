@@ -69,14 +69,6 @@ class ArmContract:
         middle = (limits.joint_lower + limits.joint_upper) / 2
         return joints + np.where(joints < middle, self.distance, -self.distance)
 
-    def wait_for_arrival(self, arm: Arm) -> None:
-        """Let time pass until the arm has arrived; fails after `time_limit`."""
-        for _ in range(math.ceil(self.time_limit / self.tick)):
-            if arm.has_arrived():
-                return
-            self.advance(self.tick)
-        pytest.fail(f"the arm has not arrived within {self.time_limit} s")
-
     def require_rest(self, arm: Arm) -> None:
         """Check that the arm does not move for a while."""
         before = _present(arm)
