@@ -32,7 +32,7 @@ nb::tuple solve_batch(rcs::DampedLeastSquares& self, const Rows& targets, const 
                       const rcs::IkOptions& options, int threads) {
   const std::size_t count = targets.shape(0), n = static_cast<std::size_t>(self.dof());
   if (targets.shape(1) != 7 || starts.shape(0) != count || starts.shape(1) != n)
-    throw rcs::InvalidCommand("inverse_batch: targets must be (N, 7) and starts (N, " + std::to_string(n) + ")");
+    throw rcs::InvalidSetup("inverse_batch: targets must be (N, 7) and starts (N, " + std::to_string(n) + ")");
   std::vector<double> joints(count * n);
   auto* status = new std::vector<std::uint8_t>(count);
   const nb::capsule owner(status, [](void* p) noexcept { delete static_cast<std::vector<std::uint8_t>*>(p); });
@@ -59,7 +59,7 @@ void bind_kinematics(nb::module_& m) {
              int restarts, double damping, double max_step, std::uint64_t seed) {
             if (!(translation_tolerance > 0) || !(rotation_tolerance > 0) || iterations < 1 || restarts < 0 ||
                 !(damping > 0) || !(max_step > 0))
-              throw rcs::InvalidCommand(
+              throw rcs::InvalidSetup(
                   "IkOptions: tolerances, iterations, damping and max_step must be positive, restarts not negative");
             new (self) rcs::IkOptions{
                 translation_tolerance, rotation_tolerance, iterations, restarts, damping, max_step, seed};

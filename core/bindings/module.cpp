@@ -38,6 +38,8 @@ NB_MODULE(_core, m) {
       std::rethrow_exception(p);
     } catch (const rcs::InvalidCommand& error) {
       raise_as("InvalidAction", error.what());
+    } catch (const rcs::InvalidSetup& error) {
+      raise_as("InvalidSetup", error.what());
     } catch (const rcs::WrongOrder& error) {
       raise_as("WrongOrder", error.what());
     } catch (const rcs::DeviceFault& error) {

@@ -10,10 +10,10 @@ namespace rcs {
 Arm::Arm(std::string name, ArmLimits limits) : life_(std::move(name)), limits_(std::move(limits)) {
   const std::size_t n = limits_.joint_lower.size();
   if (n == 0 || limits_.joint_upper.size() != n || limits_.joint_velocity.size() != n)
-    throw InvalidCommand(life_.name() + ": limits need the same, positive number of lower, upper and velocity values");
+    throw InvalidSetup(life_.name() + ": limits need the same, positive number of lower, upper and velocity values");
   for (std::size_t i = 0; i < n; ++i)
     if (!(limits_.joint_lower[i] < limits_.joint_upper[i]) || !(limits_.joint_velocity[i] > 0.0))
-      throw InvalidCommand(life_.name() + ": limits of joint " + std::to_string(i) +
+      throw InvalidSetup(life_.name() + ": limits of joint " + std::to_string(i) +
                            " need lower < upper and velocity > 0");
 }
 

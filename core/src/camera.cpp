@@ -8,7 +8,7 @@ namespace rcs {
 
 Camera::Camera(std::string name, CameraMode mode) : life_(std::move(name)), mode_(mode) {
   if (mode.width < 1 || mode.height < 1 || !(mode.fps > 0.0))
-    throw InvalidCommand(life_.name() + ": width, height and fps must be positive");
+    throw InvalidSetup(life_.name() + ": width, height and fps must be positive");
 }
 
 void Camera::open() {

@@ -11,7 +11,7 @@ namespace rcs {
 Gripper::Gripper(std::string name, double max_width, double max_force)
     : life_(std::move(name)), max_width_(max_width), max_force_(max_force) {
   if (!(max_width > 0.0) || !(max_force > 0.0))
-    throw InvalidCommand(life_.name() + ": max_width [m] and max_force [N] must be positive");
+    throw InvalidSetup(life_.name() + ": max_width [m] and max_force [N] must be positive");
 }
 
 void Gripper::open() {

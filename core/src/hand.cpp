@@ -8,7 +8,7 @@
 namespace rcs {
 
 Hand::Hand(std::string name, int joint_count) : life_(std::move(name)), joint_count_(joint_count) {
-  if (joint_count < 1) throw InvalidCommand(life_.name() + ": joint_count must be at least 1");
+  if (joint_count < 1) throw InvalidSetup(life_.name() + ": joint_count must be at least 1");
 }
 
 void Hand::open() {

@@ -47,13 +47,13 @@ double norm3(const double* v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2
 DampedLeastSquares::DampedLeastSquares(const mjModel* model, std::vector<int> joints, int tcp_site, int base_body)
     : joints_(std::move(joints)), tcp_site_(tcp_site), base_body_(base_body) {
   if (tcp_site < 0 || tcp_site >= model->nsite || base_body < 0 || base_body >= model->nbody)
-    throw InvalidCommand("inverse kinematics: the TCP site or the base body is not in the model");
-  if (joints_.empty()) throw InvalidCommand("inverse kinematics: no joints given");
+    throw InvalidSetup("inverse kinematics: the TCP site or the base body is not in the model");
+  if (joints_.empty()) throw InvalidSetup("inverse kinematics: no joints given");
   for (const int joint : joints_) {
     if (joint < 0 || joint >= model->njnt)
-      throw InvalidCommand("inverse kinematics: joint id " + std::to_string(joint) + " is not in the model");
+      throw InvalidSetup("inverse kinematics: joint id " + std::to_string(joint) + " is not in the model");
     if (model->jnt_type[joint] != mjJNT_HINGE && model->jnt_type[joint] != mjJNT_SLIDE)
-      throw InvalidCommand("inverse kinematics: only hinge and slide joints are supported");
+      throw InvalidSetup("inverse kinematics: only hinge and slide joints are supported");
     qpos_.push_back(model->jnt_qposadr[joint]);
     dofs_.push_back(model->jnt_dofadr[joint]);
     const bool is_limited = model->jnt_limited[joint] != 0;
@@ -77,10 +77,10 @@ std::unique_ptr<DampedLeastSquares> DampedLeastSquares::clone() const {
 
 void DampedLeastSquares::check_size(std::span<const double> joints) const {
   if (joints.size() != joints_.size())
-    throw InvalidCommand("kinematics: " + std::to_string(joints.size()) + " joints given, the arm has " +
+    throw InvalidSetup("kinematics: " + std::to_string(joints.size()) + " joints given, the arm has " +
                          std::to_string(joints_.size()));
   for (const double q : joints)
-    if (!std::isfinite(q)) throw InvalidCommand("kinematics: a joint is not finite");
+    if (!std::isfinite(q)) throw InvalidSetup("kinematics: a joint is not finite");
 }
 
 void DampedLeastSquares::set_joints(std::span<const double> joints) {
@@ -232,7 +232,7 @@ void inverse_batch(DampedLeastSquares& kinematics, std::span<const double> targe
                    const IkOptions& options, int threads, std::span<double> joints, std::span<std::uint8_t> status) {
   const std::size_t n = static_cast<std::size_t>(kinematics.dof()), count = status.size();
   if (targets.size() != 7 * count || starts.size() != n * count || joints.size() != n * count)
-    throw InvalidCommand("inverse kinematics: targets, starts and outputs have different numbers of rows");
+    throw InvalidSetup("inverse kinematics: targets, starts and outputs have different numbers of rows");
   // All poses are made first: a bad one throws here and not in a thread.
   std::vector<Pose> poses;
   poses.reserve(count);
@@ -241,7 +241,7 @@ void inverse_batch(DampedLeastSquares& kinematics, std::span<const double> targe
     poses.emplace_back(std::array<double, 3>{t[0], t[1], t[2]}, std::array<double, 4>{t[3], t[4], t[5], t[6]});
   }
   for (const double q : starts)
-    if (!std::isfinite(q)) throw InvalidCommand("inverse kinematics: a start joint is not finite");
+    if (!std::isfinite(q)) throw InvalidSetup("inverse kinematics: a start joint is not finite");
   const auto solve = [&](DampedLeastSquares& solver, std::size_t from, std::size_t to) {
     for (std::size_t i = from; i < to; ++i) {
       const IkResult result = solver.inverse(poses[i], starts.subspan(i * n, n), options);

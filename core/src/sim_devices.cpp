@@ -26,7 +26,7 @@ void check_ids(const World& world, const std::string& name, int copy, const std:
   bool is_valid = copy >= 0 && copy < world.copies();
   for (const int joint : joints) is_valid = is_valid && joint >= 0 && joint < model->njnt;
   for (const int actuator : actuators) is_valid = is_valid && actuator >= 0 && actuator < model->nu;
-  if (!is_valid) throw InvalidCommand(name + ": the copy, a joint or an actuator is not in the world");
+  if (!is_valid) throw InvalidSetup(name + ": the copy, a joint or an actuator is not in the world");
 }
 
 }  // namespace
@@ -40,7 +40,7 @@ SimArm::SimArm(std::string name, ArmLimits limits, std::shared_ptr<World> world,
       actuators_(std::move(actuators)) {
   check_ids(*world_, this->name(), copy_, joints_, actuators_);
   if (static_cast<int>(joints_.size()) != dof() || joints_.size() != actuators_.size())
-    throw InvalidCommand(this->name() + ": limits, joints and actuators differ in number");
+    throw InvalidSetup(this->name() + ": limits, joints and actuators differ in number");
 }
 
 ArmState SimArm::do_state() {
@@ -83,9 +83,9 @@ SimGripper::SimGripper(std::string name, double max_width, double max_force, std
       map_(map) {
   check_ids(*world_, this->name(), copy_, joints_, {actuator_});
   if (joints_.empty() || map_.joint_open == map_.joint_closed)
-    throw InvalidCommand(this->name() + ": a gripper needs a finger joint that moves");
+    throw InvalidSetup(this->name() + ": a gripper needs a finger joint that moves");
   if (map_.ctrl_open == map_.ctrl_closed)
-    throw InvalidCommand(this->name() + ": a gripper needs a control that differs between open and closed");
+    throw InvalidSetup(this->name() + ": a gripper needs a control that differs between open and closed");
   commanded_at_ = time();
 }
 

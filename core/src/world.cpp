@@ -44,7 +44,7 @@ World::World(const mjModel* model, mjData* data, StepTiming timing)
 
 World::World(const mjModel* model, int copies, int threads, StepTiming timing)
     : model_(model), copies_(copies), state_size_(mj_stateSize(model, mjSTATE_INTEGRATION)) {
-  if (copies < 1) throw InvalidCommand("world: copies must be at least 1, not " + std::to_string(copies));
+  if (copies < 1) throw InvalidSetup("world: copies must be at least 1, not " + std::to_string(copies));
   set_timing(timing);
   mjBatchConfig config;
   mjb_defaultConfig(&config);
@@ -73,14 +73,14 @@ void World::allocate() {
 void World::set_timing(const StepTiming& timing) {
   if (timing.period_numerator < 1 || timing.period_denominator < 1 || timing.max_substeps < 1 ||
       timing.period_numerator < timing.period_denominator)
-    throw InvalidCommand("world: a control period must be at least one physics step, and max_substeps at least 1");
+    throw InvalidSetup("world: a control period must be at least one physics step, and max_substeps at least 1");
   timing_ = timing;
 }
 
 void World::on_period(std::shared_ptr<StepCallback> callback, double period) {
   const auto every = static_cast<int>(std::lround(period / model_->opt.timestep));
   if (every < 1)
-    throw InvalidCommand("world: a callback's period must be at least one physics step of " +
+    throw InvalidSetup("world: a callback's period must be at least one physics step of " +
                          std::to_string(model_->opt.timestep) + " s");
   periodic_.push_back({std::move(callback), every});
 }
@@ -91,7 +91,7 @@ void World::interrupt_when(std::shared_ptr<StepCallback> callback) { interrupt_.
 
 int World::read_pose(int site, int frame_body) {
   if (site < 0 || site >= model_->nsite || frame_body < 0 || frame_body >= model_->nbody)
-    throw InvalidCommand("world: the site or the body of a pose readout is not in the model");
+    throw InvalidSetup("world: the site or the body of a pose readout is not in the model");
   pose_readouts_.push_back({site, -1, frame_body});
   renew(poses_, static_cast<std::size_t>(copies_) * pose_readouts_.size() * 7);
   renew(xyzrpy_, static_cast<std::size_t>(copies_) * pose_readouts_.size() * 6);
@@ -99,7 +99,7 @@ int World::read_pose(int site, int frame_body) {
 }
 
 int World::read_body_pose(int body, int frame_body) {
-  if (body < 0 || body >= model_->nbody) throw InvalidCommand("world: the body of a pose readout is not in the model");
+  if (body < 0 || body >= model_->nbody) throw InvalidSetup("world: the body of a pose readout is not in the model");
   const int index = read_pose(0, frame_body);
   pose_readouts_.back() = {-1, body, frame_body};
   return index;
@@ -107,18 +107,18 @@ int World::read_body_pose(int body, int frame_body) {
 
 int World::read_force(std::vector<std::uint8_t> first, std::vector<std::uint8_t> second) {
   if (first.size() != static_cast<std::size_t>(model_->ngeom) || second.size() != first.size())
-    throw InvalidCommand("world: a force readout needs one flag per geom of the model");
+    throw InvalidSetup("world: a force readout needs one flag per geom of the model");
   force_readouts_.push_back({std::move(first), std::move(second)});
   renew(forces_, static_cast<std::size_t>(copies_) * force_readouts_.size());
   return force_count() - 1;
 }
 
 int World::read_opening(std::vector<int> joints, double closed, double open) {
-  if (joints.empty() || closed == open) throw InvalidCommand("world: an opening readout needs joints that move");
+  if (joints.empty() || closed == open) throw InvalidSetup("world: an opening readout needs joints that move");
   OpeningReadout readout{{}, closed, open};
   for (const int joint : joints) {
     if (joint < 0 || joint >= model_->njnt)
-      throw InvalidCommand("world: a joint of an opening readout is not in the model");
+      throw InvalidSetup("world: a joint of an opening readout is not in the model");
     readout.qpos.push_back(model_->jnt_qposadr[joint]);
   }
   opening_readouts_.push_back(std::move(readout));
@@ -129,7 +129,7 @@ int World::read_opening(std::vector<int> joints, double closed, double open) {
 void World::check_copies(std::span<const int> copies) const {
   for (const int copy : copies)
     if (copy < 0 || copy >= copies_)
-      throw InvalidCommand("world: there is no copy " + std::to_string(copy) + ", there are " +
+      throw InvalidSetup("world: there is no copy " + std::to_string(copy) + ", there are " +
                            std::to_string(copies_));
 }
 
@@ -137,7 +137,7 @@ void World::keep_initial_state(int copy) { get_state(copy, initial_state_); }
 
 void World::get_state(int copy, std::span<double> state) const {
   if (state.size() != static_cast<std::size_t>(state_size_) || copy < 0 || copy >= copies_)
-    throw InvalidCommand("world: a state has " + std::to_string(state_size_) +
+    throw InvalidSetup("world: a state has " + std::to_string(state_size_) +
                          " values, and copies are counted from 0");
   if (batch_)
     std::memcpy(state.data(), mjb_state(batch_) + static_cast<std::ptrdiff_t>(copy) * state_size_,
@@ -148,7 +148,7 @@ void World::get_state(int copy, std::span<double> state) const {
 
 void World::set_state(int copy, std::span<const double> state) {
   if (state.size() != static_cast<std::size_t>(state_size_) || copy < 0 || copy >= copies_)
-    throw InvalidCommand("world: a state has " + std::to_string(state_size_) +
+    throw InvalidSetup("world: a state has " + std::to_string(state_size_) +
                          " values, and copies are counted from 0");
   if (batch_)
     std::memcpy(mjb_state(batch_) + static_cast<std::ptrdiff_t>(copy) * state_size_, state.data(),
@@ -178,7 +178,7 @@ double* World::component(int which, int* size) {
     case mjSTATE_XFRC_APPLIED:
       return data_->xfrc_applied;
     default:
-      throw InvalidCommand("world: that state component has no array");
+      throw InvalidSetup("world: that state component has no array");
   }
 }
 
@@ -186,7 +186,7 @@ void World::run(std::span<const int> copies, Work work, bool is_saved) {
   check_copies(copies);
   failure_ = nullptr;
   if (!batch_) {
-    if (model_->opt.timestep <= 0.0) throw InvalidCommand("world: the physics step must be positive");
+    if (model_->opt.timestep <= 0.0) throw InvalidSetup("world: the physics step must be positive");
     (this->*work)(model_, data_, 0);
   } else {
     Call call{this, work};

@@ -135,7 +135,7 @@ void limits_that_make_no_sense_are_refused() {
   for (const rcs::ArmLimits& bad :
        {rcs::ArmLimits{}, rcs::ArmLimits{{0.0}, {1.0, 1.0}, {1.0}}, rcs::ArmLimits{{0.0}, {1.0}, {}},
         rcs::ArmLimits{{1.0}, {0.0}, {1.0}}, rcs::ArmLimits{{0.0}, {1.0}, {0.0}}, rcs::ArmLimits{{kNaN}, {1.0}, {1.0}}})
-    CHECK_THROWS(rcs::InvalidCommand, TestArm(bad));
+    CHECK_THROWS(rcs::InvalidSetup, TestArm(bad));
 }
 
 class TestGripper final : public rcs::Gripper {

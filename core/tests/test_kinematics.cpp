@@ -127,13 +127,13 @@ void a_batch_is_a_loop_at_any_number_of_threads() {
 void what_makes_no_sense_is_refused() {
   DampedLeastSquares solver = make_solver();
   const std::vector<double> short_joints(kDof - 1, 0.0), nan_joints(kDof, std::nan(""));
-  CHECK_THROWS(rcs::InvalidCommand, solver.forward(short_joints));
-  CHECK_THROWS(rcs::InvalidCommand, solver.jacobian(nan_joints));
-  CHECK_THROWS(rcs::InvalidCommand, solver.inverse(Pose(), short_joints, IkOptions{}));
+  CHECK_THROWS(rcs::InvalidSetup, solver.forward(short_joints));
+  CHECK_THROWS(rcs::InvalidSetup, solver.jacobian(nan_joints));
+  CHECK_THROWS(rcs::InvalidSetup, solver.inverse(Pose(), short_joints, IkOptions{}));
   const rcs::test::Model model = rcs::test::make_model(rcs::test::kArm);
-  CHECK_THROWS(rcs::InvalidCommand, DampedLeastSquares(model.get(), {}, 0, 1));
-  CHECK_THROWS(rcs::InvalidCommand, DampedLeastSquares(model.get(), {0, 99}, 0, 1));
-  CHECK_THROWS(rcs::InvalidCommand, DampedLeastSquares(model.get(), {0}, 1, 1));
+  CHECK_THROWS(rcs::InvalidSetup, DampedLeastSquares(model.get(), {}, 0, 1));
+  CHECK_THROWS(rcs::InvalidSetup, DampedLeastSquares(model.get(), {0, 99}, 0, 1));
+  CHECK_THROWS(rcs::InvalidSetup, DampedLeastSquares(model.get(), {0}, 1, 1));
 }
 
 }  // namespace

@@ -112,7 +112,7 @@ void a_periodic_callback_is_called_once_per_period_and_copy() {
   world.on_period(callback, 0.01);
   for (int step = 0; step < 3; ++step) world.advance();
   CHECK(callback->calls == 3 * 10);
-  CHECK_THROWS(rcs::InvalidCommand, world.on_period(callback, 0.0));
+  CHECK_THROWS(rcs::InvalidSetup, world.on_period(callback, 0.0));
 }
 
 void an_exception_of_a_callback_reaches_the_caller_from_every_thread() {
@@ -155,8 +155,8 @@ void states_continue_with_the_same_bits() {
   world.advance();
   CHECK(*qpos(world, 1) == expected);
   state.pop_back();
-  CHECK_THROWS(rcs::InvalidCommand, world.set_state(1, state));
-  CHECK_THROWS(rcs::InvalidCommand, world.get_state(2, state));
+  CHECK_THROWS(rcs::InvalidSetup, world.set_state(1, state));
+  CHECK_THROWS(rcs::InvalidSetup, world.get_state(2, state));
 }
 
 void poses_are_read_out_in_the_frame_of_a_body() {
@@ -171,18 +171,18 @@ void poses_are_read_out_in_the_frame_of_a_body() {
   CHECK_NEAR(world.poses()[7 * cart], 0.4, 1e-12);
   CHECK_NEAR(world.poses()[7 * in_world + 6], 1.0, 1e-12);
   CHECK(world.pose_count() == 3);
-  CHECK_THROWS(rcs::InvalidCommand, world.read_pose(1, 0));
+  CHECK_THROWS(rcs::InvalidSetup, world.read_pose(1, 0));
 }
 
 void numbers_that_make_no_sense_are_refused() {
   const Model model = rcs::test::make_model(rcs::test::kCart);
-  CHECK_THROWS(rcs::InvalidCommand, World(model.get(), 0, 1, k30Hz));
-  CHECK_THROWS(rcs::InvalidCommand, World(model.get(), 1, 1, StepTiming{1, 2, false, 500}));
-  CHECK_THROWS(rcs::InvalidCommand, World(model.get(), 1, 1, StepTiming{0, 1, false, 500}));
-  CHECK_THROWS(rcs::InvalidCommand, World(model.get(), 1, 1, StepTiming{1, 1, true, 0}));
+  CHECK_THROWS(rcs::InvalidSetup, World(model.get(), 0, 1, k30Hz));
+  CHECK_THROWS(rcs::InvalidSetup, World(model.get(), 1, 1, StepTiming{1, 2, false, 500}));
+  CHECK_THROWS(rcs::InvalidSetup, World(model.get(), 1, 1, StepTiming{0, 1, false, 500}));
+  CHECK_THROWS(rcs::InvalidSetup, World(model.get(), 1, 1, StepTiming{1, 1, true, 0}));
   World world(model.get(), 2, 1, k30Hz);
   const std::vector<int> missing{0, 2};
-  CHECK_THROWS(rcs::InvalidCommand, world.advance(missing));
+  CHECK_THROWS(rcs::InvalidSetup, world.advance(missing));
   CHECK(world.steps()[0] == 0);
 }
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rcs.devices import Arm, ArmLimits, ArmState, Camera, CameraMode, Frame, Gripper, GripperState
-from rcs.errors import DeviceFault, InvalidAction, WrongOrder
+from rcs.errors import DeviceFault, InvalidSetup, WrongOrder
 
 
 class Scripted(Arm):
@@ -131,7 +131,7 @@ def test_a_measurement_that_makes_no_sense_is_a_fault_and_the_arm_holds(
     ],
 )
 def test_limits_that_make_no_sense_are_refused(limits: tuple[list[float], list[float], list[float]]) -> None:
-    with pytest.raises(InvalidAction, match="limits"):
+    with pytest.raises(InvalidSetup, match="limits"):
         Scripted(ArmLimits(*limits))
 
 
@@ -168,7 +168,7 @@ def test_a_gripper_that_measures_nonsense_is_in_fault() -> None:
 
 @pytest.mark.parametrize("figures", [{"max_width": 0.0}, {"max_force": -1.0}, {"max_width": math.nan}])
 def test_figures_of_a_gripper_must_be_positive(figures: dict[str, float]) -> None:
-    with pytest.raises(InvalidAction, match="must be positive"):
+    with pytest.raises(InvalidSetup, match="must be positive"):
         Pincers(**figures)
 
 
@@ -204,5 +204,5 @@ def test_a_frame_of_another_size_than_the_mode_is_a_fault(mode: CameraMode, fram
 
 @pytest.mark.parametrize("mode", [CameraMode(0, 4, 30.0), CameraMode(6, -1, 30.0), CameraMode(6, 4, 0.0)])
 def test_a_mode_that_makes_no_sense_is_refused(mode: CameraMode) -> None:
-    with pytest.raises(InvalidAction, match="must be positive"):
+    with pytest.raises(InvalidSetup, match="must be positive"):
         Eye(mode, Frame(RGB))

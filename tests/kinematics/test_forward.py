@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcs.errors import InvalidAction
+from rcs.errors import InvalidSetup
 from rcs.kinematics import DampedLeastSquares, kinematics_of
 from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND
@@ -60,14 +60,14 @@ def test_joints_of_a_wrong_number_or_not_finite_are_refused(
     solver: DampedLeastSquares, bad: NDArray[np.float64]
 ) -> None:
     for call in (solver.forward, solver.jacobian):
-        with pytest.raises(InvalidAction):
+        with pytest.raises(InvalidSetup):
             call(bad)
-    with pytest.raises(InvalidAction):
+    with pytest.raises(InvalidSetup):
         solver.forward_batch(bad[None])
 
 
 def test_ids_that_are_not_in_the_model_are_refused(model: mujoco.MjModel) -> None:
     joints = list(range(7))
     for arguments in (([], 0, 0), ([99], 0, 0), (joints, 99, 0), (joints, 0, 99), (joints, -1, 0)):
-        with pytest.raises(InvalidAction, match="inverse kinematics"):
+        with pytest.raises(InvalidSetup, match="inverse kinematics"):
             DampedLeastSquares(model._address, *arguments)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcs.errors import InvalidAction
+from rcs.errors import InvalidSetup
 from rcs.kinematics import DampedLeastSquares, IkOptions, IkResult, IkStatus, Kinematics
 from rcs.robots.fr3.description import FR3
 from rcs.spatial import Pose, distance
@@ -107,13 +107,13 @@ def test_same_seed_same_answer(solver: DampedLeastSquares, random_joints: NDArra
 def test_poses_and_starts_that_make_no_sense_are_refused(solver: DampedLeastSquares) -> None:
     target = solver.forward(HOME)
     for start in (HOME[1:], np.full(7, np.nan)):
-        with pytest.raises(InvalidAction):
+        with pytest.raises(InvalidSetup):
             solver.inverse(target, start)
     rows, starts = np.tile(target.tquat, (3, 1)), np.tile(HOME, (3, 1))
     for bad_rows, bad_starts in ((rows[:, :6], starts), (rows[:2], starts), (rows, starts[:, :6])):
-        with pytest.raises(InvalidAction):
+        with pytest.raises(InvalidSetup):
             solver.inverse_batch(bad_rows, bad_starts)
-    with pytest.raises(InvalidAction, match="not finite"):
+    with pytest.raises(InvalidSetup, match="not finite"):
         solver.inverse_batch(rows, np.full((3, 7), np.nan))
     with pytest.raises(ValueError, match="finite"):
         solver.inverse_batch(np.full((3, 7), np.nan), starts)
@@ -132,7 +132,7 @@ def test_poses_and_starts_that_make_no_sense_are_refused(solver: DampedLeastSqua
     ],
 )
 def test_options_that_make_no_sense_are_refused(option: dict[str, float]) -> None:
-    with pytest.raises(InvalidAction, match="IkOptions"):
+    with pytest.raises(InvalidSetup, match="IkOptions"):
         IkOptions(**option)
 
 

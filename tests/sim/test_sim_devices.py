@@ -10,7 +10,7 @@ import pytest
 
 from rcs._core import ArmLimits, GripperMap, SimArm, SimGripper
 from rcs.devices import Arm, Gripper
-from rcs.errors import InvalidAction, InvalidSetup
+from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.robots.fr3.description import FR3
 from rcs.sim import RobotPlacement, Scene, World
@@ -125,7 +125,7 @@ def test_ids_that_are_not_in_the_world_are_refused(robot: SimRobot) -> None:
         (limits, core, 0, ids.joint_ids, [99, *ids.actuator_ids[1:]]),
         (short, core, 0, ids.joint_ids, ids.actuator_ids),
     ):
-        with pytest.raises(InvalidAction):
+        with pytest.raises(InvalidSetup):
             SimArm("arm", *arguments)
     fingers, actuator = ids.finger_joint_ids, ids.finger_actuator
     for joints, number, mapping in (
@@ -134,7 +134,7 @@ def test_ids_that_are_not_in_the_world_are_refused(robot: SimRobot) -> None:
         (fingers, actuator, GripperMap(0.04, 0.04, 0.0, 1.0)),
         (fingers, actuator, GripperMap(0.0, 0.04, 1.0, 1.0)),
     ):
-        with pytest.raises(InvalidAction):
+        with pytest.raises(InvalidSetup):
             SimGripper("gripper", 0.08, 70.0, core, 0, joints, number, mapping)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rcs._core import StepCallback, StepEnd, StepView
-from rcs.errors import InvalidAction
+from rcs.errors import InvalidSetup
 from rcs.sim.world import Callback, World
 
 
@@ -31,7 +31,7 @@ def test_a_periodic_callback_is_called_once_per_period(
 
 
 def test_a_period_shorter_than_a_physics_step_is_refused(cart: mujoco.MjModel) -> None:
-    with pytest.raises(InvalidAction, match="at least one physics step"):
+    with pytest.raises(InvalidSetup, match="at least one physics step"):
         World(cart).core.on_period(Callback(lambda view: None), 0.0005)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rcs._core import StepEnd
-from rcs.errors import InvalidAction
+from rcs.errors import InvalidSetup
 from rcs.sim import RobotPlacement, World
 from rcs.sim.robot import SimRobot
 from rcs.spatial import Pose
@@ -111,12 +111,12 @@ def test_a_state_of_the_wrong_size_or_copy_is_refused(cart: mujoco.MjModel, copi
     core = World(cart, copies=copies).core
     state = core.get_state(0)
     for bad in (state[:-1], np.append(state, 0.0), np.zeros(0)):
-        with pytest.raises(InvalidAction):
+        with pytest.raises(InvalidSetup):
             core.set_state(bad, 0)
     for copy in (-1, 3):
-        with pytest.raises(InvalidAction):
+        with pytest.raises(InvalidSetup):
             core.get_state(copy)
-        with pytest.raises(InvalidAction):
+        with pytest.raises(InvalidSetup):
             core.set_state(state, copy)
 
 
@@ -124,7 +124,7 @@ def test_a_state_of_the_wrong_size_or_copy_is_refused(cart: mujoco.MjModel, copi
 def test_a_copy_that_is_not_there_is_refused(cart: mujoco.MjModel, call: str) -> None:
     world = World(cart, copies=3)
     for copy in (-1, 3):
-        with pytest.raises(InvalidAction, match=f"no copy {copy}"):
+        with pytest.raises(InvalidSetup, match=f"no copy {copy}"):
             getattr(world, call)(np.array([0, copy], np.int32))
     np.testing.assert_array_equal(world.core.steps, 0)
 
@@ -188,7 +188,7 @@ def test_an_array_of_readouts_stays_valid_when_readouts_are_added(cart: mujoco.M
     assert core.poses.shape == (*world.leading, 41, 7)
     np.testing.assert_allclose(core.openings[..., :2], np.broadcast_to([0.5, 0.25], (*world.leading, 2)))
     for joints, opened in (([], 1.0), ([0], 0.0), ([7], 1.0)):
-        with pytest.raises(InvalidAction, match="opening readout"):
+        with pytest.raises(InvalidSetup, match="opening readout"):
             core.read_opening(joints, 0.0, opened)
 
 
@@ -243,16 +243,16 @@ def test_only_numbers_of_a_batch_can_differ_between_copies(cart: mujoco.MjModel)
 
 def test_a_component_that_the_model_lacks_is_refused(cart: mujoco.MjModel) -> None:
     world = World(cart)
-    with pytest.raises((ValueError, InvalidAction)):
+    with pytest.raises((ValueError, InvalidSetup)):
         world.core.component(mujoco.mjtState.mjSTATE_WARMSTART.value)
 
 
 def test_a_readout_of_what_is_not_in_the_model_is_refused(cart: mujoco.MjModel) -> None:
     core = World(cart).core
     for call in (lambda: core.read_pose(1, 0), lambda: core.read_pose(0, 3), lambda: core.read_body_pose(3, 0)):
-        with pytest.raises(InvalidAction, match="not in the model"):
+        with pytest.raises(InvalidSetup, match="not in the model"):
             call()
-    with pytest.raises(InvalidAction, match="one flag per geom"):
+    with pytest.raises(InvalidSetup, match="one flag per geom"):
         core.read_force(np.ones(1, np.uint8), np.ones(2, np.uint8))
 
 

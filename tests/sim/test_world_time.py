@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rcs._core import Collision, JointsArrived, JointsAtRest, StepEnd
-from rcs.errors import InvalidAction, InvalidSetup
+from rcs.errors import InvalidSetup
 from rcs.sim.world import Callback, World, control_period
 
 
@@ -144,7 +144,7 @@ def test_joints_are_at_rest_only_after_they_stood_still_for_the_duration(cart: m
     ("arguments", "error", "text"),
     [
         ({"copies": 0}, InvalidSetup, "copies is 0"),
-        ({"max_substeps": 0}, InvalidAction, "max_substeps"),
+        ({"max_substeps": 0}, InvalidSetup, "max_substeps"),
     ],
 )
 def test_numbers_that_make_no_sense_are_refused(cart, arguments, error, text) -> None:

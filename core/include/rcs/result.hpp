@@ -28,6 +28,11 @@ struct InvalidCommand : std::invalid_argument {
   using std::invalid_argument::invalid_argument;
 };
 
+/// A setup, an option or an argument that does not make sense.
+struct InvalidSetup : std::invalid_argument {
+  using std::invalid_argument::invalid_argument;
+};
+
 /// A call at a time when it has no meaning, such as a command before `open`.
 struct WrongOrder : std::logic_error {
   using std::logic_error::logic_error;

@@ -24,6 +24,10 @@ class SimArmPort(Port):
         """Set the joint targets."""
         self._robot.command_joints(action[keys.JOINTS])
 
+    def hold(self) -> None:
+        """Set the measured joints as the target."""
+        self._robot.command_joints(self._robot.joints)
+
     def observe(self) -> Observation:
         """Read joints, velocities and the TCP pose."""
         robot = self._robot

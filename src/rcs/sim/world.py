@@ -145,6 +145,7 @@ class World:
 
     def refresh(self, copies: Copies = None) -> None:
         """Recompute what is read out (poses, forces) after the state was written to."""
+        self._is_read_out = False  # readouts may have been added
         if copies is None:
             self.core.refresh()
         else:
