@@ -14,7 +14,7 @@ Arm::Arm(std::string name, ArmLimits limits) : life_(std::move(name)), limits_(s
   for (std::size_t i = 0; i < n; ++i)
     if (!(limits_.joint_lower[i] < limits_.joint_upper[i]) || !(limits_.joint_velocity[i] > 0.0))
       throw InvalidSetup(life_.name() + ": limits of joint " + std::to_string(i) +
-                           " need lower < upper and velocity > 0");
+                         " need lower < upper and velocity > 0");
 }
 
 void Arm::open() {

@@ -78,7 +78,7 @@ std::unique_ptr<DampedLeastSquares> DampedLeastSquares::clone() const {
 void DampedLeastSquares::check_size(std::span<const double> joints) const {
   if (joints.size() != joints_.size())
     throw InvalidSetup("kinematics: " + std::to_string(joints.size()) + " joints given, the arm has " +
-                         std::to_string(joints_.size()));
+                       std::to_string(joints_.size()));
   for (const double q : joints)
     if (!std::isfinite(q)) throw InvalidSetup("kinematics: a joint is not finite");
 }

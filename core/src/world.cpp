@@ -81,7 +81,7 @@ void World::on_period(std::shared_ptr<StepCallback> callback, double period) {
   const auto every = static_cast<int>(std::lround(period / model_->opt.timestep));
   if (every < 1)
     throw InvalidSetup("world: a callback's period must be at least one physics step of " +
-                         std::to_string(model_->opt.timestep) + " s");
+                       std::to_string(model_->opt.timestep) + " s");
   periodic_.push_back({std::move(callback), every});
 }
 
@@ -129,16 +129,14 @@ int World::read_opening(std::vector<int> joints, double closed, double open) {
 void World::check_copies(std::span<const int> copies) const {
   for (const int copy : copies)
     if (copy < 0 || copy >= copies_)
-      throw InvalidSetup("world: there is no copy " + std::to_string(copy) + ", there are " +
-                           std::to_string(copies_));
+      throw InvalidSetup("world: there is no copy " + std::to_string(copy) + ", there are " + std::to_string(copies_));
 }
 
 void World::keep_initial_state(int copy) { get_state(copy, initial_state_); }
 
 void World::get_state(int copy, std::span<double> state) const {
   if (state.size() != static_cast<std::size_t>(state_size_) || copy < 0 || copy >= copies_)
-    throw InvalidSetup("world: a state has " + std::to_string(state_size_) +
-                         " values, and copies are counted from 0");
+    throw InvalidSetup("world: a state has " + std::to_string(state_size_) + " values, and copies are counted from 0");
   if (batch_)
     std::memcpy(state.data(), mjb_state(batch_) + static_cast<std::ptrdiff_t>(copy) * state_size_,
                 sizeof(double) * state.size());
@@ -148,8 +146,7 @@ void World::get_state(int copy, std::span<double> state) const {
 
 void World::set_state(int copy, std::span<const double> state) {
   if (state.size() != static_cast<std::size_t>(state_size_) || copy < 0 || copy >= copies_)
-    throw InvalidSetup("world: a state has " + std::to_string(state_size_) +
-                         " values, and copies are counted from 0");
+    throw InvalidSetup("world: a state has " + std::to_string(state_size_) + " values, and copies are counted from 0");
   if (batch_)
     std::memcpy(mjb_state(batch_) + static_cast<std::ptrdiff_t>(copy) * state_size_, state.data(),
                 sizeof(double) * state.size());
