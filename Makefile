@@ -1,6 +1,6 @@
 # make demo          build, install into .venv, collect episodes of Pick-Cuboid with the scripted FR3, and say where the report is
 # make test          build, install, run the tests of C++ and Python
-# make test-extras   the tests that need torch and Stable-Baselines3
+# make test-extras   the tests that need torch, Stable-Baselines3 or mujoco-menagerie
 # make check         format, lint, types, import layers, stubs
 # make bench         every benchmark: one line of JSON each
 # make format        format Python and C++;   make stubs   write the stubs of the extension anew
@@ -86,7 +86,7 @@ test-cpp: build
 $(VENV)/.stamp-extras: $(VENV)/.stamp-built
 	@echo "==> Installing torch and Stable-Baselines3 (first time: about 1 GB)"
 	@$(PIP) install -c constraints.txt torch
-	@$(PIP) install -c constraints.txt stable-baselines3
+	@$(PIP) install -c constraints.txt stable-baselines3 mujoco-menagerie
 	@touch $@
 
 test-extras: $(VENV)/.stamp-extras gl

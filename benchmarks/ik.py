@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 
 from rcs.devices import lookup
-from rcs.kinematics import IkOptions, IkStatus, attach_gripper, kinematics_of, load
+from rcs.kinematics import IkOptions, IkStatus, attach_end_effector, kinematics_of, load
 from rcs.spatial import Pose
 
 
@@ -42,7 +42,7 @@ def main(options: Options) -> None:
 
     # A model of its own for targets and checks, so that the solver is not its own judge.
     spec = load(arm)
-    attach_gripper(spec, arm, gripper)
+    attach_end_effector(spec, arm, gripper)
     model = spec.compile()
     data = mujoco.MjData(model)
     tcp, base = model.site("gripper/tcp").id, model.body(arm.base_body).id

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 import rcs
 from rcs.devices import lookup
 from rcs.rollout.collect import expert_for
-from rcs.setups.labs import looking
+from rcs.setups.lab import looking
 from rcs.sim.camera import SimCameras
 from rcs.sim.scene import CameraPlacement, RobotPlacement, Scene
 from rcs.sim.world import World

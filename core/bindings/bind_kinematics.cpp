@@ -56,22 +56,27 @@ void bind_kinematics(nb::module_& m) {
       .def(
           "__init__",
           [](rcs::IkOptions* self, double translation_tolerance, double rotation_tolerance, int iterations,
-             int restarts, double damping, double max_step, std::uint64_t seed) {
+             int restarts, double damping, double rotation_weight, double max_step, std::uint64_t seed) {
             if (!(translation_tolerance > 0) || !(rotation_tolerance > 0) || iterations < 1 || restarts < 0 ||
-                !(damping > 0) || !(max_step > 0))
+                !(damping > 0) || !(rotation_weight > 0) || !(max_step > 0))
               throw rcs::InvalidSetup(
-                  "IkOptions: tolerances, iterations, damping and max_step must be positive, restarts not negative");
-            new (self) rcs::IkOptions{
-                translation_tolerance, rotation_tolerance, iterations, restarts, damping, max_step, seed};
+                  "IkOptions: tolerances, iterations, damping, rotation_weight and max_step must be positive, restarts "
+                  "not "
+                  "negative");
+            new (self) rcs::IkOptions{translation_tolerance, rotation_tolerance, iterations, restarts, damping,
+                                      rotation_weight,       max_step,           seed};
           },
           nb::kw_only(), "translation_tolerance"_a = 1e-4, "rotation_tolerance"_a = 1e-4, "iterations"_a = 30,
-          "restarts"_a = 60, "damping"_a = 1e-4, "max_step"_a = std::numeric_limits<double>::infinity(), "seed"_a = 0)
+          "restarts"_a = 60, "damping"_a = 1e-4, "rotation_weight"_a = 1.0,
+          "max_step"_a = std::numeric_limits<double>::infinity(), "seed"_a = 0)
       .def_ro("translation_tolerance", &rcs::IkOptions::translation_tolerance, "m")
       .def_ro("rotation_tolerance", &rcs::IkOptions::rotation_tolerance, "rad")
       .def_ro("iterations", &rcs::IkOptions::iterations, "Per attempt.")
       .def_ro("restarts", &rcs::IkOptions::restarts,
               "Further attempts from random joints; 0 keeps to the branch of the start.")
       .def_ro("damping", &rcs::IkOptions::damping, "Of the least squares.")
+      .def_ro("rotation_weight", &rcs::IkOptions::rotation_weight,
+              "How much a radian counts against a metre; below 1 the rotation gives way to the translation.")
       .def_ro("max_step", &rcs::IkOptions::max_step,
               "Largest change of any joint from the start [rad]; a solution farther away is clamped to this step.")
       .def_ro("seed", &rcs::IkOptions::seed, "Of the restarts: same seed, same answer.");

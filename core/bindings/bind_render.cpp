@@ -15,6 +15,7 @@
 #include "rcs/gl_context.hpp"
 #include "rcs/render_pool.hpp"
 #include "rcs/renderer.hpp"
+#include "rcs/world.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -180,15 +181,17 @@ Raises:
       .def(
           "render_states",
           [](rcs::RenderPool& self, Array<const double, nb::shape<-1, -1>> states, const std::vector<int>& camera_ids,
-             std::vector<RgbFilm> rgb, std::optional<std::vector<std::optional<DepthFilm>>> depth) {
+             std::vector<RgbFilm> rgb, std::optional<std::vector<std::optional<DepthFilm>>> depth, rcs::World* world) {
             if (states.shape(1) != static_cast<std::size_t>(self.state_size()))
               throw std::invalid_argument("states has rows of " + std::to_string(states.shape(1)) +
                                           " numbers, this model's have " + std::to_string(self.state_size()));
             const std::vector<rcs::Film> wanted = films(states.shape(0), camera_ids, rgb, depth);
             const nb::gil_scoped_release unlocked;
-            self.render_states({states.data(), states.size()}, wanted);
+            // Models that are all alike are the pool's own, which costs no copy of them.
+            mjBatch* batch = world != nullptr && world->is_varied() ? world->batch() : nullptr;
+            self.render_states({states.data(), states.size()}, wanted, batch);
           },
-          "states"_a, "camera_ids"_a, "rgb"_a.noconvert(), "depth"_a.noconvert() = nb::none(),
+          "states"_a, "camera_ids"_a, "rgb"_a.noconvert(), "depth"_a.noconvert() = nb::none(), "world"_a = nb::none(),
           R"(Draw each state with each camera.
 
 Args:
@@ -196,9 +199,10 @@ Args:
     camera_ids: Indices of the cameras in the model.
     rgb: For each camera an array that is filled in place, shape (n, height, width, 3), rows from the top.
     depth: None, or for each camera None or an array that is filled in place, shape (n, height, width) [mm].
+    world: Of as many copies, whose fields of the model row i has those of copy i; None for those of the pool's model.
 
 Raises:
-    ValueError: A shape or a camera is not valid.)")
+    ValueError: A shape or a camera is not valid, or the world is of another model.)")
       .def("close", &rcs::RenderPool::close, nb::call_guard<nb::gil_scoped_release>(),
            "End the threads and free everything. Closing twice is harmless.")
       .def_prop_ro("is_open", &rcs::RenderPool::is_open)

@@ -55,6 +55,15 @@ View<double> component(nb::handle self, int which) {
   return View<double>(first, 2, shape, self, strides);
 }
 
+// A view of the values of a field, (copies, size).
+nb::object view_of_field(nb::handle self, const rcs::ModelField& field) {
+  const auto copies = static_cast<std::size_t>(nb::cast<rcs::World&>(self).copies());
+  const std::size_t shape[2] = {copies, static_cast<std::size_t>(field.size)};
+  return std::visit(
+      [&](auto* values) { return nb::cast(View<std::remove_pointer_t<decltype(values)>>(values, 2, shape, self)); },
+      field.values);
+}
+
 // A view of MuJoCo's memory during a callback.
 View<double> data_view(nb::handle self, double* mjData::* first, mjtSize mjModel::* size, std::size_t width = 0) {
   const auto& view = nb::cast<const rcs::StepView&>(self);
@@ -222,16 +231,30 @@ void bind_world(nb::module_& m) {
       .def(
           "expand",
           [](nb::handle self, const char* field) {
-            auto& w = nb::cast<rcs::World&>(self);
-            if (!w.is_batch()) throw nb::value_error("only a batch has model fields per copy; write to your MjModel");
-            int size = 0, element = 0;
-            void* values = mjb_expand(w.batch(), field, &size, &element);
-            if (!values || element != sizeof(double))
-              throw nb::value_error("that is not a float64 field of MjModel that can differ between copies");
-            const std::size_t shape[2] = {static_cast<std::size_t>(w.copies()), static_cast<std::size_t>(size)};
-            return View<double>(static_cast<double*>(values), 2, shape, self);
+            return view_of_field(self, nb::cast<rcs::World&>(self).expand(field));
           },
-          "field"_a, "Give a float64 field of MjModel values per copy; returns them, (copies, size), to write to.")
+          "field"_a, nb::sig("def expand(self, field: str) -> numpy.typing.NDArray[typing.Any]"),
+          "Give a field of MjModel values per copy; returns them, (copies, size), to write to.")
+      .def(
+          "expanded",
+          [](nb::handle self, const char* field) -> nb::object {
+            const auto found = nb::cast<rcs::World&>(self).expanded(field);
+            return found ? view_of_field(self, *found) : nb::none();
+          },
+          "field"_a, nb::sig("def expanded(self, field: str) -> numpy.typing.NDArray[typing.Any] | None"),
+          "The values per copy of a field of MjModel that has them, (copies, size); None for one that has not.")
+      .def_prop_ro("is_varied", &rcs::World::is_varied, "Whether any field of the model has values per copy.")
+      .def(
+          "set_constants", [](rcs::World& w) { w.set_constants(); }, nb::call_guard<nb::gil_scoped_release>(),
+          "Recompute what the models of all copies derive from masses, inertias and sizes (mj_setConst).")
+      .def(
+          "set_constants",
+          [](rcs::World& w, const Ids& ids) {
+            if (!ids.shape(0)) return;
+            const nb::gil_scoped_release release;
+            w.set_constants(to_ids(ids));
+          },
+          "copies"_a, "Recompute it for some copies (int32 ids).")
       .def_prop_ro(
           "poses",
           [](nb::handle self) {

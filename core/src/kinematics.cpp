@@ -10,6 +10,7 @@ namespace rcs {
 namespace {
 
 constexpr double kMaxJointStep = 0.5;  // rad per iteration; larger steps leave the range where the Jacobian holds
+constexpr double kStandstill = 1e-4;   // rad per iteration; a smaller step changes nothing that matters
 constexpr int kTask = 6;
 
 // SplitMix64 (Steele, Lea, Flood 2014): a restart's joints depend on the seed alone, so the same call gives the same
@@ -129,6 +130,8 @@ void DampedLeastSquares::error_to(const std::array<double, 7>& target, std::arra
 bool DampedLeastSquares::attempt(const std::array<double, 7>& target, std::vector<double>& q, const IkOptions& options,
                                  IkResult& result) {
   const int n = dof(), nv = model_->nv;
+  const double weight = options.rotation_weight;
+  double largest = kMaxJointStep;
   std::array<double, kTask> error;
   std::vector<double> step(static_cast<std::size_t>(n));
   std::vector<char> is_free(static_cast<std::size_t>(n));
@@ -137,10 +140,11 @@ bool DampedLeastSquares::attempt(const std::array<double, 7>& target, std::vecto
     error_to(target, error);
     result.translation_error = norm3(error.data());
     result.rotation_error = norm3(error.data() + 3);
-    if (result.translation_error <= options.translation_tolerance &&
-        result.rotation_error <= options.rotation_tolerance)
-      return true;
-    if (iteration == options.iterations) return false;
+    const bool is_reached = result.translation_error <= options.translation_tolerance &&
+                            result.rotation_error <= options.rotation_tolerance;
+    // A relaxed rotation goes on to the nearest one instead of stopping at the first that is near enough.
+    if (is_reached && (weight >= 1.0 || largest < kStandstill)) return true;
+    if (iteration == options.iterations) return is_reached;
     ++result.iterations;
 
     mj_comPos(model_, data_);
@@ -154,20 +158,22 @@ bool DampedLeastSquares::attempt(const std::array<double, 7>& target, std::vecto
         double column[kTask];
         for (int r = 0; r < 3; ++r) {
           column[r] = jacobian_translation_[r * nv + dofs_[c]];
-          column[r + 3] = jacobian_rotation_[r * nv + dofs_[c]];
+          column[r + 3] = weight * jacobian_rotation_[r * nv + dofs_[c]];
         }
         for (int i = 0; i < kTask; ++i)
           for (int j = 0; j <= i; ++j) a[i * kTask + j] += column[i] * column[j];
       }
       for (int i = 0; i < kTask; ++i) a[i * kTask + i] += options.damping;
       std::array<double, kTask> b = error;
+      for (int r = 3; r < kTask; ++r) b[r] *= weight;
       solve_cholesky(a, b);
       bool is_blocked = false;
       for (int c = 0; c < n; ++c) {
         step[c] = 0.0;
         if (!is_free[c]) continue;
         for (int r = 0; r < 3; ++r)
-          step[c] += jacobian_translation_[r * nv + dofs_[c]] * b[r] + jacobian_rotation_[r * nv + dofs_[c]] * b[r + 3];
+          step[c] += jacobian_translation_[r * nv + dofs_[c]] * b[r] +
+                     weight * jacobian_rotation_[r * nv + dofs_[c]] * b[r + 3];
         const bool is_outward = (q[c] <= lower_[c] && step[c] < 0.0) || (q[c] >= upper_[c] && step[c] > 0.0);
         if (is_outward) {
           is_free[c] = 0;
@@ -176,7 +182,7 @@ bool DampedLeastSquares::attempt(const std::array<double, 7>& target, std::vecto
       }
       if (!is_blocked) break;
     }
-    double largest = 0.0;
+    largest = 0.0;
     for (int c = 0; c < n; ++c) largest = std::max(largest, is_free[c] ? std::abs(step[c]) : 0.0);
     const double scale = largest > kMaxJointStep ? kMaxJointStep / largest : 1.0;
     for (int c = 0; c < n; ++c)

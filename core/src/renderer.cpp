@@ -210,31 +210,33 @@ Renderer::Open& Renderer::require_open(const char* call) const {
   return *open_;
 }
 
-void Renderer::take_over(Open& open, mjData* data) const {
+void Renderer::take_over(Open& open, const mjModel* model, mjData* data) const {
   mjvCamera camera;
-  mjv_defaultFreeCamera(model_, &camera);
+  mjv_defaultFreeCamera(model, &camera);
   // Infinite planes are laid around the camera that the scene has when its geoms are made: not that of the last
   // picture.
-  mjv_updateCamera(model_, data, &camera, &open.scene);
-  mjv_updateScene(model_, data, &open.option, nullptr, &camera, mjCAT_STATIC | mjCAT_DYNAMIC, &open.scene);
+  mjv_updateCamera(model, data, &camera, &open.scene);
+  mjv_updateScene(model, data, &open.option, nullptr, &camera, mjCAT_STATIC | mjCAT_DYNAMIC, &open.scene);
   open.geoms.assign(open.scene.geoms, open.scene.geoms + open.scene.ngeom);
   // Floors last, so that the pixels under everything else are not shaded first.
   std::stable_partition(open.geoms.begin(), open.geoms.end(), [](const mjvGeom& g) { return g.type != mjGEOM_PLANE; });
   camera.type = mjCAMERA_FIXED;
-  open.cameras.resize(static_cast<std::size_t>(model_->ncam));
-  for (int id = 0; id < model_->ncam; ++id) {
+  open.cameras.resize(static_cast<std::size_t>(model->ncam));
+  for (int id = 0; id < model->ncam; ++id) {
     camera.fixedcamid = id;
-    mjv_updateCamera(model_, data, &camera, &open.scene);
+    mjv_updateCamera(model, data, &camera, &open.scene);
     open.cameras[id] = {open.scene.camera[0], open.scene.camera[1]};
   }
 }
 
 void Renderer::update(mjData* data) {
   const std::lock_guard lock(mutex_);
-  take_over(require_open("update"), data);
+  take_over(require_open("update"), model_, data);
 }
 
-void Renderer::update_from_state(std::span<const double> state) {
+void Renderer::update_from_state(std::span<const double> state) { update_from_state(state, model_); }
+
+void Renderer::update_from_state(std::span<const double> state, const mjModel* model) {
   if (state.size() != static_cast<std::size_t>(state_size_))
     throw std::invalid_argument("renderer: a state of " + std::to_string(state.size()) +
                                 " numbers was given, this model's has " + std::to_string(state_size_));
@@ -242,13 +244,13 @@ void Renderer::update_from_state(std::span<const double> state) {
   Open& open = require_open("update_from_state");
   if (open.own_data == nullptr) open.own_data = mj_makeData(model_);
   mjData* data = open.own_data;
-  mj_setState(model_, data, state.data(), mjSTATE_INTEGRATION);
-  mj_kinematics(model_, data);
-  mj_comPos(model_, data);
-  mj_camlight(model_, data);
-  if (model_->nflex > 0) mj_flex(model_, data);
-  if (model_->ntendon > 0) mj_tendon(model_, data);
-  take_over(open, data);
+  mj_setState(model, data, state.data(), mjSTATE_INTEGRATION);
+  mj_kinematics(model, data);
+  mj_comPos(model, data);
+  mj_camlight(model, data);
+  if (model->nflex > 0) mj_flex(model, data);
+  if (model->ntendon > 0) mj_tendon(model, data);
+  take_over(open, model, data);
 }
 
 void Renderer::check(int camera, const Picture& picture) const {

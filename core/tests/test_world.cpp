@@ -3,6 +3,7 @@
 #include <limits>
 #include <memory>
 #include <stdexcept>
+#include <variant>
 #include <vector>
 
 #include "check.hpp"
@@ -174,6 +175,31 @@ void poses_are_read_out_in_the_frame_of_a_body() {
   CHECK_THROWS(rcs::InvalidSetup, world.read_pose(1, 0));
 }
 
+void copies_may_have_masses_of_their_own() {
+  const Model model = rcs::test::make_model(rcs::test::kCart);
+  World world(model.get(), 3, 2, k30Hz);
+  CHECK(!world.is_varied());
+  CHECK(!world.expanded("body_mass"));
+  const rcs::ModelField masses = world.expand("body_mass");
+  CHECK(world.is_varied());
+  CHECK(masses.size == model->nbody);
+  double* mass = std::get<double*>(masses.values);
+  mass[2 * masses.size + 1] *= 4.0;
+  world.set_constants();
+  const auto weights = world.expanded("dof_invweight0");
+  CHECK(weights.has_value());
+  const double* weight = std::get<double*>(weights->values);
+  CHECK_NEAR(weight[0], 4.0 * weight[2 * weights->size], 1e-9);
+  CHECK(std::holds_alternative<float*>(world.expand("geom_rgba").values));
+  CHECK(std::holds_alternative<int*>(world.expand("geom_matid").values));
+  CHECK_THROWS(std::invalid_argument, world.expand("no_such_field"));
+  CHECK_THROWS(std::invalid_argument, world.expand("names"));
+  const Data data(mj_makeData(model.get()));
+  World single(model.get(), data.get(), k30Hz);
+  CHECK_THROWS(std::invalid_argument, single.expand("body_mass"));
+  CHECK_THROWS(std::invalid_argument, single.set_constants());
+}
+
 void numbers_that_make_no_sense_are_refused() {
   const Model model = rcs::test::make_model(rcs::test::kCart);
   CHECK_THROWS(rcs::InvalidSetup, World(model.get(), 0, 1, k30Hz));
@@ -198,6 +224,7 @@ int main() {
   a_state_that_is_not_finite_fails_in_its_copy_alone();
   states_continue_with_the_same_bits();
   poses_are_read_out_in_the_frame_of_a_body();
+  copies_may_have_masses_of_their_own();
   numbers_that_make_no_sense_are_refused();
   return rcs::test::result();
 }

@@ -14,12 +14,19 @@ from rcs.setups import ids
 if TYPE_CHECKING:
     from rcs.envs.setup import Setup
     from rcs.setups.make import make, make_vec
+    from rcs.sim.randomisation import Randomisation
     from rcs.spatial import Pose
 
 __version__ = "0.1.0"
-__all__ = ["Pose", "Setup", "__version__", "make", "make_vec"]
+__all__ = ["Pose", "Randomisation", "Setup", "__version__", "make", "make_vec"]
 
-_HOME_OF = {"make": "rcs.setups.make", "make_vec": "rcs.setups.make", "Setup": "rcs.envs.setup", "Pose": "rcs.spatial"}
+_HOME_OF = {
+    "make": "rcs.setups.make",
+    "make_vec": "rcs.setups.make",
+    "Setup": "rcs.envs.setup",
+    "Randomisation": "rcs.sim.randomisation",
+    "Pose": "rcs.spatial",
+}
 
 
 def __getattr__(name: str) -> Any:

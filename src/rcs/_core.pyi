@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 import enum
-from typing import Annotated, overload
+from typing import Annotated, Any, overload
 
 import numpy
 import numpy.typing
@@ -469,7 +469,7 @@ class IkStatus(enum.Enum):
 class IkOptions:
     """How hard inverse kinematics tries, and what it may answer."""
 
-    def __init__(self, *, translation_tolerance: float = 0.0001, rotation_tolerance: float = 0.0001, iterations: int = 30, restarts: int = 60, damping: float = 0.0001, max_step: float = float('inf'), seed: int = 0) -> None: ...
+    def __init__(self, *, translation_tolerance: float = 0.0001, rotation_tolerance: float = 0.0001, iterations: int = 30, restarts: int = 60, damping: float = 0.0001, rotation_weight: float = 1.0, max_step: float = float('inf'), seed: int = 0) -> None: ...
 
     @property
     def translation_tolerance(self) -> float:
@@ -492,6 +492,12 @@ class IkOptions:
     @property
     def damping(self) -> float:
         """Of the least squares."""
+
+    @property
+    def rotation_weight(self) -> float:
+        """
+        How much a radian counts against a metre; below 1 the rotation gives way to the translation.
+        """
 
     @property
     def max_step(self) -> float:
@@ -777,10 +783,29 @@ class World:
         Live array of one mjtState component: (copies, n), or (n,) for a world on the user's own data.
         """
 
-    def expand(self, field: str) -> NDArray[numpy.float64]:
+    def expand(self, field: str) -> numpy.typing.NDArray[Any]:
         """
-        Give a float64 field of MjModel values per copy; returns them, (copies, size), to write to.
+        Give a field of MjModel values per copy; returns them, (copies, size), to write to.
         """
+
+    def expanded(self, field: str) -> numpy.typing.NDArray[Any] | None:
+        """
+        The values per copy of a field of MjModel that has them, (copies, size); None for one that has not.
+        """
+
+    @property
+    def is_varied(self) -> bool:
+        """Whether any field of the model has values per copy."""
+
+    @overload
+    def set_constants(self) -> None:
+        """
+        Recompute what the models of all copies derive from masses, inertias and sizes (mj_setConst).
+        """
+
+    @overload
+    def set_constants(self, copies: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """Recompute it for some copies (int32 ids)."""
 
     @property
     def poses(self) -> NDArray[numpy.float64]:
@@ -950,7 +975,7 @@ class RenderPool:
             MissingDependency: There is no OpenGL; the message has the remedy.
         """
 
-    def render_states(self, states: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], camera_ids: Sequence[int], rgb: Sequence[Annotated[NDArray[numpy.uint8], dict(shape=(None, None, None, 3), order='C', device='cpu')]], depth: Sequence[Annotated[NDArray[numpy.uint16], dict(shape=(None, None, None), order='C', device='cpu')] | None] | None = None) -> None:
+    def render_states(self, states: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], camera_ids: Sequence[int], rgb: Sequence[Annotated[NDArray[numpy.uint8], dict(shape=(None, None, None, 3), order='C', device='cpu')]], depth: Sequence[Annotated[NDArray[numpy.uint16], dict(shape=(None, None, None), order='C', device='cpu')] | None] | None = None, world: World | None = None) -> None:
         """
         Draw each state with each camera.
 
@@ -959,9 +984,10 @@ class RenderPool:
             camera_ids: Indices of the cameras in the model.
             rgb: For each camera an array that is filled in place, shape (n, height, width, 3), rows from the top.
             depth: None, or for each camera None or an array that is filled in place, shape (n, height, width) [mm].
+            world: Of as many copies, whose fields of the model row i has those of copy i; None for those of the pool's model.
 
         Raises:
-            ValueError: A shape or a camera is not valid.
+            ValueError: A shape or a camera is not valid, or the world is of another model.
         """
 
     def close(self) -> None:

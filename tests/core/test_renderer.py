@@ -12,6 +12,7 @@ import pytest
 
 from rcs import _core
 from rcs.errors import WrongOrder
+from rcs.sim import World
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 Image = np.ndarray[Any, np.dtype[np.uint8]]
@@ -230,6 +231,34 @@ def test_a_pool_draws_the_pictures_of_a_single_renderer(make: MakeRenderer, thre
         np.testing.assert_array_equal(film, [picture for picture, _ in wanted])
     np.testing.assert_array_equal(depth[1], [picture for _, picture in expected[1]])
     assert not np.array_equal(rgb[1][0], rgb[1][6])
+
+
+@pytest.mark.gl
+def test_a_pool_draws_each_copy_of_a_world_with_its_own_colours_lights_cameras_and_sizes(make: MakeRenderer) -> None:
+    model, data = build()
+    world = World(model, copies=4, threads=2)
+    green, top = model.geom("green").id, model.camera("top").id
+    world.vary("geom_rgba")[1, green] = [0, 0, 1, 1]
+    world.vary("light_diffuse")[2] = 0.0
+    world.vary("cam_fovy")[3, top] = 30.0
+    world.vary("geom_size")[3, green] *= 1.5
+    pool = _core.RenderPool(model._address, 3)
+    rgb = [np.zeros((4, 64, 64, 3), np.uint8)]
+    pool.render_states(world.core.states, [top], rgb, None, world.core)
+    assert len({picture.tobytes() for picture in rgb[0]}) == 4
+    for copy in range(4):
+        single = mujoco.MjModel.from_xml_string(SCENE)
+        for field in ("geom_rgba", "light_diffuse", "cam_fovy", "geom_size"):
+            getattr(single, field)[:] = world.field(field)[copy]
+        np.testing.assert_array_equal(draw(make(single), data, top, 64, 64)[0], rgb[0][copy])
+    with pytest.raises(ValueError, match="has 4 simulations"):
+        pool.render_states(world.core.states[:2], [top], [rgb[0][:2]], None, world.core)
+    pool.close()
+    other = mujoco.MjModel.from_xml_string(SCENE.replace("<visual>", '<asset><material name="m"/></asset><visual>'))
+    pool = _core.RenderPool(other._address, 1)
+    with pytest.raises(ValueError, match="another one than the pool's"):
+        pool.render_states(world.core.states, [top], rgb, None, world.core)
+    pool.close()
 
 
 @pytest.mark.gl

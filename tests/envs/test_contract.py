@@ -53,6 +53,10 @@ class TestFreeWithSynchronousSteps(Made):
     options: ClassVar[dict[str, Any]] = {"task": "Free", "mode": "sync", "binary_gripper": False}
 
 
+class TestRandomisedPickCuboid(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "PickCuboid", "randomisation": True}
+
+
 @pytest.mark.gl
 class TestPickCuboidWithCameras(Made):
     steps = 2

@@ -50,3 +50,20 @@ def test_neighbouring_seeds_and_episodes_draw_evenly_and_independently() -> None
         correlation = np.corrcoef(a[..., 0].ravel(), b[..., 0].ravel())[0, 1]
         assert abs(correlation) < 0.04
     assert len(np.unique(flat[:, 0])) == len(flat)
+
+
+@settings(max_examples=50, deadline=None)
+@given(seeds=st.lists(SEEDS, min_size=1, max_size=5), episode=st.integers(0, 1000))
+def test_a_branch_draws_apart_from_its_parent_and_like_that_of_a_single_environment(
+    seeds: list[int], episode: int
+) -> None:
+    batch, undisturbed = Draws(seeds, [episode] * len(seeds)), Draws(seeds, [episode] * len(seeds))
+    branch = batch.branch("light").uniform(0.0, 1.0)
+    first = batch.uniform(0.0, 1.0)
+    np.testing.assert_array_equal(first, undisturbed.uniform(0.0, 1.0))
+    np.testing.assert_array_equal(batch.branch("light").uniform(0.0, 1.0), branch)
+    others = [first, batch.branch("mass").uniform(0.0, 1.0), batch.branch("a").branch("light").uniform(0.0, 1.0)]
+    for other in others:
+        assert (other != branch).all()
+    for copy, seed in enumerate(seeds):
+        assert Draws(seed, episode).branch("light").uniform(0.0, 1.0) == branch[copy]

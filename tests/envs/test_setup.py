@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
+from rcs.sim.randomisation import Randomisation
 
 SETUPS = st.builds(
     Setup,
@@ -27,6 +28,7 @@ SETUPS = st.builds(
     mode=st.sampled_from(["async", "sync", "realtime"]),
     max_episode_steps=st.none() | st.integers(1, 10**6),
     physics_step=st.floats(1e-4, 0.01),
+    randomisation=st.none() | st.builds(Randomisation, friction=st.tuples(st.floats(0.1, 1.0), st.floats(1.0, 2.0))),
 )
 
 
@@ -52,6 +54,14 @@ def test_relative_may_be_a_boolean(given: Any, relative: str) -> None:
     assert Setup(relative=given).relative == relative
 
 
+@pytest.mark.parametrize(
+    ("given", "ranges"),
+    [(True, Randomisation()), (False, None), ({"friction": [0.5, 2.0]}, Randomisation(friction=(0.5, 2.0)))],
+)
+def test_randomisation_may_be_a_boolean_or_json(given: Any, ranges: Randomisation | None) -> None:
+    assert Setup(randomisation=given).randomisation == ranges
+
+
 def test_a_size_may_be_one_number() -> None:
     assert Setup(size=96).size == (96, 96)  # pyright: ignore[reportArgumentType]
 
@@ -75,6 +85,7 @@ def test_a_size_may_be_one_number() -> None:
         *(("frequency", value) for value in (0, -1.0, 501.0, float("nan"), float("inf"), "30", None, True)),
         *(("mode", value) for value in ("fast", None)),
         *(("max_episode_steps", value) for value in (0, -5, 2.5, "10", True)),
+        *(("randomisation", value) for value in (1.0, "yes", {"friktion": (1.0, 2.0)}, {"friction": 2.0})),
         *(("physics_step", value) for value in (0, -0.001, 0.02, float("nan"), "0.002", None)),
     ],
 )

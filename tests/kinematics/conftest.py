@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcs.kinematics import DampedLeastSquares, attach_gripper, kinematics_of, load
+from rcs.kinematics import DampedLeastSquares, attach_end_effector, kinematics_of, load
 from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND
 
@@ -16,7 +16,7 @@ from rcs.robots.franka_hand.description import FRANKA_HAND
 def model() -> mujoco.MjModel:
     """The FR3 with the Franka Hand, as MuJoCo sees it."""
     spec = load(FR3)
-    attach_gripper(spec, FR3, FRANKA_HAND)
+    attach_end_effector(spec, FR3, FRANKA_HAND)
     return spec.compile()
 
 

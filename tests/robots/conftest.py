@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rcs.robots.description import Mount
+from rcs.robots.description import GripperDescription, Mount
 from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.spatial import Pose
 
 
 @pytest.fixture(scope="session")
@@ -77,6 +78,54 @@ def inertia_in_body() -> Callable[[mujoco.MjModel, str], NDArray[np.float64]]:
         return matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
     return compute
+
+
+@pytest.fixture(scope="session")
+def above_a_cuboid() -> Callable[..., tuple[mujoco.MjModel, mujoco.MjData]]:
+    """Put an open gripper, pointing down on a vertical slide, over a cuboid on a floor; the TCP at the cuboid's centre.
+
+    The slide's servo is `lift` [m], the gripper's prefix is `gripper/`, body and joint of the cuboid are `cuboid`.
+    """
+
+    def make(
+        gripper: GripperDescription,
+        edges: tuple[float, float, float],
+        mass: float,
+        offset: tuple[float, float] = (0.0, 0.0),
+    ) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        spec = mujoco.MjSpec()
+        spec.option.timestep = 0.002
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        spec.option.impratio = 20.0
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1.0, 1.0, 0.1])
+        down = Pose((0.0, 0.0, edges[2] / 2), (1.0, 0.0, 0.0, 0.0))
+        base = down * Pose(gripper.tcp_in_base.translation, gripper.tcp_in_base.quaternion).inverse()
+        x, y, z, w = base.quaternion
+        carriage = spec.worldbody.add_body(mass=1.0, inertia=[0.01] * 3, explicitinertial=True, gravcomp=1.0)
+        carriage.add_joint(name="lift", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, 0.0, 1.0])
+        frame = carriage.add_frame(pos=base.translation, quat=[w, x, y, z])
+        spec.attach(mujoco.MjSpec.from_file(str(gripper.mjcf)), prefix="gripper/", frame=frame)
+        lift = spec.add_actuator(name="lift", target="lift", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        lift.set_to_position(kp=20000.0, kv=1000.0)
+        body = spec.worldbody.add_body(name="cuboid", pos=[*offset, edges[2] / 2])
+        body.add_freejoint(name="cuboid")
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[edge / 2 for edge in edges],
+            mass=mass,
+            condim=4,
+            friction=[1.0, 0.01, 0.0001],
+        )
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        for joint, q in zip(gripper.joints, gripper.joint_open, strict=True):
+            data.joint(f"gripper/{joint}").qpos[0] = q
+        data.actuator(f"gripper/{gripper.actuator}").ctrl[0] = gripper.ctrl_open
+        mujoco.mj_forward(model, data)
+        return model, data
+
+    return make
 
 
 def _compose(cuboid_mass: float | None = None) -> mujoco.MjModel:

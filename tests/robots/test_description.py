@@ -13,14 +13,38 @@ import numpy as np
 import pytest
 
 from rcs.errors import InvalidSetup
-from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, Mount
+from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
+from rcs.robots.digit.description import DIGIT
 from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND
 from rcs.robots.realsense_d405.description import REALSENSE_D405
 from rcs.robots.realsense_d435.description import REALSENSE_D435
+from rcs.robots.realsense_d435i.description import REALSENSE_D435I
+from rcs.robots.robotiq_2f85.description import ROBOTIQ_2F85
+from rcs.robots.so101.description import SO101
+from rcs.robots.so101_gripper.description import SO101_GRIPPER
+from rcs.robots.tactile import TactileDescription
+from rcs.robots.tilburg_hand.description import TILBURG_HAND
+from rcs.robots.ur5e.description import UR5E
+from rcs.robots.usb_webcam.description import USB_WEBCAM
+from rcs.robots.xarm7.description import XARM7
 
-Description = ArmDescription | GripperDescription | CameraDescription
-ALL: list[Description] = [FR3, FRANKA_HAND, REALSENSE_D405, REALSENSE_D435]
+Description = ArmDescription | GripperDescription | HandDescription | CameraDescription | TactileDescription
+ALL: list[Description] = [
+    FR3,
+    FRANKA_HAND,
+    REALSENSE_D405,
+    REALSENSE_D435,
+    UR5E,
+    ROBOTIQ_2F85,
+    SO101,
+    SO101_GRIPPER,
+    XARM7,
+    TILBURG_HAND,
+    REALSENSE_D435I,
+    USB_WEBCAM,
+    DIGIT,
+]
 every_description = pytest.mark.parametrize("description", ALL, ids=lambda d: d.name)
 
 
@@ -66,7 +90,21 @@ def test_names_that_scenes_add_prefixes_to_have_no_prefix_of_their_own(descripti
 
 
 def test_geoms_that_cameras_see_stay_within_the_budget() -> None:
-    budget = {"fr3": 40, "franka_hand": 12, "realsense_d405": 6, "realsense_d435": 9}
+    budget = {
+        "fr3": 40,
+        "franka_hand": 12,
+        "realsense_d405": 6,
+        "realsense_d435": 9,
+        "ur5e": 40,
+        "robotiq_2f85": 20,
+        "so101": 40,
+        "so101_gripper": 12,
+        "xarm7": 40,
+        "tilburg_hand": 40,
+        "realsense_d435i": 9,
+        "usb_webcam": 6,
+        "digit": 6,
+    }
     for description in ALL:
         model = mujoco.MjModel.from_xml_path(str(description.mjcf))
         assert int((model.geom_group == 2).sum()) <= budget[description.name]
@@ -103,6 +141,17 @@ def test_a_gripper_that_cannot_move_is_refused() -> None:
         replace(FRANKA_HAND, ctrl_open=FRANKA_HAND.ctrl_closed)
     with pytest.raises(InvalidSetup, match="must be positive"):
         replace(FRANKA_HAND, max_width=0.0)
+
+
+def test_a_hand_needs_a_target_per_joint_and_targets_within_its_range() -> None:
+    with pytest.raises(InvalidSetup, match="actuator for each"):
+        replace(TILBURG_HAND, actuators=TILBURG_HAND.actuators[:-1])
+    with pytest.raises(InvalidSetup, match="joint_lower must be below"):
+        replace(TILBURG_HAND, joint_lower=TILBURG_HAND.joint_upper)
+    with pytest.raises(InvalidSetup, match="open_pose must be 16"):
+        replace(TILBURG_HAND, open_pose=(0.5,) * 15)
+    with pytest.raises(InvalidSetup, match="fist must be normalised"):
+        replace(TILBURG_HAND, grasps={"fist": (1.1,) * 16})
 
 
 def test_a_camera_needs_a_field_of_view_and_a_depth_range_that_make_sense() -> None:

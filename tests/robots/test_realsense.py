@@ -13,8 +13,11 @@ from rcs.errors import InvalidSetup
 from rcs.robots.description import CameraDescription
 from rcs.robots.realsense_d405.description import REALSENSE_D405
 from rcs.robots.realsense_d435.description import REALSENSE_D435
+from rcs.robots.realsense_d435i.description import REALSENSE_D435I
+from rcs.robots.usb_webcam.description import USB_WEBCAM
 
-every_camera = pytest.mark.parametrize("camera", [REALSENSE_D405, REALSENSE_D435], ids=lambda c: c.name)
+CAMERAS = [REALSENSE_D405, REALSENSE_D435, REALSENSE_D435I, USB_WEBCAM]
+every_camera = pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: c.name)
 
 
 def load(camera: CameraDescription) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -71,6 +74,19 @@ def test_the_d435_has_the_focal_length_that_calibrated_cameras_report() -> None:
     # Factory calibrations in public reports: 606 to 617 px at 640 x 480, 909 to 925 px at 1280 x 720.
     assert REALSENSE_D435.intrinsics(640, 480)[1, 1] == pytest.approx(612.0, abs=6.0)
     assert REALSENSE_D435.intrinsics(1280, 720)[1, 1] == pytest.approx(917.0, abs=10.0)
+
+
+def test_the_d435i_sees_what_the_d435_sees() -> None:
+    for width, height in ((640, 480), (1280, 720)):
+        np.testing.assert_array_equal(
+            REALSENSE_D435I.intrinsics(width, height), REALSENSE_D435.intrinsics(width, height)
+        )
+    assert load(REALSENSE_D435I)[0].body("camera").mass[0] == 0.072
+
+
+def test_the_webcam_has_no_depth_and_streams_at_30_frames_per_second() -> None:
+    assert not USB_WEBCAM.has_depth
+    assert {rate for _, _, rate in USB_WEBCAM.resolutions} == {30}
 
 
 @every_camera

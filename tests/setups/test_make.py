@@ -8,7 +8,7 @@ import pytest
 
 import rcs
 from rcs.errors import InvalidSetup, UnknownName
-from rcs.setups.labs import lab_of, looking
+from rcs.setups.lab import lab_of, looking
 from rcs.spatial import Pose
 
 
@@ -27,7 +27,7 @@ def test_a_setup_makes_what_its_fields_make() -> None:
     [
         ({"task": "PickCubiod"}, ["task named 'PickCubiod'", "Did you mean 'PickCuboid'?", "Free"]),
         ({"robot": "fr4"}, ["robot named 'fr4'", "Did you mean 'fr3'?"]),
-        ({"end_effector": "franka_hnd"}, ["gripper named 'franka_hnd'", "Did you mean 'franka_hand'?"]),
+        ({"end_effector": "franka_hnd"}, ["end effector named 'franka_hnd'", "Did you mean 'franka_hand'?"]),
         ({"cameras": ("wirst",)}, ["lab of 'fr3'", "'wirst'", "Did you mean 'wrist'?", "side"]),
         ({"cameras": ("wrist", "top")}, ["'top'", "side, wrist"]),
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
+from copy import copy as copy_of
 from pathlib import Path
 
 import mujoco
@@ -236,9 +237,50 @@ def test_copies_may_have_values_of_their_own_in_fields_of_the_model(cart: mujoco
 def test_only_numbers_of_a_batch_can_differ_between_copies(cart: mujoco.MjModel) -> None:
     with pytest.raises(ValueError, match="only a batch"):
         World(cart).core.expand("body_mass")
-    for field in ("no_such_field", "geom_type"):
-        with pytest.raises(ValueError, match="not a float64 field"):
+    for field in ("no_such_field", "tex_data", "names"):
+        with pytest.raises(ValueError, match="can differ between copies"):
             World(cart, copies=2).core.expand(field)
+
+
+@pytest.mark.parametrize("field", ["body_mass", "geom_size", "geom_rgba", "geom_matid", "light_diffuse", "dof_damping"])
+def test_a_field_starts_with_the_models_values_and_keeps_its_type(cart: mujoco.MjModel, field: str) -> None:
+    nominal = getattr(cart, field).copy()
+    world = World(cart, copies=2)
+    np.testing.assert_array_equal(world.field(field), [nominal, nominal])
+    assert world.core.expanded(field) is None
+    assert not world.core.is_varied
+    values = world.vary(field)
+    assert world.core.is_varied
+    assert values.shape == (2, *nominal.shape)
+    assert values.dtype == nominal.dtype
+    np.testing.assert_array_equal(values, [nominal, nominal])
+    values[1] += 1
+    np.testing.assert_array_equal(world.field(field), [nominal, nominal + 1])
+    np.testing.assert_array_equal(getattr(cart, field), nominal)
+
+
+def test_a_field_of_a_world_of_one_is_the_models_own(cart: mujoco.MjModel) -> None:
+    model = copy_of(cart)
+    world = World(model)
+    world.vary("body_mass")[1] = 3.0
+    assert model.body_mass[1] == 3.0
+    assert world.field("body_mass")[1] == 3.0
+
+
+def test_constants_follow_the_masses_of_each_copy_and_leave_the_state_alone(cart: mujoco.MjModel) -> None:
+    world = World(cart, copies=3, threads=2)
+    world.qpos[:] = 0.3
+    before = world.states().copy()
+    world.vary("body_mass")[:, 1] = [1.0, 2.0, 4.0]
+    world.update_constants(np.array([1, 2], np.int32))
+    np.testing.assert_allclose(world.field("dof_invweight0")[:, 0], [1.0, 0.5, 0.25])
+    np.testing.assert_array_equal(world.states(), before)
+    for mass, invweight in zip([1.0, 2.0, 4.0], world.field("dof_invweight0"), strict=True):
+        single = World(copy_of(cart))
+        single.vary("body_mass")[1] = mass
+        single.update_constants()
+        np.testing.assert_array_equal(single.field("dof_invweight0"), invweight)
+    world.update_constants()
 
 
 def test_a_component_that_the_model_lacks_is_refused(cart: mujoco.MjModel) -> None:

@@ -32,6 +32,9 @@ struct IkOptions {
   int iterations = 30;                  ///< per attempt
   int restarts = 60;                    ///< further attempts from random joints; 0 keeps to the branch of the start
   double damping = 1e-4;                ///< of the least squares; smaller is faster and wilder near singularities
+  /// How much a radian counts against a metre. Below 1 an arm with fewer than six joints meets the translation and
+  /// comes as near to the rotation as it can; `rotation_tolerance` says how near is near enough.
+  double rotation_weight = 1.0;
   /// Largest change of any joint from the start [rad]; a solution farther away is `clamped` to this step towards it.
   double max_step = std::numeric_limits<double>::infinity();
   std::uint64_t seed = 0;  ///< of the restarts: same seed, same answer

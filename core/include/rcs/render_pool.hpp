@@ -1,6 +1,7 @@
 // Pictures of many states of one scene at once, on several threads.
 #pragma once
 
+#include <mujoco/mjbatch.h>
 #include <mujoco/mujoco.h>
 
 #include <condition_variable>
@@ -36,11 +37,13 @@ class RenderPool {
   RenderPool& operator=(const RenderPool&) = delete;
 
   /// Draw each row of `states` (count × `state_size()`, rows of `mjSTATE_INTEGRATION`) with each film's camera.
-  void render_states(std::span<const double> states, std::span<const Film> films);
+  /// With a batch, row i has the colours, lights, cameras and shapes of its simulation i: for batches with fields of
+  /// the model per simulation. Its model must have the sizes, meshes and textures of the pool's.
+  void render_states(std::span<const double> states, std::span<const Film> films, mjBatch* batch = nullptr);
 
   /// End the threads and free everything. Closing twice is harmless; drawing afterwards throws `WrongOrder`.
   void close();
-  bool is_open() const { return !renderers_.empty(); }
+  bool is_open() const { return !painters_.empty(); }
 
   int threads() const { return threads_; }
   int state_size() const { return state_size_; }
@@ -48,13 +51,22 @@ class RenderPool {
 
  private:
   struct Job;
-  void work(Renderer& renderer, Job& job);
-  void serve(Renderer& renderer);
+  struct FreeModel {
+    void operator()(mjModel* model) const { mj_deleteModel(model); }
+  };
+  /// What one thread draws with.
+  struct Painter {
+    std::unique_ptr<Renderer> renderer;
+    std::unique_ptr<mjModel, FreeModel> model;  // of the copy at work, made when models first differ
+  };
+  void work(Painter& painter, Job& job);
+  void serve(Painter& painter);
 
+  const mjModel* model_;
   int threads_;
   int state_size_ = 0;
   std::string description_;
-  std::vector<std::unique_ptr<Renderer>> renderers_;  // the first one is the calling thread's
+  std::vector<Painter> painters_;  // the first one is the calling thread's
   std::vector<std::thread> workers_;
   std::mutex calls_;  // held through each call and `close`
 

@@ -56,6 +56,9 @@ class Renderer {
   void update(mjData* data);
   /// Take over the poses that follow from a row of `mjSTATE_INTEGRATION`, which has `state_size()` numbers.
   void update_from_state(std::span<const double> state);
+  /// The same with colours, lights, cameras and shapes of `model`, which has the sizes, meshes and textures of the
+  /// renderer's own.
+  void update_from_state(std::span<const double> state, const mjModel* model);
   /// Draw what camera `camera` sees. Its intrinsics are those of the model, stretched to the picture's aspect ratio
   /// only if it has a sensor size (MuJoCo's `sensorsize`); a camera with `fovy` has square pixels.
   void render(int camera, const Picture& picture);
@@ -74,7 +77,7 @@ class Renderer {
  private:
   struct Open;
   Open& require_open(const char* call) const;
-  void take_over(Open& open, mjData* data) const;
+  void take_over(Open& open, const mjModel* model, mjData* data) const;
   void show(Open& open, int camera, const Picture& picture) const;
 
   const mjModel* model_;

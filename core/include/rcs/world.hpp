@@ -12,7 +12,10 @@
 #include <exception>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <span>
+#include <string>
+#include <variant>
 #include <vector>
 
 #include "rcs/callback.hpp"
@@ -26,6 +29,12 @@ struct StepTiming {
   std::int64_t period_denominator = 3;  ///< … and its denominator
   bool is_synchronous = false;          ///< step until converged instead of for one control period
   int max_substeps = 500;               ///< of a synchronous step
+};
+
+/// A field of the model with values per copy: copies × size.
+struct ModelField {
+  std::variant<double*, float*, int*> values;
+  int size = 0;
 };
 
 class World {
@@ -81,6 +90,17 @@ class World {
   double* component(int which, int* size);
   int row_stride() const { return batch_ ? state_size_ : 0; }
   mjBatch* batch() { return batch_; }
+
+  /// Give a field of a batch's model (`mjModel`'s name for it) values per copy; they start as the model's.
+  /// Throws `std::invalid_argument` for the caller's own model, and for a field that cannot differ between copies.
+  ModelField expand(const std::string& field);
+  /// The same for a field that has values per copy already; nothing for one that has not.
+  std::optional<ModelField> expanded(const std::string& field);
+  /// Whether any field has values per copy.
+  bool is_varied() const { return is_varied_; }
+  /// Recompute what the models of a batch's copies derive from masses, inertias and sizes (`mj_setConst`).
+  void set_constants(std::span<const int> copies = {});
+
   mjData* data() { return data_; }
 
   std::vector<double>& poses() { return poses_; }       ///< copies × readouts × 7: translation [m], quaternion xyzw
@@ -132,6 +152,7 @@ class World {
   const mjModel* model_;
   mjData* data_ = nullptr;
   mjBatch* batch_ = nullptr;
+  bool is_varied_ = false;
   int copies_;
   int state_size_;
   StepTiming timing_;

@@ -1,7 +1,8 @@
 """Agents: they map observations to actions. Scripted experts, replay, and later planners, people and policies."""
 
 from rcs.agents.agent import Agent
+from rcs.agents.lift_expert import LiftExpert
 from rcs.agents.pick_expert import PickExpert
 from rcs.agents.replay import Replay
 
-__all__ = ["Agent", "PickExpert", "Replay"]
+__all__ = ["Agent", "LiftExpert", "PickExpert", "Replay"]

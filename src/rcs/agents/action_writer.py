@@ -7,9 +7,10 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from rcs.agents.agent import Action
+from rcs.agents.grasp import freedom_of
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Observation
-from rcs.kinematics import DampedLeastSquares, IkOptions, IkStatus
+from rcs.kinematics import DampedLeastSquares, IkStatus
 from rcs.spatial import Pose, compose, inverse, limit_step, tquat_to_xyzrpy
 
 MARGIN = 0.9
@@ -36,10 +37,15 @@ class ActionWriter:
         self._bound: NDArray[np.float64] = box.high.astype(np.float64)
         self._kinematics = kinematics
         # On the branch of the last target: a jump to another one would be a large, fast motion.
-        self._options = IkOptions(restarts=0, iterations=50)
+        self._options = freedom_of(kinematics).options
         self._joints = np.zeros(kinematics.dof)
         self._last = np.zeros(0)
         self._origin = np.zeros(0)
+
+    @property
+    def joints(self) -> NDArray[np.float64]:
+        """The joints that were last aimed at [rad]."""
+        return self._joints
 
     def reset(self, observation: Observation) -> None:
         """Start from the first observation of an episode."""
@@ -59,16 +65,31 @@ class ActionWriter:
         arm = self._joint_action(tcp) if self._setup.control == JOINTS else self._pose_action(tcp)
         return None if arm is None else {self._setup.control: arm, GRIPPER: np.array([opening], np.float32)}
 
+    def write_joints(self, joints: NDArray[np.float64], opening: float) -> Action:
+        """Return the action that moves the arm towards joints [rad], as far as one step may.
+
+        Args:
+            joints: Joint positions [rad], shape (dof,), near the last ones.
+            opening: Of the gripper, 0 closed … 1 open.
+        """
+        if self._setup.control == JOINTS:
+            arm = self._write_joints(joints)
+        else:
+            arm = self._pose_action(self._kinematics.forward(joints).tquat)
+        self._joints = joints
+        return {self._setup.control: arm, GRIPPER: np.array([opening], np.float32)}
+
     def _joint_action(self, tcp: NDArray[np.float64]) -> NDArray[np.float64] | None:
         result = self._kinematics.inverse(Pose.from_tquat(tcp), self._joints, self._options)
-        if result.status != IkStatus.ok:
-            return None
-        self._joints = result.joints
+        return self._write_joints(result.joints) if result.status == IkStatus.ok else None
+
+    def _write_joints(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+        self._joints = joints
         if self._setup.relative == "absolute":
-            return result.joints
+            return joints
         if self._setup.relative == "origin":
-            return result.joints - self._origin
-        step = np.clip(result.joints - self._last, -self._bound, self._bound)
+            return joints - self._origin
+        step = np.clip(joints - self._last, -self._bound, self._bound)
         self._last = self._last + step
         return step
 

@@ -6,11 +6,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
-from numpy.typing import NDArray
-
 from rcs.envs.spaces import Observation
 
-Action = dict[str, NDArray[Any]]
+Action = dict[str, Any]
+"""An array per key, or, with several robots, such a dictionary per robot."""
 
 
 class Agent(ABC):

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from rcs.agents.action_writer import ActionWriter
 from rcs.agents.agent import Action, Agent
+from rcs.agents.grasp import GraspPlan, plan_top_grasp
 from rcs.envs.setup import Setup
-from rcs.envs.spaces import GRIPPER, TQUAT, Observation
+from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Observation
 from rcs.errors import WrongOrder
-from rcs.kinematics import DampedLeastSquares, IkOptions, IkStatus
+from rcs.kinematics import DampedLeastSquares
 from rcs.spatial import Pose, distance, limit_step
 
 CLEARANCE = 0.09
@@ -30,8 +31,16 @@ TURN_SPEED = 2.0
 """Speed of the target's rotation [rad/s]."""
 ARRIVED = (0.004, 0.03)
 """The TCP counts as arrived this close to its target [m, rad]; the cuboid is 5 cm narrower than the gripper opens."""
+JOINT_SPEED = 1.2
+"""Speed of the fastest joint where the way is by joints [rad/s]."""
+ARRIVED_JOINTS = 0.03
+"""Joints count as arrived this close to their targets [rad]."""
 SETTLE_TIME = 0.1
 """Wait before closing [s], for the servo lag to die out."""
+CLOSING_TIME = 0.3
+"""A gripper that stands still sooner than this after the command to close [s] has not yet begun to."""
+BARELY_CLOSED = 0.9
+"""Nothing that is to be grasped here is this wide in proportion to the gripper."""
 STILL = 2e-3
 """The gripper counts as still when its opening changes by less than this per step."""
 EMPTY = 0.1
@@ -80,6 +89,9 @@ class PickExpert(Agent):
         self._steps = 0
         self._attempts = 0
         self._joints = np.zeros(kinematics.dof)
+        self._plan: GraspPlan | None = None
+        # Between two poses an arm with five joints can reach there are poses that it can not: it goes by joints.
+        self._goes_by_joints = kinematics.dof < 6
 
     @property
     def failure(self) -> str | None:
@@ -103,57 +115,56 @@ class PickExpert(Agent):
         self._failure = None
         self._attempts = 0
         self._target = np.array(observation[TQUAT])
-        self._joints = np.array(observation["joints"])
+        self._joints = np.array(observation[JOINTS])
         self._begin_attempt(info)
 
     def _begin_attempt(self, info: Mapping[str, Any]) -> None:
         self._attempts += 1
-        grasp = self._plan_grasp(np.asarray(info["cuboid"]))
+        cuboid = Pose.from_tquat(info["cuboid"])
+        # Across the short side: the cuboid's y axis.
+        across = cuboid.matrix[:3, 1]
+        plan = plan_top_grasp(cuboid, across, self._joints, self._kinematics, CLEARANCE, LIFT)
         self._opening = 1.0
-        if grasp is None:
+        if plan is None:
             self._failure = "ik"
             self._enter(Phase.GIVEN_UP)
         else:
-            self._grasp = grasp
+            self._plan = plan
+            self._grasp = plan.tcp
             self._enter(Phase.APPROACH)
-
-    def _plan_grasp(self, cuboid: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return the TCP pose that grasps across the short side, with the wrist turned as little as may be."""
-        pose = Pose.from_tquat(cuboid)
-        across = pose.matrix[:3, 1]  # the cuboid's y axis is its short side
-        yaw = float(np.arctan2(-across[0], across[1]))
-        best, best_turn = None, np.inf
-        for candidate in (yaw, yaw + np.pi):
-            # Tool z down, tool y across the cuboid: a half turn about x, then the yaw.
-            down = Pose.from_rpy(tuple(pose.translation), (np.pi, 0.0, candidate))
-            turn = self._turn_to(down)
-            if turn < best_turn:
-                best, best_turn = down.tquat, turn
-        return best
-
-    def _turn_to(self, grasp: Pose) -> float:
-        """Return how far the joints turn to a grasp and its pre-grasp [rad], infinity when one is not feasible."""
-        above = Pose((0.0, 0.0, CLEARANCE)) * grasp
-        options = IkOptions(restarts=0, iterations=100)
-        first = self._kinematics.inverse(above, self._joints, options)
-        second = self._kinematics.inverse(grasp, first.joints, options)
-        if first.status != IkStatus.ok or second.status != IkStatus.ok:
-            return np.inf
-        return float(np.abs(second.joints - self._joints).max())
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Go on with the present phase, or with the next when it is done."""
         self._steps += 1
         self._advance(observation, info)
-        goal, speed = self._goal()
-        step = self._pace * speed * self._period
-        self._target = limit_step(self._target, goal, step, self._pace * TURN_SPEED * self._period)
-        action = self._writer.write(self._target, self._opening)
-        if action is None:
-            self._failure = self._failure or "ik"
-            action = self._writer.write(np.array(observation[TQUAT]), self._opening)
-            assert action is not None, "the present pose is always feasible"
+        joints = self._joint_goal()
+        if joints is not None:
+            action = self._step_joints(joints)
+        else:
+            goal, speed = self._goal()
+            step = self._pace * speed * self._period
+            self._target = limit_step(self._target, goal, step, self._pace * TURN_SPEED * self._period)
+            action = self._writer.write(self._target, self._opening)
+            if action is None:
+                self._failure = self._failure or "ik"
+                action = self._writer.write_joints(self._writer.joints, self._opening)
         self._last_opening = float(observation[GRIPPER][0])
+        return action
+
+    def _joint_goal(self) -> NDArray[np.float64] | None:
+        """Return the joints to go to, where the way is by joints."""
+        if not self._goes_by_joints or self._plan is None:
+            return None
+        if self._phase in (Phase.APPROACH, Phase.RETREAT):
+            return self._plan.joints_above
+        return self._plan.joints_lifted if self._phase in (Phase.LIFT, Phase.HOLD) else None
+
+    def _step_joints(self, goal: NDArray[np.float64]) -> Action:
+        step = goal - self._writer.joints
+        most = self._pace * JOINT_SPEED * self._period
+        step = step * min(1.0, most / max(float(np.abs(step).max()), 1e-12))
+        action = self._writer.write_joints(self._writer.joints + step, self._opening)
+        self._target = self._kinematics.forward(self._writer.joints).tquat
         return action
 
     def _goal(self) -> tuple[NDArray[np.float64], float]:
@@ -180,7 +191,8 @@ class PickExpert(Agent):
             self._opening = 0.0
             self._enter(Phase.CLOSE)
         elif self._phase is Phase.CLOSE:
-            is_still = elapsed > SETTLE_TIME and abs(opening - self._last_opening) < STILL
+            is_moved = elapsed > CLOSING_TIME and opening < BARELY_CLOSED
+            is_still = is_moved and abs(opening - self._last_opening) < STILL
             if (is_still or is_late) and opening < EMPTY:
                 self._give_up("no_contact")
             elif is_still or is_late:
@@ -203,6 +215,9 @@ class PickExpert(Agent):
         self._steps = 0
 
     def _has_arrived(self, observation: Observation) -> bool:
+        joints = self._joint_goal()
+        if joints is not None:
+            return bool(np.abs(np.asarray(observation[JOINTS]) - joints).max() < ARRIVED_JOINTS)
         goal, _ = self._goal()
         translation, rotation = distance(np.array(observation[TQUAT]), goal)
         return bool(translation < ARRIVED[0] and rotation < ARRIVED[1])

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
-
-from numpy.typing import NDArray
 
 from rcs.agents.agent import Action, Agent
 from rcs.envs.spaces import Observation
@@ -15,14 +13,14 @@ from rcs.errors import WrongOrder
 class Replay(Agent):
     """Gives the actions of a recorded episode, one after the other, whatever it observes."""
 
-    def __init__(self, actions: Mapping[str, NDArray[Any]]) -> None:
+    def __init__(self, actions: Mapping[str, Any]) -> None:
         """Take the actions.
 
         Args:
-            actions: One array (steps, ...) per key.
+            actions: One array (steps, ...) per key; with several robots, such a dictionary per robot.
         """
         self._actions = dict(actions)
-        self._length = min((len(array) for array in self._actions.values()), default=0)
+        self._length = min(_lengths(self._actions), default=0)
         self._next = 0
 
     def __len__(self) -> int:
@@ -42,4 +40,16 @@ class Replay(Agent):
         if self._next >= self._length:
             raise WrongOrder(f"All {self._length} recorded actions were played; reset starts anew.")
         self._next += 1
-        return {key: array[self._next - 1] for key, array in self._actions.items()}
+        return _row(self._actions, self._next - 1)
+
+
+def _lengths(actions: Mapping[str, Any]) -> Iterator[int]:
+    for value in actions.values():
+        if isinstance(value, Mapping):
+            yield from _lengths(value)
+        else:
+            yield len(value)
+
+
+def _row(actions: Mapping[str, Any], i: int) -> Action:
+    return {key: _row(value, i) if isinstance(value, Mapping) else value[i] for key, value in actions.items()}

@@ -24,6 +24,7 @@ from rcs.rollout.collect import Collection, collect
 from rcs.rollout.collect import Progress as CollectionProgress
 from rcs.rollout.report import write_report
 from rcs.rollout.wilson import wilson_interval
+from rcs.sim.randomisation import Randomisation
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
@@ -57,6 +58,8 @@ class CollectCommand:
     """What actions say of the arm."""
     absolute: bool = False
     """Absolute actions instead of differences to the last step."""
+    randomise: bool = False
+    """Vary lights, colours, textures, cameras, objects, friction and damping from episode to episode."""
     workers: int = 0
     """Processes; 0 for one per CPU core."""
     only_success: bool = False
@@ -101,6 +104,7 @@ class CollectCommand:
             control=self.control,
             relative="absolute" if self.absolute else "last_step",
             mode="realtime" if self.viewer else "async",
+            randomisation=Randomisation() if self.randomise else None,
         )
         workers = 1 if self.viewer else min(self.workers or os.cpu_count() or 1, max(self.episodes, 1))
         return Collection(

@@ -12,6 +12,7 @@ from tyro.conf import subcommand
 from rcs.cli.collect import CollectCommand
 from rcs.cli.data import CheckCommand, InfoCommand, RecoverCommand, ReplayCommand
 from rcs.cli.doctor import DoctorCommand
+from rcs.cli.gallery import GalleryCommand
 from rcs.cli.list import ListCommand
 from rcs.errors import RcsError
 
@@ -24,6 +25,7 @@ DataCommand = (
 Command = (
     Annotated[CollectCommand, subcommand("collect")]
     | Annotated[DataCommand, subcommand("data", description="Look at a dataset, check, mend and replay it.")]
+    | Annotated[GalleryCommand, subcommand("gallery")]
     | Annotated[ListCommand, subcommand("list")]
     | Annotated[DoctorCommand, subcommand("doctor")]
 )

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from rcs.errors import UnknownName
 
-Kind = Literal["arm", "gripper", "hand", "camera", "task", "operator", "policy"]
+Kind = Literal["arm", "gripper", "hand", "camera", "tactile", "lab", "task", "operator", "policy"]
 
 
 def names(kind: Kind) -> list[str]:
@@ -33,7 +33,8 @@ def find(kind: Kind, name: str) -> Any:
 
 
 def _group(kind: Kind) -> str:
-    return "rcs.policies" if kind == "policy" else f"rcs.{kind}s"
+    irregular = {"policy": "rcs.policies", "tactile": "rcs.tactiles"}
+    return irregular.get(kind, f"rcs.{kind}s")
 
 
 def _entries(kind: Kind) -> dict[str, EntryPoint]:

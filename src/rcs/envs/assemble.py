@@ -9,11 +9,13 @@ from gymnasium.vector import AutoresetMode
 
 from rcs.envs.clock import SimClock
 from rcs.envs.env import Env
-from rcs.envs.layers import BinaryGripper, CartesianControl, Layer, LimitStep, Relative, XyzrpyControl
+from rcs.envs.group import StackGroup
+from rcs.envs.layers import BinaryGripper, CartesianControl, GraspHand, Layer, LimitStep, Relative, XyzrpyControl
 from rcs.envs.ports import Port
+from rcs.envs.randomiser import Randomiser
 from rcs.envs.scenario import Scenario
 from rcs.envs.setup import Setup
-from rcs.envs.sim_ports import SimArmPort, SimCameraPort, SimGripperPort
+from rcs.envs.sim_ports import SimArmPort, SimCameraPort, SimGripperPort, SimHandPort
 from rcs.envs.spaces import TQUAT, XYZRPY
 from rcs.envs.stack import Stack
 from rcs.envs.task import Task
@@ -23,7 +25,11 @@ from rcs.sim.camera import SimCameras
 from rcs.sim.picture import Picture
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import CameraPlacement, RobotPlacement, Scene
+from rcs.sim.textures import add_textures
 from rcs.sim.world import World
+
+GRASP = "power"
+"""The grasp of a hand that is used like a gripper."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,25 +85,49 @@ def compose(parts: Parts) -> Scene:
     scene = Scene.empty(physics_step=parts.setup.physics_step)
     parts.task.furnish(scene)
     for robot in parts.robots:
-        scene.add_robot(robot)
+        scene.add_robot(robot, assets=parts.setup.assets)
     for camera in parts.cameras:
         scene.add_camera(camera)
+    if parts.setup.randomisation is not None:
+        add_textures(scene.spec, parts.setup.randomisation.textures)
     return scene
 
 
-def _populate(parts: Parts, world: World, *, is_blind: bool = False) -> tuple[Scenario, Stack]:
+def _populate(parts: Parts, world: World, *, is_blind: bool = False) -> tuple[Scenario, Stack | StackGroup]:
     setup = parts.setup
-    robot = SimRobot(world, parts.robots[0])
+    robots = [SimRobot(world, placement) for placement in parts.robots]
     if setup.mode == "sync":
-        robot.wait_for_arrival()
-    scenario = Scenario(world, [robot], parts.task)
+        for robot in robots:
+            robot.wait_for_arrival()
+    scenario = Scenario(world, robots, parts.task, _randomiser(parts, world))
+    shared: list[Port] = []
+    if parts.cameras and not is_blind:
+        cameras = SimCameras(world, list(parts.cameras), size=setup.size, has_depth=setup.depth, quality=setup.quality)
+        shared.append(SimCameraPort(cameras))
+    if len(robots) == 1:
+        stack = Stack([*_ports_of(robots[0]), *shared], layers_of(setup, robots[0].placement), world.leading)
+        return scenario, stack
+    stacks = {
+        robot.placement.name: Stack(_ports_of(robot), layers_of(setup, robot.placement), world.leading)
+        for robot in robots
+    }
+    return scenario, StackGroup(stacks, Stack(shared, [], world.leading))
+
+
+def _randomiser(parts: Parts, world: World) -> Randomiser | None:
+    ranges = parts.setup.randomisation
+    if ranges is None:
+        return None
+    return Randomiser(world, ranges, objects=parts.task.objects(), robots=parts.robots, cameras=parts.cameras)
+
+
+def _ports_of(robot: SimRobot) -> list[Port]:
     ports: list[Port] = [SimArmPort(robot)]
     if robot.placement.gripper is not None:
         ports.append(SimGripperPort(robot))
-    if parts.cameras and not is_blind:
-        cameras = SimCameras(world, list(parts.cameras), size=setup.size, has_depth=setup.depth, quality=setup.quality)
-        ports.append(SimCameraPort(cameras))
-    return scenario, Stack(ports, layers_of(setup, robot.placement), world.leading)
+    if robot.placement.hand is not None:
+        ports.append(SimHandPort(robot))
+    return ports
 
 
 def layers_of(setup: Setup, robot: RobotPlacement) -> list[Layer]:
@@ -109,11 +139,13 @@ def layers_of(setup: Setup, robot: RobotPlacement) -> list[Layer]:
     if setup.mode != "sync":
         layers.append(LimitStep(step))
     if control in (TQUAT, XYZRPY):
-        layers.append(CartesianControl(kinematics_of(robot.arm, robot.gripper)))
+        layers.append(CartesianControl(kinematics_of(robot.arm, robot.end_effector)))
     if setup.relative != "absolute":
         layers.append(Relative(control, to=setup.relative, max_joint_step=step))
     elif control == XYZRPY:
         layers.append(XyzrpyControl())
     if robot.gripper is not None and setup.binary_gripper:
         layers.append(BinaryGripper())
+    if robot.hand is not None and setup.binary_gripper:
+        layers.append(GraspHand(robot.hand.open_pose, robot.hand.grasps[GRASP]))
     return layers

@@ -7,6 +7,9 @@ once.
 
 from __future__ import annotations
 
+import copy
+import zlib
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -40,8 +43,20 @@ class Draws:
             seed = np.asarray(seeds).astype(np.uint64)
             episode = np.asarray(episodes).astype(np.uint64)
             self._state = mix(mix(seed + _GAMMA) + episode * _GAMMA + _GAMMA)
+        self._start = self._state
         self.leading = self._state.shape
         """Leading shape of every draw."""
+
+    def branch(self, name: str) -> Draws:
+        """Return streams of their own for the same episodes; these here go on as if nothing was drawn from them.
+
+        Args:
+            name: Other name, other streams.
+        """
+        own = copy.copy(self)
+        with np.errstate(over="ignore"):
+            own._start = own._state = mix(self._start ^ mix(np.array(zlib.crc32(name.encode()), np.uint64) + _GAMMA))
+        return own
 
     def uniform(self, low: ArrayLike, high: ArrayLike) -> NDArray[np.float64]:
         """Return numbers from [low, high), of shape (*leading, *shape of the bounds)."""

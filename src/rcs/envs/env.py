@@ -12,6 +12,7 @@ import numpy as np
 from rcs._core import StepEnd
 from rcs.envs.clock import Clock
 from rcs.envs.draws import SEED_LIMIT, Draws
+from rcs.envs.group import StackGroup
 from rcs.envs.observers import Observer, Transition
 from rcs.envs.scenario import Scenario
 from rcs.envs.spaces import Observation
@@ -33,7 +34,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
 
     def __init__(
         self,
-        stack: Stack,
+        stack: Stack | StackGroup,
         clock: Clock,
         scenario: Scenario | None = None,
         *,
@@ -70,7 +71,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         self.render_mode = None if picture is None else "rgb_array"
 
     @property
-    def stack(self) -> Stack:
+    def stack(self) -> Stack | StackGroup:
         """Ports and layers."""
         return self._stack
 
@@ -249,4 +250,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
 
 def _plain(told: Mapping[str, Any]) -> dict[str, Any]:
     """Return numbers and booleans as Python's own, arrays as they are."""
-    return {key: value if value.ndim else value.item() for key, value in told.items()}
+    return {
+        key: _plain(value) if isinstance(value, Mapping) else value if value.ndim else value.item()
+        for key, value in told.items()
+    }

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
+from rcs.envs.randomiser import Randomiser
 from rcs.envs.task import Outcome, Task
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import Copies, World
@@ -17,15 +18,17 @@ from rcs.sim.world import Copies, World
 class Scenario:
     """World, robots and task, for one copy and for many."""
 
-    def __init__(self, world: World, robots: list[SimRobot], task: Task) -> None:
+    def __init__(self, world: World, robots: list[SimRobot], task: Task, randomiser: Randomiser | None = None) -> None:
         """Put all robots at home and take that as the state that every episode begins with.
 
         Args:
             world: A world fresh from its model.
             robots: Its robots.
             task: What to do in it.
+            randomiser: Varies the world from episode to episode; None for one that is always the same.
         """
         self.world = world
+        self._randomiser = randomiser
         self.robots = robots
         self.task = task
         task.bind(world, robots)
@@ -35,13 +38,15 @@ class Scenario:
         world.refresh()
 
     def begin(self, draws: Draws, copies: Copies = None) -> None:
-        """Start episodes: all robots at home, the task's objects where it puts them.
+        """Start episodes: all robots at home, the task's objects where it puts them, all else as it is drawn.
 
         Args:
             draws: Random numbers for these copies.
             copies: Which copies; None for all.
         """
         where: Where = ... if copies is None else copies
+        if self._randomiser is not None:
+            self._randomiser.begin(draws, copies)
         self.world.reset(copies)
         self.task.reset(draws, where)
         self.world.refresh(copies)
@@ -50,9 +55,17 @@ class Scenario:
         """Judge the present state."""
         return self.task.evaluate()
 
-    def describe(self) -> dict[str, NDArray[Any]]:
+    @property
+    def randomisation(self) -> dict[str, NDArray[np.float64]]:
+        """What was drawn for the present episodes, by field of `Randomisation`, (*leading, ...)."""
+        return {} if self._randomiser is None else dict(self._randomiser.values)
+
+    def describe(self) -> dict[str, Any]:
         """Return the info of the first observation of an episode."""
-        return self.task.describe()
+        told: dict[str, Any] = dict(self.task.describe())
+        if self._randomiser is not None:
+            told["randomisation"] = self.randomisation
+        return told
 
     def __str__(self) -> str:
         """Return the task's name and the number of copies."""

@@ -10,6 +10,8 @@ from typing import Any, Literal, get_args
 from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
 from rcs.sim.camera import MAX_SIZE, Quality
+from rcs.sim.detail import Assets
+from rcs.sim.randomisation import Randomisation
 from rcs.sim.world import Mode
 
 Relative = Literal["last_step", "origin", "absolute"]
@@ -34,6 +36,10 @@ class Setup:
     """Whether frames carry depth; costs about a third of a frame's time."""
     quality: Quality = "fast"
     """`full` draws shadows, reflections and smooth edges, and is about fifty times slower without a GPU."""
+    assets: Assets = "builtin"
+    """Where the robots' looks come from: built-in primitives, or `menagerie` for meshes of the package
+    `mujoco-menagerie` (an extra), downloaded at first use. Physics is the same; without a GPU, drawing is tens of times
+    slower."""
     control: Control = "joints"
     """What an action says of the arm: joint positions, or the TCP's pose with a quaternion or with roll, pitch, yaw."""
     relative: Relative = "last_step"
@@ -48,6 +54,8 @@ class Setup:
     """An episode is truncated after this many steps; None for no limit."""
     physics_step: float = 0.002
     """Time step of the physics [s]; longer is faster and grasps slip."""
+    randomisation: Randomisation | None = None
+    """What differs between episodes besides the task's own start; None for nothing, True for the default ranges."""
 
     def __post_init__(self) -> None:
         """Check every field.
@@ -63,12 +71,14 @@ class Setup:
         for name in ("depth", "binary_gripper"):
             if not isinstance(getattr(self, name), bool):
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; valid: True, False.")
+        object.__setattr__(self, "randomisation", _ranges(self.randomisation))
         object.__setattr__(self, "cameras", _names("cameras", self.cameras))
         object.__setattr__(self, "size", _size(self.size))
         relative: Any = self.relative
         if isinstance(relative, bool):
             object.__setattr__(self, "relative", "last_step" if relative else "absolute")
-        for name, options in (("control", Control), ("relative", Relative), ("mode", Mode), ("quality", Quality)):
+        choices = {"control": Control, "relative": Relative, "mode": Mode, "quality": Quality, "assets": Assets}
+        for name, options in choices.items():
             value = getattr(self, name)
             if value not in get_args(options):
                 raise InvalidSetup(f"{name} is {value!r}; valid: {', '.join(map(repr, get_args(options)))}.")
@@ -83,9 +93,10 @@ class Setup:
 
     def to_json(self) -> dict[str, Any]:
         """Return the setup as JSON values."""
-        return {
-            key: list(value) if isinstance(value, tuple) else value for key, value in dataclasses.asdict(self).items()
-        }
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        if self.randomisation is not None:
+            values["randomisation"] = self.randomisation.to_json()
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> Setup:
@@ -98,6 +109,16 @@ class Setup:
         if unknown := sorted(set(values) - fields):
             raise InvalidSetup(f"A setup has no fields {unknown}; it has {sorted(fields)}.")
         return Setup(**values)
+
+
+def _ranges(value: Any) -> Randomisation | None:
+    if isinstance(value, bool):
+        return Randomisation() if value else None
+    if isinstance(value, dict):
+        return Randomisation.from_json(value)
+    if not isinstance(value, Randomisation | None):
+        raise InvalidSetup(f"randomisation is {value!r}; valid: a Randomisation, True for its defaults, or None.")
+    return value
 
 
 def _is_number(value: Any) -> bool:

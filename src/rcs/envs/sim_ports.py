@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from gymnasium import spaces
+
 from rcs.envs import spaces as keys
 from rcs.envs.ports import Port, arm_observation_spaces
 from rcs.envs.spaces import Arrays, Observation
@@ -57,6 +59,29 @@ class SimGripperPort(Port):
         return {keys.GRIPPER: self._robot.opening}
 
 
+class SimHandPort(Port):
+    """The hand of a simulated robot."""
+
+    def __init__(self, robot: SimRobot) -> None:
+        """Use a robot's hand."""
+        self._robot = robot
+        size = len(robot.hand.joints)
+        self.action_spaces = {keys.HAND: keys.normalised_space(size)}
+        self.observation_spaces = {keys.HAND: keys.normalised_space(size)}
+
+    def command(self, action: Arrays) -> None:
+        """Set the joint targets."""
+        self._robot.command_hand(action[keys.HAND])
+
+    def hold(self) -> None:
+        """Set the measured joints as the target."""
+        self._robot.command_hand(self._robot.hand_joints)
+
+    def observe(self) -> Observation:
+        """Read the joints."""
+        return {keys.HAND: self._robot.hand_joints}
+
+
 class SimCameraPort(Port):
     """All cameras of a scene, drawn together."""
 
@@ -82,10 +107,10 @@ class SimCameraPort(Port):
         self.cameras.close()
 
 
-def cameras_space(cameras: SimCameras) -> keys.spaces.Dict:
+def cameras_space(cameras: SimCameras) -> spaces.Dict:
     """Return the space of the frames of cameras."""
     width, height = cameras.size
-    frame: dict[str, keys.spaces.Space[object]] = {keys.RGB: keys.rgb_space(width, height)}
+    frame: dict[str, spaces.Space[object]] = {keys.RGB: keys.rgb_space(width, height)}
     if cameras.has_depth:
         frame[keys.DEPTH] = keys.depth_space(width, height)
-    return keys.spaces.Dict({name: keys.spaces.Dict(frame) for name in cameras.names})
+    return spaces.Dict({name: spaces.Dict(frame) for name in cameras.names})

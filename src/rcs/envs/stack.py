@@ -8,7 +8,7 @@ from typing import Any
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.layers import Layer, Where
+from rcs.envs.layers import Action, Layer, Where
 from rcs.envs.ports import Port
 from rcs.envs.spaces import ActionCheck, Observation
 
@@ -34,7 +34,8 @@ class Stack:
         for layer in layers:
             boxes = layer.action_spaces(boxes)
             observations = layer.observation_spaces(observations)
-        self._check = ActionCheck(boxes, leading)
+        self.check = ActionCheck(boxes, leading)
+        """Checks an action of the highest level; raises InvalidAction."""
         self.action_space = spaces.Dict(dict(boxes))
         self.observation_space = spaces.Dict(dict(observations))
         self.executed: dict[str, NDArray[Any]] = {}
@@ -46,9 +47,16 @@ class Stack:
         Raises:
             InvalidAction: The action is not valid; nothing was sent to any device.
         """
-        mapped = self._check(action)
+        self.send(self.map_down(self.check(action)))
+
+    def map_down(self, checked: Action) -> Action:
+        """Map a checked action through all layers; no device sees it yet."""
         for layer in reversed(self.layers):
-            mapped = layer.map_action(mapped)
+            checked = layer.map_action(checked)
+        return checked
+
+    def send(self, mapped: Action) -> None:
+        """Set the devices' targets, and tell the layers from the lowest up what they came to."""
         self.executed = mapped
         for port in self.ports:
             port.command(mapped)
@@ -87,11 +95,11 @@ class Stack:
 
     def hold(self) -> None:
         """Make every device stay where it is, also when one of them fails to."""
-        _for_all([port.hold for port in self.ports])
+        for_all([port.hold for port in self.ports])
 
     def close(self) -> None:
         """Close all ports, also when one of them fails to."""
-        _for_all([port.close for port in self.ports])
+        for_all([port.close for port in self.ports])
 
     def __str__(self) -> str:
         """Return the stack from top to bottom, a line each."""
@@ -102,7 +110,8 @@ class Stack:
         return "\n".join(lines)
 
 
-def _for_all(calls: Sequence[Callable[[], None]]) -> None:
+def for_all(calls: Sequence[Callable[[], None]]) -> None:
+    """Make every call, also when one fails; the first failure is raised in the end."""
     failures: list[Exception] = []
     for call in calls:
         try:

@@ -21,9 +21,11 @@ class Area:
     """A rectangle on the table in which a task takes place."""
 
     center: tuple[float, float] = (0.5, 0.0)
-    """x, y in the robot's base frame [m]."""
+    """x, y in the scene [m]; with one robot, its base frame is the scene's."""
     size: tuple[float, float] = (0.30, 0.40)
     """Extent along x and y [m]."""
+    object_scale: float = 1.0
+    """Size of the objects in proportion to the paper's, for robots that are smaller."""
 
 
 @dataclass(kw_only=True)
@@ -48,6 +50,10 @@ class Task(ABC):
 
     def furnish(self, scene: Scene) -> None:  # noqa: B027  an empty scene is a fine scene
         """Add the task's objects to a scene before it is compiled."""
+
+    def objects(self) -> list[str]:
+        """Return the names of the bodies that the task is about: those whose size, mass and colour may vary."""
+        return []
 
     @abstractmethod
     def bind(self, world: World, robots: list[SimRobot]) -> None:

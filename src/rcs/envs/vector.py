@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rcs._core import StepEnd
 from rcs.envs.clock import Clock
 from rcs.envs.draws import SEED_LIMIT, Draws
+from rcs.envs.group import StackGroup
 from rcs.envs.scenario import Scenario
 from rcs.envs.spaces import FRAMES, Observation
 from rcs.envs.stack import Stack
@@ -29,7 +30,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
 
     def __init__(
         self,
-        stack: Stack,
+        stack: Stack | StackGroup,
         clock: Clock,
         scenario: Scenario,
         *,
@@ -71,7 +72,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         self._has_seeds = False
 
     @property
-    def stack(self) -> Stack:
+    def stack(self) -> Stack | StackGroup:
         """Ports and layers."""
         return self._stack
 
@@ -155,6 +156,8 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         info = self._with_masks(
             {**outcome.info, **self._stack.info(), "end": self._clock.ends.copy(), "diverged": diverged}
         )
+        if some_start:
+            self._tell_drawn(info, starting)
         if self._autoreset is AutoresetMode.SAME_STEP and self._is_done.any():
             observation = self._restart_finished(observation, info)
         return observation, reward, terminated, truncated, info
@@ -164,8 +167,9 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         final_info = {key: value for key, value in info.items() if not key.startswith("_")}
         info["final_obs"] = observation
         info["final_info"] = final_info
-        info["_final_obs"] = info["_final_info"] = self._is_done.copy()
+        info["_final_obs"] = info["_final_info"] = finished = self._is_done.copy()
         self._begin(ids)
+        self._tell_drawn(info, finished)
         measured = self._stack.measure()
         self._stack.reset(measured, ids)
         return self._stack.lift(measured)
@@ -209,10 +213,19 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             raise InvalidSetup(f"reset_mask must be {self.num_envs} booleans with at least one True.")
         return array
 
-    def _with_masks(self, told: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    def _tell_drawn(self, info: dict[str, Any], started: NDArray[np.bool_]) -> None:
+        """Add what was drawn for the episodes that start, where anything is."""
+        if drawn := self._scenario.randomisation:
+            info.update(self._with_masks({"randomisation": drawn}, started))
+
+    def _with_masks(self, told: Mapping[str, Any], present: NDArray[np.bool_] | None = None) -> dict[str, Any]:
         """Return info as gymnasium's vector environments have it: an array and the mask `_key` per key."""
-        present = np.ones(self.num_envs, np.bool_)
-        info: dict[str, Any] = dict(told)
+        if present is None:
+            present = np.ones(self.num_envs, np.bool_)
+        info: dict[str, Any] = {
+            key: self._with_masks(value, present) if isinstance(value, Mapping) else value
+            for key, value in told.items()
+        }
         info.update({f"_{key}": present for key in told})
         return info
 

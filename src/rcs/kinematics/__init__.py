@@ -1,7 +1,7 @@
 """Forward and inverse kinematics of a robot from its description."""
 
 from rcs._core import DampedLeastSquares, IkOptions, IkResult, IkStatus, Kinematics
-from rcs.kinematics.chain import attach_gripper, kinematics_of, load
+from rcs.kinematics.chain import attach_end_effector, kinematics_of, load
 
 __all__ = [
     "DampedLeastSquares",
@@ -9,7 +9,7 @@ __all__ = [
     "IkResult",
     "IkStatus",
     "Kinematics",
-    "attach_gripper",
+    "attach_end_effector",
     "kinematics_of",
     "load",
 ]

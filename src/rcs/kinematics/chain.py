@@ -5,24 +5,32 @@ from __future__ import annotations
 import mujoco
 
 from rcs._core import DampedLeastSquares
-from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, Mount
+from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
+from rcs.robots.tactile import TactileDescription
 from rcs.spatial import xyzw_to_wxyz
 
 GRIPPER_PREFIX = "gripper/"
+"""Prefix of the names of what is at the flange, a gripper or a hand."""
+
+EndEffector = GripperDescription | HandDescription
+"""What can be fixed to a flange."""
 
 
-def load(description: ArmDescription | GripperDescription | CameraDescription) -> mujoco.MjSpec:
-    """Read the MJCF file of a description."""
-    return mujoco.MjSpec.from_file(str(description.mjcf))
+def load(description: ArmDescription | EndEffector | CameraDescription | TactileDescription) -> mujoco.MjSpec:
+    """Read the MJCF file or URDF of a description, and have it completed where it says how."""
+    spec = mujoco.MjSpec.from_file(str(description.mjcf))
+    if isinstance(description, ArmDescription) and description.complete is not None:
+        description.complete(spec)
+    return spec
 
 
-def attach_gripper(arm_spec: mujoco.MjSpec, arm: ArmDescription, gripper: GripperDescription) -> None:
-    """Fix a gripper to the flange of an arm; its names get the prefix `gripper/`.
+def attach_end_effector(arm_spec: mujoco.MjSpec, arm: ArmDescription, gripper: EndEffector) -> None:
+    """Fix a gripper or a hand to the flange of an arm; its names get the prefix `gripper/`.
 
     Args:
         arm_spec: Model of the arm, changed in place.
         arm: Description of the arm.
-        gripper: Description of the gripper.
+        gripper: Description of the gripper or hand.
     """
     flange = arm_spec.site(arm.flange_site)
     on_flange = flange.parent.add_frame(pos=flange.pos, quat=flange.quat)
@@ -38,12 +46,12 @@ def mount_frame(body: mujoco.MjsBody, mount: Mount, *, inside: mujoco.MjsFrame |
     return frame
 
 
-def kinematics_of(arm: ArmDescription, gripper: GripperDescription | None = None) -> DampedLeastSquares:
+def kinematics_of(arm: ArmDescription, gripper: EndEffector | None = None) -> DampedLeastSquares:
     """Make the kinematics of an arm: of its TCP with a gripper, of its flange without.
 
     Args:
         arm: The arm.
-        gripper: The gripper at its flange.
+        gripper: The gripper or hand at its flange.
 
     Returns:
         A solver of its own; it is not shared between threads.
@@ -51,7 +59,7 @@ def kinematics_of(arm: ArmDescription, gripper: GripperDescription | None = None
     spec = load(arm)
     tcp = arm.flange_site
     if gripper is not None:
-        attach_gripper(spec, arm, gripper)
+        attach_end_effector(spec, arm, gripper)
         tcp = GRIPPER_PREFIX + gripper.tcp_site
     model = spec.compile()
     return DampedLeastSquares(

@@ -6,16 +6,21 @@ these files to each other and adds its own prefixes, so the names given here are
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup
+
+if TYPE_CHECKING:
+    import mujoco
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +46,39 @@ class Mount:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MenagerieBody:
+    """Where the detailed visuals of one body come from."""
+
+    body: str
+    """Body of the built-in model; its visual geoms are exchanged."""
+    source: str
+    """Body of the collection's model that carries the meshes."""
+    source_in_body: Mount = dataclasses.field(default_factory=Mount)
+    """Pose of the source's body frame in the frame of the built-in body."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MenagerieVisuals:
+    """The model of `mujoco-menagerie` that has detailed meshes of a robot."""
+
+    model: str
+    """Name of the model in the collection, such as `franka_fr3`."""
+    entry: str
+    """Entry point of the model: its XML file without ending."""
+    bodies: tuple[MenagerieBody, ...]
+    """Where the meshes go. A body may be named more than once; one that is not named keeps its primitives."""
+
+    @staticmethod
+    def of(model: str, entry: str, bodies: Mapping[str, str]) -> MenagerieVisuals:
+        """Return visuals whose body frames agree: `bodies` has the source by the name of the built-in body."""
+        return MenagerieVisuals(
+            model=model,
+            entry=entry,
+            bodies=tuple(MenagerieBody(body=body, source=source) for body, source in bodies.items()),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class ArmDescription:
     """One manipulator: its chain, its limits and the MJCF file with the same figures."""
 
@@ -51,7 +89,7 @@ class ArmDescription:
     module: str
     """Name of the module that defines the description; the MJCF file lies next to it."""
     mjcf_file: str
-    """File name of the MJCF model."""
+    """File name of the MJCF model, or of a URDF together with `complete`."""
     base_body: str
     """Body that is fixed to the world or to a mount; its frame is the robot's base frame."""
     joints: tuple[str, ...]
@@ -78,6 +116,10 @@ class ArmDescription:
     """Distance that the flange reaches from the shoulder [m]."""
     sources: tuple[str, ...]
     """Where the figures come from."""
+    menagerie: MenagerieVisuals | None = None
+    """Where detailed visuals come from; None when the collection has none."""
+    complete: Callable[[mujoco.MjSpec], None] | None = None
+    """Adds to the model what its file cannot say, such as actuators and sites to a URDF's; called at each reading."""
 
     def __post_init__(self) -> None:
         """Check that all tables have one entry per joint and that the home pose lies inside the limits.
@@ -108,7 +150,7 @@ class ArmDescription:
 
     @property
     def mjcf(self) -> Path:
-        """Path of the MJCF model."""
+        """Path of the MJCF model or URDF."""
         return _file_next_to(self.module, self.mjcf_file)
 
 
@@ -156,6 +198,8 @@ class GripperDescription:
     """Speed of each finger while it moves freely [m/s]."""
     sources: tuple[str, ...]
     """Where the figures come from."""
+    menagerie: MenagerieVisuals | None = None
+    """Where detailed visuals come from; None when the collection has none."""
 
     def __post_init__(self) -> None:
         """Check lengths and signs.
@@ -175,6 +219,67 @@ class GripperDescription:
             raise InvalidSetup(f"{self.name}: pad_geoms needs a geom for each finger, got {self.pad_geoms}.")
         if self.grasp_force > self.max_force:
             raise InvalidSetup(f"{self.name}: grasp_force {self.grasp_force} N is above max_force {self.max_force} N.")
+
+    @property
+    def mjcf(self) -> Path:
+        """Path of the MJCF model."""
+        return _file_next_to(self.module, self.mjcf_file)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandDescription:
+    """One hand whose finger joints are driven one by one; its targets are normalised to the joints' ranges."""
+
+    name: str
+    """Short name used to ask for it, such as `tilburg_hand`."""
+    label: str
+    """Full name for people."""
+    module: str
+    """Name of the module that defines the description; the MJCF file lies next to it."""
+    mjcf_file: str
+    """File name of the MJCF model."""
+    base_body: str
+    """Body that is attached to the arm's flange."""
+    mount_in_flange: Mount
+    """Pose of the base body in the flange frame."""
+    tcp_site: str
+    """Site of the tool centre point, where the centre of what is grasped belongs."""
+    tcp_in_base: Mount
+    """Pose of the TCP in the frame of the base body."""
+    joints: tuple[str, ...]
+    """Finger joints in the order of the device's driver."""
+    actuators: tuple[str, ...]
+    """Position actuators in the order of `joints`; their control is a joint position [rad]."""
+    joint_lower: tuple[float, ...]
+    """Joint positions at the normalised value 0 [rad]."""
+    joint_upper: tuple[float, ...]
+    """Joint positions at the normalised value 1 [rad]."""
+    open_pose: tuple[float, ...]
+    """Normalised joints of the hand before a grasp."""
+    grasps: Mapping[str, tuple[float, ...]]
+    """Normalised targets of closed hands by name; what is grasped stops the fingers before they arrive."""
+    finger_geoms: Mapping[str, tuple[str, ...]]
+    """Geoms that touch what is grasped, by finger."""
+    sources: tuple[str, ...]
+    """Where the figures come from."""
+
+    def __post_init__(self) -> None:
+        """Check lengths, and that limits ascend and targets are normalised.
+
+        Raises:
+            InvalidSetup: A table of the wrong length, a range that does not ascend, or a target outside of 0 .. 1.
+        """
+        dof = len(self.joints)
+        if dof == 0 or len(self.actuators) != dof:
+            raise InvalidSetup(f"{self.name}: needs a joint, and an actuator for each, got {self.actuators}.")
+        _require_numbers(f"{self.name}.joint_lower", self.joint_lower, dof)
+        _require_numbers(f"{self.name}.joint_upper", self.joint_upper, dof)
+        if any(lower >= upper for lower, upper in zip(self.joint_lower, self.joint_upper, strict=True)):
+            raise InvalidSetup(f"{self.name}: every joint_lower must be below its joint_upper.")
+        for pose, targets in {"open_pose": self.open_pose, **self.grasps}.items():
+            _require_numbers(f"{self.name}: {pose}", targets, dof)
+            if min(targets) < 0.0 or max(targets) > 1.0:
+                raise InvalidSetup(f"{self.name}: {pose} must be normalised to 0 .. 1, got {targets}.")
 
     @property
     def mjcf(self) -> Path:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rcs.agents import Agent, PickExpert
+from rcs.agents import Agent, LiftExpert, PickExpert
 from rcs.data import Dataset, DatasetWriter
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder, dataset_info, require_recordable
@@ -24,6 +24,7 @@ from rcs.kinematics import kinematics_of
 from rcs.rollout.episode import EpisodeResult, run_episode
 from rcs.rollout.pool import WorkerPool
 from rcs.setups.make import make
+from rcs.spatial import Pose
 
 _log = logging.getLogger(__name__)
 
@@ -106,7 +107,9 @@ class Collector:
         self._recorder.name_next(episode_id(number))
         result = run_episode(self._env, self._agent, seed=self._collection.seed_of(number))
         if result.success or not self._collection.only_success:
-            self._recorder.finish(result.success, {"attempt": number, **result.outcome()})
+            drawn = {field: values.tolist() for field, values in self._env.scenario.randomisation.items()}
+            outcome = {"attempt": number, **result.outcome(), **({"randomisation": drawn} if drawn else {})}
+            self._recorder.finish(result.success, outcome)
         else:
             self._recorder.discard()
         return Attempt(number=number, result=result)
@@ -122,10 +125,17 @@ def expert_for(env: Env, setup: Setup) -> Agent:
     Raises:
         InvalidSetup: The task has none.
     """
-    if setup.task != "PickCuboid":
-        raise InvalidSetup(f"There is no scripted expert for the task {setup.task!r}; there is one for 'PickCuboid'.")
-    placement = env.scenario.robots[0].placement
-    return PickExpert(setup, env.stack.action_space, kinematics_of(placement.arm, placement.gripper))
+    placements = [robot.placement for robot in env.scenario.robots]
+    kinematics = {placement.name: kinematics_of(placement.arm, placement.end_effector) for placement in placements}
+    space = env.stack.action_space
+    if setup.task == "PickCuboid":
+        return PickExpert(setup, space, kinematics[placements[0].name])
+    if setup.task == "LiftBar":
+        bases = {p.name: Pose(p.base_in_scene.translation, p.base_in_scene.quaternion) for p in placements}
+        return LiftExpert(setup, space, bases, kinematics)
+    raise InvalidSetup(
+        f"There is no scripted expert for the task {setup.task!r}; there are for 'PickCuboid', 'LiftBar'."
+    )
 
 
 def collect(collection: Collection, progress: Progress, env: Env | None = None) -> Iterator[Attempt]:

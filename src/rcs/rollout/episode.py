@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from rcs.agents import Agent
 from rcs.envs.env import Env
+
+OPEN = 0.5
+"""A gripper that is told at least this opens."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +55,7 @@ def run_episode(env: Env, agent: Agent, *, seed: int | None = None) -> EpisodeRe
     return EpisodeResult(seed=seed, steps=steps, success=success, failure=failure, reward=total)
 
 
-def _is_open(action: Any) -> bool:
+def _is_open(action: Mapping[str, Any]) -> bool:
     """Return whether the gripper was told to be open: touching something then is a collision."""
-    return "gripper" in action and float(action["gripper"][0]) >= 0.5
+    parts = list(action.values()) if all(isinstance(value, Mapping) for value in action.values()) else [action]
+    return all("gripper" in part and float(part["gripper"][0]) >= OPEN for part in parts)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from rcs.agents import Replay
@@ -56,8 +59,8 @@ def replay(path: str | Path) -> Iterator[ReplayResult]:
     dataset = Dataset.open(path)
     if dataset.info.sim_state_size is None:
         raise InvalidSetup(f"The dataset in {path} has no simulation states; only simulated episodes can be replayed.")
-    # Cameras look and change nothing; without their frames a replay is ten times faster.
-    env = assemble(resolve(setup_of(dataset)), is_blind=True)
+    # Cameras look and change nothing; without their frames a replay is ten times faster. Looks change nothing either.
+    env = assemble(resolve(dataclasses.replace(setup_of(dataset), assets="builtin")), is_blind=True)
     try:
         for episode in dataset.episodes:
             yield replay_episode(env, episode)
@@ -68,8 +71,7 @@ def replay(path: str | Path) -> Iterator[ReplayResult]:
 def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
     """Play one episode's actions from its first state and compare all states."""
     states = episode.sim_state()
-    actions = {key: episode.column(f"{ACTION}/{key}")[1:] for key in env.stack.action_space.spaces}
-    agent = Replay(actions)
+    agent = Replay(_actions(episode, ACTION, env.stack.action_space))
     observation, info = env.reset(seed=episode.seed, options={"state": states[0]})
     agent.reset(observation, info)
     world = env.scenario.world
@@ -81,6 +83,16 @@ def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
         if not _equal(world.states(), states[row]) or ((terminated or truncated) and row + 1 < len(states)):
             first_difference = row
     return ReplayResult(episode_id=episode.id, steps=len(states) - 1, first_difference=first_difference)
+
+
+def _actions(episode: EpisodeRecord, prefix: str, space: spaces.Dict) -> dict[str, Any]:
+    """Read the actions of all steps, nested as the action space is."""
+    return {
+        key: _actions(episode, f"{prefix}/{key}", inner)
+        if isinstance(inner, spaces.Dict)
+        else episode.column(f"{prefix}/{key}")[1:]
+        for key, inner in space.spaces.items()
+    }
 
 
 def _equal(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:

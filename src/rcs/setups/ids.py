@@ -10,17 +10,36 @@ from gymnasium.envs.registration import registry
 if TYPE_CHECKING:
     from rcs.envs.vector import VecEnv
 
-LABELS = {"fr3": "FR3"}
-"""How a robot is written in ids."""
+LABS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "fr3": ("FR3", ("PickCuboid",)),
+    "dual_fr3": ("DualFR3", ("LiftBar",)),
+    "so101": ("SO101", ("PickCuboid",)),
+    "ur5e": ("UR5e", ("PickCuboid",)),
+}
+"""How each lab is written in ids, and its tasks. A test compares this with the labs, which are not imported for it."""
 
 
 def ids() -> dict[str, tuple[str, str]]:
     """Return task and robot by id: `rcs/<Task>-<Robot>-v0`, and `rcs/<Robot>-v0` for no task."""
     found: dict[str, tuple[str, str]] = {}
-    for robot, label in LABELS.items():
-        found[f"rcs/PickCuboid-{label}-v0"] = ("PickCuboid", robot)
+    for robot, (label, tasks) in LABS.items():
+        found.update({f"rcs/{task}-{label}-v0": (task, robot) for task in tasks})
         found[f"rcs/{label}-v0"] = ("Free", robot)
     return found
+
+
+def add(robot: str, label: str, tasks: tuple[str, ...]) -> None:
+    """Register the ids of another package's lab; to be called when that package is imported.
+
+    `gymnasium.make("my_robot:rcs/PickCuboid-MyRobot-v0")` imports the package `my_robot` first.
+
+    Args:
+        robot: Name of the lab.
+        label: How it is written in ids, such as `MyRobot`.
+        tasks: Names of its tasks.
+    """
+    LABS[robot] = (label, tasks)
+    register()
 
 
 def register() -> None:

@@ -13,10 +13,12 @@ from rcs.envs.setup import Setup
 from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup, UnknownName
-from rcs.kinematics.chain import GRIPPER_PREFIX
-from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription
-from rcs.setups.labs import lab_of
+from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.setups.lab import Lab, Stand, lab_of
 from rcs.sim.scene import CameraPlacement, RobotPlacement
+
+NO_END_EFFECTOR = "none"
+"""Asks for a bare flange."""
 
 
 def make(task: str | Setup = "PickCuboid", *, render_mode: str | None = None, **options: Any) -> Env:
@@ -91,26 +93,43 @@ def resolve(setup: Setup) -> Parts:
         UnknownName: A name that does not exist; the message has the nearest match.
         InvalidSetup: Parts that do not fit each other.
     """
-    arm: ArmDescription = _find_robot(setup.robot)
     lab = lab_of(setup.robot)
-    gripper: GripperDescription = lookup.find("gripper", setup.end_effector or lab.end_effector)
     task: type[Task] = lookup.find("task", setup.task)
-    robot = RobotPlacement(name=setup.robot, arm=arm, gripper=gripper)
-    cameras: list[CameraPlacement] = []
-    for name in setup.cameras:
-        if name not in lab.cameras:
-            raise UnknownName(f"camera mount in the lab of {setup.robot!r}", name, lab.cameras)
-        mount = lab.cameras[name]
-        description: CameraDescription = lookup.find("camera", mount.camera)
-        parent = robot.prefix + (GRIPPER_PREFIX + gripper.base_body if mount.on_gripper else arm.base_body)
-        cameras.append(
-            CameraPlacement(name=name, camera=description, parent_body=parent, optical_in_parent=mount.optical)
-        )
-    return Parts(setup=setup, robots=(robot,), cameras=tuple(cameras), task=task(lab.area))
+    robots = tuple(_place(stand, setup.end_effector or lab.end_effector) for stand in lab.stands)
+    cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras)
+    return Parts(setup=setup, robots=robots, cameras=cameras, task=task(lab.area))
 
 
-def _find_robot(name: str) -> ArmDescription:
-    try:
-        return lookup.find("arm", name)
-    except UnknownName as err:
-        raise UnknownName("robot", name, lookup.names("arm")) from err
+def _place(stand: Stand, end_effector: str | None) -> RobotPlacement:
+    arm: ArmDescription = lookup.find("arm", stand.arm)
+    gripper: GripperDescription | None = None
+    hand: HandDescription | None = None
+    if end_effector is not None and end_effector != NO_END_EFFECTOR:
+        if end_effector in lookup.names("hand"):
+            hand = lookup.find("hand", end_effector)
+        elif end_effector in lookup.names("gripper"):
+            gripper = lookup.find("gripper", end_effector)
+        else:
+            raise UnknownName(
+                "end effector", end_effector, [*lookup.names("gripper"), *lookup.names("hand"), NO_END_EFFECTOR]
+            )
+    return RobotPlacement(name=stand.name, arm=arm, gripper=gripper, hand=hand, base_in_scene=stand.base_in_scene)
+
+
+def _mount(name: str, setup: Setup, lab: Lab, robots: tuple[RobotPlacement, ...]) -> CameraPlacement:
+    if name not in lab.cameras:
+        raise UnknownName(f"camera mount in the lab of {setup.robot!r}", name, lab.cameras)
+    mount = lab.cameras[name]
+    parent = "world"
+    if mount.on_gripper_of is not None:
+        robot = next(robot for robot in robots if robot.name == mount.on_gripper_of)
+        if robot.end_effector is None:
+            raise InvalidSetup(f"Camera {name!r} is mounted on the gripper of {robot.name!r}, which has none.")
+        if robot.end_effector.name != lab.end_effector:
+            raise InvalidSetup(
+                f"Camera {name!r} is made to be mounted on {lab.end_effector!r}, not on {robot.end_effector.name!r}; "
+                "leave it out."
+            )
+        parent = robot.gripper_prefix + robot.end_effector.base_body
+    description: CameraDescription = lookup.find("camera", mount.camera)
+    return CameraPlacement(name=name, camera=description, parent_body=parent, optical_in_parent=mount.optical)

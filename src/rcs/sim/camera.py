@@ -74,7 +74,7 @@ class SimCameras:
         depth = [np.empty((*leading, height, width), np.uint16) for _ in self._ids] if self.has_depth else None
         renderer = self._renderer or self._make_renderer()
         if isinstance(renderer, RenderPool):
-            renderer.render_states(self._world.core.states, self._ids, rgb, depth)
+            renderer.render_states(self._world.core.states, self._ids, rgb, depth, self._world.core)
             self.capture_times = dict.fromkeys(self.names, time.perf_counter())
         else:
             data = self._world.data

@@ -31,6 +31,10 @@ class RobotLayout:
     finger_qvel: Index
     finger_actuator: int
     """Control index of the gripper, -1 without one."""
+    hand_joint_ids: list[int]
+    hand_actuator_ids: list[int]
+    hand_qpos: Index
+    hand_ctrl: Index
 
     @staticmethod
     def of(robot: RobotPlacement, model: mujoco.MjModel) -> RobotLayout:
@@ -47,6 +51,11 @@ class RobotLayout:
             if robot.gripper is not None:
                 fingers = [model.joint(robot.gripper_prefix + name).id for name in robot.gripper.joints]
                 finger_actuator = model.actuator(robot.gripper_prefix + robot.gripper.actuator).id
+            hand_joints: list[int] = []
+            hand_actuators: list[int] = []
+            if robot.hand is not None:
+                hand_joints = [model.joint(robot.gripper_prefix + name).id for name in robot.hand.joints]
+                hand_actuators = [model.actuator(robot.gripper_prefix + name).id for name in robot.hand.actuators]
             base = model.body(robot.base_body).id
             tcp = model.site(robot.tcp_site).id
         except KeyError as err:
@@ -63,6 +72,10 @@ class RobotLayout:
             finger_qpos=_index(model.jnt_qposadr[fingers]),
             finger_qvel=_index(model.jnt_dofadr[fingers]),
             finger_actuator=finger_actuator,
+            hand_joint_ids=hand_joints,
+            hand_actuator_ids=hand_actuators,
+            hand_qpos=_index(model.jnt_qposadr[hand_joints]),
+            hand_ctrl=_index(np.array(hand_actuators)),
         )
 
 

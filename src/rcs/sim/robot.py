@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rcs._core import ArmLimits, GripperMap, JointsArrived, JointsAtRest, SimArm, SimGripper
 from rcs.errors import InvalidSetup
-from rcs.robots.description import GripperDescription
+from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.layout import RobotLayout
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.world import World
@@ -82,6 +82,29 @@ class SimRobot:
             raise InvalidSetup(f"Robot {self.placement.name!r} has no gripper.")
         return self.world.openings[..., self._opening : self._opening + 1].copy()
 
+    @property
+    def hand(self) -> HandDescription:
+        """Description of the hand.
+
+        Raises:
+            InvalidSetup: The robot has none.
+        """
+        if self.placement.hand is None:
+            raise InvalidSetup(f"Robot {self.placement.name!r} has no hand.")
+        return self.placement.hand
+
+    @property
+    def hand_joints(self) -> NDArray[np.float32]:
+        """Measured joints of the hand, normalised to 0 … 1, (*leading, n)."""
+        lower, upper = np.array(self.hand.joint_lower), np.array(self.hand.joint_upper)
+        normalised = (self.world.qpos[..., self.layout.hand_qpos] - lower) / (upper - lower)
+        return np.clip(normalised, 0.0, 1.0).astype(np.float32)
+
+    def command_hand(self, joints: NDArray[np.floating]) -> None:
+        """Set the targets of the hand's joints, normalised to 0 … 1, (*leading, n)."""
+        lower, upper = np.array(self.hand.joint_lower), np.array(self.hand.joint_upper)
+        self.world.ctrl[..., self.layout.hand_ctrl] = lower + joints * (upper - lower)
+
     def command_joints(self, joints: NDArray[np.float64]) -> None:
         """Set the joint targets [rad], (*leading, dof)."""
         self.world.ctrl[..., self.layout.ctrl] = joints
@@ -102,14 +125,17 @@ class SimRobot:
             self.world.qpos[..., self.layout.finger_qpos] = np.array(self.placement.gripper.joint_open)
             self.world.qvel[..., self.layout.finger_qvel] = 0.0
             self.world.ctrl[..., self.layout.finger_actuator] = self.placement.gripper.ctrl_open
+        if self.placement.hand is not None:
+            self.command_hand(np.array(self.hand.open_pose))
+            self.world.qpos[..., self.layout.hand_qpos] = self.world.ctrl[..., self.layout.hand_ctrl]
 
     def wait_for_arrival(self) -> None:
         """Make synchronous steps of the world wait until the arm has arrived and the fingers are at rest."""
         core = self.world.core
         arrived = JointsArrived(self.layout.joint_ids, self.layout.actuator_ids, ARRIVED_TOLERANCE, STILL_TOLERANCE)
         core.converge_when(arrived)
-        if self.layout.finger_joint_ids:
-            fingers = self.layout.finger_joint_ids
+        fingers = self.layout.finger_joint_ids or self.layout.hand_joint_ids
+        if fingers:
             core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, REST_TIME, self.world.copies))
 
     def arm(self, copy: int = 0) -> SimArm:

@@ -12,13 +12,17 @@ import mujoco
 import numpy as np
 
 from rcs.errors import InvalidSetup
-from rcs.kinematics.chain import GRIPPER_PREFIX, attach_gripper, load, mount_frame
-from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, Mount
+from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, load, mount_frame
+from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
+from rcs.sim.detail import Assets, exchange_visuals
+from rcs.sim.tactile_placement import TactilePlacement, attach_tactile
 from rcs.spatial import Pose
 
 OVERVIEW = "overview"
 """Name of the camera that sees the whole scene; it is for people and in no observation."""
 
+TABLE = "table"
+"""Name of the body of the table."""
 TABLE_THICKNESS = 0.04
 STEEPEST = -0.7
 """A camera whose view points down more steeply than this (z of its direction) gets no stand."""
@@ -34,8 +38,24 @@ class RobotPlacement:
     """Name in keys and prefixes, such as `fr3`."""
     arm: ArmDescription
     gripper: GripperDescription | None = None
+    hand: HandDescription | None = None
+    """A hand instead of a gripper."""
     base_in_scene: Mount = Mount()
     """Pose of the robot's base frame in the scene."""
+
+    def __post_init__(self) -> None:
+        """Check that there is one end effector at most.
+
+        Raises:
+            InvalidSetup: A gripper and a hand.
+        """
+        if self.gripper is not None and self.hand is not None:
+            raise InvalidSetup(f"Robot {self.name!r} has a gripper and a hand; a flange carries one of them.")
+
+    @property
+    def end_effector(self) -> GripperDescription | HandDescription | None:
+        """What is at the flange."""
+        return self.gripper or self.hand
 
     @property
     def prefix(self) -> str:
@@ -44,7 +64,7 @@ class RobotPlacement:
 
     @property
     def gripper_prefix(self) -> str:
-        """Prefix of the gripper's element names."""
+        """Prefix of the names of what is at the flange."""
         return self.prefix + GRIPPER_PREFIX
 
     @property
@@ -55,9 +75,9 @@ class RobotPlacement:
     @property
     def tcp_site(self) -> str:
         """Name of the TCP site in the scene; the flange without a gripper."""
-        if self.gripper is None:
+        if self.end_effector is None:
             return self.prefix + self.arm.flange_site
-        return self.gripper_prefix + self.gripper.tcp_site
+        return self.gripper_prefix + self.end_effector.tcp_site
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +105,9 @@ class Scene:
     spec: mujoco.MjSpec
     robots: list[RobotPlacement] = field(default_factory=list)
     cameras: list[CameraPlacement] = field(default_factory=list)
+    tactile: list[TactilePlacement] = field(default_factory=list)
+    _lacks_details: bool = field(default=False, init=False, repr=False)
+    """Whether detailed visuals were asked for in vain; the next robot neither waits for the network nor warns again."""
 
     @staticmethod
     def empty(*, physics_step: float = 0.002) -> Scene:
@@ -162,7 +185,7 @@ class Scene:
 
     def add_table(self) -> None:
         """Add a table whose top is the plane z = 0."""
-        body = self.spec.worldbody.add_body(name="table", pos=[0.35, 0.0, 0.0])
+        body = self.spec.worldbody.add_body(name=TABLE, pos=[0.35, 0.0, 0.0])
         top = [0.60, 0.65, TABLE_THICKNESS / 2]
         body.add_geom(
             name="table top",
@@ -186,8 +209,12 @@ class Scene:
                     group=1,
                 )
 
-    def add_robot(self, robot: RobotPlacement) -> None:
+    def add_robot(self, robot: RobotPlacement, *, assets: Assets = "builtin") -> None:
         """Stand a robot in the scene, with its gripper at the flange.
+
+        Args:
+            robot: The robot and where it stands.
+            assets: Where its looks come from; nothing else depends on it.
 
         Raises:
             InvalidSetup: A robot of that name is in the scene already.
@@ -195,8 +222,13 @@ class Scene:
         if any(other.name == robot.name for other in self.robots):
             raise InvalidSetup(f"Two robots are named {robot.name!r}; give each a name of its own.")
         arm = load(robot.arm)
-        if robot.gripper is not None:
-            attach_gripper(arm, robot.arm, robot.gripper)
+        if robot.end_effector is not None:
+            attach_end_effector(arm, robot.arm, robot.end_effector)
+        if assets == "menagerie" and not self._lacks_details:
+            parts = [("", robot.arm.menagerie)]
+            if robot.gripper is not None:
+                parts.append((GRIPPER_PREFIX, robot.gripper.menagerie))
+            self._lacks_details = not exchange_visuals(arm, parts)
         self.spec.attach(arm, frame=mount_frame(self.spec.worldbody, robot.base_in_scene), prefix=robot.prefix)
         self.robots.append(robot)
 
@@ -218,6 +250,34 @@ class Scene:
         self.cameras.append(camera)
         if camera.parent_body in {"world", *(robot.base_body for robot in self.robots)}:
             self._add_stand(parent, camera)
+        else:
+            self._add_bracket(parent, camera)
+
+    def _add_bracket(self, parent: mujoco.MjsBody, camera: CameraPlacement) -> None:
+        """Join a camera that moves to the body that carries it, so that it is not seen to float."""
+        optical = camera.optical_in_parent
+        behind = np.array(optical.translation) - 0.012 * Pose((0.0, 0.0, 0.0), optical.quaternion).matrix[:3, 2]
+        parent.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            size=[0.006, 0.0, 0.0],
+            fromto=[0.0, 0.0, behind[2], *behind],
+            rgba=[0.20, 0.20, 0.22, 1.0],
+            contype=0,
+            conaffinity=0,
+            group=2,
+            mass=0.0,
+        )
+
+    def add_tactile(self, sensor: TactilePlacement) -> None:
+        """Mount a tactile sensor on a body of the scene, such as a finger in the place of its pad.
+
+        Raises:
+            InvalidSetup: The name is taken, or the body or the pad is not in the scene.
+        """
+        if any(other.name == sensor.name for other in [*self.tactile, *self.cameras]):
+            raise InvalidSetup(f"Two sensors are named {sensor.name!r}; give each a name of its own.")
+        attach_tactile(self.spec, sensor)
+        self.tactile.append(sensor)
 
     def _add_stand(self, parent: mujoco.MjsBody, camera: CameraPlacement) -> None:
         """Stand a camera that does not move on a post, which nothing can touch."""

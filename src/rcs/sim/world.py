@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from fractions import Fraction
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -84,6 +84,7 @@ class World:
         self.time = self.core.component(state.mjSTATE_TIME.value)[..., 0]
         """Live simulated time [s], (*leading,)."""
         self._is_read_out = False
+        self._scratch: mujoco.MjData | None = None
 
     @property
     def copies(self) -> int:
@@ -155,6 +156,39 @@ class World:
         """Return the whole integration state, (*leading, state_size); a live view for copies, a fresh array for one."""
         return self.core.states if self.leading else self.core.get_state(0)
 
+    def vary(self, field: str) -> NDArray[Any]:
+        """Return live values of a field of `MjModel` to write to, (*leading, *its shape); each copy has its own.
+
+        Call `update_constants` after writing masses, inertias, sizes or places of bodies.
+
+        Args:
+            field: MuJoCo's name, such as `body_mass`.
+
+        Raises:
+            ValueError: In a world of copies, a field that cannot differ between them.
+        """
+        if not self.leading:
+            return getattr(self.model, field)
+        return self.core.expand(field).reshape(*self.leading, *getattr(self.model, field).shape)
+
+    def field(self, field: str) -> NDArray[Any]:
+        """Return the present values of a field of `MjModel` to read, (*leading, *its shape)."""
+        common: NDArray[Any] = getattr(self.model, field)
+        shape = (*self.leading, *common.shape)
+        own = self.core.expanded(field) if self.leading else None
+        return np.broadcast_to(common, shape) if own is None else own.reshape(shape)
+
+    def update_constants(self, copies: Copies = None) -> None:
+        """Recompute what the model derives from masses, inertias and sizes (`mj_setConst`)."""
+        if not self.leading:
+            if self._scratch is None:
+                self._scratch = mujoco.MjData(self.model)
+            mujoco.mj_setConst(self.model, self._scratch)
+        elif copies is None:
+            self.core.set_constants()
+        else:
+            self.core.set_constants(copies)
+
     def geom_flags(self, names: Iterable[str]) -> NDArray[np.uint8]:
         """Return one flag per geom of the model that is 1 for the named ones.
 
@@ -168,12 +202,20 @@ class World:
 
     def subtree_flags(self, body: str) -> NDArray[np.uint8]:
         """Return one flag per geom that is 1 for those of a body and everything attached to it."""
+        return self.subtree(body)[self.model.geom_bodyid].astype(np.uint8)
+
+    def subtree(self, body: str) -> NDArray[np.bool_]:
+        """Return for each body of the model whether it is the named one or attached to it.
+
+        Raises:
+            KeyError: The body is not in the model.
+        """
         root = self.model.body(body).id
-        inside = np.zeros(self.model.nbody, bool)
+        inside = np.zeros(self.model.nbody, np.bool_)
         inside[root] = True
         for i in range(root + 1, self.model.nbody):  # parents come before children
             inside[i] = inside[self.model.body_parentid[i]]
-        return inside[self.model.geom_bodyid].astype(np.uint8)
+        return inside
 
 
 class Callback(StepCallback):

@@ -41,18 +41,20 @@ class PickCuboid(Task):
     def __init__(self, area: Area) -> None:
         """Take place in an area; the cuboid's centre is anywhere in it, at any yaw."""
         super().__init__(area)
+        self.edges = tuple(area.object_scale * edge for edge in SIZE)
+        """Edges of the cuboid here [m]."""
         self._steps_held: NDArray[np.int64] = np.zeros((), np.int64)
 
     def furnish(self, scene: Scene) -> None:
         """Add a table and the cuboid."""
         scene.add_table()
-        body = scene.spec.worldbody.add_body(name=CUBOID, pos=[*self.area.center, SIZE[2] / 2])
+        body = scene.spec.worldbody.add_body(name=CUBOID, pos=[*self.area.center, self.edges[2] / 2])
         body.add_freejoint(name=CUBOID)
         body.add_geom(
             name=CUBOID,
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[edge / 2 for edge in SIZE],
-            mass=MASS,
+            size=[edge / 2 for edge in self.edges],
+            mass=MASS * self.area.object_scale**3,
             rgba=[0.10, 0.55, 0.20, 1.0],
             # Sliding friction of PLA on rubber is about 1. Torsional friction counts from condim 4 on, and is what
             # keeps the cuboid from turning between the pads.
@@ -61,6 +63,10 @@ class PickCuboid(Task):
             solref=[0.01, 1.0],
             group=0,
         )
+
+    def objects(self) -> list[str]:
+        """Return the cuboid."""
+        return [CUBOID]
 
     def bind(self, world: World, robots: list[SimRobot]) -> None:
         """Have the cuboid's pose and the pads' forces on it read out.
@@ -76,10 +82,6 @@ class PickCuboid(Task):
         self._robot = robot
         model = world.model
         cuboid = world.geom_flags([CUBOID])
-        base = placement.base_in_scene
-        if base.quaternion != (0.0, 0.0, 0.0, 1.0):
-            raise InvalidSetup("PickCuboid places the cuboid in a base frame that is not turned against the scene.")
-        self._base = np.array(base.translation)
         self._pose = world.core.read_body_pose(model.body(CUBOID).id, robot.layout.base_body)
         self._pads = [
             world.core.read_force(world.geom_flags(placement.gripper_prefix + name for name in pads), cuboid)
@@ -91,16 +93,20 @@ class PickCuboid(Task):
         self._quaternion = slice(first + 3, first + 7)
         self._hold_steps = round(HOLD_TIME * world.frequency)
         self._steps_held = np.zeros(world.leading, np.int64)
-        self._rest_height = SIZE[2] / 2
+        self._geom = int(model.geom(CUBOID).id)
+        self._rest_height = np.full(world.leading, self.edges[2] / 2)
+        # The pose for agents is in the base frame, which may stand anywhere; how high the cuboid is held is not.
+        self._in_scene = world.core.read_body_pose(model.body(CUBOID).id, 0)
 
     def reset(self, draws: Draws, where: Where) -> None:
         """Lay the cuboid down at a random place and yaw."""
+        self._rest_height = self._world.field("geom_size")[..., self._geom, 2].copy()  # it may vary between episodes
         half = np.array([*self.area.size]) / 2
         center = np.array(self.area.center)
         place = draws.uniform(np.append(center - half, -np.pi), np.append(center + half, np.pi))
         translation = np.empty((*draws.leading, 3))
-        translation[..., :2] = place[..., :2] + self._base[:2]
-        translation[..., 2] = self._rest_height
+        translation[..., :2] = place[..., :2]
+        translation[..., 2] = self._rest_height[where]
         quaternion = np.zeros((*draws.leading, 4))  # wxyz, as MuJoCo's state has it
         quaternion[..., 0] = np.cos(place[..., 2] / 2)
         quaternion[..., 3] = np.sin(place[..., 2] / 2)
@@ -120,7 +126,7 @@ class PickCuboid(Task):
         poses = self._world.poses
         cuboid = poses[..., self._pose, :].copy()
         is_grasped = touches[..., self._pads[0]] & touches[..., self._pads[1]]
-        height = cuboid[..., 2] - self._rest_height
+        height = poses[..., self._in_scene, 2] - self._rest_height
         self._steps_held = (self._steps_held + 1) * ((height > LIFT_HEIGHT) & is_grasped)
         success = self._steps_held >= self._hold_steps
         offset = cuboid[..., :3] - poses[..., self._robot.tcp_readout, :3]

@@ -98,7 +98,7 @@ class Recorder(Observer):
         self._episode: EpisodeWriter | None = None
         self._next_id: str | None = None
         self._last_time = 0.0
-        self._keys = {feature.key for feature in writer.info.features}
+        self._dtypes = {feature.key: feature.numpy_dtype for feature in writer.info.features}
 
     def name_next(self, episode_id: str) -> None:
         """Set the id of the next episode; without one, episodes are not recorded."""
@@ -133,11 +133,9 @@ class Recorder(Observer):
         }
         row.update(_flat(OBSERVATION, transition.observation))
         if transition.action is not None and transition.executed is not None:
-            given = {
-                key: np.asarray(value, transition.executed[key].dtype if key in transition.executed else np.float64)
-                for key, value in transition.action.items()
-            }
-            row.update(_flat(ACTION, given))
+            # An action may come in another number type; it is kept in that of its space.
+            given = _flat(ACTION, transition.action)
+            row.update({key: np.asarray(value, self._dtypes[key]) for key, value in given.items()})
             row.update(_flat(EXECUTED, transition.executed))
             row["reward"] = transition.reward
         row.update({f"time/{key}": time for key, time in transition.capture_times.items()})
@@ -173,7 +171,7 @@ class Recorder(Observer):
 def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     flat: dict[str, NDArray[Any]] = {}
     for key, value in values.items():
-        if isinstance(value, dict):
+        if isinstance(value, Mapping):
             flat.update(_flat(f"{prefix}/{key}", value))
         else:
             flat[f"{prefix}/{key}"] = value

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import pi
 from typing import Final
 
-from rcs.robots.description import ArmDescription
+from rcs.robots.description import ArmDescription, MenagerieVisuals
 
 FR3: Final = ArmDescription(
     name="fr3",
@@ -33,5 +33,6 @@ FR3: Final = ArmDescription(
         "libfranka include/franka/rate_limiting.h (Apache-2.0): acceleration and jerk limits",
         "mujoco_menagerie franka_fr3 (Apache-2.0): inertias, armature, friction, servo gains",
     ),
+    menagerie=MenagerieVisuals.of("franka_fr3", "fr3", {f"link{i}": f"fr3_link{i}" for i in range(8)}),
 )
 """The Franka Research 3 arm with seven joints."""

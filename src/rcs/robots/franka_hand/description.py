@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import cos, pi, sin
 from typing import Final
 
-from rcs.robots.description import GripperDescription, Mount
+from rcs.robots.description import GripperDescription, MenagerieVisuals, Mount
 
 FRANKA_HAND: Final = GripperDescription(
     name="franka_hand",
@@ -37,6 +37,9 @@ FRANKA_HAND: Final = GripperDescription(
         "franka_description 1.0.1 (Apache-2.0): mount, TCP, finger joints, inertias, finger boxes",
         "mujoco_menagerie franka_emika_panda hand (Apache-2.0): finger armature, coupling of the fingers",
         "Franka Hand data sheet: forces",
+    ),
+    menagerie=MenagerieVisuals.of(
+        "franka_emika_panda", "hand", {name: name for name in ("hand", "left_finger", "right_finger")}
     ),
 )
 """The Franka Hand with two coupled fingers."""

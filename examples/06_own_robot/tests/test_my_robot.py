@@ -1,0 +1,136 @@
+"""Our arm keeps the contracts of rcs, its two models are the same arm, and the scripted expert can use it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from my_robot.description import MY_ROBOT
+from my_robot.from_urdf import MY_ROBOT_URDF
+from numpy.typing import NDArray
+
+import rcs
+from rcs.devices import Arm
+from rcs.kinematics import kinematics_of, load
+from rcs.rollout.collect import expert_for
+from rcs.rollout.episode import run_episode
+from rcs.testing import ArmContract, EnvContract
+
+ROBOTS = ("my_robot", "my_robot_urdf")
+
+
+class TestTheArm(ArmContract):
+    """The simulated arm behind the interface that the real one will have."""
+
+    robot = "my_robot"
+
+    def make_arm(self) -> Arm:
+        """Return the arm of a new world whose time passes in steps of 10 ms."""
+        env = rcs.make("Free", robot=self.robot, frequency=100.0)
+        env.reset(seed=0)
+        self.world = env.scenario.world
+        return env.scenario.robots[0].arm()
+
+    def advance(self, seconds: float) -> None:
+        """Let simulated time pass."""
+        for _ in range(round(100.0 * seconds)):
+            self.world.advance()
+
+
+class TestTheArmFromItsUrdf(TestTheArm):
+    """The same, from the other file."""
+
+    robot = "my_robot_urdf"
+
+
+class TestTheEnvironment(EnvContract):
+    """An environment of our arm."""
+
+    longest_episode = 6
+
+    def make_env(self) -> Any:
+        """Return an environment with short episodes."""
+        return rcs.make("PickCuboid", robot="my_robot", max_episode_steps=6)
+
+
+def test_urdf_and_mjcf_are_the_same_arm() -> None:
+    """Poses, inertia, limits and controllers agree, so that either can be used."""
+    one, other = load(MY_ROBOT).compile(), load(MY_ROBOT_URDF).compile()
+    for field in ("jnt_range", "jnt_actfrcrange", "dof_armature", "actuator_gainprm", "actuator_biasprm"):
+        np.testing.assert_allclose(getattr(one, field), getattr(other, field), rtol=1e-9, err_msg=field)
+    kinematics = kinematics_of(MY_ROBOT), kinematics_of(MY_ROBOT_URDF)
+    for joints in np.random.default_rng(0).uniform(MY_ROBOT.joint_lower, MY_ROBOT.joint_upper, (20, MY_ROBOT.dof)):
+        a, b = (solver.forward(joints).matrix for solver in kinematics)
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(joint_inertia(one, joints), joint_inertia(other, joints), rtol=0.0, atol=1e-9)
+
+
+def joint_inertia(model: mujoco.MjModel, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inertia matrix of the joints [kg m^2], in which every mass and inertia has its part."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = joints
+    mujoco.mj_forward(model, data)
+    matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, matrix)
+    return matrix
+
+
+@pytest.mark.parametrize("arm", [MY_ROBOT, MY_ROBOT_URDF], ids=ROBOTS)
+def test_description_and_model_have_the_same_limits(arm: Any) -> None:
+    """One is what devices check, the other what is simulated."""
+    model = load(arm).compile()
+    lower, upper = model.jnt_range.T
+    np.testing.assert_allclose(lower, arm.joint_lower)
+    np.testing.assert_allclose(upper, arm.joint_upper)
+    np.testing.assert_allclose(model.jnt_actfrcrange[:, 1], arm.effort_limit)
+    np.testing.assert_allclose(model.actuator_ctrlrange, model.jnt_range)
+
+
+@pytest.mark.parametrize("arm", [MY_ROBOT, MY_ROBOT_URDF], ids=ROBOTS)
+def test_nothing_touches_at_home(arm: Any) -> None:
+    """Neighbours that overlap would push each other away."""
+    model = load(arm).compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = arm.home
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_scripted_expert_picks_the_cuboid(robot: str) -> None:
+    """Everywhere in the area of the lab: at least nine times of ten."""
+    setup = rcs.Setup(task="PickCuboid", robot=robot)
+    env = rcs.make(setup)
+    expert = expert_for(env, setup)
+    assert sum(run_episode(env, expert, seed=seed).success for seed in range(10)) >= 9
+    env.close()
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_many_copies_step_together(robot: str) -> None:
+    """On native threads."""
+    envs = rcs.make_vec("PickCuboid", robot=robot, copies=3)
+    observations, _ = envs.reset(seed=0)
+    envs.step(envs.action_space.sample())
+    assert observations["joints"].shape == (3, 6)
+    envs.close()
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_cameras_of_the_lab_are_mounted(robot: str) -> None:
+    """Those of `rcs collect` by default."""
+    env = rcs.make("Free", robot=robot, cameras=("wrist", "side"))
+    space: Any = env.observation_space
+    assert set(space["frames"]) == {"wrist", "side"}
+    env.close()
+
+
+def test_gymnasium_makes_it_by_its_id() -> None:
+    """The name before the colon is the package to import."""
+    env = gymnasium.make("my_robot:rcs/PickCuboid-MyRobot-v0")
+    observation, _ = env.reset(seed=0)
+    assert observation["joints"].shape == (6,)
+    env.close()

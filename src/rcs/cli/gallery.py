@@ -1,0 +1,29 @@
+"""`rcs gallery`: a page of pictures of every environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.console import Console
+
+from rcs.rollout.gallery import gallery
+
+
+@dataclass(kw_only=True)
+class GalleryCommand:
+    """Draw every environment in both qualities, and what its cameras see, on one page."""
+
+    out: Path = field(default_factory=lambda: Path("datasets/gallery"))
+    """Folder for the page and its pictures."""
+    seed: int = 0
+    """Of the episodes shown."""
+
+    def run(self) -> int:
+        """Draw and tell where the page is."""
+        console = Console(soft_wrap=True)
+        with console.status("Drawing"):
+            for shot in gallery(self.out, seed=self.seed):
+                console.print(f"{shot.title}: {shot.file}", highlight=False)
+        console.print(f"Page: {self.out / 'index.html'}", highlight=False)
+        return 0

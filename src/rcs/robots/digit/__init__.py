@@ -1,0 +1,1 @@
+"""The DIGIT, a fingertip sensor with a camera behind an elastic gel."""

@@ -1,0 +1,1 @@
+"""The SO101 follower arm, without its gripper."""

@@ -1,0 +1,44 @@
+"""The figures of the SO101 follower arm."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Final
+
+from rcs.robots.description import ArmDescription, MenagerieVisuals
+
+SO101: Final = ArmDescription(
+    name="so101",
+    label="SO101",
+    module=__name__,
+    mjcf_file="so101.xml",
+    base_body="base",
+    joints=("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"),
+    actuators=("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"),
+    # In the axis of the wrist roll, z towards the gripper.
+    flange_site="flange",
+    # Our choice: the gripper is 15 cm above the middle of its workspace, pointing down and 30 degrees ahead.
+    home=(0.0, -pi / 6, pi / 18, 4 * pi / 9, 0.0),
+    # mujoco_menagerie robotstudio_so101: 0 is the middle of the range ("new" calibration of SO-ARM100).
+    joint_lower=(-1.91986, -1.7453293, -1.69, -1.658063, -2.7438473),
+    joint_upper=(1.91986, 1.7453293, 1.69, 1.658063, 2.7438473),
+    # Servo's data sheet, STS3215 at 12 V: 45 rpm without load, 30 kg cm stall torque.
+    velocity_limit=(1.5 * pi,) * 5,
+    effort_limit=(2.94,) * 5,
+    # Not published. Ours: a fifth of what the torque does to the servo's own armature, reached within 20 ms.
+    acceleration_limit=(20.0,) * 5,
+    jerk_limit=(1000.0,) * 5,
+    # From the shoulder lift to the flange with the arm stretched out: 0.116 + 0.135 + 0.061 m.
+    workspace_reach=0.312,
+    sources=(
+        "mujoco_menagerie robotstudio_so101 (Apache-2.0): kinematics, limits, inertias, joint dynamics, servo gains",
+        "TheRobotStudio SO-ARM100 (Apache-2.0): the published description that the former follows",
+        "Feetech STS3215 data sheet: speed, torque",
+    ),
+    menagerie=MenagerieVisuals.of(
+        "robotstudio_so101",
+        "so101",
+        {name: name for name in ("base", "shoulder", "upper_arm", "lower_arm", "wrist")},
+    ),
+)
+"""The SO101 arm with five joints."""

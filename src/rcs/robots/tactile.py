@@ -1,0 +1,103 @@
+"""What is known about an optical tactile sensor: frozen figures of its gel, its camera and its lights.
+
+The frame of the base body is the sensor's own: x out of the gel, z along the gel's long side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from rcs.errors import InvalidSetup
+from rcs.robots.description import (
+    _file_next_to,  # pyright: ignore[reportPrivateUsage]  one rule for where MJCF files lie
+)
+
+_Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TactileLight:
+    """One light inside of the sensor."""
+
+    position: _Vector
+    """Where it is, in the frame of the base body [m]."""
+    color: _Vector
+    """Red, green and blue, 0 … 1."""
+    intensity: float
+    """Brightness relative to the others."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TactileDescription:
+    """One sensor that watches the back of an elastic gel with a camera."""
+
+    name: str
+    """Short name used to ask for it, such as `digit`."""
+    label: str
+    """Full name for people."""
+    module: str
+    """Name of the module that defines the description; the MJCF file lies next to it."""
+    mjcf_file: str
+    """File name of the MJCF model."""
+    base_body: str
+    """Body of the housing, which is attached to a finger."""
+    gel_geom: str
+    """Geom that touches what is felt."""
+    gel_center: _Vector
+    """Foremost point of the gel, in the frame of the base body [m]."""
+    gel_width: float
+    """Length of the gel along y [m]."""
+    gel_height: float
+    """Length of the gel along z [m]."""
+    gel_curvature_radius: float
+    """Radius of the sphere that the gel's surface is cut from [m]."""
+    gel_bulge: float
+    """How far the centre of the gel stands out above its corners; the sphere's cap is stretched to it [m]."""
+    camera_position: _Vector
+    """Where the camera is, in the frame of the base body; it looks along x with z up [m]."""
+    camera_yfov: float
+    """Field of view of the camera along z [rad]."""
+    camera_znear: float
+    """Distance that the camera sees from [m]."""
+    image_size: tuple[int, int]
+    """Width (along y) and height (along z) of the image [px]."""
+    rate: int
+    """Highest rate at this size [frames/s]."""
+    lights: tuple[TactileLight, ...]
+    """Lights behind the gel."""
+    force_range: tuple[float, float]
+    """Contact forces from the first trace in the image to the deepest [N]."""
+    max_indentation: float
+    """Depth that something is pressed into the gel at the largest force [m]."""
+    noise_std: float
+    """Standard deviation of the image's noise, of 255 levels."""
+    sources: tuple[str, ...]
+    """Where the figures come from."""
+
+    def __post_init__(self) -> None:
+        """Check ranges.
+
+        Raises:
+            InvalidSetup: A length that is not positive, a field of view outside of 0 .. pi, no light, or a force range
+                that does not ascend.
+        """
+        lengths = (self.gel_width, self.gel_height, self.gel_curvature_radius, self.gel_bulge)
+        positive = (*lengths, self.camera_znear, self.max_indentation, *self.image_size, self.rate)
+        if not all(math.isfinite(value) and value > 0.0 for value in positive):
+            raise InvalidSetup(f"{self.name}: lengths, image size and rate must be positive, got {positive}.")
+        if math.hypot(self.gel_width, self.gel_height) / 2.0 >= self.gel_curvature_radius:
+            raise InvalidSetup(f"{self.name}: the gel is larger than a sphere of {self.gel_curvature_radius} m.")
+        if not 0.0 < self.camera_yfov < math.pi:
+            raise InvalidSetup(f"{self.name}: camera_yfov is {self.camera_yfov} rad; valid is 0 .. pi.")
+        if not self.lights or self.noise_std < 0.0:
+            raise InvalidSetup(f"{self.name}: needs a light and a noise_std of 0 or more, got {self.noise_std}.")
+        low, high = self.force_range
+        if not 0.0 <= low < high:
+            raise InvalidSetup(f"{self.name}: force_range {self.force_range} N must ascend from 0 or more.")
+
+    @property
+    def mjcf(self) -> Path:
+        """Path of the MJCF model."""
+        return _file_next_to(self.module, self.mjcf_file)

@@ -1,0 +1,1 @@
+"""The Universal Robots UR5e arm."""

@@ -1,0 +1,1 @@
+"""The UFACTORY xArm 7 arm."""

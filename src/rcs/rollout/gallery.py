@@ -1,0 +1,114 @@
+"""A page of pictures: every environment, drawn in both qualities, with what its cameras see."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import simplejpeg
+from numpy.typing import NDArray
+
+from rcs.envs.setup import Setup
+from rcs.errors import DatasetError, InvalidSetup
+from rcs.rollout.collect import expert_for
+from rcs.setups.ids import ids
+from rcs.setups.lab import lab_of
+from rcs.setups.make import make
+from rcs.sim.camera import Quality
+from rcs.sim.picture import Picture
+
+SIZE = (960, 720)
+"""Size of a picture [px]."""
+JPEG_QUALITY = 92
+STEPS = 45
+"""How far an expert goes before the picture is taken: half way to the object."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """One picture of the gallery."""
+
+    title: str
+    file: Path
+
+
+def gallery(out: Path, *, seed: int = 0) -> Iterator[Shot]:
+    """Draw every registered environment and write the page `index.html`, yielding every picture as it is written.
+
+    Args:
+        out: Folder for the pictures.
+        seed: Of the episodes shown.
+
+    Raises:
+        DatasetError: The folder cannot be written.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        shots: list[Shot] = []
+        for name, (task, robot) in ids().items():
+            if task == "Free":
+                continue  # the same robot without its task
+            for shot in _shots(name, task, robot, out, seed):
+                shots.append(shot)
+                yield shot
+        (out / "index.html").write_text(_page(shots), "utf-8")
+    except OSError as err:
+        raise DatasetError(f"The gallery cannot be written to {out}: {err}") from err
+
+
+def _shots(name: str, task: str, robot: str, out: Path, seed: int) -> Iterator[Shot]:
+    setup = Setup(task=task, robot=robot, cameras=tuple(lab_of(robot).cameras), size=(320, 240))
+    env = make(setup)
+    stem = name.removeprefix("rcs/").removesuffix("-v0")
+    try:
+        observation = _go_on(env, setup, seed)
+        for quality in get_args(Quality):
+            picture = Picture(env.scenario.world, size=SIZE, quality=quality)
+            yield _write(f"{stem}, {quality}", picture.draw(), out / f"{stem}-{quality}.jpg")
+            picture.close()
+        for camera, frame in observation["frames"].items():
+            yield _write(f"{stem}, camera {camera}", frame["rgb"], out / f"{stem}-camera-{camera}.jpg")
+    finally:
+        env.close()
+
+
+def _go_on(env: Any, setup: Setup, seed: int) -> Any:
+    """Start an episode and let the expert act for a while, where there is one."""
+    observation, info = env.reset(seed=seed)
+    try:
+        expert = expert_for(env, setup)
+    except InvalidSetup:
+        return observation
+    expert.reset(observation, info)
+    for _ in range(STEPS):
+        observation, _, terminated, truncated, info = env.step(expert.act(observation, info))
+        if terminated or truncated:
+            break
+    return observation
+
+
+def _write(title: str, picture: NDArray[np.uint8], file: Path) -> Shot:
+    file.write_bytes(
+        simplejpeg.encode_jpeg(np.ascontiguousarray(picture), quality=JPEG_QUALITY, colorsubsampling="444")
+    )
+    return Shot(title=title, file=file)
+
+
+def _page(shots: list[Shot]) -> str:
+    figures = "\n".join(
+        f'<figure><img src="{html.escape(shot.file.name)}" alt="{html.escape(shot.title)}">'
+        f"<figcaption>{html.escape(shot.title)}</figcaption></figure>"
+        for shot in shots
+    )
+    return (
+        '<!doctype html><html lang="en"><meta charset="utf-8"><title>Gallery</title><style>'
+        "body{font:15px system-ui,sans-serif;margin:2rem;background:#f5f6f8;color:#1c2430}"
+        "main{display:grid;grid-template-columns:repeat(auto-fill,minmax(380px,1fr));gap:1.2rem}"
+        "figure{margin:0;background:#fff;border-radius:8px;overflow:hidden;border:1px solid #dde1e6}"
+        "img{width:100%;display:block}figcaption{padding:.6rem .8rem}"
+        f"</style><h1>Gallery</h1><main>{figures}</main></html>\n"
+    )

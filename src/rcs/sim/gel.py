@@ -1,0 +1,154 @@
+"""The gel of a tactile sensor as its camera sees it: where it is at rest, and what an object makes of it.
+
+All maps are images. The camera looks along the sensor's x axis, and depth is the distance from it along x. As a DIGIT
+streams its images lying on their side, columns run along +z and rows along -y; `numpy.rot90` stands one up. Objects are
+looked up on a coarser grid of rays than the image has: the gel rounds off details that are finer than its pixels.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.robots.tactile import TactileDescription
+
+Image = NDArray[np.float32]
+
+RAY_PITCH = 2
+"""Pixels of the image per ray, in both directions."""
+FINEST_DETAIL = 0.16e-3
+"""Standard deviation of the blur with which the gel's skin follows an object [m]; our choice, two pixels."""
+SKIRT = 0.45e-3
+"""Standard deviation of the blur with which the gel next to a contact is pulled along [m]; our choice."""
+STILL = 1e-7
+"""A displacement below this is none [m]: it changes no colour, and far from a contact every bit stays the same."""
+
+
+class Gel:
+    """The gel's rest surface, and its deformation under objects that penetrate it."""
+
+    def __init__(self, sensor: TactileDescription) -> None:
+        """Find the rest surface along every ray and in every pixel.
+
+        Args:
+            sensor: The sensor whose gel it is.
+        """
+        self._sensor = sensor
+        self._half_slope = math.tan(0.5 * sensor.camera_yfov)
+        """Slope of the rays through the middle of the image's left and right edge."""
+        height, width = sensor.image_size  # upright, the image is higher than wide
+        self.size = (width, height)
+        self.grid = (height // RAY_PITCH, width // RAY_PITCH)
+        """Rows and columns of the rays."""
+        self.slopes = self._slopes(height, width)
+        """Sideways distance per depth of every pixel: along y (height, 1) and along z (1, width)."""
+        slope_y, slope_z = self._slopes(*self.grid)
+        self.rest = self.depth_at_rest(*self.slopes).astype(np.float32)
+        """Depth of the rest surface in every pixel [m], (height, width)."""
+        self.ray_slopes = np.broadcast_arrays(np.ones(self.grid), slope_y, slope_z)
+        """x, y and z of every ray's direction, with x = 1, each (rows, columns)."""
+        self.ray_rest = self.depth_at_rest(slope_y, slope_z)
+        """Depth of the rest surface along every ray [m], (rows, columns)."""
+        self._ray_distance = float(self.rest[height // 2, width // 2]) * 2 * self._half_slope / self.grid[1]
+
+    def _slopes(self, rows: int, columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the slopes of the rays through the centres of an image's pixels; pixels are square."""
+        per_pixel = 2 * self._half_slope / columns
+        slope_y = -per_pixel * (np.arange(rows, dtype=np.float64) + 0.5 - rows / 2)
+        slope_z = per_pixel * (np.arange(columns, dtype=np.float64) + 0.5 - columns / 2)
+        return slope_y[:, None], slope_z[None, :]
+
+    def pixels(
+        self, slope_y: NDArray[np.float64], slope_z: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return rows and columns of rays in the image, with the centre of the top left pixel at (0, 0)."""
+        width, height = self.size
+        focal = width / (2 * self._half_slope)
+        return height / 2 - 0.5 - focal * slope_y, width / 2 - 0.5 + focal * slope_z
+
+    def surface(self, y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the x of the rest surface [m] at y and z [m], all in the sensor's frame.
+
+        It is the cap of a sphere, stretched along x so that the gel's corners are as low as they are (Tacto 0.0.3).
+        """
+        sensor = self._sensor
+        radius = sensor.gel_curvature_radius
+        x0, y0, z0 = sensor.gel_center
+        corner = radius - math.sqrt(radius**2 - 0.25 * (sensor.gel_width**2 + sensor.gel_height**2))
+        fall = radius - np.sqrt(np.maximum(radius**2 - (y - y0) ** 2 - (z - z0) ** 2, 0.0))
+        return x0 - sensor.gel_bulge / corner * fall
+
+    def depth_at_rest(self, slope_y: NDArray[np.float64], slope_z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the depth [m] at which rays from the camera meet the rest surface."""
+        x0, y0, z0 = self._sensor.camera_position
+        depth = np.full(np.broadcast_shapes(slope_y.shape, slope_z.shape), self._sensor.gel_center[0] - x0)
+        # The surface falls off by less than a ray moves sideways, so this contracts; it stops at machine precision.
+        for _ in range(60):
+            depth = self.surface(y0 + depth * slope_y, z0 + depth * slope_z) - x0
+        return depth
+
+    def penetration(self, depth: NDArray[np.float64], coarser: int = 1) -> NDArray[np.float64]:
+        """Return how far behind the rest surface an object begins.
+
+        Args:
+            depth: Depth at which rays meet an object [m], infinite where there is none.
+            coarser: Which rays: every ray of the grid, every second in both directions, and so on.
+
+        Returns:
+            Distance along x between the rest surface and the object [m]: positive where the object is inside the gel,
+            minus infinity where there is none.
+        """
+        x0, y0, z0 = self._sensor.camera_position
+        _, slope_y, slope_z = (slope[::coarser, ::coarser] for slope in self.ray_slopes)
+        found = np.isfinite(depth)
+        near = np.where(found, depth, 0.0)
+        return np.where(found, self.surface(y0 + near * slope_y, z0 + near * slope_z) - x0 - near, -np.inf)
+
+    def displacement(self, depth: NDArray[np.float64]) -> Image:
+        """Return how far the gel's surface moves towards the camera.
+
+        The surface follows the object where they touch. Next to it, the skin is pulled along and comes back within
+        about a millimetre; the skin also rounds off what is finer than it can follow.
+
+        Args:
+            depth: Depth at which each ray meets an object [m], infinite where there is none, (rows, columns).
+
+        Returns:
+            Displacement along the optical axis [m], (height, width), exactly 0 where nothing is felt.
+        """
+        pressed = np.clip(self.ray_rest - depth, 0.0, self._sensor.max_indentation).astype(np.float32)
+        pulled = np.maximum(pressed, _blur(pressed, SKIRT / self._ray_distance))
+        smooth = _blur(pulled, FINEST_DETAIL / self._ray_distance, RAY_PITCH)
+        smooth[smooth < STILL] = 0.0
+        return smooth
+
+
+def _blur(image: Image, sigma: float, finer: int = 1) -> Image:
+    """Blur an image with a Gaussian, and draw it `finer` times as large in the same pass.
+
+    Slices instead of matrix products: those of NumPy take a hundred times as long when the CPU's cores are busy.
+
+    Args:
+        image: Values of two axes; beyond its edge it goes on as at the edge.
+        sigma: Standard deviation in the image's own steps.
+        finer: Values of the result per value of the image, along each axis.
+    """
+    return _blur_rows(_blur_rows(image, sigma, finer).T, sigma, finer).T
+
+
+def _blur_rows(image: Image, sigma: float, finer: int) -> Image:
+    """Blur along the first axis."""
+    reach = math.ceil(4.0 * sigma)
+    padded = np.pad(image, ((reach, reach), (0, 0)), mode="edge")
+    blurred = np.empty((len(image) * finer, image.shape[1]), np.float32)
+    for phase in range(finer):
+        place = (phase + 0.5) / finer - 0.5
+        weights = np.exp(-0.5 * ((np.arange(-reach, reach + 1) - place) / sigma) ** 2)
+        weights = (weights / weights.sum()).astype(np.float32)
+        row = weights[0] * padded[: len(image)]
+        for start, weight in enumerate(weights[1:], 1):
+            row += weight * padded[start : start + len(image)]
+        blurred[phase::finer] = row
+    return blurred

@@ -1,0 +1,104 @@
+"""Rows of a field of the model that get values of their own in every copy: masses of bodies or colours of geoms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rcs.sim.world import Copies, World
+
+
+class ModelRows:
+    """Some rows of one field, with their nominal values."""
+
+    def __init__(self, world: World, field: str, rows: ArrayLike) -> None:
+        """Give the field values per copy.
+
+        Args:
+            world: Its model still has the nominal values.
+            field: MuJoCo's name of the field, such as `body_mass`.
+            rows: Which rows: ids of bodies, geoms, …
+        """
+        self.rows = np.asarray(rows, np.intp)
+        self.nominal: NDArray[Any] = np.array(getattr(world.model, field)[self.rows])
+        """Values in the model as it was compiled, (rows, ...)."""
+        self._has_copies = bool(world.leading)
+        self._live = world.vary(field)
+
+    def write(self, values: NDArray[Any], copies: Copies = None) -> None:
+        """Write the values of some copies.
+
+        Args:
+            values: Shape (*leading of the copies, rows, ...).
+            copies: Which copies; None for all, or for the only one.
+        """
+        if not self._has_copies:
+            self._live[self.rows] = values
+        elif copies is None:
+            self._live[:, self.rows] = values
+        else:
+            self._live[np.ix_(copies, self.rows)] = values
+
+    def scale(self, factors: NDArray[np.float64], copies: Copies = None) -> None:
+        """Write the nominal values times a factor for each row, (*leading, rows)."""
+        self.write(self.nominal * factors.reshape(factors.shape + (1,) * (self.nominal.ndim - 1)), copies)
+
+
+class ObjectParts:
+    """What in a model belongs to one object: its body, all that is attached to it, and their shapes."""
+
+    def __init__(self, world: World, body: str) -> None:
+        """Look an object up.
+
+        Raises:
+            KeyError: The body is not in the model.
+        """
+        model = world.model
+        self.root = int(model.body(body).id)
+        inside = world.subtree(body)
+        self.bodies = np.flatnonzero(inside)
+        self.geoms = np.flatnonzero(inside[model.geom_bodyid])
+        self.sites = np.flatnonzero(inside[model.site_bodyid])
+        self.flexes = np.array([i for i in range(model.nflex) if inside[_first_body(model, i)]], np.intp)
+        self.boxes = np.concatenate([np.arange(0), *(_tree_of(model, int(i)) for i in self.bodies)])
+        """Nodes of the bodies' bounding volume trees."""
+        joints = np.flatnonzero(inside[model.jnt_bodyid])
+        self.is_scalable = bool(
+            len(self.geoms)
+            and not len(self.flexes)
+            and np.isin(model.geom_type[self.geoms], _SIMPLE).all()
+            and (model.jnt_bodyid[joints] == self.root).all()
+        )
+        """Whether it is of simple shapes and rigid; meshes are shared by all copies and keep their size."""
+
+
+_SIMPLE = np.arange(2, 7)
+"""Sphere, capsule, ellipsoid, cylinder and box, as `mjtGeom` numbers them."""
+
+
+def _first_body(model: Any, flex: int) -> int:
+    return int(model.flex_vertbodyid[model.flex_vertadr[flex]])
+
+
+def _tree_of(model: Any, body: int) -> NDArray[np.intp]:
+    return np.arange(model.body_bvhnum[body]) + model.body_bvhadr[body]
+
+
+def owners(parts: Iterable[NDArray[np.intp]]) -> NDArray[np.intp]:
+    """Return for each row, of the parts one after the other, which part it belongs to."""
+    lengths = [len(part) for part in parts]
+    return np.repeat(np.arange(len(lengths)), lengths)
+
+
+def colours(world: World, geoms: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Return the colours that geoms are drawn with, (geoms, 4): their own, or their material's if they have none."""
+    model = world.model
+    rgba: NDArray[np.float32] = np.array(model.geom_rgba[geoms])
+    materials = model.geom_matid[geoms]
+    # MuJoCo's renderer takes this grey, a geom's default, for "no colour of its own".
+    has_none = (rgba == np.array([0.5, 0.5, 0.5, 1.0], np.float32)).all(axis=-1) & (materials >= 0)
+    rgba[has_none] = model.mat_rgba[materials[has_none]]
+    return rgba

@@ -1,0 +1,250 @@
+"""A tactile sensor with a camera behind its gel, such as the DIGIT, in a world of one copy or of many.
+
+Rays from the sensor's camera find what is pressed into the gel, with the precision of the geometry and without OpenGL.
+The gel's surface follows (`gel`), and its lights make the frame (`gel_light`). Contacts in MuJoCo are much stiffer than
+a gel, so by default it is the measured contact force that says how deep the gel gives in. Soft bodies (flexes) are not
+felt.
+"""
+
+from __future__ import annotations
+
+import copy as copying
+from typing import Any, Literal, get_args
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs._core import Camera, CameraMode, Frame
+from rcs.errors import InvalidSetup
+from rcs.sim.gel import Gel
+from rcs.sim.gel_light import GelLight, GelRenderer, Picture
+from rcs.sim.tactile_placement import TactilePlacement
+from rcs.sim.world import World
+
+Indentation = Literal["force", "geometry"]
+"""What says how deep the gel gives in. `force`: the normal force on the gel, which grows with the depth up to the
+sensor's largest. `geometry`: how far objects are inside the gel, for poses that are set and not simulated."""
+
+Look = Literal["rcs", "tacto"]
+"""Who draws the frame: this library, or Tacto (extra `tacto`)."""
+
+FELT_GROUPS = (0, 3)
+"""Groups of geoms that are felt: 0 is what both touches and is seen, 3 what only touches."""
+FELT_FIELDS = ("body_pos", "body_quat", "geom_pos", "geom_quat", "geom_size", "geom_rbound", "geom_aabb", "bvh_aabb")
+"""Fields of the model that say where geoms are and how large: copies of a world may have values of their own."""
+COARSER = 2
+"""Every second ray finds the deepest point; all rays are cast only where something touches."""
+
+
+class SimTactile:
+    """One tactile sensor of a world. Frames are (*world.leading, height, width, 3)."""
+
+    def __init__(
+        self,
+        world: World,
+        placement: TactilePlacement,
+        *,
+        indentation: Indentation = "force",
+        look: Look = "rcs",
+        background: Picture | None = None,
+        noise_seed: int | None = None,
+    ) -> None:
+        """Look the sensor up in a world, and have the force on its gel read out.
+
+        Args:
+            world: The world.
+            placement: A sensor of its scene.
+            indentation: What says how deep the gel gives in.
+            look: Who draws the frame.
+            background: A frame without contact, (height, width, 3), such as one from a real sensor; None for the one
+                that the lights give. Tacto has one of its own.
+            noise_seed: Seed of the noise of the sensor's pixels; None for frames without noise.
+
+        Raises:
+            InvalidSetup: The sensor is not in the world, or an option that does not make sense.
+            MissingDependency: Tacto was asked for and is not installed.
+        """
+        if indentation not in get_args(Indentation) or look not in get_args(Look):
+            raise InvalidSetup(
+                f"indentation={indentation!r}, look={look!r}; valid: {get_args(Indentation)} and {get_args(Look)}."
+            )
+        if look == "tacto" and background is not None:
+            raise InvalidSetup("Tacto has a background of its own; give none, or look='rcs'.")
+        model = world.model
+        try:
+            self._body: int = model.body(placement.body_name).id
+            gel_geom: int = model.geom(placement.gel_name).id
+        except KeyError as err:
+            raise InvalidSetup(f"Tactile sensor {placement.name!r} is not in this model: {err}") from err
+        self.placement = placement
+        self.gel = Gel(placement.sensor)
+        self._world = world
+        self._by_force = indentation == "force"
+        self._renderer = _renderer(placement, self.gel, look, background)
+        self._noise = None if noise_seed is None else np.random.default_rng(noise_seed)
+        is_gel = np.zeros(model.ngeom, np.uint8)
+        is_gel[gel_geom] = 1
+        self._force = world.core.read_force(is_gel, 1 - is_gel)
+        # What the sensor is fixed to may stand in its rays, and is not felt; to the world, everything that stands is.
+        fixed_to = model.body_weldid[self._body]
+        bodies = model.geom_bodyid
+        self._is_own = bodies == self._body if fixed_to == 0 else model.body_weldid[bodies] == fixed_to
+        groups = np.zeros(mujoco.mjNGROUP, np.uint8)
+        groups[list(FELT_GROUPS)] = 1
+        self._groups = groups
+        self._felt = np.flatnonzero((groups[model.geom_group] == 1) & ~self._is_own)
+        self._rays = np.stack(self.gel.ray_slopes, axis=-1)
+        self._one_copy: tuple[mujoco.MjModel, mujoco.MjData] | None = None
+
+    @property
+    def force(self) -> NDArray[np.float64]:
+        """Normal force on the gel in the last physics step [N], (*leading,), a fresh array."""
+        return self._world.forces[..., self._force].copy()
+
+    def read(self) -> dict[str, NDArray[Any]]:
+        """Feel what touches the gel now.
+
+        Returns:
+            `rgb` (*leading, H, W, 3) uint8, and `indentation` (*leading, H, W) float32: how far the gel's surface is
+            pushed towards the camera [m], 0 where nothing is felt.
+        """
+        width, height = self.gel.size
+        leading = self._world.leading
+        rgb = np.empty((*leading, height, width, 3), np.uint8)
+        indentation = np.empty((*leading, height, width), np.float32)
+        for copy in np.ndindex(leading):
+            model, data = self._present(copy)
+            force = float(self._world.forces[(*copy, self._force)]) if self._by_force else 0.0
+            indentation[copy] = self._feel(model, data, force)
+            rgb[copy] = self._with_noise(self._renderer.draw(indentation[copy]))
+        return {"rgb": rgb, "indentation": indentation}
+
+    def _present(self, copy: tuple[int, ...]) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Return the model and the poses of one copy."""
+        if self._world.data is not None:
+            return self._world.model, self._world.data
+        if self._one_copy is None:
+            own = copying.copy(self._world.model)
+            self._one_copy = own, mujoco.MjData(own)
+        model, data = self._one_copy
+        for field in FELT_FIELDS:
+            values = self._world.core.expanded(field)
+            if values is not None:
+                common = getattr(model, field)
+                common[:] = values[copy].reshape(common.shape)
+        mujoco.mj_setState(model, data, self._world.core.states[copy], mujoco.mjtState.mjSTATE_INTEGRATION.value)
+        mujoco.mj_kinematics(model, data)
+        return model, data
+
+    def _feel(self, model: mujoco.MjModel, data: mujoco.MjData, force: float) -> NDArray[np.float32]:
+        """Return the gel's displacement in one copy [m], (H, W)."""
+        sensor = self.placement.sensor
+        least, most = sensor.force_range
+        if (self._by_force and force <= least) or not self._is_something_near(model, data):
+            return np.zeros(self.gel.rest.shape, np.float32)
+        coarse = slice(None, None, COARSER)
+        penetration = self.gel.penetration(self._cast(model, data, coarse, coarse, 0.0), COARSER)
+        deepest = float(penetration.max())
+        if deepest == -np.inf:
+            return np.zeros(self.gel.rest.shape, np.float32)
+        wanted = deepest
+        if self._by_force:
+            wanted = sensor.max_indentation * (min(force, most) - least) / (most - least)
+        touched = penetration > deepest - wanted
+        depth = np.full(self.gel.grid, np.inf)
+        if touched.any():
+            rows, columns = _around(touched, 1), _around(touched, 0)
+            depth[rows, columns] = self._cast(model, data, rows, columns, wanted - deepest)
+        return self.gel.displacement(depth)
+
+    def _is_something_near(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
+        """Return whether the box around a geom that can be felt reaches the gel: most of the time none does."""
+        sensor, felt = self.placement.sensor, self._felt
+        middle = data.xpos[self._body] + data.xmat[self._body].reshape(3, 3) @ np.array(sensor.gel_center)
+        offset = np.einsum("gji,gj->gi", data.geom_xmat[felt].reshape(-1, 3, 3), middle - data.geom_xpos[felt])
+        box = model.geom_aabb[felt]
+        outside = np.maximum(np.abs(offset - box[:, :3]) - box[:, 3:], 0.0)
+        reach = 0.5 * np.hypot(sensor.gel_width, sensor.gel_height) + sensor.max_indentation
+        is_near = (outside**2).sum(axis=1) < reach**2
+        is_near |= model.geom_type[felt] == mujoco.mjtGeom.mjGEOM_PLANE  # has no box
+        return bool(is_near.any())
+
+    def _cast(
+        self, model: mujoco.MjModel, data: mujoco.MjData, rows: slice, columns: slice, ahead: float
+    ) -> NDArray[np.float64]:
+        """Return the depth at which rays meet an object, infinite where there is none [m], (rows, columns).
+
+        Args:
+            model: Shapes of all geoms.
+            data: Poses of all geoms.
+            rows: Rows of the grid of rays.
+            columns: Columns of the grid of rays.
+            ahead: How far the sensor is moved along its x axis, into the object [m].
+        """
+        sensor = self.placement.sensor
+        rotation = data.xmat[self._body].reshape(3, 3)
+        eye = data.xpos[self._body] + rotation @ (np.array(sensor.camera_position) + [ahead, 0.0, 0.0])
+        rays = self._rays[rows, columns]
+        count = rays.shape[0] * rays.shape[1]
+        geoms, depth = np.empty(count, np.int32), np.empty(count)
+        # einsum, as the threads of a matrix product cost more than the product when all cores are busy.
+        directions = np.einsum("ij,rcj->rci", rotation, rays).ravel()
+        # What lies farther from the gel than it gives in does not touch it, wherever on the gel a contact is.
+        farthest = sensor.gel_center[0] - sensor.camera_position[0] + 2.0 * sensor.max_indentation
+        args = (model, data, eye, directions, self._groups, 1, self._body, geoms, depth, None)
+        mujoco.mj_multiRay(
+            *args, count, 2.0 * farthest
+        )  # geoms are left out by their distance along a ray, not by depth
+        depth[(depth < 0.0) | (depth > farthest) | ((geoms >= 0) & self._is_own[geoms])] = np.inf
+        return depth.reshape(rays.shape[:2])
+
+    def _with_noise(self, frame: Picture) -> Picture:
+        if self._noise is None:
+            return frame
+        noise = self._noise.standard_normal(frame.shape, np.float32)
+        noise *= self.placement.sensor.noise_std
+        return np.clip(np.rint(frame + noise), 0.0, 255.0).astype(np.uint8)
+
+    def close(self) -> None:
+        """Free what drawing needed. Closing twice is harmless; with this library's look, reading goes on to work."""
+        self._renderer.close()
+
+
+def _around(flags: NDArray[np.bool_], across: int) -> slice:
+    """Return the rows (across 1) or columns (0) of rays where coarser ones have true flags, and two of these more."""
+    found = np.flatnonzero(flags.any(axis=across))
+    return slice(max(int(found[0]) - 2, 0) * COARSER, (int(found[-1]) + 3) * COARSER)
+
+
+def _renderer(placement: TactilePlacement, gel: Gel, look: Look, background: Picture | None) -> GelRenderer:
+    if look == "tacto":
+        # Here, because it needs packages that most users do not have.
+        from rcs.sim.tacto import Tacto
+
+        return Tacto(placement.sensor, gel)
+    return GelLight(placement.sensor, gel, background)
+
+
+class SimTactileCamera(Camera):
+    """A tactile sensor of a world of one copy as a device."""
+
+    def __init__(self, sensor: SimTactile, world: World) -> None:
+        """Use a sensor.
+
+        Raises:
+            InvalidSetup: The world has many copies.
+        """
+        if world.leading:
+            raise InvalidSetup("SimTactileCamera needs a world of one copy.")
+        width, height = sensor.gel.size
+        super().__init__(sensor.placement.name, CameraMode(width, height, world.frequency, False))
+        self._sensor = sensor
+        self._world = world
+
+    def _read(self) -> Frame:
+        number = int(self._world.core.steps[0])
+        return Frame(self._sensor.read()["rgb"], None, float(self._world.time), number)
+
+    def _close(self) -> None:
+        self._sensor.close()

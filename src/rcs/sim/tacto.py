@@ -1,0 +1,137 @@
+"""Frames of a tactile sensor drawn by Tacto 0.0.3 (extra `tacto`), to compare with or to train on.
+
+Tacto gets the gel's surface as this library finds it, so that any object of a scene can be felt, and draws it with its
+own lights, materials and OpenGL context. It is some ten times slower than `gel_light`.
+"""
+
+from __future__ import annotations
+
+import collections
+import collections.abc
+import fractions
+import importlib
+import math
+import os
+from collections.abc import Generator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs._core import probe_gl
+from rcs.errors import InvalidSetup, MissingDependency
+from rcs.robots.tactile import TactileDescription
+from rcs.sim.gel import Gel, Image
+from rcs.sim.gel_light import Picture
+
+MESH_ROWS = 160
+"""Vertices of the surface along the sensor's z axis; twice as many take four times as long and look the same."""
+
+
+class Tacto:
+    """Tacto's renderer with the figures that it has for the DIGIT."""
+
+    def __init__(self, sensor: TactileDescription, gel: Gel) -> None:
+        """Make Tacto's scene.
+
+        Args:
+            sensor: A DIGIT.
+            gel: Its gel.
+
+        Raises:
+            InvalidSetup: The sensor is none that Tacto has figures of.
+            MissingDependency: Tacto is not installed or cannot draw here.
+        """
+        if sensor.name != "digit":
+            raise InvalidSetup(f"Tacto draws the sensor 'digit', not {sensor.name!r}.")
+        tacto = _import_tacto()
+        width, height = gel.size
+        # Tacto's frames stand upright: its rows run along -z.
+        self._renderer: Any = tacto.Renderer(height, width, None, tacto.get_digit_config_path())
+        self._gel = gel
+        _, y0, z0 = sensor.camera_position
+        self._front = sensor.gel_center[0] - sensor.camera_position[0]
+        columns = int(MESH_ROWS * sensor.gel_width / sensor.gel_height)
+        y = sensor.gel_center[1] - y0 + sensor.gel_width * np.linspace(-0.5, 0.5, columns)
+        z = sensor.gel_center[2] - z0 + sensor.gel_height * np.linspace(-0.5, 0.5, MESH_ROWS)
+        self._y, self._z = np.meshgrid(y, z)
+
+    def draw(self, displacement: Image) -> Picture:
+        """Return the frame of a displacement, (height, width, 3)."""
+        recess = self._front - self.surface(displacement)
+        frame, _ = self._renderer.render_from_depth(recess, noise=False, calibration=False)
+        # From rows along -z and columns along -y to rows along -y and columns along +z.
+        return np.ascontiguousarray(frame[::-1, :, :3].transpose(1, 0, 2))
+
+    def surface(self, displacement: Image) -> NDArray[np.float64]:
+        """Return the depth of the gel's surface on Tacto's grid: rows along z, columns along y [m]."""
+        depth = self._gel.rest - displacement
+        found = np.full(self._y.shape, self._front)
+        # Where a ray meets the surface depends on the depth there; each round brings it closer by half or more.
+        for _ in range(12):
+            found = _sample(depth, *self._gel.pixels(self._y / found, self._z / found))
+        return found
+
+    def close(self) -> None:
+        """Free Tacto's OpenGL context. Closing twice is harmless."""
+        if self._renderer is not None:
+            self._renderer.r.delete()
+            self._renderer = None
+
+
+def _sample(image: Image, rows: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an image's values between its pixels; beyond its edge it goes on as at the edge."""
+    rows = np.clip(rows, 0.0, image.shape[0] - 1.001)
+    columns = np.clip(columns, 0.0, image.shape[1] - 1.001)
+    row, column = rows.astype(np.intp), columns.astype(np.intp)
+    down, right = rows - row, columns - column
+    upper = (1.0 - right) * image[row, column] + right * image[row, column + 1]
+    lower = (1.0 - right) * image[row + 1, column] + right * image[row + 1, column + 1]
+    return (1.0 - down) * upper + down * lower
+
+
+def _import_tacto() -> Any:
+    """Import Tacto.
+
+    Raises:
+        MissingDependency: It is not installed, or a package that it needs does not work here.
+    """
+    # Without it, Tacto's OpenGL wants a display. What was chosen before stays.
+    if "PYOPENGL_PLATFORM" not in os.environ:
+        usable = [probe.name for probe in probe_gl() if probe.ok]
+        if usable:
+            os.environ["PYOPENGL_PLATFORM"] = usable[0]
+    try:
+        with _names_of_2018():
+            return importlib.import_module("tacto")
+    except (ImportError, AttributeError) as err:
+        raise MissingDependency(
+            f"look='tacto' needs Tacto, which cannot be imported ({err}); pip install 'robot-control-stack[tacto]', "
+            "and for OSMesa `pip install -U --no-deps networkx PyOpenGL` after it."
+        ) from err
+
+
+@contextmanager
+def _names_of_2018() -> Generator[None]:
+    """Lend Python and NumPy names that they have dropped, for as long as Tacto is imported.
+
+    Tacto's packages are pinned to networkx 2.2, which uses them; once it is loaded it does not.
+    """
+    lent: list[tuple[Any, str]] = []
+    wanted: list[tuple[Any, str, Any]] = [
+        *((collections, name, getattr(collections.abc, name)) for name in collections.abc.__all__),
+        (fractions, "gcd", math.gcd),
+        (np, "float_", np.float64),
+        (np, "float", float),
+        (np, "int", int),
+    ]
+    for module, name, value in wanted:
+        if name not in vars(module):
+            setattr(module, name, value)
+            lent.append((module, name))
+    try:
+        yield
+    finally:
+        for module, name in lent:
+            delattr(module, name)

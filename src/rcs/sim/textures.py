@@ -1,0 +1,53 @@
+"""Procedural textures for surfaces: computed here, so that no picture has to be shipped."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+EDGE = 128
+"""Width and height of a texture [px]."""
+REPEAT = 2.0
+"""How often it is laid side by side on a surface."""
+
+
+def add_textures(spec: mujoco.MjSpec, count: int) -> None:
+    """Add materials with textures to a scene; `texture_name` has their names.
+
+    They are grey and bright, so that a surface keeps its own colour under them.
+    """
+    for number in range(count):
+        name = texture_name(number)
+        grey = procedural_texture(number)
+        texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=EDGE, height=EDGE, nchannel=3)
+        texture.data = np.repeat(grey[..., None], 3, axis=-1).tobytes()
+        material = spec.add_material(name=name, texrepeat=[REPEAT, REPEAT], specular=0.2, shininess=0.3)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+
+
+def texture_name(number: int) -> str:
+    """Return the name of a texture and its material."""
+    return f"texture {number}"
+
+
+def procedural_texture(number: int) -> NDArray[np.uint8]:
+    """Return the grey values of a texture, (EDGE, EDGE): wood, checks, stripes or cloth, of changing scale.
+
+    All of them can be laid side by side without a seam.
+    """
+    rng = np.random.default_rng(number)
+    x, y = np.meshgrid(np.arange(EDGE) / EDGE, np.arange(EDGE) / EDGE)
+    scale = 2 * (1 + number // 4)
+    kind = number % 4
+    if kind == 0:
+        wave = 0.5 * np.sin(2 * np.pi * (2 * x + y)) + 0.25 * np.sin(2 * np.pi * 3 * x)
+        value = 0.5 + 0.5 * np.sin(2 * np.pi * (4 * scale * y + wave))
+    elif kind == 1:
+        value = ((np.floor(2 * scale * x) + np.floor(2 * scale * y)) % 2).astype(np.float64)
+    elif kind == 2:
+        value = 0.5 + 0.5 * np.sign(np.sin(2 * np.pi * 2 * scale * (x + y)))
+    else:
+        value = 0.5 + 0.25 * (np.sin(2 * np.pi * 8 * scale * x) + np.sin(2 * np.pi * 8 * scale * y))
+    grain = rng.random((EDGE, EDGE))
+    return np.rint(255 * (0.55 + 0.35 * value + 0.10 * grain)).astype(np.uint8)

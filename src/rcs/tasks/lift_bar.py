@@ -1,0 +1,140 @@
+"""Lift-Bar: two arms grasp a bar at its ends, lift it together and hold it level."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.envs.draws import Draws
+from rcs.envs.layers import Where
+from rcs.envs.task import Area, Outcome, Task
+from rcs.errors import InvalidSetup
+from rcs.sim.robot import SimRobot
+from rcs.sim.scene import Scene
+from rcs.sim.world import World
+
+EDGES = (0.035, 0.50, 0.05)
+"""Edges of the bar along its x, y, z [m]: too long and too heavy at one end for one hand."""
+MASS = 0.30
+"""Mass of such a bar of light wood [kg]."""
+GRASP_OFFSET = 0.20
+"""Where it is grasped: this far from its middle along its y [m]."""
+LIFT_HEIGHT = 0.10
+"""How far above the table both ends must be held [m]."""
+HOLD_TIME = 1.0
+"""For how long [s]."""
+MAX_TILT = np.deg2rad(10.0)
+"""Tilt above which the bar does not count as level [rad]."""
+MAX_YAW = 0.35
+"""The bar lies turned by up to this [rad]: farther and the arms would cross."""
+TOUCH_FORCE = 0.5
+"""A pad with less than this on the bar does not count as touching it [N]."""
+BAR = "bar"
+
+
+class LiftBar(Task):
+    """Grasp a bar at both ends with two arms, lift it 10 cm and hold it level for one second.
+
+    The reward is 1 per step at success, below that the mean over the arms of reaching, grasping and lifting.
+    """
+
+    instruction = "lift the bar with both arms"
+
+    def __init__(self, area: Area) -> None:
+        """Take place in an area; the middle of the bar is anywhere in it."""
+        super().__init__(area)
+        self._steps_held: NDArray[np.int64] = np.zeros((), np.int64)
+
+    def furnish(self, scene: Scene) -> None:
+        """Add a table and the bar."""
+        scene.add_table()
+        body = scene.spec.worldbody.add_body(name=BAR, pos=[*self.area.center, EDGES[2] / 2])
+        body.add_freejoint(name=BAR)
+        body.add_geom(
+            name=BAR,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[edge / 2 for edge in EDGES],
+            mass=MASS,
+            rgba=[0.12, 0.30, 0.62, 1.0],
+            friction=[1.0, 0.01, 0.0001],
+            condim=4,
+            solref=[0.01, 1.0],
+            group=0,
+        )
+
+    def bind(self, world: World, robots: list[SimRobot]) -> None:
+        """Have the bar's pose and the pads' forces on it read out.
+
+        Raises:
+            InvalidSetup: There are not exactly two robots, or one has no gripper.
+        """
+        if len(robots) != 2 or any(robot.placement.gripper is None for robot in robots):
+            raise InvalidSetup("LiftBar needs two robots with grippers.")
+        self._world = world
+        model = world.model
+        bar = world.geom_flags([BAR])
+        self._pose = world.core.read_body_pose(model.body(BAR).id, 0)
+        self._tcps = [world.core.read_pose(robot.layout.tcp_site, 0) for robot in robots]
+        self._pads = [
+            world.core.read_force(world.geom_flags(robot.placement.gripper_prefix + name for name in pads), bar)
+            for robot in robots
+            for pads in robot.gripper.pad_geoms
+        ]
+        first = int(model.joint(BAR).qposadr[0])
+        self._translation = slice(first, first + 3)
+        self._quaternion = slice(first + 3, first + 7)
+        self._hold_steps = round(HOLD_TIME * world.frequency)
+        self._steps_held = np.zeros(world.leading, np.int64)
+        # The first robot stands on the left, at larger y: it takes the end at larger y.
+        self._ends = np.array([[0.0, GRASP_OFFSET, 0.0], [0.0, -GRASP_OFFSET, 0.0]])
+
+    def reset(self, draws: Draws, where: Where) -> None:
+        """Lay the bar down at a random place, turned a little."""
+        half, center = np.array(self.area.size) / 2, np.array(self.area.center)
+        place = draws.uniform(np.append(center - half, -MAX_YAW), np.append(center + half, MAX_YAW))
+        rows = self._world.qpos[where] if self._world.leading else self._world.qpos
+        rows[..., self._translation][..., :2] = place[..., :2]
+        rows[..., self._translation][..., 2] = EDGES[2] / 2
+        rows[..., self._quaternion] = 0.0
+        rows[..., self._quaternion][..., 0] = np.cos(place[..., 2] / 2)
+        rows[..., self._quaternion][..., 3] = np.sin(place[..., 2] / 2)
+        if self._world.leading:
+            self._world.qpos[where] = rows
+            self._steps_held[where] = 0
+        else:
+            self._steps_held = np.zeros((), np.int64)
+
+    def evaluate(self) -> Outcome:
+        """Judge height, level and grasps, and for how long."""
+        poses = self._world.poses
+        bar = poses[..., self._pose, :].copy()
+        touches = self._world.forces[..., self._pads] > TOUCH_FORCE
+        grasped = touches[..., 0::2] & touches[..., 1::2]
+        both = grasped[..., 0] & grasped[..., 1]
+        x, y = bar[..., 3], bar[..., 4]
+        is_level = 1.0 - 2.0 * (x * x + y * y) > np.cos(MAX_TILT)  # z component of the bar's z axis
+        height = bar[..., 2] - EDGES[2] / 2
+        is_held = (height > LIFT_HEIGHT) & is_level & both
+        self._steps_held = (self._steps_held + 1) * is_held
+        success = self._steps_held >= self._hold_steps
+        offsets = poses[..., self._tcps, :3] - self._grasps(bar)
+        reach = 1.0 - np.tanh(5.0 * np.sqrt(np.vecdot(offsets, offsets)))
+        lift = np.minimum(np.maximum(height * (1.0 / LIFT_HEIGHT), 0.0), 1.0)
+        each = (reach + grasped * (1.0 + lift[..., None])) * (1.0 / 3.0)
+        reward = np.maximum(each.mean(axis=-1), success)
+        info: dict[str, NDArray[Any]] = {"success": success, "is_grasped": both, "bar_in_scene": bar}
+        return Outcome(reward=reward, terminated=success, info=info)
+
+    def _grasps(self, bar: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where the two ends are to be grasped, in the scene, (..., 2, 3)."""
+        x, y, z, w = (bar[..., 3 + i] for i in range(4))
+        axis = np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=-1)
+        return bar[..., None, :3] + self._ends[:, 1, None] * axis[..., None, :]
+
+    def describe(self) -> dict[str, NDArray[Any]]:
+        """Return where the bar lies."""
+        never = np.zeros(self._world.leading, np.bool_)
+        return {"success": never, "is_grasped": never, "bar_in_scene": self._world.poses[..., self._pose, :].copy()}

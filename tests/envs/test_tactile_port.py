@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rcs.envs.clock import SimClock
+from rcs.envs.sim_ports import SimArmPort, SimCameraPort
+from rcs.envs.stack import Stack
+from rcs.envs.tactile_port import SimTactilePort
+from rcs.errors import InvalidSetup
+from rcs.robots.description import Mount
+from rcs.robots.digit.description import DIGIT
+from rcs.robots.fr3.description import FR3
+from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots.realsense_d435.description import REALSENSE_D435
+from rcs.sim import CameraPlacement, RobotPlacement, Scene, World
+from rcs.sim.camera import SimCameras
+from rcs.sim.robot import SimRobot
+from rcs.sim.tactile import SimTactile
+from rcs.sim.tactile_mounts import franka_hand_pads
+
+ROBOT = RobotPlacement(name="fr3", arm=FR3, gripper=FRANKA_HAND)
+EYE = CameraPlacement(
+    name="eye",
+    camera=REALSENSE_D435,
+    parent_body="world",
+    optical_in_parent=Mount(translation=(0.3, 0.0, 1.0), quaternion=(1.0, 0.0, 0.0, 0.0)),
+)
+
+
+def scene() -> Scene:
+    scene = Scene.empty()
+    scene.add_robot(ROBOT)
+    scene.add_camera(EYE)
+    for sensor in franka_hand_pads(ROBOT, DIGIT):
+        scene.add_tactile(sensor)
+    return scene
+
+
+@pytest.mark.parametrize("copies", [None, 2])
+def test_frames_of_the_sensors_are_in_the_observation(copies: int | None) -> None:
+    scene_ = scene()
+    world = World(scene_.compile(), copies=copies, threads=1)
+    robot = SimRobot(world, ROBOT)
+    sensors = [SimTactile(world, placement) for placement in scene_.tactile]
+    stack = Stack([SimArmPort(robot), SimTactilePort(sensors)], [], world.leading)
+    robot.go_home()
+    world.refresh()
+    SimClock(world).advance()
+    observation = stack.measure()
+    assert set(observation["frames"]) == {"fr3_left", "fr3_right"}
+    if copies is None:
+        assert stack.observation_space.contains(observation)
+    for name in ("fr3_left", "fr3_right"):
+        assert observation["frames"][name]["rgb"].shape == (*world.leading, 240, 320, 3)
+        assert f"frames/{name}" in stack.capture_times()
+    stack.close()
+
+
+@pytest.mark.gl
+def test_frames_of_sensors_and_cameras_stand_next_to_each_other() -> None:
+    scene_ = scene()
+    world = World(scene_.compile())
+    sensors = [SimTactile(world, placement) for placement in scene_.tactile]
+    port = SimTactilePort(sensors, SimCameraPort(SimCameras(world, [EYE], size=(32, 24))))
+    world.refresh()
+    frames = port.observe()["frames"]
+    assert set(frames) == {"eye", "fr3_left", "fr3_right"}
+    assert port.observation_spaces["frames"].contains(frames)
+    assert set(port.capture_times()) == {"frames/eye", "frames/fr3_left", "frames/fr3_right"}
+    assert frames["eye"]["rgb"].dtype == np.uint8
+    port.close()
+    port.close()
+
+
+def test_two_of_one_name_are_refused() -> None:
+    scene_ = scene()
+    world = World(scene_.compile())
+    sensor = SimTactile(world, scene_.tactile[0])
+    with pytest.raises(InvalidSetup, match="named 'fr3_left'"):
+        SimTactilePort([sensor, sensor])

@@ -1,0 +1,155 @@
+"""The xArm 7 model against the published figures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rcs.robots.xarm7.description import XARM7
+
+Figures = dict[str, Any]
+Pose = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+@pytest.fixture(scope="module")
+def figures() -> Figures:
+    return json.loads((Path(__file__).parent / "data" / "xarm7.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def arm() -> mujoco.MjModel:
+    spec = mujoco.MjSpec.from_file(str(XARM7.mjcf))
+    spec.option.timestep = 0.002
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    return spec.compile()
+
+
+def rotation(quat_wxyz: list[float]) -> NDArray[np.float64]:
+    """Rotation matrix of a quaternion."""
+    w, x, y, z = np.array(quat_wxyz) / np.linalg.norm(quat_wxyz)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+
+
+def turned(angle: float) -> NDArray[np.float64]:
+    """Rotation matrix of a turn about z [rad]."""
+    return rotation([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
+
+
+def flange_from_chain(figures: Figures, q: NDArray[np.float64]) -> Pose:
+    """Position and rotation of the flange in the base frame, from the joint table."""
+    position, orientation = np.zeros(3), np.eye(3)
+    for joint, angle in zip(figures["chain"], q, strict=True):
+        position = position + orientation @ joint["xyz"]
+        orientation = orientation @ rotation(joint["quat_wxyz"]) @ turned(angle)
+    return position, orientation
+
+
+def at(model: mujoco.MjModel, q: NDArray[np.float64] | tuple[float, ...]) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    data.qpos[:] = data.ctrl[:] = q
+    mujoco.mj_forward(model, data)
+    return data
+
+
+@pytest.mark.parametrize("pose", ["qpos0", "keyframe"])
+def test_the_flange_is_where_it_was_published(arm: mujoco.MjModel, figures: Figures, pose: str) -> None:
+    published = figures["published_flange"][pose]
+    flange = at(arm, published["q"]).site(XARM7.flange_site)
+    np.testing.assert_allclose(flange.xpos, published["position"], atol=1e-12)
+    np.testing.assert_allclose(flange.xmat, published["rotation"], atol=1e-12)
+
+
+def test_the_flange_follows_the_joint_table(arm: mujoco.MjModel, figures: Figures) -> None:
+    rng = np.random.default_rng(1)
+    for q in [np.array(XARM7.home), *rng.uniform(XARM7.joint_lower, XARM7.joint_upper, (20, XARM7.dof))]:
+        position, orientation = flange_from_chain(figures, q)
+        flange = at(arm, q).site(XARM7.flange_site)
+        np.testing.assert_allclose(flange.xpos, position, atol=1e-9)
+        np.testing.assert_allclose(flange.xmat.reshape(3, 3), orientation, atol=1e-9)
+
+
+def test_masses_and_inertias_equal_the_table(
+    arm: mujoco.MjModel, figures: Figures, inertia_in_body: Callable[[mujoco.MjModel, str], NDArray[np.float64]]
+) -> None:
+    for link in figures["links"]:
+        body = arm.body(link["link"])
+        assert body.mass[0] == link["mass"]
+        np.testing.assert_array_equal(body.ipos, link["com"])
+        np.testing.assert_allclose(inertia_in_body(arm, link["link"]), link["inertia_xx_yy_zz_xy_xz_yz"], atol=1e-12)
+    assert arm.body_mass.sum() == pytest.approx(11.317, abs=1e-3)
+
+
+def test_limits_joint_dynamics_and_servos_equal_the_table(arm: mujoco.MjModel, figures: Figures) -> None:
+    for i, row in enumerate(figures["joints"]):
+        joint, servo = arm.joint(XARM7.joints[i]), arm.actuator(XARM7.actuators[i])
+        assert row["range"] == [XARM7.joint_lower[i], XARM7.joint_upper[i]] == list(joint.range)
+        assert row["range"] == list(servo.ctrlrange)
+        assert row["velocity"] == XARM7.velocity_limit[i]
+        assert row["effort"] == XARM7.effort_limit[i]
+        np.testing.assert_array_equal(arm.jnt_actfrcrange[joint.id], [-row["effort"], row["effort"]])
+        for name in ("armature", "damping", "frictionloss"):
+            assert getattr(joint, name)[0] == row[name]
+        assert servo.gainprm[0] == row["kp"]
+        np.testing.assert_array_equal(servo.biasprm[:3], [0.0, -row["kp"], -row["kv"]])
+
+
+def test_joints_and_actuators_are_numbered_from_base_to_tip(arm: mujoco.MjModel) -> None:
+    assert [arm.joint(name).id for name in XARM7.joints] == list(range(XARM7.dof))
+    assert [int(arm.actuator(name).trnid[0]) for name in XARM7.actuators] == list(range(XARM7.dof))
+
+
+def test_at_home_the_flange_points_straight_down_and_nothing_touches(arm: mujoco.MjModel) -> None:
+    data = at(arm, XARM7.home)
+    assert data.ncon == 0
+    np.testing.assert_allclose(data.site("flange").xmat.reshape(3, 3), np.diag([1.0, -1.0, -1.0]), atol=1e-12)
+
+
+def test_links_near_each_other_touch_in_less_than_a_fiftieth_of_all_poses(arm: mujoco.MjModel) -> None:
+    # Links two joints apart would touch in every pose if their shapes overlapped. Links farther apart meet when the
+    # arm folds, as the real ones do: its joints turn by up to two revolutions.
+    rng = np.random.default_rng(3)
+    data = mujoco.MjData(arm)
+    poses = rng.uniform(XARM7.joint_lower, XARM7.joint_upper, (500, XARM7.dof))
+    near, folded = 0, 0
+    for q in poses:
+        data.qpos[:] = q
+        mujoco.mj_kinematics(arm, data)
+        mujoco.mj_collision(arm, data)
+        apart = np.abs(np.diff(arm.geom_bodyid[data.contact.geom], axis=1))
+        near += bool((apart <= 2).any())
+        folded += bool((apart > 2).any())
+    assert near < len(poses) / 50
+    assert folded < len(poses) / 8
+
+
+def test_a_folded_arm_touches_itself(arm: mujoco.MjModel) -> None:
+    assert at(arm, (0.0, 0.0, 0.0, -0.1, 0.0, 1.5, 0.0)).ncon > 0
+
+
+def test_the_servos_hold_the_home_pose_without_sagging(arm: mujoco.MjModel) -> None:
+    data = at(arm, XARM7.home)
+    mujoco.mj_step(arm, data, nstep=500)
+    np.testing.assert_allclose(data.qpos, XARM7.home, atol=1e-9)
+
+
+def test_no_command_asks_more_torque_of_a_joint_than_its_limit(arm: mujoco.MjModel) -> None:
+    data = at(arm, XARM7.home)
+    data.ctrl[:] = XARM7.joint_upper
+    for _ in range(100):
+        mujoco.mj_step(arm, data)
+        assert np.all(np.abs(data.qfrc_actuator) <= np.array(XARM7.effort_limit) + 1e-9)
+
+
+def test_a_step_of_a_tenth_of_a_radian_settles_within_a_second(arm: mujoco.MjModel) -> None:
+    data = at(arm, XARM7.home)
+    data.ctrl[:] += 0.1
+    mujoco.mj_step(arm, data, nstep=500)
+    np.testing.assert_allclose(data.qpos, data.ctrl, atol=1e-3)
