@@ -1,4 +1,4 @@
-"""Draw `docs/digit.png`: three presses into a simulated DIGIT, drawn by this library and, where it is installed, by Tacto.
+"""Draw `docs/digit.png`: three presses into a simulated DIGIT, by this library and, where it is there, Tacto.
 
 python tools/digit_picture.py docs/digit.png
 """

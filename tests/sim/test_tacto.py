@@ -54,6 +54,10 @@ def test_tacto_sees_the_patch_where_this_library_sees_it() -> None:
     tacto, ours = Tacto(DIGIT, GEL), GelLight(DIGIT, GEL)
     displacement = pressed()
     at_rest = np.zeros_like(displacement)
+    try:
+        tacto.draw(at_rest)
+    except MissingDependency as err:
+        pytest.skip(str(err))
     theirs = np.abs(tacto.draw(displacement).astype(int) - tacto.draw(at_rest)).sum(axis=2)
     mine = np.abs(ours.draw(displacement).astype(int) - ours.background).sum(axis=2)
     tacto.close()

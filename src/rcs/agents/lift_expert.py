@@ -99,7 +99,7 @@ class LiftExpert(Agent):
 
     @property
     def failure(self) -> str | None:
-        """`ik` when a grasp is not feasible, `no_contact` when a gripper closed on nothing, `slip` when one lost the bar."""
+        """`ik`: a grasp is not feasible; `no_contact`: a gripper closed on nothing; `slip`: one lost the bar."""
         return self._failure
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:

@@ -35,8 +35,7 @@ class StackGroup:
             }
         )
         self.executed_spaces: dict[str, spaces.Space[Any]] = {
-            name: spaces.Dict({key: box for key, box in stack.executed_spaces.items()})
-            for name, stack in robots.items()
+            name: spaces.Dict(dict[str, spaces.Space[Any]](stack.executed_spaces)) for name, stack in robots.items()
         }
 
     @property

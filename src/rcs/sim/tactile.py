@@ -192,10 +192,9 @@ class SimTactile:
         directions = np.einsum("ij,rcj->rci", rotation, rays).ravel()
         # What lies farther from the gel than it gives in does not touch it, wherever on the gel a contact is.
         farthest = sensor.gel_center[0] - sensor.camera_position[0] + 2.0 * sensor.max_indentation
-        args = (model, data, eye, directions, self._groups, 1, self._body, geoms, depth, None)
-        mujoco.mj_multiRay(
-            *args, count, 2.0 * farthest
-        )  # geoms are left out by their distance along a ray, not by depth
+        # MuJoCo leaves geoms out by their distance from the eye, which is more than the depth towards the corners.
+        reach = 2.0 * farthest
+        mujoco.mj_multiRay(model, data, eye, directions, self._groups, 1, self._body, geoms, depth, None, count, reach)
         depth[(depth < 0.0) | (depth > farthest) | ((geoms >= 0) & self._is_own[geoms])] = np.inf
         return depth.reshape(rays.shape[:2])
 
@@ -207,7 +206,7 @@ class SimTactile:
         return np.clip(np.rint(frame + noise), 0.0, 255.0).astype(np.uint8)
 
     def close(self) -> None:
-        """Free what drawing needed. Closing twice is harmless; with this library's look, reading goes on to work."""
+        """Free what drawing needed. Closing twice is harmless; reading again makes it anew."""
         self._renderer.close()
 
 

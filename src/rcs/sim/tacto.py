@@ -33,7 +33,7 @@ class Tacto:
     """Tacto's renderer with the figures that it has for the DIGIT."""
 
     def __init__(self, sensor: TactileDescription, gel: Gel) -> None:
-        """Make Tacto's scene.
+        """Import Tacto; its scene is made when it is first drawn.
 
         Args:
             sensor: A DIGIT.
@@ -41,14 +41,12 @@ class Tacto:
 
         Raises:
             InvalidSetup: The sensor is none that Tacto has figures of.
-            MissingDependency: Tacto is not installed or cannot draw here.
+            MissingDependency: Tacto is not installed.
         """
         if sensor.name != "digit":
             raise InvalidSetup(f"Tacto draws the sensor 'digit', not {sensor.name!r}.")
-        tacto = _import_tacto()
-        width, height = gel.size
-        # Tacto's frames stand upright: its rows run along -z.
-        self._renderer: Any = tacto.Renderer(height, width, None, tacto.get_digit_config_path())
+        self._tacto = _import_tacto()
+        self._renderer: Any = None
         self._gel = gel
         _, y0, z0 = sensor.camera_position
         self._front = sensor.gel_center[0] - sensor.camera_position[0]
@@ -58,7 +56,18 @@ class Tacto:
         self._y, self._z = np.meshgrid(y, z)
 
     def draw(self, displacement: Image) -> Picture:
-        """Return the frame of a displacement, (height, width, 3)."""
+        """Return the frame of a displacement, (height, width, 3).
+
+        Raises:
+            MissingDependency: Tacto's packages cannot draw here.
+        """
+        if self._renderer is None:
+            width, height = self._gel.size
+            try:
+                # Tacto's frames stand upright: its rows run along -z.
+                self._renderer = self._tacto.Renderer(height, width, None, self._tacto.get_digit_config_path())
+            except ImportError as err:
+                raise MissingDependency(_remedy(err)) from err
         recess = self._front - self.surface(displacement)
         frame, _ = self._renderer.render_from_depth(recess, noise=False, calibration=False)
         # From rows along -z and columns along -y to rows along -y and columns along +z.
@@ -74,7 +83,7 @@ class Tacto:
         return found
 
     def close(self) -> None:
-        """Free Tacto's OpenGL context. Closing twice is harmless."""
+        """Free Tacto's OpenGL context. Closing twice is harmless; drawing again makes a new one."""
         if self._renderer is not None:
             self._renderer.r.delete()
             self._renderer = None
@@ -106,10 +115,14 @@ def _import_tacto() -> Any:
         with _names_of_2018():
             return importlib.import_module("tacto")
     except (ImportError, AttributeError) as err:
-        raise MissingDependency(
-            f"look='tacto' needs Tacto, which cannot be imported ({err}); pip install 'robot-control-stack[tacto]', "
-            "and for OSMesa `pip install -U --no-deps networkx PyOpenGL` after it."
-        ) from err
+        raise MissingDependency(_remedy(err)) from err
+
+
+def _remedy(err: Exception) -> str:
+    return (
+        f"look='tacto' needs Tacto, which does not work here ({err}); pip install 'robot-control-stack[tacto]', and "
+        "for OSMesa, for which the PyOpenGL that comes with it is too old, pip install -U --no-deps networkx PyOpenGL."
+    )
 
 
 @contextmanager
