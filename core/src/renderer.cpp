@@ -231,7 +231,10 @@ void Renderer::take_over(Open& open, const mjModel* model, mjData* data) const {
 
 void Renderer::update(mjData* data) {
   const std::lock_guard lock(mutex_);
-  take_over(require_open("update"), model_, data);
+  Open& open = require_open("update");
+  // Their corners are as old as the last physics step, and the state may have been written since.
+  if (model_->nflex > 0) mj_flex(model_, data);
+  take_over(open, model_, data);
 }
 
 void Renderer::update_from_state(std::span<const double> state) { update_from_state(state, model_); }

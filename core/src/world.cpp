@@ -90,19 +90,22 @@ void World::converge_when(std::shared_ptr<StepCallback> callback) { converge_.pu
 void World::interrupt_when(std::shared_ptr<StepCallback> callback) { interrupt_.push_back(std::move(callback)); }
 
 int World::read_pose(int site, int frame_body) {
-  if (site < 0 || site >= model_->nsite || frame_body < 0 || frame_body >= model_->nbody)
-    throw InvalidSetup("world: the site or the body of a pose readout is not in the model");
-  pose_readouts_.push_back({site, -1, frame_body});
-  renew(poses_, static_cast<std::size_t>(copies_) * pose_readouts_.size() * 7);
-  renew(xyzrpy_, static_cast<std::size_t>(copies_) * pose_readouts_.size() * 6);
-  return pose_count() - 1;
+  if (site < 0 || site >= model_->nsite) throw InvalidSetup("world: the site of a pose readout is not in the model");
+  return add_pose({site, -1, frame_body});
 }
 
 int World::read_body_pose(int body, int frame_body) {
   if (body < 0 || body >= model_->nbody) throw InvalidSetup("world: the body of a pose readout is not in the model");
-  const int index = read_pose(0, frame_body);
-  pose_readouts_.back() = {-1, body, frame_body};
-  return index;
+  return add_pose({-1, body, frame_body});
+}
+
+int World::add_pose(PoseReadout readout) {
+  if (readout.frame_body < 0 || readout.frame_body >= model_->nbody)
+    throw InvalidSetup("world: the frame of a pose readout is not in the model");
+  pose_readouts_.push_back(readout);
+  renew(poses_, static_cast<std::size_t>(copies_) * pose_readouts_.size() * 7);
+  renew(xyzrpy_, static_cast<std::size_t>(copies_) * pose_readouts_.size() * 6);
+  return pose_count() - 1;
 }
 
 int World::read_force(std::vector<std::uint8_t> first, std::vector<std::uint8_t> second) {

@@ -120,6 +120,15 @@ def test_only_success_keeps_trying_until_there_are_enough(tmp_path: Path) -> Non
     assert {attempt.result.failure for attempt in progress.attempts} == {None, "timeout"}
 
 
+def test_only_success_keeps_the_same_episodes_with_any_number_of_workers(tmp_path: Path) -> None:
+    setup = rcs.Setup(max_episode_steps=116)
+    for workers in (1, 3):
+        run(plan(tmp_path / str(workers), setup=setup, episodes=3, only_success=True, workers=workers))
+    assert hashes(tmp_path / "3") == hashes(tmp_path / "1")
+    one, three = (Dataset.open(tmp_path / name).episodes for name in ("1", "3"))
+    assert [episode.id for episode in one] == [episode.id for episode in three]
+
+
 def test_the_setup_in_a_dataset_makes_the_same_environment(dataset: Path) -> None:
     assert setup_of(Dataset.open(dataset)) == rcs.Setup()
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import rcs
 from rcs.devices import Camera
 from rcs.errors import InvalidSetup
 from rcs.robots.description import Mount
@@ -149,3 +150,23 @@ def test_a_camera_without_depth_gives_none(world: World) -> None:
 def test_a_camera_that_is_not_in_the_scene_is_refused(world: World) -> None:
     with pytest.raises(InvalidSetup, match="not 'nose'"):
         SimCamera(SimCameras(world, [EYE]), "nose", world)
+
+
+@pytest.mark.gl
+def test_the_matrices_of_a_camera_say_where_the_cuboid_is_in_the_picture() -> None:
+    env = rcs.make("PickCuboid", robot="ur5e", cameras=("wrist", "overhead"), size=(320, 240))
+    observation, info = env.reset(seed=4)
+    frame = observation["frames"]["overhead"]
+    camera_in_base, cuboid_in_base = frame["extrinsics"], info["cuboid"][:3]
+    in_camera = np.linalg.inv(camera_in_base) @ np.append(cuboid_in_base, 1.0)
+    u, v, w = frame["intrinsics"] @ in_camera[:3]
+    red, green, blue = frame["rgb"][round(v / w), round(u / w)].astype(int)
+    assert green > red + 20
+    assert green > blue + 20
+    before = observation["frames"]["wrist"]["extrinsics"]
+    action = env.action_space.sample()
+    action["joints"][:] = 0.05
+    observation, *_ = env.step(action)
+    assert not np.array_equal(observation["frames"]["wrist"]["extrinsics"], before), "it moves with the hand"
+    np.testing.assert_array_equal(observation["frames"]["overhead"]["extrinsics"], camera_in_base)
+    env.close()

@@ -88,8 +88,8 @@ def patch_radius(radius: float, depth: float) -> float:
 def seen_radius(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> float:
     """Return the radius of what a press in the middle changed in a frame [px]: where half of the change is left.
 
-    Nothing but the two pictures goes in. The gel's slope, and with it the change of colour, is greatest at the edge of
-    a contact and falls off outside of it.
+    Nothing but the two pictures goes in. A ball's slope, and with it the change of colour, grows towards the edge of
+    the contact; the skin, rounding the edge off, puts the greatest change inside of it and half of that at the edge.
     """
     change = np.abs(frame.astype(int) - background).sum(axis=2)
     rows, columns = np.indices(change.shape)

@@ -135,6 +135,7 @@ class World {
   };
   using Work = void (World::*)(const mjModel*, mjData*, int);
 
+  int add_pose(PoseReadout readout);
   void allocate();
   /// Make a readout's array anew for one more readout. Views of the old one stay valid, with their last values.
   template <typename T>

@@ -102,7 +102,14 @@ def _populate(parts: Parts, world: World, *, is_blind: bool = False) -> tuple[Sc
     scenario = Scenario(world, robots, parts.task, _randomiser(parts, world))
     shared: list[Port] = []
     if parts.cameras and not is_blind:
-        cameras = SimCameras(world, list(parts.cameras), size=setup.size, has_depth=setup.depth, quality=setup.quality)
+        cameras = SimCameras(
+            world,
+            list(parts.cameras),
+            size=setup.size,
+            has_depth=setup.depth,
+            quality=setup.quality,
+            frame_body=robots[0].layout.base_body if len(robots) == 1 else 0,
+        )
         shared.append(SimCameraPort(cameras))
     if len(robots) == 1:
         stack = Stack([*_ports_of(robots[0]), *shared], layers_of(setup, robots[0].placement), world.leading)

@@ -111,6 +111,8 @@ def cameras_space(cameras: SimCameras) -> spaces.Dict:
     """Return the space of the frames of cameras."""
     width, height = cameras.size
     frame: dict[str, spaces.Space[object]] = {keys.RGB: keys.rgb_space(width, height)}
+    frame[keys.INTRINSICS] = keys.intrinsics_space()
+    frame[keys.EXTRINSICS] = keys.extrinsics_space()
     if cameras.has_depth:
         frame[keys.DEPTH] = keys.depth_space(width, height)
     return spaces.Dict({name: spaces.Dict(frame) for name in cameras.names})

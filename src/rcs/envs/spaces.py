@@ -10,6 +10,8 @@
 | `hand` | (n,) float32 | normalised joints 0 … 1 |
 | `frames`/camera/`rgb` | (H, W, 3) uint8 | |
 | `frames`/camera/`depth` | (H, W) uint16 | mm, 0 = no reading |
+| `frames`/camera/`intrinsics` | (3, 3) float64 | camera matrix, px |
+| `frames`/camera/`extrinsics` | (4, 4) float64 | camera in the robot's base frame (in the scene with several), OpenCV axes |
 """
 
 from __future__ import annotations
@@ -42,8 +44,10 @@ HAND = "hand"
 FRAMES = "frames"
 RGB = "rgb"
 DEPTH = "depth"
+INTRINSICS = "intrinsics"
+EXTRINSICS = "extrinsics"
 
-UNITS = {JOINTS: "rad", TQUAT: "m, xyzw", XYZRPY: "m, rad", JOINT_VELOCITIES: "rad/s", DEPTH: "mm"}
+UNITS = {JOINTS: "rad", TQUAT: "m, xyzw", XYZRPY: "m, rad", JOINT_VELOCITIES: "rad/s", DEPTH: "mm", INTRINSICS: "px"}
 """Unit of a key, where it has one."""
 
 REACH = 2.0
@@ -51,6 +55,12 @@ REACH = 2.0
 
 FASTEST = 100.0
 """Bound on measured joint velocities [rad/s]: collisions exceed a servo's limits, but not by this much."""
+
+LONGEST_FOCAL_LENGTH = 1e5
+"""Bound on the entries of a camera matrix [px]."""
+
+FARTHEST = 100.0
+"""Bound on the coordinates of a camera [m]."""
 
 TOLERANCE = 1e-6
 """How far out of bounds a value may be and count as rounded: a bound that went through float32 is off by up to 1e-7."""
@@ -91,6 +101,16 @@ def normalised_space(size: int) -> spaces.Box:
 def rgb_space(width: int, height: int) -> spaces.Box:
     """Return the space of colour frames, rows from the top."""
     return spaces.Box(0, 255, (height, width, 3), np.uint8)
+
+
+def intrinsics_space() -> spaces.Box:
+    """Return the space of camera matrices [px]."""
+    return spaces.Box(0.0, LONGEST_FOCAL_LENGTH, (3, 3), np.float64)
+
+
+def extrinsics_space() -> spaces.Box:
+    """Return the space of camera poses as matrices, translation in m."""
+    return spaces.Box(-FARTHEST, FARTHEST, (4, 4), np.float64)
 
 
 def depth_space(width: int, height: int) -> spaces.Box:

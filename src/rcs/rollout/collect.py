@@ -208,11 +208,14 @@ def _collect_in_pool(
     with WorkerPool(_Work(collection), collection.workers) as pool:
         for attempt in pool.map(numbers):
             _count(attempt, collection, progress)
-            if collection.only_success and progress.kept > collection.episodes:
-                # Attempts of other workers were under way when the last one succeeded.
-                writer.remove_episode(episode_id(attempt.number))
-                progress.kept -= 1
             yield attempt
+    # Attempts of other workers were under way when the last one succeeded. Those with the lowest numbers stay, so that
+    # the dataset does not depend on who was faster.
+    kept = [episode.id for episode in Dataset.open(collection.out).episodes]
+    if collection.only_success and not progress.is_interrupted:
+        for surplus in sorted(kept)[collection.episodes :]:
+            writer.remove_episode(surplus)
+        progress.kept = min(len(kept), collection.episodes)
 
 
 def _count(attempt: Attempt, collection: Collection, progress: Progress) -> None:

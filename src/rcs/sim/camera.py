@@ -13,6 +13,7 @@ from rcs._core import Camera, CameraMode, Frame, Renderer, RenderPool
 from rcs.errors import InvalidSetup
 from rcs.sim.scene import CameraPlacement
 from rcs.sim.world import World
+from rcs.spatial import tquat_to_matrix
 
 Quality = Literal["fast", "full"]
 """`fast`: no shadows, reflections or antialiasing. `full`: all of these."""
@@ -32,6 +33,7 @@ class SimCameras:
         size: tuple[int, int] = (224, 224),
         has_depth: bool = False,
         quality: Quality = "fast",
+        frame_body: int = 0,
     ) -> None:
         """Look the cameras up.
 
@@ -41,6 +43,7 @@ class SimCameras:
             size: Width and height of every frame [px].
             has_depth: Draw depth too.
             quality: How much a frame may cost.
+            frame_body: Body in whose frame extrinsics are given: the robot's base, or 0 for the scene.
 
         Raises:
             InvalidSetup: A size out of range, or depth from a camera that has none.
@@ -57,6 +60,10 @@ class SimCameras:
         self.has_depth = has_depth
         self._quality: Quality = quality
         self._ids = [world.model.camera(camera.camera_name).id for camera in cameras]
+        # A camera's body has the optical frame: x right, y down, z forward.
+        bodies = [f"{camera.name}/{camera.camera.base_body}" for camera in cameras]
+        self._poses = [world.core.read_body_pose(world.model.body(body).id, frame_body) for body in bodies]
+        world.refresh()
         self._renderer: Renderer | RenderPool | None = None
         self.capture_times: dict[str, float] = {}
         """When each camera's last frame was drawn [s], on the monotonic clock."""
@@ -65,8 +72,8 @@ class SimCameras:
         """Draw every camera.
 
         Returns:
-            Per camera `rgb` (*leading, H, W, 3) uint8 and, with depth, `depth` (*leading, H, W) uint16 [mm], 0 = no
-            reading.
+            Per camera `rgb` (*leading, H, W, 3) uint8; with depth, `depth` (*leading, H, W) uint16 [mm], 0 = no reading;
+            `intrinsics` (*leading, 3, 3) [px]; and `extrinsics` (*leading, 4, 4), the pose of the camera in OpenCV axes.
         """
         width, height = self.size
         leading = self._world.leading
@@ -84,9 +91,25 @@ class SimCameras:
             for i, camera in enumerate(self._ids):
                 renderer.render(camera, rgb[i], None if depth is None else depth[i])
                 self.capture_times[self.names[i]] = time.perf_counter()
-        if depth is None:
-            return {name: {"rgb": rgb[i]} for i, name in enumerate(self.names)}
-        return {name: {"rgb": rgb[i], "depth": depth[i]} for i, name in enumerate(self.names)}
+        frames: dict[str, dict[str, NDArray[Any]]] = {}
+        for i, name in enumerate(self.names):
+            frames[name] = {"rgb": rgb[i], **self._calibration(i)}
+            if depth is not None:
+                frames[name]["depth"] = depth[i]
+        return frames
+
+    def _calibration(self, i: int) -> dict[str, NDArray[np.float64]]:
+        """Return the matrices of a camera as it is now: it may move, and its field of view may vary."""
+        width, height = self.size
+        focal = 0.5 * height / np.tan(0.5 * np.deg2rad(self._world.field("cam_fovy")[..., self._ids[i]]))
+        intrinsics = np.zeros((*self._world.leading, 3, 3))
+        intrinsics[..., 0, 0] = intrinsics[..., 1, 1] = focal
+        # The centre of the top left pixel is (0, 0), as in OpenCV.
+        intrinsics[..., 0, 2], intrinsics[..., 1, 2], intrinsics[..., 2, 2] = (width - 1) / 2, (height - 1) / 2, 1.0
+        return {
+            "intrinsics": intrinsics,
+            "extrinsics": tquat_to_matrix(self._world.poses[..., self._poses[i], :]),
+        }
 
     def _make_renderer(self) -> Renderer | RenderPool:
         width, height = self.size
