@@ -72,8 +72,8 @@ class SimCameras:
         """Draw every camera.
 
         Returns:
-            Per camera `rgb` (*leading, H, W, 3) uint8; with depth, `depth` (*leading, H, W) uint16 [mm], 0 = no reading;
-            `intrinsics` (*leading, 3, 3) [px]; and `extrinsics` (*leading, 4, 4), the pose of the camera in OpenCV axes.
+            Per camera `rgb` (*leading, H, W, 3) uint8; with depth, `depth` (*leading, H, W) uint16 [mm], 0 = no
+            reading; `intrinsics` (*leading, 3, 3) [px]; `extrinsics` (*leading, 4, 4), its pose in OpenCV axes.
         """
         width, height = self.size
         leading = self._world.leading
