@@ -30,6 +30,8 @@ class Setup:
     """Name of the gripper; None for the robot's usual one."""
     cameras: tuple[str, ...] = ()
     """Names of camera mounts of the robot's lab, such as `wrist` and `side`; more cameras, slower steps."""
+    calibration: str | None = None
+    """Calibration file with the poses and fields of view of cameras; None for those of the lab."""
     size: tuple[int, int] = (224, 224)
     """Width and height of every frame [px]."""
     depth: bool = False
@@ -68,6 +70,8 @@ class Setup:
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; it must be a name.")
         if not isinstance(self.end_effector, str | None):
             raise InvalidSetup(f"end_effector is {self.end_effector!r}; it must be a name, or None.")
+        if not isinstance(self.calibration, str | None):
+            raise InvalidSetup(f"calibration is {self.calibration!r}; it must be the path of a file as text, or None.")
         for name in ("depth", "binary_gripper"):
             if not isinstance(getattr(self, name), bool):
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; valid: True, False.")

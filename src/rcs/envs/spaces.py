@@ -11,7 +11,7 @@
 | `frames`/camera/`rgb` | (H, W, 3) uint8 | |
 | `frames`/camera/`depth` | (H, W) uint16 | mm, 0 = no reading |
 | `frames`/camera/`intrinsics` | (3, 3) float64 | camera matrix, px |
-| `frames`/camera/`extrinsics` | (4, 4) float64 | camera in the base frame (with several robots: in the scene), OpenCV axes |
+| `frames`/camera/`extrinsics` | (4, 4) float64 | camera in the base frame (of several robots: the scene), OpenCV |
 """
 
 from __future__ import annotations

@@ -36,6 +36,8 @@ class CameraMount:
     """Pose of the optical frame (x right, y down, z forward) in the parent's frame."""
     on_gripper_of: str | None = None
     """Name of the robot whose gripper's base body is the parent; None for the scene."""
+    fovy: float | None = None
+    """Vertical field of view as calibrated [rad]; None for that of the data sheet."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.setups.calibration import calibrated
 from rcs.setups.lab import Lab, Stand, lab_of
 from rcs.sim.scene import CameraPlacement, RobotPlacement
 
@@ -94,6 +95,8 @@ def resolve(setup: Setup) -> Parts:
         InvalidSetup: Parts that do not fit each other.
     """
     lab = lab_of(setup.robot)
+    if setup.calibration is not None:
+        lab = calibrated(lab, setup.calibration)
     task: type[Task] = lookup.find("task", setup.task)
     robots = tuple(_place(stand, setup.end_effector or lab.end_effector) for stand in lab.stands)
     cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras)
@@ -132,4 +135,6 @@ def _mount(name: str, setup: Setup, lab: Lab, robots: tuple[RobotPlacement, ...]
             )
         parent = robot.gripper_prefix + robot.end_effector.base_body
     description: CameraDescription = lookup.find("camera", mount.camera)
-    return CameraPlacement(name=name, camera=description, parent_body=parent, optical_in_parent=mount.optical)
+    return CameraPlacement(
+        name=name, camera=description, parent_body=parent, optical_in_parent=mount.optical, fovy=mount.fovy
+    )

@@ -91,6 +91,8 @@ class CameraPlacement:
     """Body of the scene that carries it; `world` for one that stands still."""
     optical_in_parent: Mount
     """Pose of the optical frame (x right, y down, z forward) in the parent body's frame."""
+    fovy: float | None = None
+    """Vertical field of view as calibrated [rad]; None for that of the data sheet."""
 
     @property
     def camera_name(self) -> str:
@@ -247,6 +249,8 @@ class Scene:
             )
         frame = mount_frame(parent, camera.optical_in_parent)
         self.spec.attach(load(camera.camera), frame=frame, prefix=f"{camera.name}/")
+        if camera.fovy is not None:
+            self.spec.camera(camera.camera_name).fovy = np.degrees(camera.fovy)
         self.cameras.append(camera)
         if camera.parent_body in {"world", *(robot.base_body for robot in self.robots)}:
             self._add_stand(parent, camera)
