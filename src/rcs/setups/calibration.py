@@ -6,9 +6,9 @@ A file is JSON, one entry per camera:
                           "width": 640, "height": 480, "fx": 617.0, "fy": 617.0}}}
 
 The pose is that of the optical frame (x right, y down, z forward; m, xyzw) in the frame that carries the camera: the
-scene, or the gripper's base body for a camera on a gripper. Intrinsics are in pixels of the given size. Pictures are drawn
-with the focal length `fy`, square pixels and a centred principal point; without intrinsics, with those of the camera's
-data sheet.
+scene, or the gripper's base body for a camera on a gripper. Intrinsics are in pixels of the given size. Pictures are
+drawn with the focal length `fy`, square pixels and a centred principal point; without intrinsics, with those of the
+camera's data sheet.
 """
 
 from __future__ import annotations
