@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rcs.agents import Agent, LiftExpert, PickExpert
+from rcs.agents import Agent, LiftExpert, PickExpert, ToyExpert
 from rcs.data import Dataset, DatasetWriter
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder, dataset_info, require_recordable
@@ -133,8 +133,10 @@ def expert_for(env: Env, setup: Setup) -> Agent:
     if setup.task == "LiftBar":
         bases = {p.name: Pose(p.base_in_scene.translation, p.base_in_scene.quaternion) for p in placements}
         return LiftExpert(setup, space, bases, kinematics)
+    if setup.task == "PickToy":
+        return ToyExpert(setup, space, kinematics[placements[0].name])
     raise InvalidSetup(
-        f"There is no scripted expert for the task {setup.task!r}; there are for 'PickCuboid', 'LiftBar'."
+        f"There is no scripted expert for the task {setup.task!r}; there are for 'PickCuboid', 'LiftBar', 'PickToy'."
     )
 
 

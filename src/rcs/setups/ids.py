@@ -15,6 +15,7 @@ LABS: dict[str, tuple[str, tuple[str, ...]]] = {
     "dual_fr3": ("DualFR3", ("LiftBar",)),
     "so101": ("SO101", ("PickCuboid",)),
     "ur5e": ("UR5e", ("PickCuboid",)),
+    "xarm7": ("XArm7", ("PickToy",)),
 }
 """How each lab is written in ids, and its tasks. A test compares this with the labs, which are not imported for it."""
 

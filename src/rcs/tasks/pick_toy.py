@@ -1,0 +1,226 @@
+"""Pick-Toy: grasp a soft toy that lies anywhere in the workspace, lift it and bring it back to the home pose."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.envs.draws import Draws
+from rcs.envs.layers import Where
+from rcs.envs.task import Area, Outcome, Task
+from rcs.errors import InvalidSetup
+from rcs.kinematics import kinematics_of
+from rcs.sim.robot import SimRobot
+from rcs.sim.scene import Scene
+from rcs.sim.world import World
+from rcs.spatial import Pose, compose, inverse
+
+SIZE = (0.09, 0.075, 0.07)
+"""Length, width and height of the toy, an ellipsoid [m]."""
+MASS = 0.08
+"""Mass of the toy [kg]. Our choice, like its stiffness: the paper says no more than that it is deformable."""
+YOUNG = 2e4
+"""Young's modulus [Pa]: a power grasp squeezes the toy by 15 to 30 %, its own weight by less than 1 %."""
+POISSON = 0.3
+"""Foams have 0.1 to 0.4."""
+DAMPING = 2e-3
+"""Damping in proportion to stiffness [s]: it stops swinging within a few tenths of a second."""
+GRID = 6
+"""Vertices along each edge. An even number: the bottom is then a small face to lie on, not a point."""
+SKIN = 0.002
+"""Radius of the skin around vertices and faces [m]."""
+SETTLE_TIME = 1.0
+"""Time in which the toy comes to rest under its own weight [s]."""
+LIFT_HEIGHT = 0.10
+"""How far above where it lay the toy's centre must be [m]."""
+HOLD_TIME = 1.0
+"""For how long, with the arm at home [s]."""
+NEAR_HOME = 0.05
+"""The arm is back home with its TCP this close to where it was at the start [m]."""
+TOUCHED = 0.005
+"""A distance between two nodes that differs from the one at rest by more than this part of it. Half a newton from above
+makes 0.8 %, lying still less than 0.05 %."""
+SQUEEZED = 0.03
+"""The same for a grasp: 2 N from above make as much."""
+LIFTED = 0.005
+"""Its centre this far above where it lay means that something holds it [m]."""
+TOY = "toy"
+
+
+class PickToy(Task):
+    """Lift a soft toy by 10 cm and hold it at the arm's home pose for one second.
+
+    The toy is a flex whose shape follows eight nodes, the corners of a box around it. Each has three slide joints along
+    the scene's axes, so that its place, turn and shape are all in `qpos`. There is no pose to turn it by: a turn moves
+    the nodes, and MuJoCo's elasticity takes no notice of turns.
+
+    The reward is 1 per step at success, below that the mean of three parts in [0, 1]: reaching, squeezing, and lifting
+    while squeezing.
+    """
+
+    instruction = "pick up the toy"
+
+    def __init__(self, area: Area) -> None:
+        """Take place in an area; the toy's centre is anywhere in it, at any yaw."""
+        super().__init__(area)
+        self._steps_held: NDArray[np.int64] = np.zeros((), np.int64)
+
+    def furnish(self, scene: Scene) -> None:
+        """Add a table and the toy."""
+        scene.add_table()
+        _add_toy(scene.spec, (*self.area.center, self.area.object_scale * SIZE[2] / 2), self.area.object_scale)
+
+    def objects(self) -> list[str]:
+        """Return the toy."""
+        return [TOY]
+
+    def bind(self, world: World, robots: list[SimRobot]) -> None:
+        """Look up the toy's nodes.
+
+        Raises:
+            InvalidSetup: There is not exactly one robot, or it has neither gripper nor hand.
+        """
+        if len(robots) != 1 or robots[0].placement.end_effector is None:
+            raise InvalidSetup("PickToy needs one robot with a hand or a gripper.")
+        self._world = world
+        self._robot = robots[0]
+        placement = self._robot.placement
+        self._center, self._nodes, self._qpos = _nodes_of(world.model)
+        self._settled = self._nodes + _sag(self.area.object_scale)
+        """Nodes of the toy as it lies, relative to the carrier, which stands where they are centred when weightless."""
+        self._rest_height = float(self._center[2] + self._settled[:, 2].mean())
+        first, second = np.triu_indices(len(self._nodes), 1)
+        self._first, self._second = first, second
+        self._distances = _norm(self._settled[first] - self._settled[second])
+        self._along = np.sign(self._nodes[:, :1])  # +1 for nodes at the toy's front, -1 at its back
+        base = placement.base_in_scene
+        self._scene_in_base = inverse(Pose(base.translation, base.quaternion).tquat)
+        home = kinematics_of(placement.arm, placement.end_effector).forward(np.array(placement.arm.home))
+        self._home = home.tquat[:3]
+        self._hold_steps = round(HOLD_TIME * world.frequency)
+        self._steps_held = np.zeros(world.leading, np.int64)
+
+    def reset(self, draws: Draws, where: Where) -> None:
+        """Lay the toy down at a random place and yaw, as it lies under its own weight."""
+        half, center = np.array(self.area.size) / 2, np.array(self.area.center)
+        place = draws.uniform(np.append(center - half, -np.pi), np.append(center + half, np.pi))
+        cos, sin = np.cos(place[..., 2:]), np.sin(place[..., 2:])
+        x, y, z = self._settled.T
+        nodes = np.empty((*draws.leading, len(self._nodes), 3))
+        nodes[..., 0] = place[..., 0:1] + cos * x - sin * y
+        nodes[..., 1] = place[..., 1:2] + sin * x + cos * y
+        nodes[..., 2] = self._center[2] + z
+        values = (nodes - self._center - self._nodes).reshape(*draws.leading, -1)
+        if self._world.leading:
+            # Two steps: one index with copies and joints would pair them.
+            rows = self._world.qpos[where]
+            rows[..., self._qpos] = values
+            self._world.qpos[where] = rows
+            self._steps_held[where] = 0
+        else:
+            self._world.qpos[self._qpos] = values
+            self._steps_held = np.zeros((), np.int64)
+
+    def evaluate(self) -> Outcome:
+        """Judge height, grasp and how long the toy was held at home."""
+        nodes = self._present_nodes()
+        in_scene = self._pose(nodes)
+        toy = compose(self._scene_in_base, in_scene)
+        tcp = self._world.poses[..., self._robot.tcp_readout, :3]
+        height = in_scene[..., 2] - self._rest_height
+        strain = self._strain(nodes)
+        is_squeezed = strain > SQUEEZED
+        is_home = _norm(tcp - self._home) < NEAR_HOME
+        self._steps_held = (self._steps_held + 1) * ((height > LIFT_HEIGHT) & is_home)
+        success = self._steps_held >= self._hold_steps
+        reach = 1.0 - np.tanh(5.0 * _norm(toy[..., :3] - tcp))
+        lift = np.minimum(np.maximum(height * (1.0 / LIFT_HEIGHT), 0.0), 1.0)
+        reward = np.maximum((reach + is_squeezed * (1.0 + lift)) * (1.0 / 3.0), success)
+        info = {"success": success, "is_touched": (strain > TOUCHED) | (height > LIFTED), "toy": toy}
+        return Outcome(reward=reward, terminated=success, info=info)
+
+    def describe(self) -> dict[str, NDArray[Any]]:
+        """Return where the toy lies."""
+        never = np.zeros(self._world.leading, np.bool_)
+        toy = compose(self._scene_in_base, self._pose(self._present_nodes()))
+        return {"success": never, "is_touched": never, "toy": toy}
+
+    def _present_nodes(self) -> NDArray[np.float64]:
+        """Return the nodes in the scene [m], (*leading, nodes, 3)."""
+        moved = self._world.qpos[..., self._qpos]
+        return self._center + self._nodes + moved.reshape(*self._world.leading, len(self._nodes), 3)
+
+    def _pose(self, nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the centre of nodes, and the yaw of the line from their back to their front, (*leading, 7)."""
+        front = (nodes * self._along).sum(axis=-2)
+        half_yaw = 0.5 * np.arctan2(front[..., 1], front[..., 0])
+        pose = np.zeros((*self._world.leading, 7))
+        pose[..., :3] = nodes.mean(axis=-2)
+        pose[..., 5], pose[..., 6] = np.sin(half_yaw), np.cos(half_yaw)
+        return pose
+
+    def _strain(self, nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the largest change of a distance between two nodes since it lay still, in proportion, (*leading,)."""
+        distances = _norm(nodes[..., self._first, :] - nodes[..., self._second, :])
+        return (np.abs(distances - self._distances) * (1.0 / self._distances)).max(axis=-1)
+
+
+def _norm(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.sqrt(np.vecdot(vectors, vectors))
+
+
+def _add_toy(spec: mujoco.MjSpec, center: tuple[float, float, float], scale: float) -> None:
+    # The only one of MuJoCo's implicit integrators that has room for the stiffness of flexes; with it the toy is stable
+    # at the time step of the other tasks.
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    carrier = spec.worldbody.add_body(name=TOY, pos=center)
+    flex = carrier.make_flex(
+        name=TOY,
+        type="ellipsoid",
+        dim=3,
+        dof="trilinear",
+        count=[GRID] * 3,
+        spacing=[(scale * edge - 2 * SKIN) / (GRID - 1) for edge in SIZE],
+        radius=SKIN,
+        mass=MASS * scale**3,
+    )
+    flex.young = YOUNG
+    flex.poisson = POISSON
+    flex.damping = DAMPING
+    flex.friction = [1.0, 0.01, 0.0001]  # sliding friction of cloth on rubber is about 1
+    flex.condim = 4
+    flex.solref = [0.01, 1.0]
+    flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
+    flex.rgba = [0.86, 0.47, 0.16, 1.0]
+    flex.group = 0
+
+
+def _nodes_of(model: mujoco.MjModel) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
+    """Return the carrier's place (3,), the nodes' relative to it (nodes, 3) and the indices of their `qpos` [m]."""
+    carrier = model.body(TOY).id
+    bodies = np.flatnonzero(model.body_parentid == carrier)
+    first = model.jnt_qposadr[model.body_jntadr[bodies]]
+    qpos = (first[:, None] + np.arange(3)).ravel().astype(np.intp)
+    return model.body_pos[carrier].copy(), model.body_pos[bodies].copy(), qpos
+
+
+@functools.cache
+def _sag(scale: float) -> NDArray[np.float64]:
+    """Return how far the toy's nodes move until it lies still on a table [m], (nodes, 3)."""
+    spec = Scene.empty().spec
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1.0, 1.0, 0.1])
+    _add_toy(spec, (0.0, 0.0, scale * SIZE[2] / 2), scale)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, nstep=round(SETTLE_TIME / model.opt.timestep))
+    _, nodes, qpos = _nodes_of(model)
+    moved = data.qpos[qpos].reshape(-1, 3)
+    settled = nodes + moved
+    settled[:, :2] -= settled[:, :2].mean(axis=0)  # it may have rolled a little
+    sag = settled - nodes
+    sag.setflags(write=False)
+    return sag
