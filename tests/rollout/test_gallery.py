@@ -25,7 +25,11 @@ def test_one_command_draws_every_environment_in_both_qualities(tmp_path: Path, m
     assert stopped.value.code == 0
     files = {file.name for file in (tmp_path / "gallery").iterdir()}
     stem = "PickCuboid-FR3"
-    pictures = {f"{stem}-fast.jpg", f"{stem}-full.jpg", f"{stem}-camera-wrist.jpg", f"{stem}-camera-side.jpg"}
+    pictures = {
+        f"{stem}-fast.jpg",
+        f"{stem}-full.jpg",
+        *(f"{stem}-camera-{name}-{quality}.jpg" for name in ("wrist", "side") for quality in ("fast", "full")),
+    }
     assert files == {*pictures, "index.html"}
     page = (tmp_path / "gallery" / "index.html").read_text()
     assert all(name in page for name in pictures)

@@ -98,3 +98,22 @@ def test_a_camera_that_looks_at_a_point_has_it_in_the_middle_of_its_picture() ->
     above = optical.inverse() * Pose(target + np.array([0.0, 0.0, 0.1]))
     assert above.translation[1] < -0.01  # y is down in a picture
     assert above.translation[0] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("robot", "end_effector", "text"),
+    [("fr3", "so101_gripper", "made for so101"), ("so101", "franka_hand", "carries so101_gripper and nothing else")],
+)
+def test_combinations_that_do_not_fit_are_refused_with_the_reason(robot: str, end_effector: str, text: str) -> None:
+    with pytest.raises(InvalidSetup, match=text):
+        rcs.make("Free", robot=robot, end_effector=end_effector)
+
+
+@pytest.mark.parametrize("robot", ["fr3", "ur5e", "xarm7"])
+@pytest.mark.parametrize("end_effector", ["franka_hand", "robotiq_2f85", "tilburg_hand", "none"])
+def test_any_end_effector_composes_with_any_arm_that_has_a_flange(robot: str, end_effector: str) -> None:
+    env = rcs.make("Free", robot=robot, end_effector=end_effector)
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    observation, *_ = env.step(env.action_space.sample())
+    assert env.observation_space.contains(observation)

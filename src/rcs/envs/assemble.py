@@ -82,7 +82,7 @@ def assemble_vec(parts: Parts, *, copies: int, threads: int, autoreset: Autorese
 
 def compose(parts: Parts) -> Scene:
     """Put the scene together: furniture, robots, cameras."""
-    scene = Scene.empty(physics_step=parts.setup.physics_step)
+    scene = Scene.empty(physics_step=parts.setup.physics_step, has_textures=parts.setup.quality == "full")
     parts.task.furnish(scene)
     for robot in parts.robots:
         scene.add_robot(robot, assets=parts.setup.assets)
@@ -108,6 +108,7 @@ def _populate(parts: Parts, world: World, *, is_blind: bool = False) -> tuple[Sc
             size=setup.size,
             has_depth=setup.depth,
             quality=setup.quality,
+            has_noise=setup.camera_noise,
             frame_body=robots[0].layout.base_body if len(robots) == 1 else 0,
         )
         shared.append(SimCameraPort(cameras))

@@ -36,6 +36,8 @@ class Setup:
     """Width and height of every frame [px]."""
     depth: bool = False
     """Whether frames carry depth; costs about a third of a frame's time."""
+    camera_noise: bool = False
+    """Whether frames have the noise of real cameras; the same state has the same noise."""
     quality: Quality = "fast"
     """`full` draws shadows, reflections and smooth edges, and is about fifty times slower without a GPU."""
     assets: Assets = "builtin"
@@ -72,7 +74,7 @@ class Setup:
             raise InvalidSetup(f"end_effector is {self.end_effector!r}; it must be a name, or None.")
         if not isinstance(self.calibration, str | None):
             raise InvalidSetup(f"calibration is {self.calibration!r}; it must be the path of a file as text, or None.")
-        for name in ("depth", "binary_gripper"):
+        for name in ("depth", "camera_noise", "binary_gripper"):
             if not isinstance(getattr(self, name), bool):
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; valid: True, False.")
         object.__setattr__(self, "randomisation", _ranges(self.randomisation))

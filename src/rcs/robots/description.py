@@ -6,7 +6,6 @@ these files to each other and adds its own prefixes, so the names given here are
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -18,64 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup
+from rcs.robots.menagerie import MenagerieBody, MenagerieVisuals
+from rcs.robots.mount import Mount, require_numbers
+
+__all__ = [
+    "ArmDescription",
+    "CameraDescription",
+    "GripperDescription",
+    "HandDescription",
+    "MenagerieBody",
+    "MenagerieVisuals",
+    "Mount",
+]
 
 if TYPE_CHECKING:
     import mujoco
-
-
-@dataclass(frozen=True, kw_only=True)
-class Mount:
-    """A fixed pose of one part in the frame of another."""
-
-    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Origin of the part in the parent's frame [m]."""
-    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    """Rotation from the part's frame to the parent's frame, xyzw, unit norm."""
-
-    def __post_init__(self) -> None:
-        """Check lengths, finiteness and the norm.
-
-        Raises:
-            InvalidSetup: A wrong length, a number that is not finite, or a quaternion that is not of unit norm.
-        """
-        _require_numbers("translation", self.translation, 3)
-        _require_numbers("quaternion", self.quaternion, 4)
-        norm = math.hypot(*self.quaternion)
-        if abs(norm - 1.0) > 1e-9:
-            raise InvalidSetup(f"quaternion has norm {norm!r}; a rotation needs norm 1 (xyzw).")
-
-
-@dataclass(frozen=True, kw_only=True)
-class MenagerieBody:
-    """Where the detailed visuals of one body come from."""
-
-    body: str
-    """Body of the built-in model; its visual geoms are exchanged."""
-    source: str
-    """Body of the collection's model that carries the meshes."""
-    source_in_body: Mount = dataclasses.field(default_factory=Mount)
-    """Pose of the source's body frame in the frame of the built-in body."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MenagerieVisuals:
-    """The model of `mujoco-menagerie` that has detailed meshes of a robot."""
-
-    model: str
-    """Name of the model in the collection, such as `franka_fr3`."""
-    entry: str
-    """Entry point of the model: its XML file without ending."""
-    bodies: tuple[MenagerieBody, ...]
-    """Where the meshes go. A body may be named more than once; one that is not named keeps its primitives."""
-
-    @staticmethod
-    def of(model: str, entry: str, bodies: Mapping[str, str]) -> MenagerieVisuals:
-        """Return visuals whose body frames agree: `bodies` has the source by the name of the built-in body."""
-        return MenagerieVisuals(
-            model=model,
-            entry=entry,
-            bodies=tuple(MenagerieBody(body=body, source=source) for body, source in bodies.items()),
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +72,8 @@ class ArmDescription:
     """Distance that the flange reaches from the shoulder [m]."""
     sources: tuple[str, ...]
     """Where the figures come from."""
+    end_effectors: tuple[str, ...] | None = None
+    """Names of all that its flange carries; None for anything."""
     menagerie: MenagerieVisuals | None = None
     """Where detailed visuals come from; None when the collection has none."""
     complete: Callable[[mujoco.MjSpec], None] | None = None
@@ -133,7 +91,7 @@ class ArmDescription:
         if len(self.actuators) != dof:
             raise InvalidSetup(f"{self.name}: {dof} joints need {dof} actuators, got {self.actuators}.")
         for field in ("home", "joint_lower", "joint_upper"):
-            _require_numbers(f"{self.name}.{field}", getattr(self, field), dof)
+            require_numbers(f"{self.name}.{field}", getattr(self, field), dof)
         for field in ("velocity_limit", "acceleration_limit", "jerk_limit", "effort_limit"):
             _require_positive(f"{self.name}.{field}", getattr(self, field), dof)
         _require_positive(f"{self.name}.workspace_reach", (self.workspace_reach,), 1)
@@ -198,6 +156,8 @@ class GripperDescription:
     """Speed of each finger while it moves freely [m/s]."""
     sources: tuple[str, ...]
     """Where the figures come from."""
+    arms: tuple[str, ...] | None = None
+    """Names of all arms that it can be mounted on; None for any."""
     menagerie: MenagerieVisuals | None = None
     """Where detailed visuals come from; None when the collection has none."""
 
@@ -208,9 +168,9 @@ class GripperDescription:
             InvalidSetup: A table of the wrong length, a missing pad, equal end positions, or a figure out of range.
         """
         count = len(self.joints)
-        _require_numbers(f"{self.name}.joint_closed", self.joint_closed, count)
-        _require_numbers(f"{self.name}.joint_open", self.joint_open, count)
-        _require_numbers(f"{self.name}.ctrl", (self.ctrl_closed, self.ctrl_open), 2)
+        require_numbers(f"{self.name}.joint_closed", self.joint_closed, count)
+        require_numbers(f"{self.name}.joint_open", self.joint_open, count)
+        require_numbers(f"{self.name}.ctrl", (self.ctrl_closed, self.ctrl_open), 2)
         figures = (self.max_width, self.max_force, self.grasp_force, self.closing_speed)
         _require_positive(f"{self.name}: max_width, max_force, grasp_force, closing_speed", figures, 4)
         if count == 0 or self.ctrl_closed == self.ctrl_open:
@@ -272,12 +232,12 @@ class HandDescription:
         dof = len(self.joints)
         if dof == 0 or len(self.actuators) != dof:
             raise InvalidSetup(f"{self.name}: needs a joint, and an actuator for each, got {self.actuators}.")
-        _require_numbers(f"{self.name}.joint_lower", self.joint_lower, dof)
-        _require_numbers(f"{self.name}.joint_upper", self.joint_upper, dof)
+        require_numbers(f"{self.name}.joint_lower", self.joint_lower, dof)
+        require_numbers(f"{self.name}.joint_upper", self.joint_upper, dof)
         if any(lower >= upper for lower, upper in zip(self.joint_lower, self.joint_upper, strict=True)):
             raise InvalidSetup(f"{self.name}: every joint_lower must be below its joint_upper.")
         for pose, targets in {"open_pose": self.open_pose, **self.grasps}.items():
-            _require_numbers(f"{self.name}: {pose}", targets, dof)
+            require_numbers(f"{self.name}: {pose}", targets, dof)
             if min(targets) < 0.0 or max(targets) > 1.0:
                 raise InvalidSetup(f"{self.name}: {pose} must be normalised to 0 .. 1, got {targets}.")
 
@@ -321,6 +281,8 @@ class CameraDescription:
     """Nearest and farthest depth with useful accuracy [m]; (0, 0) without depth."""
     min_depth: tuple[tuple[int, int, float], ...]
     """Nearest depth by depth format: width [px], height [px], depth [m]."""
+    stereo_baseline: float = 0.05
+    """Distance between the two eyes of a depth camera [m]; depth noise grows as depth squared over it."""
     sources: tuple[str, ...]
     """Where the figures come from."""
 
@@ -375,13 +337,8 @@ class CameraDescription:
         return np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
 
 
-def _require_numbers(what: str, values: Sequence[float], count: int) -> None:
-    if len(values) != count or not all(math.isfinite(value) for value in values):
-        raise InvalidSetup(f"{what} must be {count} finite numbers, got {tuple(values)}.")
-
-
 def _require_positive(what: str, values: Sequence[float], count: int) -> None:
-    _require_numbers(what, values, count)
+    require_numbers(what, values, count)
     if min(values) <= 0.0:
         raise InvalidSetup(f"{what} must be positive, got {tuple(values)}.")
 

@@ -6,18 +6,20 @@ import html
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
+from rcs.envs.assemble import assemble
+from rcs.envs.env import Env
 from rcs.envs.setup import Setup
-from rcs.errors import DatasetError, InvalidSetup
+from rcs.errors import DatasetError
 from rcs.rollout.collect import expert_for
 from rcs.setups.ids import ids
 from rcs.setups.lab import lab_of
-from rcs.setups.make import make
+from rcs.setups.make import make, resolve
 from rcs.sim.camera import Quality
 from rcs.sim.picture import Picture
 
@@ -61,34 +63,35 @@ def gallery(out: Path, *, seed: int = 0) -> Iterator[Shot]:
 
 
 def _shots(name: str, task: str, robot: str, out: Path, seed: int) -> Iterator[Shot]:
-    setup = Setup(task=task, robot=robot, cameras=tuple(lab_of(robot).cameras), size=(320, 240))
-    env = make(setup)
     stem = name.removeprefix("rcs/").removesuffix("-v0")
-    try:
-        observation = _go_on(env, setup, seed)
-        for quality in get_args(Quality):
+    for quality in get_args(Quality):
+        setup = Setup(task=task, robot=robot, cameras=tuple(lab_of(robot).cameras), size=(320, 240), quality=quality)
+        env = make(setup)
+        try:
+            _go_on(env, setup, seed)
             picture = Picture(env.scenario.world, size=SIZE, quality=quality)
             yield _write(f"{stem}, {quality}", picture.draw(), out / f"{stem}-{quality}.jpg")
             picture.close()
-        for camera, frame in observation["frames"].items():
-            yield _write(f"{stem}, camera {camera}", frame["rgb"], out / f"{stem}-camera-{camera}.jpg")
-    finally:
-        env.close()
+            frames = env.stack.measure()["frames"]
+            for camera, frame in frames.items():
+                title = f"{stem}, camera {camera}, {quality}"
+                yield _write(title, frame["rgb"], out / f"{stem}-camera-{camera}-{quality}.jpg")
+        finally:
+            env.close()
 
 
-def _go_on(env: Any, setup: Setup, seed: int) -> Any:
-    """Start an episode and let the expert act for a while, where there is one."""
-    observation, info = env.reset(seed=seed)
-    try:
-        expert = expert_for(env, setup)
-    except InvalidSetup:
-        return observation
+def _go_on(env: Env, setup: Setup, seed: int) -> None:
+    """Start an episode and let the expert act for a while, without drawing what it does not look at."""
+    blind = assemble(resolve(setup), is_blind=True)
+    observation, info = blind.reset(seed=seed)
+    expert = expert_for(blind, setup)
     expert.reset(observation, info)
     for _ in range(STEPS):
-        observation, _, terminated, truncated, info = env.step(expert.act(observation, info))
+        observation, _, terminated, truncated, info = blind.step(expert.act(observation, info))
         if terminated or truncated:
             break
-    return observation
+    env.reset(seed=seed, options={"state": blind.scenario.world.states()})
+    blind.close()
 
 
 def _write(title: str, picture: NDArray[np.uint8], file: Path) -> Shot:

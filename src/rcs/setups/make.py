@@ -116,6 +116,15 @@ def _place(stand: Stand, end_effector: str | None) -> RobotPlacement:
             raise UnknownName(
                 "end effector", end_effector, [*lookup.names("gripper"), *lookup.names("hand"), NO_END_EFFECTOR]
             )
+    mounted = gripper or hand
+    if mounted is not None and arm.end_effectors is not None and mounted.name not in arm.end_effectors:
+        raise InvalidSetup(
+            f"{arm.label} carries {', '.join(arm.end_effectors)} and nothing else, not {mounted.name!r}."
+        )
+    if gripper is not None and gripper.arms is not None and arm.name not in gripper.arms:
+        raise InvalidSetup(
+            f"{gripper.label} is made for {', '.join(gripper.arms)}; it cannot be mounted on {arm.name!r}."
+        )
     return RobotPlacement(name=stand.name, arm=arm, gripper=gripper, hand=hand, base_in_scene=stand.base_in_scene)
 
 

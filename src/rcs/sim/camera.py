@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rcs._core import Camera, CameraMode, Frame, Renderer, RenderPool
 from rcs.errors import InvalidSetup
+from rcs.sim.noise import CameraNoise
 from rcs.sim.scene import CameraPlacement
 from rcs.sim.world import World
 from rcs.spatial import tquat_to_matrix
@@ -34,6 +35,7 @@ class SimCameras:
         has_depth: bool = False,
         quality: Quality = "fast",
         frame_body: int = 0,
+        has_noise: bool = False,
     ) -> None:
         """Look the cameras up.
 
@@ -43,6 +45,7 @@ class SimCameras:
             size: Width and height of every frame [px].
             has_depth: Draw depth too.
             quality: How much a frame may cost.
+            has_noise: Add the noise of real cameras.
             frame_body: Body in whose frame extrinsics are given: the robot's base, or 0 for the scene.
 
         Raises:
@@ -64,6 +67,7 @@ class SimCameras:
         bodies = [f"{camera.name}/{camera.camera.base_body}" for camera in cameras]
         self._poses = [world.core.read_body_pose(world.model.body(body).id, frame_body) for body in bodies]
         world.refresh()
+        self._noise = [CameraNoise(camera.camera, size, i) for i, camera in enumerate(cameras)] if has_noise else []
         self._renderer: Renderer | RenderPool | None = None
         self.capture_times: dict[str, float] = {}
         """When each camera's last frame was drawn [s], on the monotonic clock."""
@@ -96,6 +100,8 @@ class SimCameras:
             frames[name] = {"rgb": rgb[i], **self._calibration(i)}
             if depth is not None:
                 frames[name]["depth"] = depth[i]
+            if self._noise:
+                frames[name] = self._noise[i].add(frames[name], self._world.qpos)
         return frames
 
     def _calibration(self, i: int) -> dict[str, NDArray[np.float64]]:

@@ -16,6 +16,7 @@ from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, load, moun
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
 from rcs.sim.detail import Assets, exchange_visuals
 from rcs.sim.tactile_placement import TactilePlacement, attach_tactile
+from rcs.sim.textures import add_wood
 from rcs.spatial import Pose
 
 OVERVIEW = "overview"
@@ -107,16 +108,18 @@ class Scene:
     spec: mujoco.MjSpec
     robots: list[RobotPlacement] = field(default_factory=list)
     cameras: list[CameraPlacement] = field(default_factory=list)
+    has_textures: bool = False
     tactile: list[TactilePlacement] = field(default_factory=list)
     _lacks_details: bool = field(default=False, init=False, repr=False)
     """Whether detailed visuals were asked for in vain; the next robot neither waits for the network nor warns again."""
 
     @staticmethod
-    def empty(*, physics_step: float = 0.002) -> Scene:
+    def empty(*, physics_step: float = 0.002, has_textures: bool = False) -> Scene:
         """Start a scene with a floor, lights and the solver settings that grasping needs.
 
         Args:
             physics_step: Time step of the physics [s].
+            has_textures: Whether furniture has textures, which take a tenth of the time of a small frame.
         """
         spec = mujoco.MjSpec()
         spec.modelname = "rcs"
@@ -139,7 +142,7 @@ class Scene:
         # Fixed, so that pictures do not depend on what else is in the scene.
         spec.stat.extent = 1.5
         spec.stat.center = [0.4, 0.0, 0.3]
-        scene = Scene(spec)
+        scene = Scene(spec, has_textures=has_textures)
         scene._add_room()
         scene._add_lights()
         spec.worldbody.add_camera(
@@ -198,6 +201,8 @@ class Scene:
             friction=[1.0, 0.005, 0.0001],
             group=0,
         )
+        if self.has_textures:
+            self.spec.geom("table top").material = add_wood(self.spec)
         leg = -FLOOR_HEIGHT - TABLE_THICKNESS
         for x in (-1, 1):
             for y in (-1, 1):

@@ -33,6 +33,8 @@ REALSENSE_D405: Final = CameraDescription(
         (480, 270, 0.045),
         (424, 240, 0.040),
     ),
+    # realsense-ros, _d405.urdf.xacro: offset of the second infrared camera.
+    stereo_baseline=0.018,
     sources=(
         "realsense2_description _d405.urdf.xacro (Apache-2.0): size, offsets, mass",
         "Intel RealSense D400 series data sheet 337029: field of view, formats, depth range",

@@ -45,6 +45,8 @@ REALSENSE_D435: Final = CameraDescription(
         (480, 270, 0.120),
         (424, 240, 0.105),
     ),
+    # realsense-ros, _d435.urdf.xacro: offset of the second infrared camera.
+    stereo_baseline=0.050,
     sources=(
         "realsense2_description _d435.urdf.xacro (Apache-2.0): size, offsets, mass",
         "Intel RealSense D400 series data sheet 337029: fields of view, formats, depth range",

@@ -30,6 +30,8 @@ SO101: Final = ArmDescription(
     jerk_limit=(1000.0,) * 5,
     # From the shoulder lift to the flange with the arm stretched out: 0.116 + 0.135 + 0.061 m.
     workspace_reach=0.312,
+    # Its wrist ends in a servo horn made for its own gripper, and lifts a few hundred grams.
+    end_effectors=("so101_gripper",),
     sources=(
         "mujoco_menagerie robotstudio_so101 (Apache-2.0): kinematics, limits, inertias, joint dynamics, servo gains",
         "TheRobotStudio SO-ARM100 (Apache-2.0): the published description that the former follows",

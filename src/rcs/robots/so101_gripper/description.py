@@ -16,6 +16,8 @@ SO101_GRIPPER: Final = GripperDescription(
     mjcf_file="so101_gripper.xml",
     # The published gripper link: its jaws point along -z and open along x.
     base_body="gripper",
+    # It is screwed to the servo horn of the arm's last joint, not to a flange.
+    arms=("so101",),
     # A half turn about x, from the flange's z to the link's -z.
     mount_in_flange=Mount(quaternion=(1.0, 0.0, 0.0, 0.0)),
     tcp_site="tcp",

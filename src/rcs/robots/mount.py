@@ -1,0 +1,37 @@
+"""A fixed pose of one part in the frame of another, as plain numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rcs.errors import InvalidSetup
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mount:
+    """A fixed pose of one part in the frame of another."""
+
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Origin of the part in the parent's frame [m]."""
+    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    """Rotation from the part's frame to the parent's frame, xyzw, unit norm."""
+
+    def __post_init__(self) -> None:
+        """Check lengths, finiteness and the norm.
+
+        Raises:
+            InvalidSetup: A wrong length, a number that is not finite, or a quaternion that is not of unit norm.
+        """
+        require_numbers("translation", self.translation, 3)
+        require_numbers("quaternion", self.quaternion, 4)
+        norm = math.hypot(*self.quaternion)
+        if abs(norm - 1.0) > 1e-9:
+            raise InvalidSetup(f"quaternion has norm {norm!r}; a rotation needs norm 1 (xyzw).")
+
+
+def require_numbers(what: str, values: Sequence[float], count: int) -> None:
+    """Raise InvalidSetup unless there are `count` finite numbers."""
+    if len(values) != count or not all(math.isfinite(value) for value in values):
+        raise InvalidSetup(f"{what} must be {count} finite numbers, got {tuple(values)}.")

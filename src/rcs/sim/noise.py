@@ -1,0 +1,83 @@
+"""Noise of cameras: what a colour sensor adds, and what a stereo depth camera cannot know.
+
+The noise of a frame depends on the state that is seen alone, so that the same seed gives the same frames, in one
+environment and in any copy.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.robots.description import CameraDescription
+
+COLOUR_DEVIATION = 2.0
+"""Standard deviation of a colour value [of 255]: a small sensor in indoor light."""
+SUBPIXEL = 0.08
+"""Standard deviation of a disparity [px], as Intel states for D400 cameras on textured scenes."""
+EDGE = 64
+"""By how much a field of noise is larger than a frame, so that it can be shifted [px]."""
+
+
+class CameraNoise:
+    """Noise of one camera, added to rendered frames."""
+
+    def __init__(self, camera: CameraDescription, size: tuple[int, int], number: int) -> None:
+        """Prepare fields of noise.
+
+        Args:
+            camera: Its figures.
+            size: Width and height of frames [px].
+            number: Of the camera in its scene: each has noise of its own.
+        """
+        width, height = size
+        rng = np.random.default_rng(number)
+        shape = (height + EDGE, width + EDGE)
+        self._colour = np.rint(rng.normal(0.0, COLOUR_DEVIATION, (*shape, 3))).astype(np.int16)
+        self._disparity = rng.normal(0.0, SUBPIXEL, shape)
+        self._baseline = camera.stereo_baseline
+        self._nearest = nearest_depth(camera, width)
+
+    def add(self, frame: dict[str, NDArray[Any]], state: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+        """Return a frame with noise.
+
+        Args:
+            frame: `rgb` (*leading, H, W, 3), `intrinsics` (*leading, 3, 3) and perhaps `depth` [mm] (*leading, H, W).
+            state: Positions of all joints, (*leading, nq); decides which part of the noise is taken.
+        """
+        leading = state.shape[:-1]
+        noisy = {key: value.copy() for key, value in frame.items()}
+        for index in np.ndindex(leading):  # frames are drawn one by one as well
+            row, column = _shift(state[index])
+            height, width = frame["rgb"][index].shape[:2]
+            part = np.s_[row : row + height, column : column + width]
+            noisy["rgb"][index] = np.clip(frame["rgb"][index] + self._colour[part], 0, 255)
+            if "depth" in frame:
+                focal = float(frame["intrinsics"][index][0, 0])
+                noisy["depth"][index] = self._depth(frame["depth"][index], focal, self._disparity[part])
+        return noisy
+
+    def _depth(self, depth_mm: NDArray[np.uint16], focal: float, disparity: NDArray[np.float64]) -> NDArray[np.uint16]:
+        """Return depth with the error of a disparity, dz = z^2 / (f b) dd, and without what is too near."""
+        depth = 1e-3 * depth_mm
+        measured = depth + depth * depth / (focal * self._baseline) * disparity
+        is_seen = (depth_mm > 0) & (measured >= self._nearest)
+        return np.where(is_seen, np.clip(np.rint(1e3 * measured), 0, 65535), 0).astype(np.uint16)
+
+
+def nearest_depth(camera: CameraDescription, width: int) -> float:
+    """Return the nearest depth that a camera measures in frames of a width [m]: that of the next larger format."""
+    formats = sorted(camera.min_depth)
+    larger = [depth for format_width, _, depth in formats if format_width >= width]
+    return larger[0] if larger else formats[-1][2] if formats else 0.0
+
+
+def _shift(state: NDArray[np.float64]) -> tuple[int, int]:
+    """Return where in its field the noise of a state begins: a hash of the state's bits."""
+    bits = np.ascontiguousarray(state).view(np.uint64)
+    with np.errstate(over="ignore"):
+        weights = np.arange(1, len(bits) + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+        mixed = int(np.bitwise_xor.reduce(bits * (weights | np.uint64(1))))
+    return (mixed >> 20) % EDGE, (mixed >> 40) % EDGE

@@ -1,0 +1,68 @@
+"""Camera noise: as large as stated, the same for the same state, and nothing nearer than the camera can see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.robots.realsense_d405.description import REALSENSE_D405
+from rcs.robots.realsense_d435.description import REALSENSE_D435
+from rcs.sim.noise import COLOUR_DEVIATION, SUBPIXEL, CameraNoise, nearest_depth
+from rcs.testing.env_contract import require_same_bits
+
+SIZE = (320, 240)
+FOCAL = 300.0
+
+
+def frame(depth_mm: int) -> dict[str, np.ndarray]:
+    return {
+        "rgb": np.full((240, 320, 3), 128, np.uint8),
+        "depth": np.full((240, 320), depth_mm, np.uint16),
+        "intrinsics": np.diag([FOCAL, FOCAL, 1.0]),
+    }
+
+
+def test_the_noise_has_the_deviation_that_is_stated() -> None:
+    noise = CameraNoise(REALSENSE_D435, SIZE, 0)
+    noisy = noise.add(frame(2000), np.arange(5.0))
+    assert noisy["rgb"].std() == pytest.approx(COLOUR_DEVIATION, rel=0.05)
+    expected = 1e3 * 2.0**2 / (FOCAL * 0.05) * SUBPIXEL
+    assert noisy["depth"].std() == pytest.approx(expected, rel=0.05)
+    assert noisy["depth"].mean() == pytest.approx(2000.0, rel=0.01)
+
+
+def test_depth_noise_grows_with_the_square_of_the_distance() -> None:
+    noise = CameraNoise(REALSENSE_D435, SIZE, 0)
+    near, far = (noise.add(frame(depth), np.zeros(3))["depth"].std() for depth in (1000, 3000))
+    assert far / near == pytest.approx(9.0, rel=0.05)
+
+
+def test_nothing_nearer_than_the_nearest_depth_is_seen_and_nothing_stays_nothing() -> None:
+    nearest = nearest_depth(REALSENSE_D405, 640)
+    assert nearest == pytest.approx(0.055)
+    noise = CameraNoise(REALSENSE_D405, (640, 360), 0)
+    shape = {"rgb": np.zeros((360, 640, 3), np.uint8), "intrinsics": np.diag([430.0, 430.0, 1.0])}
+    assert not noise.add({**shape, "depth": np.full((360, 640), 40, np.uint16)}, np.zeros(2))["depth"].any()
+    assert not noise.add({**shape, "depth": np.zeros((360, 640), np.uint16)}, np.zeros(2))["depth"].any()
+
+
+def test_the_argument_stays_as_it_is_and_another_state_has_other_noise() -> None:
+    noise = CameraNoise(REALSENSE_D435, SIZE, 0)
+    given = frame(1000)
+    one = noise.add(given, np.array([0.1, 0.2]))
+    assert (given["rgb"] == 128).all()
+    require_same_bits(one, noise.add(given, np.array([0.1, 0.2])))
+    assert not np.array_equal(one["rgb"], noise.add(given, np.array([0.1, 0.3]))["rgb"])
+
+
+@pytest.mark.gl
+def test_a_copy_has_the_noise_of_the_single_environment() -> None:
+    setup = rcs.Setup(cameras=("wrist", "side"), size=(48, 32), depth=True, camera_noise=True)
+    single, batch = rcs.make(setup), rcs.make_vec(setup, copies=2)
+    one, many = single.reset(seed=6)[0]["frames"], batch.reset(seed=5)[0]["frames"]
+    require_same_bits(one, {name: {key: value[1] for key, value in part.items()} for name, part in many.items()})
+    clean = rcs.make("PickCuboid", cameras=("wrist",), size=(48, 32)).reset(seed=6)[0]["frames"]["wrist"]["rgb"]
+    assert not np.array_equal(clean, one["wrist"]["rgb"])
+    single.close()
+    batch.close()
