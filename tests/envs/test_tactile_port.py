@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import rcs
+from rcs.data import Dataset
 from rcs.envs.clock import SimClock
 from rcs.envs.sim_ports import SimArmPort, SimCameraPort
 from rcs.envs.stack import Stack
@@ -13,6 +17,8 @@ from rcs.robots.digit.description import DIGIT
 from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND
 from rcs.robots.realsense_d435.description import REALSENSE_D435
+from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.replay import replay
 from rcs.sim import CameraPlacement, RobotPlacement, Scene, World
 from rcs.sim.camera import SimCameras
 from rcs.sim.robot import SimRobot
@@ -79,3 +85,21 @@ def test_two_of_one_name_are_refused() -> None:
     sensor = SimTactile(world, scene_.tactile[0])
     with pytest.raises(InvalidSetup, match="named 'fr3_left'"):
         SimTactilePort([sensor, sensor])
+
+
+def test_a_setup_with_digits_on_its_pads_is_collected_and_replayed(tmp_path: Path) -> None:
+    setup = rcs.Setup(tactile="digit")
+    for _ in collect(Collection(setup=setup, out=tmp_path / "digit", episodes=1, seed=1), Progress()):
+        pass
+    episode = Dataset.open(tmp_path / "digit").episodes[0]
+    assert episode.success
+    frames = list(episode.frames("observation/frames/fr3_left/rgb"))
+    assert frames[0].shape == (240, 320, 3)
+    change = np.abs(frames[-1].astype(int) - frames[0]).max()
+    assert change > 20, "it feels the cuboid in the end and nothing at the beginning"
+    assert all(result.is_equal for result in replay(tmp_path / "digit"))
+
+
+def test_a_gripper_without_a_mount_for_the_sensor_is_refused_with_what_to_do() -> None:
+    with pytest.raises(InvalidSetup, match=r"no mount for DIGIT on Robotiq 2F-85.*TactilePlacement"):
+        rcs.make("PickCuboid", robot="ur5e", tactile="digit")

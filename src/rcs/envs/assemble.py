@@ -18,6 +18,7 @@ from rcs.envs.setup import Setup
 from rcs.envs.sim_ports import SimArmPort, SimCameraPort, SimGripperPort, SimHandPort
 from rcs.envs.spaces import TQUAT, XYZRPY
 from rcs.envs.stack import Stack
+from rcs.envs.tactile_port import SimTactilePort
 from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv
 from rcs.kinematics import kinematics_of
@@ -25,6 +26,8 @@ from rcs.sim.camera import SimCameras
 from rcs.sim.picture import Picture
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import CameraPlacement, RobotPlacement, Scene
+from rcs.sim.tactile import SimTactile
+from rcs.sim.tactile_placement import TactilePlacement
 from rcs.sim.textures import add_textures
 from rcs.sim.world import World
 
@@ -40,6 +43,7 @@ class Parts:
     """The setup itself: numbers and options."""
     robots: tuple[RobotPlacement, ...]
     cameras: tuple[CameraPlacement, ...]
+    tactile: tuple[TactilePlacement, ...] = ()
     task: Task
 
 
@@ -88,6 +92,8 @@ def compose(parts: Parts) -> Scene:
         scene.add_robot(robot, assets=parts.setup.assets)
     for camera in parts.cameras:
         scene.add_camera(camera)
+    for sensor in parts.tactile:
+        scene.add_tactile(sensor)
     if parts.setup.randomisation is not None:
         add_textures(scene.spec, parts.setup.randomisation.textures)
     return scene
@@ -100,8 +106,22 @@ def _populate(parts: Parts, world: World, *, is_blind: bool = False) -> tuple[Sc
         for robot in robots:
             robot.wait_for_arrival()
     scenario = Scenario(world, robots, parts.task, _randomiser(parts, world))
-    shared: list[Port] = []
-    if parts.cameras and not is_blind:
+    shared = [] if is_blind else _sensors_of(parts, world, robots)
+    if len(robots) == 1:
+        stack = Stack([*_ports_of(robots[0]), *shared], layers_of(setup, robots[0].placement), world.leading)
+        return scenario, stack
+    stacks = {
+        robot.placement.name: Stack(_ports_of(robot), layers_of(setup, robot.placement), world.leading)
+        for robot in robots
+    }
+    return scenario, StackGroup(stacks, Stack(shared, [], world.leading))
+
+
+def _sensors_of(parts: Parts, world: World, robots: list[SimRobot]) -> list[Port]:
+    """Return the port of everything that gives frames, or none."""
+    setup = parts.setup
+    port: SimCameraPort | None = None
+    if parts.cameras:
         cameras = SimCameras(
             world,
             list(parts.cameras),
@@ -111,15 +131,10 @@ def _populate(parts: Parts, world: World, *, is_blind: bool = False) -> tuple[Sc
             has_noise=setup.camera_noise,
             frame_body=robots[0].layout.base_body if len(robots) == 1 else 0,
         )
-        shared.append(SimCameraPort(cameras))
-    if len(robots) == 1:
-        stack = Stack([*_ports_of(robots[0]), *shared], layers_of(setup, robots[0].placement), world.leading)
-        return scenario, stack
-    stacks = {
-        robot.placement.name: Stack(_ports_of(robot), layers_of(setup, robot.placement), world.leading)
-        for robot in robots
-    }
-    return scenario, StackGroup(stacks, Stack(shared, [], world.leading))
+        port = SimCameraPort(cameras)
+    if parts.tactile:
+        return [SimTactilePort([SimTactile(world, sensor) for sensor in parts.tactile], port)]
+    return [] if port is None else [port]
 
 
 def _randomiser(parts: Parts, world: World) -> Randomiser | None:

@@ -36,6 +36,8 @@ class Setup:
     """Width and height of every frame [px]."""
     depth: bool = False
     """Whether frames carry depth; costs about a third of a frame's time."""
+    tactile: str | None = None
+    """Name of a tactile sensor, such as `digit`, that takes the place of the gripper's pads; None for plain pads."""
     camera_noise: bool = False
     """Whether frames have the noise of real cameras; the same state has the same noise."""
     quality: Quality = "fast"
@@ -72,6 +74,8 @@ class Setup:
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; it must be a name.")
         if not isinstance(self.end_effector, str | None):
             raise InvalidSetup(f"end_effector is {self.end_effector!r}; it must be a name, or None.")
+        if not isinstance(self.tactile, str | None):
+            raise InvalidSetup(f"tactile is {self.tactile!r}; it must be the name of a sensor, or None.")
         if not isinstance(self.calibration, str | None):
             raise InvalidSetup(f"calibration is {self.calibration!r}; it must be the path of a file as text, or None.")
         for name in ("depth", "camera_noise", "binary_gripper"):

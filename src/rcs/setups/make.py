@@ -14,10 +14,15 @@ from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.robots.tactile import TactileDescription
 from rcs.setups.calibration import calibrated
 from rcs.setups.lab import Lab, Stand, lab_of
 from rcs.sim.scene import CameraPlacement, RobotPlacement
+from rcs.sim.tactile_mounts import franka_hand_pads
+from rcs.sim.tactile_placement import TactilePlacement
 
+TACTILE_MOUNTS = {"franka_hand": franka_hand_pads}
+"""How tactile sensors take the place of a gripper's pads, by the gripper's name."""
 NO_END_EFFECTOR = "none"
 """Asks for a bare flange."""
 
@@ -100,7 +105,21 @@ def resolve(setup: Setup) -> Parts:
     task: type[Task] = lookup.find("task", setup.task)
     robots = tuple(_place(stand, setup.end_effector or lab.end_effector) for stand in lab.stands)
     cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras)
-    return Parts(setup=setup, robots=robots, cameras=cameras, task=task(lab.area))
+    tactile = tuple(sensor for robot in robots for sensor in _feel(setup.tactile, robot))
+    return Parts(setup=setup, robots=robots, cameras=cameras, tactile=tactile, task=task(lab.area))
+
+
+def _feel(name: str | None, robot: RobotPlacement) -> tuple[TactilePlacement, ...]:
+    if name is None:
+        return ()
+    sensor: TactileDescription = lookup.find("tactile", name)
+    if robot.gripper is None or robot.gripper.name not in TACTILE_MOUNTS:
+        carried = robot.end_effector.label if robot.end_effector is not None else "a bare flange"
+        raise InvalidSetup(
+            f"There is no mount for {sensor.label} on {carried}, only on {', '.join(TACTILE_MOUNTS)}; "
+            "place one yourself with rcs.sim.tactile_placement.TactilePlacement."
+        )
+    return TACTILE_MOUNTS[robot.gripper.name](robot, sensor)
 
 
 def _place(stand: Stand, end_effector: str | None) -> RobotPlacement:

@@ -45,7 +45,7 @@ def dataset_info(env: Env, setup: Setup, *, jpeg_quality: int = 95) -> DatasetIn
         Feature(key=TIME_PERIOD, shape=(), dtype="float64", unit="s"),
     ]
     features += [
-        Feature(key=f"time/{keys.FRAMES}/{name}", shape=(), dtype="float64", unit="s") for name in setup.cameras
+        Feature(key=f"time/{keys.FRAMES}/{name}", shape=(), dtype="float64", unit="s") for name in _sensors(env)
     ]
     return DatasetInfo(
         fps=setup.frequency,
@@ -62,6 +62,12 @@ def versions() -> dict[str, str]:
     """Return the versions of what makes the data."""
     packages = ("robot-control-stack", "mujoco-core", "numpy", "gymnasium", "pyarrow", "simplejpeg")
     return {"python": platform.python_version(), **{name: importlib.metadata.version(name) for name in packages}}
+
+
+def _sensors(env: Env) -> list[str]:
+    """Return the names of all cameras and tactile sensors."""
+    frames = env.stack.observation_space.spaces.get(keys.FRAMES)
+    return list(frames.spaces) if isinstance(frames, spaces.Dict) else []
 
 
 def _features(prefix: str, entries: Mapping[str, spaces.Space[Any]]) -> list[Feature]:
