@@ -23,8 +23,12 @@ from numpy.typing import NDArray
 
 import rcs
 from rcs.devices import lookup
+from rcs.envs.assemble import assemble
+from rcs.envs.env import Env
+from rcs.robots.description import ArmDescription
 from rcs.rollout.collect import expert_for
-from rcs.setups.lab import looking
+from rcs.setups.lab import lab_of, looking
+from rcs.setups.make import resolve
 from rcs.sim.camera import SimCameras
 from rcs.sim.scene import CameraPlacement, RobotPlacement, Scene
 from rcs.sim.world import World
@@ -34,6 +38,8 @@ from rcs.sim.world import World
 class Options:
     """What to measure."""
 
+    robot: str = "fr3"
+    """The lab."""
     sizes: tuple[int, ...] = (84, 224)
     """Edge lengths of the square frames [px]."""
     frames: int = 400
@@ -46,56 +52,52 @@ class Options:
 
 def main(options: Options) -> None:
     """Measure and print."""
-    setup = rcs.Setup(cameras=("wrist", "side"))
-    env = rcs.make(setup)
+    lab = lab_of(options.robot)
+    # The first camera that stands still and sees the whole.
+    name = next(name for name, mount in lab.cameras.items() if mount.on_gripper_of is None)
+    setup = rcs.Setup(task=lab.tasks[0], robot=options.robot, cameras=tuple(lab.cameras))
+    parts = resolve(setup)
+    env = assemble(parts, is_blind=True)
     world = env.scenario.world
     assert world.data is not None
     states = positions_of_an_episode(env, setup)
-    side = next(camera for camera in side_cameras(env) if camera.name == "side")
-    result: dict[str, object] = {"benchmark": "render", "fps": {}, "bare_arm_fps": {}, "default_fps": {}}
+    camera = next(placement for placement in parts.cameras if placement.name == name)
+    result: dict[str, object] = {"benchmark": "render", "robot": options.robot, "camera": name, "fps": {}}
+    result |= {"bare_arm_fps": {}, "default_fps": {}}
     for size in options.sizes:
-        cameras = SimCameras(world, [side], size=(size, size))
-        show(world, states[len(states) // 2])
-        picture = cameras.read()["side"]["rgb"]
-        check_picture(world, picture)
-        save(options.save, f"lab-{size}", picture)
+        cameras = SimCameras(world, [camera], size=(size, size))
+        check_pictures(cameras, world, states, is_pick_cuboid=setup.task == "PickCuboid")
+        save(options.save, f"{options.robot}-{size}", cameras.read()[name]["rgb"])
         result["fps"] |= {size: rate(cameras, world, states, options)}
         cameras.close()
-        bare, bare_cameras = bare_arm(size)
-        show(bare, np.array(lookup.find("arm", "fr3").home))
-        save(options.save, f"bare-{size}", bare_cameras.read()["side"]["rgb"])
-        result["bare_arm_fps"] |= {size: rate(bare_cameras, bare, states[:, :7], options)}
+        bare, bare_cameras = bare_arm(parts.robots[0].arm, size)
+        show(bare, np.array(parts.robots[0].arm.home))
+        save(options.save, f"bare-{options.robot}-{size}", bare_cameras.read()["side"]["rgb"])
+        arm_states = states[:, : parts.robots[0].arm.dof] if setup.task == "PickCuboid" else bare.qpos[None].copy()
+        result["bare_arm_fps"] |= {size: rate(bare_cameras, bare, arm_states, options)}
         bare_cameras.close()
-        result["default_fps"] |= {size: default_rate(world, side, size, states)}
+        result["default_fps"] |= {size: default_rate(world, camera, size, states)}
     env.close()
     print(json.dumps(result))
 
 
-def positions_of_an_episode(env: rcs.envs.env.Env, setup: rcs.Setup) -> NDArray[np.float64]:
-    """Return the joint positions of every step of a scripted pick, (steps, nq)."""
-    blind = rcs.make(rcs.Setup())
-    expert = expert_for(blind, rcs.Setup())
-    observation, info = blind.reset(seed=0)
+def positions_of_an_episode(env: Env, setup: rcs.Setup) -> NDArray[np.float64]:
+    """Return the joint positions of every step of a scripted episode, (steps, nq)."""
+    expert = expert_for(env, setup)
+    observation, info = env.reset(seed=0)
     expert.reset(observation, info)
-    names = [blind.scenario.world.model.joint(i).name for i in range(blind.scenario.world.model.njnt)]
-    assert names == [env.scenario.world.model.joint(i).name for i in range(env.scenario.world.model.njnt)]
     positions, is_over = [], False
     while not is_over:
-        observation, _, terminated, truncated, info = blind.step(expert.act(observation, info))
-        positions.append(blind.scenario.world.qpos.copy())
+        observation, _, terminated, truncated, info = env.step(expert.act(observation, info))
+        positions.append(env.scenario.world.qpos.copy())
         is_over = terminated or truncated
     return np.array(positions)
 
 
-def side_cameras(env: rcs.envs.env.Env) -> list[CameraPlacement]:
-    """Return the cameras of an environment."""
-    return env.stack.ports[-1].cameras.placements
-
-
-def bare_arm(size: int) -> tuple[World, SimCameras]:
+def bare_arm(arm: ArmDescription, size: int) -> tuple[World, SimCameras]:
     """Return an arm without hand, table or room, and a camera that sees all of it."""
     scene = Scene(mujoco.MjSpec())
-    robot = RobotPlacement(name="fr3", arm=lookup.find("arm", "fr3"))
+    robot = RobotPlacement(name="arm", arm=arm)
     scene.add_robot(robot)
     mount = CameraPlacement(
         name="side",
@@ -161,18 +163,21 @@ def default_rate(world: World, camera: CameraPlacement, size: int, states: NDArr
     return "MuJoCo's renderer does not run here"
 
 
-def check_picture(world: World, picture: NDArray[np.uint8]) -> None:
-    """Check that arm, table and cuboid are plainly in a picture."""
-    red, green, blue = (picture[..., i].astype(int) for i in range(3))
-    parts = {
-        "arm": (np.abs(red - blue) < 12) & (red > 140),
-        "table": (red > blue + 40) & (red > green),
-        "cuboid": (green > red + 30) & (green > blue + 20),
-    }
-    for name, mask in parts.items():
-        least = 0.02 if name != "cuboid" else 0.001
-        share = mask.mean()
-        assert share > least, f"the {name} takes {100 * share:.2f} % of the picture; it is not there"
+def check_pictures(cameras: SimCameras, world: World, states: NDArray[np.float64], *, is_pick_cuboid: bool) -> None:
+    """Check that what is measured is seen: the arm moves in the picture; and table and cuboid are plainly there."""
+    pictures = []
+    for state in (states[0], states[len(states) // 2]):
+        show(world, state)
+        (frame,) = cameras.read().values()
+        pictures.append(frame["rgb"].astype(int))
+    moved = (np.abs(pictures[1] - pictures[0]).max(axis=-1) > 20).mean()
+    assert moved > 0.01, f"only {100 * moved:.2f} % of the picture change when the arm moves; it is not there"
+    red, green, blue = (pictures[1][..., i] for i in range(3))
+    parts = {"table": ((red > blue + 40) & (red > green), 0.02)}
+    if is_pick_cuboid:
+        parts["cuboid"] = ((green > red + 30) & (green > blue + 20), 0.0005)
+    for name, (mask, least) in parts.items():
+        assert mask.mean() > least, f"the {name} takes {100 * mask.mean():.3f} % of the picture; it is not there"
 
 
 def save(folder: Path | None, name: str, picture: NDArray[np.uint8]) -> None:

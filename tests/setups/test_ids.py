@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -9,17 +10,19 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import rcs
+from rcs.setups.ids import ids
+from rcs.testing.env_contract import require_same_bits
 
-IDS = ["rcs/PickCuboid-FR3-v0", "rcs/FR3-v0"]
+IDS = list(ids())
 
 
 @pytest.mark.parametrize("name", IDS)
 def test_gymnasium_makes_every_id(name: str) -> None:
     env = gymnasium.make(name, control="tquat")
     observation, _ = env.reset(seed=1)
-    expected, _ = rcs.make("PickCuboid" if "Pick" in name else "Free", control="tquat").reset(seed=1)
-    for key in expected:
-        np.testing.assert_array_equal(observation[key], expected[key])
+    task, robot = ids()[name]
+    expected, _ = rcs.make(task, robot=robot, control="tquat").reset(seed=1)
+    require_same_bits(observation, expected)
     assert env.spec is not None
     env.close()
 
@@ -47,10 +50,18 @@ def test_gymnasium_makes_batches_with_the_native_threads(name: str) -> None:
     envs = gymnasium.make_vec(name, num_envs=3, vectorization_mode="vector_entry_point", control="joints")
     assert envs.num_envs == 3
     assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    observation, _ = envs.reset(seed=0)
-    assert observation["joints"].shape == (3, 7)
-    envs.step(envs.action_space.sample())
+    observations, _ = envs.reset(seed=0)
+    task, robot = ids()[name]
+    single = rcs.make(task, robot=robot)
+    require_same_bits(single.reset(seed=2)[0], copy_of(observations, 2))
+    actions = envs.action_space.sample()
+    observations, *_ = envs.step(actions)
+    require_same_bits(single.step(copy_of(actions, 2))[0], copy_of(observations, 2))
     envs.close()
+
+
+def copy_of(values: dict[str, Any], copy: int) -> dict[str, Any]:
+    return {key: copy_of(value, copy) if isinstance(value, dict) else value[copy] for key, value in values.items()}
 
 
 def test_ordinary_gymnasium_wrappers_go_on_top() -> None:
