@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -80,3 +81,17 @@ def test_what_it_collected_replays_bit_for_bit(installed: dict[str, str], tmp_pa
     options = ("--robot", "my_robot_urdf", "--cameras", "none", "--episodes", "1", "--workers", "1", "--out", str(out))
     run(installed, *RCS, "collect", "PickCuboid", *options, "--no-report")
     assert "1 of 1 episodes bit-equal" in run(installed, *RCS, "data", "replay", str(out))
+
+
+@pytest.mark.extras
+def test_pip_installs_the_package_and_its_robot_is_there(tmp_path: Path) -> None:
+    source, site = tmp_path / "source", tmp_path / "site"
+    shutil.copytree(PACKAGE, source, ignore=shutil.ignore_patterns("__pycache__"))
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(site), str(source)]
+    done = subprocess.run(pip, check=False, timeout=120, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    out = tmp_path / "dataset"
+    options = ("--robot", "my_robot", "--cameras", "none", "--episodes", "1", "--workers", "1", "--out", str(out))
+    run(environment, *RCS, "collect", "PickCuboid", *options)
+    assert Dataset.open(out).episodes[0].success
