@@ -40,7 +40,6 @@ def run(installed: dict[str, str], *arguments: str) -> str:
         [sys.executable, *arguments],
         env=installed,
         cwd=PACKAGE,
-        cwd=PACKAGE,
         check=False,
         timeout=60,
         stdout=subprocess.PIPE,
