@@ -58,5 +58,6 @@ class GraspHand(Layer):
 
     def map_observation(self, observation: Observation) -> Observation:
         """Add how far the hand is open."""
-        along = (observation[HAND] - self._grasp) @ self._along
+        # Not a matrix product: its order of sums, and with it the last bit, depends on the number of copies.
+        along = ((observation[HAND] - self._grasp) * self._along).sum(axis=-1)
         return {**observation, GRIPPER: np.clip(along, 0.0, 1.0)[..., None].astype(np.float32)}
