@@ -29,7 +29,8 @@ class GraspHand(Layer):
         self._open = np.array(open_pose, np.float32)
         self._grasp = np.array(grasp, np.float32)
         way = self._open - self._grasp
-        self._along = way / max(float(way @ way), 1e-12)
+        # By hand: a BLAS product may differ in the last bit from one array in memory to the next.
+        self._along = way / np.float32(max(sum(float(part) ** 2 for part in way), 1e-12))
 
     def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
         """Replace `hand` by `gripper`."""
@@ -58,6 +59,6 @@ class GraspHand(Layer):
 
     def map_observation(self, observation: Observation) -> Observation:
         """Add how far the hand is open."""
-        # Not a matrix product: its order of sums, and with it the last bit, depends on the number of copies.
-        along = ((observation[HAND] - self._grasp) * self._along).sum(axis=-1)
+        # In a fixed order, which neither a product nor a sum has: copies must have the bits of a single environment.
+        along = np.add.accumulate((observation[HAND] - self._grasp) * self._along, axis=-1)[..., -1]
         return {**observation, GRIPPER: np.clip(along, 0.0, 1.0)[..., None].astype(np.float32)}
