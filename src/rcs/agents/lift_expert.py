@@ -31,13 +31,12 @@ from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Observation
 from rcs.errors import WrongOrder
 from rcs.kinematics import DampedLeastSquares
 from rcs.spatial import Pose, distance, limit_step
+from rcs.tasks.lift_bar import GRASP_OFFSET
 
 LIFT = 0.15
 """Height to lift to above the grasp [m]: the task wants 0.10."""
 LIFT_SPEED = 0.15
 """Speed of lifting [m/s]; slow, so that both ends stay level."""
-GRASP_OFFSET = 0.20
-"""Where the bar is grasped: this far from its middle along its y [m]."""
 
 
 class Phase(Enum):
