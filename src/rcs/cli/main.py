@@ -10,21 +10,18 @@ from rich.console import Console
 from tyro.conf import subcommand
 
 from rcs.cli.collect import CollectCommand
-from rcs.cli.data import CheckCommand, InfoCommand, RecoverCommand, ReplayCommand
+from rcs.cli.data import DataCommand
 from rcs.cli.doctor import DoctorCommand
 from rcs.cli.gallery import GalleryCommand
 from rcs.cli.list import ListCommand
 from rcs.errors import RcsError
 
-DataCommand = (
-    Annotated[InfoCommand, subcommand("info")]
-    | Annotated[CheckCommand, subcommand("check")]
-    | Annotated[RecoverCommand, subcommand("recover")]
-    | Annotated[ReplayCommand, subcommand("replay")]
-)
 Command = (
     Annotated[CollectCommand, subcommand("collect")]
-    | Annotated[DataCommand, subcommand("data", description="Look at a dataset, check, mend and replay it.")]
+    | Annotated[
+        DataCommand,
+        subcommand("data", description="Look at datasets, check, mend, edit, mix, replay, convert and view them."),
+    ]
     | Annotated[GalleryCommand, subcommand("gallery")]
     | Annotated[ListCommand, subcommand("list")]
     | Annotated[DoctorCommand, subcommand("doctor")]

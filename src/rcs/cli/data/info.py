@@ -1,0 +1,55 @@
+"""`rcs data info`: what is in a dataset."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from rcs.data import Dataset
+from rcs.rollout.wilson import wilson_interval
+
+
+@dataclass(kw_only=True)
+class InfoCommand:
+    """Show what is in a dataset."""
+
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+
+    def run(self) -> int:
+        """Print it."""
+        console = Console(soft_wrap=True)
+        dataset = Dataset.open(self.path)
+        episodes = dataset.episodes
+        good = sum(episode.success is True for episode in episodes)
+        steps = sum(episode.length for episode in episodes)
+        low, high = wilson_interval(good, len(episodes)) if episodes else (0.0, 1.0)
+        failures = Counter(str(episode.outcome.get("failure")) for episode in episodes if episode.success is False)
+        table = Table(show_header=False, box=None, pad_edge=False)
+        table.add_row("dataset", str(dataset.path))
+        table.add_row("instruction", dataset.info.instruction)
+        table.add_row("episodes", str(len(episodes)))
+        table.add_row("success", f"{good} (95 % Wilson interval {100 * low:.1f} to {100 * high:.1f} %)")
+        table.add_row("failures", ", ".join(f"{name} {count}" for name, count in failures.most_common()) or "none")
+        table.add_row("rows", f"{steps} at {dataset.info.fps:g} Hz = {steps / dataset.info.fps / 60:.1f} min")
+        table.add_row("content", digest(dataset))
+        console.print(table)
+        features = Table("feature", "shape", "dtype", "unit", "stored as", box=None, pad_edge=False)
+        for feature in dataset.info.features:
+            features.add_row(feature.key, str(feature.shape), feature.dtype, feature.unit, feature.encoding)
+        console.print(features)
+        return 0
+
+
+def digest(dataset: Dataset) -> str:
+    """Return one hash over all episodes without their measured times: equal for two runs of one collection."""
+    total = hashlib.sha256()
+    for episode in dataset.episodes:
+        total.update(f"{episode.id} {episode.content_hash}\n".encode())
+    return f"sha256 {total.hexdigest()}"
