@@ -31,6 +31,7 @@ def test_a_steady_recording_has_no_gap(tmp_path: Path, make_info: MakeInfo, make
     assert period["jitter_max"] < 1e-9
     assert (period["gaps"], period["missed_steps"], period["backwards"]) == (0, 0, 0)
     assert quality["cameras"]["observation/frames/wrist/rgb"] == {
+        "new_images": 31,
         "repeated_images": 0,
         "repeated_captures": 0,
         "longest_freeze": 0,
@@ -63,6 +64,7 @@ def test_a_frozen_camera_is_counted_by_image_and_by_capture_time(
         row["time/frames/wrist"] = rows[2]["time/frames/wrist"]
     cameras = quality_of(tmp_path, make_info(images=True), rows)["cameras"]
     assert cameras["observation/frames/wrist/rgb"] == {
+        "new_images": 9,
         "repeated_images": 3,
         "repeated_captures": 3,
         "longest_freeze": 3,

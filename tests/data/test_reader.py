@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rcs.data import Dataset
+from rcs.data import SCHEMA_VERSION, Dataset
 from rcs.data.durable import sealed, unsealed
 from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
 
@@ -73,7 +73,7 @@ def test_a_changed_verdict_is_seen(dataset: Path) -> None:
 def test_a_newer_layout_is_refused(dataset: Path) -> None:
     for path in (dataset / "episodes/000001/episode.json", dataset / "dataset.json"):
         values = unsealed(path.read_bytes(), path)
-        path.write_bytes(sealed({**values, "schema_version": 2}))
+        path.write_bytes(sealed({**values, "schema_version": SCHEMA_VERSION + 1}))
         with pytest.raises(DatasetError, match="newer version of this library; update"):
             _ = Dataset.open(dataset)["000001"].success
 

@@ -11,23 +11,26 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from rcs.data.codec import decode_frame
 from rcs.data.content import ContentHash, flat_numbers
+from rcs.data.head import read_head, read_head_file
 from rcs.data.info import DatasetInfo
 from rcs.data.layout import (
+    COPY_FILE,
     DATASET_FILE,
     EPISODE_FILE,
-    EPISODES_FOLDER,
     SIM_STATE_FILE,
     STEPS_FILE,
     complete_ids,
     episode_folder,
+    generation_folder,
     incomplete_ids,
     open_folder,
     open_ids,
     trash_folders,
 )
 from rcs.data.lock import is_locked
-from rcs.data.reader import EpisodeRecord, decode_frame, read_info
+from rcs.data.reader import EpisodeRecord
 from rcs.data.rows import sim_state_schema, steps_schema
 from rcs.errors import CorruptEpisode, DatasetError
 
@@ -93,39 +96,46 @@ def check(path: str | Path, *, decode_frames: bool = True) -> CheckReport:
     """
     root = Path(path)
     try:
-        info = read_info(root)
+        head = read_head(root)
     except CorruptEpisode as err:
         damage = Finding(episode=None, file=DATASET_FILE, message=str(err))
         return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=(damage,))
-    findings = list(_loose_ends(root))
-    ids = complete_ids(root)
+    info, base = head.info, generation_folder(root, head.generation)
+    findings = list(_loose_ends(root, base))
+    ids = complete_ids(base)
     rows = frames = 0
     for episode_id in ids:
-        episode = _EpisodeCheck(root, info, episode_id)
+        episode = _EpisodeCheck(root, base, info, episode_id)
         findings += episode.findings(decode_frames)
         rows += episode.rows
         frames += episode.frames
     return CheckReport(path=root, episodes=len(ids), rows=rows, frames=frames, findings=tuple(findings))
 
 
-def _loose_ends(root: Path) -> Iterator[Finding]:
-    for episode_id in incomplete_ids(root):
-        file = f"{EPISODES_FOLDER}/{episode_id}/{EPISODE_FILE}"
+def _loose_ends(root: Path, base: Path) -> Iterator[Finding]:
+    for name in (DATASET_FILE, COPY_FILE):
+        try:
+            read_head_file(root / name)
+        except (CorruptEpisode, DatasetError) as err:
+            if name == DATASET_FILE or (root / COPY_FILE).exists():  # the first layout had no copy
+                yield Finding(episode=None, file=name, message=str(err))
+    for episode_id in incomplete_ids(base):
+        file = str((episode_folder(base, episode_id) / EPISODE_FILE).relative_to(root))
         yield Finding(episode=episode_id, file=file, message="missing, so the episode is not read")
     if is_locked(root):
         return  # open episodes are what a living writer is at
-    for episode_id in open_ids(root):
-        file = str(open_folder(root, episode_id).relative_to(root))
+    for episode_id in open_ids(base):
+        file = str(open_folder(base, episode_id).relative_to(root))
         yield Finding(episode=episode_id, file=file, message="open, and its writer is gone; run recover")
-    for folder in trash_folders(root):
+    for folder in trash_folders(base):
         yield Finding(episode=None, file=str(folder.relative_to(root)), message="left of a discard; run recover")
 
 
 class _EpisodeCheck:
-    def __init__(self, root: Path, info: DatasetInfo, episode_id: str) -> None:
+    def __init__(self, root: Path, base: Path, info: DatasetInfo, episode_id: str) -> None:
         self._info = info
         self._root = root
-        self._episode = EpisodeRecord(episode_folder(root, episode_id), info)
+        self._episode = EpisodeRecord(episode_folder(base, episode_id), info)
         self.rows = 0
         self.frames = 0
 
@@ -197,12 +207,12 @@ class _EpisodeCheck:
             return None
         if not pa.types.is_binary(column.type):
             return None
-        broken = [row for row, image in enumerate(column) if not self._decodes(key, image.as_py())]
+        broken = [row for row, image in enumerate(column) if image.is_valid and not self._decodes(key, image.as_py())]
         return (broken[0], broken[-1]) if broken else None
 
-    def _decodes(self, key: str, image: bytes | None) -> bool:
+    def _decodes(self, key: str, image: bytes) -> bool:
         try:
-            decode_frame(self._info.feature(key), image or b"")
+            decode_frame(self._info.feature(key), image)
         except CorruptEpisode:
             return False
         return True
@@ -212,8 +222,10 @@ class _EpisodeCheck:
     ) -> Iterator[Finding]:
         if pa.types.is_binary(column.type):
             for row, image in enumerate(column if decode_frames else ()):
+                if not image.is_valid:
+                    continue
                 try:
-                    decode_frame(self._info.feature(key), image.as_py() or b"")
+                    decode_frame(self._info.feature(key), image.as_py())
                     self.frames += 1
                 except CorruptEpisode as err:
                     yield self._finding(name, f"{key!r}: {err}", (first + row, first + row))

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,7 @@ _GROUP_OF_IMAGES = 256
 
 
 def compact(
-    root: Path,
+    base: Path,
     episode_id: str,
     info: DatasetInfo,
     *,
@@ -58,7 +58,7 @@ def compact(
     """Turn the open episode's stream into a complete episode and return its folder; None if there are no rows.
 
     Args:
-        root: The dataset's folder.
+        base: The folder that has the current episodes.
         episode_id: The episode.
         info: What the dataset's episodes share.
         success: Whether the task was done; None if that is not known.
@@ -69,7 +69,7 @@ def compact(
         DatasetError: The disk is full or fails, or there is a complete episode of that name; the stream stays.
         CorruptEpisode: The stream has other columns than the dataset.
     """
-    folder = open_folder(root, episode_id)
+    folder = open_folder(base, episode_id)
     with disk_errors(f"finish episode {episode_id!r}", folder):
         stream = StreamReader(folder / ROWS_FILE)
         header = stream.header
@@ -81,53 +81,85 @@ def compact(
         first = next(groups, None)
         if first is None:
             return None
-        content, quality = ContentHash(info), QualityMeter(info)
-        with contextlib.ExitStack() as files:
-            steps = files.enter_context(_ParquetFile(folder / STEPS_FILE, steps_schema(info)))
-            states = None
-            if info.sim_state_size is not None:
-                path = folder / SIM_STATE_FILE
-                states = files.enter_context(_ParquetFile(path, sim_state_schema(info.sim_state_size)))
-            for group in _chain(first, groups):
-                rows = group.select(steps.schema.names)
-                steps.write(rows)
-                content.add(rows)
-                quality.add(rows)
-                if states is not None:
-                    states.write(group.select([SIM_STATE]))
-            hashes = {file.name: file.complete() for file in (steps, states) if file is not None}
         about = {
-            "schema_version": SCHEMA_VERSION,
             "id": header.id,
             "seed": header.seed,
             "success": success,
             "outcome": dict(outcome),
-            "length": steps.rows,
             "instruction": header.instruction,
             "started": header.started,
             "ended": ended,
             "versions": header.versions,
-            "content_hash": content.hexdigest(),
-            "sha256": hashes,
-            "quality": {**quality.report(), "is_torn": stream.is_torn},
         }
-        write_file(folder / EPISODE_FILE, sealed(about))
-        sync_folder(folder)
-    return publish(root, episode_id)
+        seal(folder, info, _chain(first, groups), about, quality=lambda: {"is_torn": stream.is_torn})
+    return publish(base, episode_id)
 
 
-def publish(root: Path, episode_id: str) -> Path:
+def seal(
+    folder: Path,
+    info: DatasetInfo,
+    groups: Iterable[pa.Table],
+    about: Mapping[str, Any],
+    *,
+    quality: Callable[[], Mapping[str, Any]] = dict,
+) -> None:
+    """Write a complete episode into a folder: its rows as Parquet, and last the `episode.json` that makes it complete.
+
+    Args:
+        folder: Where; nothing in it counts before `episode.json` is there.
+        info: What the dataset's episodes share.
+        groups: The rows, with the columns of `stream_schema`, one table per row group.
+        about: What `episode.json` says beside what is found here: length, hashes, quality, schema version.
+        quality: What the quality report says beside what is found here, asked after the last group.
+
+    Raises:
+        OSError: The disk is full or fails.
+    """
+    content, meter = ContentHash(info), QualityMeter(info)
+    with contextlib.ExitStack() as files:
+        steps = files.enter_context(_ParquetFile(folder / STEPS_FILE, steps_schema(info)))
+        states = None
+        if info.sim_state_size is not None:
+            states = files.enter_context(_ParquetFile(folder / SIM_STATE_FILE, sim_state_schema(info.sim_state_size)))
+        for group in groups:
+            rows = group.select(steps.schema.names)
+            steps.write(rows)
+            content.add(rows)
+            meter.add(rows)
+            if states is not None:
+                states.write(group.select([SIM_STATE]))
+        hashes = {file.name: file.complete() for file in (steps, states) if file is not None}
+    whole = {
+        "schema_version": SCHEMA_VERSION,
+        **about,
+        "length": steps.rows,
+        "content_hash": content.hexdigest(),
+        "sha256": hashes,
+        "quality": {**meter.report(), **quality()},
+    }
+    write_file(folder / EPISODE_FILE, sealed(whole))
+    sync_folder(folder)
+
+
+def cut(table: pa.Table, info: DatasetInfo) -> Iterator[pa.Table]:
+    """Yield the rows of a table in row groups of the size that a recording has, so that equal rows are equal files."""
+    size = _group_size(info)
+    for start in range(0, table.num_rows, size):
+        yield table.slice(start, size).combine_chunks()
+
+
+def publish(base: Path, episode_id: str) -> Path:
     """Give an open episode that has its `episode.json` its final name, and return the folder.
 
     Raises:
         DatasetError: The disk fails, or there is a complete episode of that name.
     """
-    opened, final = open_folder(root, episode_id), episode_folder(root, episode_id)
+    opened, final = open_folder(base, episode_id), episode_folder(base, episode_id)
     with disk_errors(f"publish episode {episode_id!r}", opened):
         for name in (ROWS_FILE, ABORTED_FILE):
             (opened / name).unlink(missing_ok=True)
         if final.exists():
-            raise DatasetError(f"There already is an episode {episode_id!r} in {root}; the other one is in {opened}.")
+            raise DatasetError(f"There already is an episode {episode_id!r} in {base}; the other one is in {opened}.")
         opened.rename(final)
         sync_folder(final.parent)
     return final
@@ -179,9 +211,12 @@ class _ParquetFile:
         return self._file.complete()
 
 
+def _group_size(info: DatasetInfo) -> int:
+    return _GROUP_OF_IMAGES if any(feature.is_image for feature in info.features) else _GROUP_OF_NUMBERS
+
+
 def _groups(stream: StreamReader, info: DatasetInfo) -> Iterator[pa.Table]:
-    has_images = any(feature.encoding != "plain" for feature in info.features)
-    size = _GROUP_OF_IMAGES if has_images else _GROUP_OF_NUMBERS
+    size = _group_size(info)
     waiting: list[pa.RecordBatch] = []
     rows = 0
     for batch in stream.batches():

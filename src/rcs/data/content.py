@@ -1,4 +1,4 @@
-"""What an episode holds, without when: a hash over all columns but the times, and a comparison of two episodes."""
+"""What an episode holds, not how its recording went: a hash over all columns but times and flags, and a comparison."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from rcs.data.info import DatasetInfo
+
+_NOTHING = pa.py_buffer(b"")
 
 
 def flat_numbers(column: pa.ChunkedArray | pa.Array) -> NDArray[Any]:
@@ -29,7 +31,7 @@ def flat_numbers(column: pa.ChunkedArray | pa.Array) -> NDArray[Any]:
 
 
 class ContentHash:
-    """SHA-256 over the values of all columns but the times; how the rows were cut into pieces does not matter.
+    """SHA-256 over the values of all columns but times and flags; how the rows were cut into pieces does not matter.
 
     Per column: its key, for each row whether it has a value, and the values, little-endian and row-major, with 0 where
     there is none; for images the length and the bytes of each.
@@ -37,7 +39,7 @@ class ContentHash:
 
     def __init__(self, info: DatasetInfo) -> None:
         """Start with no rows."""
-        keys = sorted(feature.key for feature in info.features if not feature.is_time)
+        keys = sorted(feature.key for feature in info.features if not feature.is_circumstance)
         self._columns = {key: (hashlib.sha256(), hashlib.sha256()) for key in keys}
 
     def add(self, table: pa.Table) -> None:
@@ -47,7 +49,7 @@ class ContentHash:
             nulls.update(_is_null(column).astype(np.uint8).tobytes())
             if pa.types.is_binary(column.type):
                 for image in column:
-                    data = image.as_buffer()
+                    data = image.as_buffer() if image.is_valid else _NOTHING
                     values.update(data.size.to_bytes(8, "little"))
                     values.update(data)
             else:
@@ -63,14 +65,14 @@ class ContentHash:
 
 
 def compare_steps(a: pa.Table, b: pa.Table) -> list[str]:
-    """Say in what two tables of steps differ, one line per column; times are not compared.
+    """Say in what two tables of steps differ, one line per column; times and flags are not compared.
 
     Args:
         a: Steps, as `EpisodeRecord.steps` returns them.
         b: Other steps.
     """
     lines: list[str] = []
-    keys = [[name for name in table.column_names if not name.startswith("time/")] for table in (a, b)]
+    keys = [[name for name in table.column_names if not name.startswith(("time/", "flags/"))] for table in (a, b)]
     if keys[0] != keys[1]:
         lines.append(f"columns: {keys[0]} and {keys[1]}")
     if a.num_rows != b.num_rows:
@@ -88,7 +90,7 @@ def compare_steps(a: pa.Table, b: pa.Table) -> list[str]:
 
 
 def steps_equal(a: pa.Table, b: pa.Table) -> bool:
-    """Return whether two tables of steps are the same bit for bit, but for the times.
+    """Return whether two tables of steps are the same bit for bit, but for times and flags.
 
     Args:
         a: Steps, as `EpisodeRecord.steps` returns them.

@@ -37,11 +37,11 @@ class EpisodeWriter:
     until `recover` makes an episode of them or a resumed recording discards them.
     """
 
-    def __init__(self, root: Path, info: DatasetInfo, episode_id: str, seed: int | None, instruction: str) -> None:
+    def __init__(self, base: Path, info: DatasetInfo, episode_id: str, seed: int | None, instruction: str) -> None:
         """Make the open episode's folder.
 
         Args:
-            root: The dataset's folder.
+            base: The folder that has the current episodes.
             info: What the dataset's episodes share.
             episode_id: The name of the episode.
             seed: The seed it was reset with.
@@ -54,9 +54,9 @@ class EpisodeWriter:
         check_episode_id(episode_id)
         self.id = episode_id
         self.state: State = "open"
-        self._root = root
+        self._base = base
         self._info = info
-        self._folder = open_folder(root, episode_id)
+        self._folder = open_folder(base, episode_id)
         self._rows = 0
         self._buffer = RowBuffer(info)
         header = EpisodeHeader(
@@ -75,9 +75,9 @@ class EpisodeWriter:
                     "Resume the dataset to recover or discard it, or choose another id."
                 ) from err
             # Asked only now: a writer that finished this id in between has given up the open folder's name.
-            if episode_folder(root, episode_id).exists():
+            if episode_folder(base, episode_id).exists():
                 self._folder.rmdir()
-                raise DatasetError(f"There already is an episode {episode_id!r} in {root}; choose another id.")
+                raise DatasetError(f"There already is an episode {episode_id!r} in {base}; choose another id.")
             self._stream = StreamWriter(self._folder / ROWS_FILE, stream_schema(info), header)
         self._flushed_at = time.monotonic()
 
@@ -125,7 +125,7 @@ class EpisodeWriter:
         try:
             self._stream.close()
             verdict = None if success is None else bool(success)
-            folder = compact(self._root, self.id, self._info, success=verdict, outcome=kept, ended=_now())
+            folder = compact(self._base, self.id, self._info, success=verdict, outcome=kept, ended=_now())
         except DatasetError as err:
             if self._folder.exists():
                 self._mark_aborted(str(err))
@@ -148,7 +148,7 @@ class EpisodeWriter:
             raise DatasetError(f"Episode {self.id!r} is finished and cannot be discarded.")
         self._stream.close()
         with disk_errors(f"discard episode {self.id!r}", self._folder):
-            remove_folder(self._folder, new_trash_folder(self._root, self.id))
+            remove_folder(self._folder, new_trash_folder(self._base, self.id))
         self.state = "discarded"
 
     def abort(self, reason: str) -> None:

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from rcs.errors import InvalidSetup
 
-Encoding = Literal["plain", "jpeg", "depth"]
+Encoding = Literal["plain", "held", "jpeg", "lossless", "depth"]
 
 DTYPES = (
     "bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float32", "float64",
@@ -22,6 +22,9 @@ DTYPES = (
 _UNKNOWN_AT_RESET = ("action/", "executed/", "reward")
 # These may be known at a reset, or not.
 _OPTIONAL_AT_RESET = ("terminated", "truncated", "time/")
+# How the recording went, not what was recorded: two runs that are otherwise alike differ in these.
+_CIRCUMSTANCES = ("time/", "flags/")
+_IMAGES = ("jpeg", "lossless", "depth")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +44,9 @@ class Feature:
     unit: str = ""
     """The unit in words, such as "rad"; only for people."""
     encoding: Encoding = "plain"
-    """"plain" stores numbers, "jpeg" an (H, W, 3) uint8 image, "depth" an (H, W) uint16 image without loss."""
+    """How it is stored. "plain": numbers. "held": numbers that rarely change, stored where they differ from the row
+    before. "jpeg": an (H, W, 3) uint8 image; "lossless": the same without loss. "depth": an (H, W) uint16 image without
+    loss. Of images too, only new ones are stored: a row without one has that of the row before."""
 
     def __post_init__(self) -> None:
         """Refuse what could not be stored."""
@@ -56,17 +61,40 @@ class Feature:
             raise InvalidSetup(
                 f"Feature {self.key!r} has encoding {self.encoding!r}; valid are {', '.join(get_args(Encoding))}."
             )
-        if self.encoding == "jpeg" and (self.dtype != "uint8" or len(self.shape) != 3 or self.shape[2] != 3):
-            raise InvalidSetup(f"Feature {self.key!r} is a JPEG and must be (H, W, 3) uint8, not {self._form}.")
+        is_colour = self.dtype == "uint8" and len(self.shape) == 3 and self.shape[2] == 3
+        if self.encoding in ("jpeg", "lossless") and not is_colour:
+            raise InvalidSetup(f"Feature {self.key!r} is a colour image and must be (H, W, 3) uint8, not {self._form}.")
         if self.encoding == "depth" and (self.dtype != "uint16" or len(self.shape) != 2):
             raise InvalidSetup(f"Feature {self.key!r} is a depth image and must be (H, W) uint16, not {self._form}.")
         if self.is_time and (self.dtype != "float64" or self.shape != ()):
             raise InvalidSetup(f"Feature {self.key!r} is a time and must be a single float64, not {self._form}.")
+        if self.is_flags and (self.dtype != "uint8" or self.shape != () or self.encoding != "plain"):
+            raise InvalidSetup(f"Feature {self.key!r} is of flags and must be a single plain uint8, not {self._form}.")
 
     @property
     def is_time(self) -> bool:
-        """Whether this is a measured time, which differs between two runs that are otherwise alike."""
+        """Whether this is a measured time."""
         return self.key.startswith("time/")
+
+    @property
+    def is_flags(self) -> bool:
+        """Whether this says what was wrong with a camera's frame, as `FrameFlag` has it."""
+        return self.key.startswith("flags/")
+
+    @property
+    def is_circumstance(self) -> bool:
+        """Whether this says how the recording went, and so may differ between two runs that are otherwise alike."""
+        return self.key.startswith(_CIRCUMSTANCES)
+
+    @property
+    def is_image(self) -> bool:
+        """Whether this is stored as the bytes of an image."""
+        return self.encoding in _IMAGES
+
+    @property
+    def can_be_held(self) -> bool:
+        """Whether a row without a value has that of the row before."""
+        return self.is_image or self.encoding == "held"
 
     @property
     def is_unknown_at_reset(self) -> bool:
@@ -91,7 +119,7 @@ class Feature:
     @property
     def arrow_type(self) -> pa.DataType:
         """The Arrow type of the column: a number, a list of fixed length (row-major), or the bytes of an image."""
-        if self.encoding != "plain":
+        if self.is_image:
             return pa.binary()
         number = pa.from_numpy_dtype(self.numpy_dtype)
         return number if self.shape == () else pa.list_(number, self.size)

@@ -11,8 +11,12 @@ from typing import Any, Literal, get_args
 from rcs.data.feature import Feature
 from rcs.errors import DatasetError, InvalidSetup
 
-SCHEMA_VERSION = 1
-"""The newest layout on disk that this code writes and reads."""
+SCHEMA_VERSION = 2
+"""The layout on disk that this code writes. It reads this one and those before:
+
+1. has neither flags nor held values, an image in every row, and no history.
+2. is this one.
+"""
 
 Subsampling = Literal["444", "422", "420"]
 
@@ -142,7 +146,7 @@ def differences(stored: DatasetInfo, given: DatasetInfo) -> list[str]:
 
 def _comparable(info: DatasetInfo) -> dict[str, Any]:
     values = json.loads(json.dumps(info.to_json()))  # as it comes back from disk: tuples are lists, keys are strings
-    del values["versions"]
+    del values["versions"], values["schema_version"]  # an older layout is taken to this one when it is written to
     # By key, so that one feature more is one line and not a shift of all that follow.
     features = {feature.pop("key"): _form(feature) for feature in values.pop("features")}
     return {**values, "features": features}

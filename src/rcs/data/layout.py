@@ -1,4 +1,8 @@
-"""Where things are in a dataset's folder, and which names an episode may have."""
+"""Where things are in a dataset's folder, and which names an episode may have.
+
+Two folders matter: the dataset's (`root`), which has `dataset.json` and the locks, and the one that has the current
+episodes (`base`): the same until the first edit, then that of a generation.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,8 @@ from pathlib import Path
 from rcs.errors import InvalidSetup
 
 DATASET_FILE = "dataset.json"
+COPY_FILE = "dataset.copy.json"
+"""The same once more, for the day that a bit of the other one flips."""
 EPISODE_FILE = "episode.json"
 STEPS_FILE = "steps.parquet"
 SIM_STATE_FILE = "sim_state.parquet"
@@ -18,6 +24,7 @@ ABORTED_FILE = "aborted.json"
 """Why an open episode was given up."""
 
 EPISODES_FOLDER = "episodes"
+GENERATIONS_FOLDER = "generations"
 _OPEN = ".open-"
 _DISCARDED = ".discarded-"
 
@@ -36,56 +43,70 @@ def check_episode_id(episode_id: str) -> None:
         )
 
 
-def episodes_folder(root: Path) -> Path:
+def generation_folder(root: Path, generation: int) -> Path:
+    """Return the folder with the episodes folder of a generation; that of 0 is the dataset's own."""
+    return root if generation == 0 else root / GENERATIONS_FOLDER / f"{generation:04d}"
+
+
+def generations(root: Path) -> list[int]:
+    """Return the numbers of the generations on the disk but the first, sorted; of a killed edit, too."""
+    try:
+        names = [path.name for path in (root / GENERATIONS_FOLDER).iterdir()]
+    except FileNotFoundError:
+        return []
+    return sorted(int(name) for name in names if name.isdigit())
+
+
+def episodes_folder(base: Path) -> Path:
     """Return the folder with all episodes."""
-    return root / EPISODES_FOLDER
+    return base / EPISODES_FOLDER
 
 
-def episode_folder(root: Path, episode_id: str) -> Path:
+def episode_folder(base: Path, episode_id: str) -> Path:
     """Return the folder of a complete episode."""
-    return root / EPISODES_FOLDER / episode_id
+    return base / EPISODES_FOLDER / episode_id
 
 
-def open_folder(root: Path, episode_id: str) -> Path:
+def open_folder(base: Path, episode_id: str) -> Path:
     """Return the folder of an episode that is being recorded."""
-    return root / EPISODES_FOLDER / f"{_OPEN}{episode_id}"
+    return base / EPISODES_FOLDER / f"{_OPEN}{episode_id}"
 
 
-def new_trash_folder(root: Path, episode_id: str) -> Path:
+def new_trash_folder(base: Path, episode_id: str) -> Path:
     """Return a free name for a folder that is about to be removed."""
-    return root / EPISODES_FOLDER / f"{_DISCARDED}{episode_id}-{secrets.token_hex(4)}"
+    return base / EPISODES_FOLDER / f"{_DISCARDED}{episode_id}-{secrets.token_hex(4)}"
 
 
-def complete_ids(root: Path) -> list[str]:
+def complete_ids(base: Path) -> list[str]:
     """Return the ids of the complete episodes, sorted."""
     return sorted(
         name
-        for name in _names(root)
-        if not name.startswith(".") and (episode_folder(root, name) / EPISODE_FILE).exists()
+        for name in _names(base)
+        if not name.startswith(".") and (episode_folder(base, name) / EPISODE_FILE).exists()
     )
 
 
-def incomplete_ids(root: Path) -> list[str]:
+def incomplete_ids(base: Path) -> list[str]:
     """Return the names of folders that have no `episode.json` though they look complete; no kill leaves such."""
     return sorted(
         name
-        for name in _names(root)
-        if not name.startswith(".") and not (episode_folder(root, name) / EPISODE_FILE).exists()
+        for name in _names(base)
+        if not name.startswith(".") and not (episode_folder(base, name) / EPISODE_FILE).exists()
     )
 
 
-def open_ids(root: Path) -> list[str]:
+def open_ids(base: Path) -> list[str]:
     """Return the ids of the episodes that are being recorded, or were when their writer died, sorted."""
-    return sorted(name.removeprefix(_OPEN) for name in _names(root) if name.startswith(_OPEN))
+    return sorted(name.removeprefix(_OPEN) for name in _names(base) if name.startswith(_OPEN))
 
 
-def trash_folders(root: Path) -> list[Path]:
+def trash_folders(base: Path) -> list[Path]:
     """Return what is left of discarded episodes."""
-    return [root / EPISODES_FOLDER / name for name in _names(root) if name.startswith(_DISCARDED)]
+    return [base / EPISODES_FOLDER / name for name in _names(base) if name.startswith(_DISCARDED)]
 
 
-def _names(root: Path) -> list[str]:
+def _names(base: Path) -> list[str]:
     try:
-        return [path.name for path in (root / EPISODES_FOLDER).iterdir()]
+        return [path.name for path in (base / EPISODES_FOLDER).iterdir()]
     except FileNotFoundError:
         return []

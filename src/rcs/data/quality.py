@@ -1,4 +1,4 @@
-"""How well an episode was recorded: its measured rate, gaps, and images that came twice."""
+"""How well an episode was recorded: its measured rate, gaps, and images that came twice, late or not at all."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from rcs.data.feature import Feature
+from rcs.data.flags import FrameFlag, companion
 from rcs.data.info import DatasetInfo
 
 # A period this many times the wanted one means that at least one step is missing.
@@ -22,8 +22,10 @@ class QualityMeter:
         """Start with no rows."""
         self._fps = info.fps
         self._times: dict[str, list[NDArray[np.float64]]] = {f.key: [] for f in info.features if f.is_time}
-        self._images = {f.key: _Repeats() for f in info.features if f.encoding != "plain"}
-        self._captures = {key: _capture_key(key, info.features) for key in self._images}
+        self._flags: dict[str, list[NDArray[np.uint8]]] = {f.key: [] for f in info.features if f.is_flags}
+        self._images = {f.key: _Repeats() for f in info.features if f.is_image}
+        self._captures = {key: companion(key, info.features, "time") for key in self._images}
+        self._flags_of = {key: companion(key, info.features, "flags") for key in self._images}
         self._rows = 0
 
     def add(self, table: pa.Table) -> None:
@@ -31,6 +33,8 @@ class QualityMeter:
         self._rows += table.num_rows
         for key, parts in self._times.items():
             parts.append(table.column(key).to_numpy())  # a time that was not measured is NaN
+        for key, parts in self._flags.items():
+            parts.append(table.column(key).to_numpy())
         for key, repeats in self._images.items():
             repeats.add(table.column(key))
 
@@ -39,11 +43,13 @@ class QualityMeter:
         times = {key: np.concatenate([np.empty(0), *parts]) for key, parts in self._times.items()}
         cameras: dict[str, Any] = {}
         for key, repeats in self._images.items():
-            capture = self._captures[key]
+            capture, flags = self._captures[key], self._flags_of[key]
             cameras[key] = {
+                "new_images": repeats.new,
                 "repeated_images": repeats.count,
                 "repeated_captures": None if capture is None else _repeated(times[capture]),
                 "longest_freeze": repeats.longest,
+                **({} if flags is None else _counts(self._flags[flags])),
             }
         return {"rows": self._rows, "period": self._period(times), "cameras": cameras}
 
@@ -76,9 +82,10 @@ class QualityMeter:
 
 
 class _Repeats:
-    """Counts images that are byte for byte the one before."""
+    """Counts images that came as new and are byte for byte the one before."""
 
     def __init__(self) -> None:
+        self.new = 0
         self.count = 0
         self.longest = 0
         self._last: pa.Scalar | None = None
@@ -86,6 +93,9 @@ class _Repeats:
 
     def add(self, images: pa.ChunkedArray) -> None:
         for image in images:
+            if not image.is_valid:
+                continue
+            self.new += 1
             data = image.as_buffer()
             if self._last is not None and data.equals(self._last):
                 self.count += 1
@@ -96,12 +106,10 @@ class _Repeats:
             self._last = data
 
 
-def _capture_key(key: str, features: tuple[Feature, ...]) -> str | None:
-    """Return the key of a camera's capture times: "time/frames/wrist" for "observation/frames/wrist/rgb"."""
-    parts = key.split("/")
-    camera = parts[parts.index("frames") + 1 : -1] if "frames" in parts else []
-    name = f"time/frames/{'/'.join(camera)}"
-    return name if any(feature.key == name for feature in features) else None
+def _counts(flags: list[NDArray[np.uint8]]) -> dict[str, int]:
+    """Count the rows with each flag: {"repeated": …, "stale": …, "missing": …, "dropped": …}."""
+    whole = np.concatenate([np.empty(0, np.uint8), *flags])
+    return {str(flag.name).lower(): int(np.count_nonzero(whole & flag)) for flag in FrameFlag}
 
 
 def _repeated(captures: NDArray[np.float64]) -> int:

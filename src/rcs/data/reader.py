@@ -12,14 +12,22 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from rcs.data.codec import decode_depth, decode_jpeg
+from rcs.data.codec import blank_frame, decode_frame
 from rcs.data.content import flat_numbers
-from rcs.data.durable import disk_errors, unsealed
-from rcs.data.feature import Feature
+from rcs.data.durable import unsealed
+from rcs.data.flags import FrameFlag, flags_key
+from rcs.data.head import Head, read_head
 from rcs.data.info import DatasetInfo, refuse_newer_schema
-from rcs.data.layout import DATASET_FILE, EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE, complete_ids, episode_folder
+from rcs.data.layout import (
+    EPISODE_FILE,
+    SIM_STATE_FILE,
+    STEPS_FILE,
+    complete_ids,
+    episode_folder,
+    generation_folder,
+)
 from rcs.data.rows import SIM_STATE
-from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
+from rcs.errors import CorruptEpisode, InvalidSetup
 
 _FRAMES_AT_A_TIME = 32
 
@@ -93,8 +101,27 @@ class EpisodeRecord:
 
     @property
     def content_hash(self) -> str:
-        """A hash of all columns but the times: equal for two runs that are alike bit for bit."""
+        """A hash of all columns but times and flags: equal for two runs that are alike bit for bit."""
         return self.about["content_hash"]
+
+    @property
+    def source(self) -> dict[str, Any] | None:
+        """Where the episode came from, if it was made of another one: dataset, episode, content hash, and so on."""
+        return self.about.get("source")
+
+    def flags(self, camera: str) -> NDArray[np.uint8]:
+        """Return what was wrong with a camera's frames, shape (length,), as `FrameFlag` has it; 0 where nothing was.
+
+        Args:
+            camera: The camera's name.
+
+        Raises:
+            CorruptEpisode: The file is missing or damaged.
+        """
+        key = flags_key(camera)
+        if any(feature.key == key for feature in self.info.features):
+            return self.column(key)
+        return np.full(self.length, FrameFlag(0), np.uint8)
 
     def steps(self, keys: list[str] | None = None) -> pa.Table:
         """Return the rows as stored, images still encoded.
@@ -122,11 +149,13 @@ class EpisodeRecord:
             CorruptEpisode: The file is missing or damaged.
         """
         feature = self.info.feature(key)
-        if feature.encoding != "plain":
+        if feature.is_image:
             images = list(self.frames(key))
             return np.stack(images) if images else np.empty((0, *feature.shape), feature.numpy_dtype)
         column = self.steps([key]).column(key)
         numbers = flat_numbers(column).reshape(-1, *feature.shape)
+        if feature.can_be_held:
+            return numbers[_last_valid(column)]
         if column.null_count and numbers.dtype.kind == "f":
             numbers = numbers.copy()
             numbers[column.is_null().to_numpy()] = np.nan
@@ -143,14 +172,20 @@ class EpisodeRecord:
             CorruptEpisode: The file is missing or damaged; the message has the row.
         """
         feature = self.info.feature(key)
+        last, image = None, None
         for row, data in enumerate(self.encoded_frames(key)):
-            try:
-                yield decode_frame(feature, data)
-            except CorruptEpisode as err:
-                raise CorruptEpisode(f"{self.path / STEPS_FILE}, {key!r}, row {row}: {err}") from err
+            if data is not last or image is None:
+                try:
+                    image = decode_frame(feature, data)
+                except CorruptEpisode as err:
+                    raise CorruptEpisode(f"{self.path / STEPS_FILE}, {key!r}, row {row}: {err}") from err
+                last = data
+            yield image.copy()
 
     def encoded_frames(self, key: str) -> Iterator[bytes]:
-        """Yield the images of one camera in order, as stored: JPEG files, or compressed depth.
+        """Yield the images of one camera in order, as stored: JPEG files, or losslessly compressed ones.
+
+        A row without a new image has the same bytes object as the row before; black comes before the first image.
 
         Args:
             key: The feature.
@@ -159,13 +194,17 @@ class EpisodeRecord:
             InvalidSetup: There is no such feature, or it is no image.
             CorruptEpisode: The file is missing or damaged.
         """
-        if self.info.feature(key).encoding == "plain":
+        feature = self.info.feature(key)
+        if not feature.is_image:
             raise InvalidSetup(f"{key!r} is no image; read it with column({key!r}).")
+        last: bytes | None = None
         path = self.path / STEPS_FILE
         try:
             with pq.ParquetFile(path, memory_map=True, page_checksum_verification=True) as file:
                 for batch in file.iter_batches(_FRAMES_AT_A_TIME, columns=[key], use_threads=False):
-                    yield from batch.column(0).to_pylist()
+                    for image in batch.column(0).to_pylist():
+                        last = image or last or blank_frame(feature, self.info)
+                        yield last
         except (pa.ArrowException, OSError) as err:
             raise CorruptEpisode(f"{path} does not read: {err}.") from err
 
@@ -194,16 +233,17 @@ class EpisodeRecord:
 class Dataset:
     """A dataset on disk, for reading; one that is being recorded can be read too."""
 
-    def __init__(self, path: Path, info: DatasetInfo, episodes: tuple[EpisodeRecord, ...]) -> None:
+    def __init__(self, path: Path, head: Head, episodes: tuple[EpisodeRecord, ...]) -> None:
         """Hold what `open` found.
 
         Args:
             path: The folder.
-            info: What the episodes share.
+            head: What `dataset.json` says.
             episodes: The complete episodes, sorted by id.
         """
         self.path = path
-        self.info = info
+        self.head = head
+        self.info = head.info
         self.episodes = episodes
 
     @classmethod
@@ -218,9 +258,10 @@ class Dataset:
             CorruptEpisode: `dataset.json` is damaged.
         """
         root = Path(path)
-        info = read_info(root)
-        episodes = (EpisodeRecord(episode_folder(root, name), info) for name in complete_ids(root))
-        return cls(root, info, tuple(episodes))
+        head = read_head(root)
+        base = generation_folder(root, head.generation)
+        episodes = (EpisodeRecord(episode_folder(base, name), head.info) for name in complete_ids(base))
+        return cls(root, head, tuple(episodes))
 
     def __len__(self) -> int:
         """Return how many complete episodes there are."""
@@ -238,37 +279,7 @@ class Dataset:
         raise InvalidSetup(f"There is no episode {episode_id!r} in {self.path}, which has {len(self)} episodes.")
 
 
-def read_info(root: Path) -> DatasetInfo:
-    """Read `dataset.json`.
-
-    Args:
-        root: The dataset's folder.
-
-    Raises:
-        DatasetError: There is no dataset, or its layout is newer than this code.
-        CorruptEpisode: The file is damaged.
-    """
-    path = root / DATASET_FILE
-    if not path.exists():
-        raise DatasetError(f"There is no dataset in {root}: {DATASET_FILE} is missing.")
-    with disk_errors("read the dataset", path):
-        values = unsealed(path.read_bytes(), path)
-    try:
-        return DatasetInfo.from_json(values)
-    except InvalidSetup as err:
-        raise CorruptEpisode(f"{path} is damaged: {err}") from err
-
-
-def decode_frame(feature: Feature, data: bytes) -> NDArray[Any]:
-    """Return the image in the bytes of a feature.
-
-    Args:
-        feature: The feature, whose encoding is not "plain".
-        data: The bytes as stored.
-
-    Raises:
-        CorruptEpisode: The bytes are not an image of the feature's shape.
-    """
-    if feature.encoding == "depth":
-        return decode_depth(data, feature.shape)
-    return decode_jpeg(data, feature.shape)
+def _last_valid(column: pa.ChunkedArray) -> NDArray[np.intp]:
+    """Return for each row the last one up to it that has a value; row 0 where there is none yet."""
+    rows = np.where(column.is_valid().to_numpy(), np.arange(len(column)), 0)
+    return np.maximum.accumulate(rows) if len(rows) else rows

@@ -9,20 +9,23 @@ from typing import Any, Literal
 
 from rcs.data.compact import compact, publish
 from rcs.data.durable import disk_errors, remove_folder, unsealed
+from rcs.data.head import Head, read_head
 from rcs.data.info import DatasetInfo
 from rcs.data.layout import (
     ABORTED_FILE,
+    COPY_FILE,
     DATASET_FILE,
     EPISODE_FILE,
     ROWS_FILE,
     episode_folder,
+    generation_folder,
+    generations,
     new_trash_folder,
     open_folder,
     open_ids,
     trash_folders,
 )
 from rcs.data.lock import DatasetLock
-from rcs.data.reader import read_info
 from rcs.errors import CorruptEpisode, DatasetError
 
 Leftovers = Literal["recover", "discard"]
@@ -62,57 +65,65 @@ def recover(path: str | Path) -> RecoverReport:
         CorruptEpisode: `dataset.json` is damaged.
     """
     root = Path(path)
-    info = read_info(root)
+    read_head(root)  # before anything is made where there is no dataset
     lock = DatasetLock.writer(root)
     try:
-        return settle_leftovers(root, info, "recover")
+        return settle_leftovers(root, read_head(root), "recover")
     finally:
         lock.release()
 
 
-def settle_leftovers(root: Path, info: DatasetInfo, leftovers: Leftovers) -> RecoverReport:
+def settle_leftovers(root: Path, head: Head, leftovers: Leftovers) -> RecoverReport:
     """Do what `recover` does, for a caller that holds the lock.
 
     Args:
         root: The dataset's folder.
-        info: What the dataset's episodes share.
+        head: What `dataset.json` says.
         leftovers: Whether open episodes become complete ones or are removed; finished ones are always kept.
 
     Raises:
         DatasetError: The disk fails.
     """
     with disk_errors("remove what discarded episodes left", root):
-        for folder in trash_folders(root):
+        base = generation_folder(root, head.generation)
+        for folder in (*trash_folders(base), *unreachable_generations(root, head)):
             shutil.rmtree(folder)
-        (root / f"{DATASET_FILE}.tmp").unlink(missing_ok=True)
+        for name in (DATASET_FILE, COPY_FILE):
+            (root / f"{name}.tmp").unlink(missing_ok=True)
     done: dict[str, list[str]] = {"recovered": [], "published": [], "removed": []}
     failed: list[tuple[str, str]] = []
-    for episode_id in open_ids(root):
+    for episode_id in open_ids(base):
         try:
-            done[_settle(root, info, episode_id, leftovers)].append(episode_id)
+            done[_settle(base, head.info, episode_id, leftovers)].append(episode_id)
         except CorruptEpisode as err:
             failed.append((episode_id, str(err)))
     return RecoverReport(**{name: tuple(ids) for name, ids in done.items()}, failed=tuple(failed))
 
 
-def _settle(root: Path, info: DatasetInfo, episode_id: str, leftovers: Leftovers) -> str:
-    folder = open_folder(root, episode_id)
+def unreachable_generations(root: Path, head: Head) -> list[Path]:
+    """Return the folders of generations that no line of the history leads to: what a killed edit leaves."""
+    reachable = {head.generation, *(n for edit in head.history for n in (edit.before, edit.after))}
+    return [generation_folder(root, n) for n in generations(root) if n not in reachable]
+
+
+def _settle(base: Path, info: DatasetInfo, episode_id: str, leftovers: Leftovers) -> str:
+    folder = open_folder(base, episode_id)
     with disk_errors(f"recover episode {episode_id!r}", folder):
         (folder / f"{EPISODE_FILE}.tmp").unlink(missing_ok=True)
         (folder / f"{ABORTED_FILE}.tmp").unlink(missing_ok=True)
-    if episode_folder(root, episode_id).exists():
+    if episode_folder(base, episode_id).exists():
         raise CorruptEpisode(f"there is a complete episode of the same name beside {folder}")
     if (folder / EPISODE_FILE).exists():
-        publish(root, episode_id)
+        publish(base, episode_id)
         return "published"
     has_rows = (folder / ROWS_FILE).exists()
     if leftovers == "recover" and has_rows:
         outcome: dict[str, Any] = {"recovered": True, **_aborted(folder)}
         # When it ended was not measured; the last row's time is in the rows.
-        if compact(root, episode_id, info, success=None, outcome=outcome, ended=None) is not None:
+        if compact(base, episode_id, info, success=None, outcome=outcome, ended=None) is not None:
             return "recovered"
     with disk_errors(f"remove episode {episode_id!r}", folder):
-        remove_folder(folder, new_trash_folder(root, episode_id))
+        remove_folder(folder, new_trash_folder(base, episode_id))
     return "removed"
 
 

@@ -10,8 +10,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from rcs.data.codec import encode_depth, encode_jpeg
+from rcs.data.codec import encode_frame
 from rcs.data.feature import Feature
+from rcs.data.flags import FrameFlag, companion
 from rcs.data.info import DatasetInfo
 from rcs.errors import InvalidSetup
 
@@ -19,7 +20,7 @@ SIM_STATE = "sim_state"
 """The column of the simulation's state, beside the features while an episode is open."""
 
 Value = NDArray[Any] | np.generic | float | bool | None
-"""What a row may have under a key; None only where nothing was measured."""
+"""What a row may have under a key; None only where nothing was measured, or for an image where there is no new one."""
 
 _CAPACITY = 64
 
@@ -52,13 +53,16 @@ class RowBuffer:
         self._info = info
         self._schema = stream_schema(info)
         self._keys = frozenset(feature.key for feature in info.features)
+        self._needed = frozenset(f.key for f in info.features if not f.is_flags)
         self._needed_at_reset = frozenset(
-            f.key for f in info.features if not f.is_unknown_at_reset and not f.is_optional_at_reset
+            f.key for f in info.features if not (f.is_flags or f.is_unknown_at_reset or f.is_optional_at_reset)
         )
-        self._numbers = {
-            f.key: np.zeros((_CAPACITY, *f.shape), f.numpy_dtype) for f in info.features if f.encoding == "plain"
-        }
-        self._images: dict[str, list[bytes]] = {f.key: [] for f in info.features if f.encoding != "plain"}
+        self._numbers = {f.key: np.zeros((_CAPACITY, *f.shape), f.numpy_dtype) for f in info.features if not f.is_image}
+        self._images: dict[str, list[bytes | None]] = {f.key: [] for f in info.features if f.is_image}
+        self._flags = {key: companion(key, info.features, "flags") for key in self._images}
+        # Of a held value: which of the waiting rows have the value of the row before, and that value.
+        self._is_held = {f.key: np.zeros(_CAPACITY, bool) for f in info.features if f.encoding == "held"}
+        self._last: dict[str, NDArray[Any]] = {}
         self._sim_states = np.zeros((_CAPACITY, info.sim_state_size or 0))
         self._image_bytes = 0
         # Simulations record faster than they would live: half a second of the episode, not of the wall clock, is at
@@ -93,22 +97,33 @@ class RowBuffer:
         self._check_keys(row, is_first)
         self._check_sim_state(sim_state)
         i = self._rows
-        images: dict[str, bytes] = {}
+        images: dict[str, bytes | None] = {}
         for feature in self._info.features:
             value = _checked(feature, row.get(feature.key), is_first)
-            if feature.encoding != "plain":
-                images[feature.key] = self._encoded(feature, value)
+            if feature.is_image:
+                images[feature.key] = None if value is None else encode_frame(feature, value, self._info)
             elif value is not None:
                 self._numbers[feature.key][i] = value
             elif feature.is_time:
                 self._numbers[feature.key][i] = math.nan
+            elif feature.is_flags:
+                self._numbers[feature.key][i] = 0
         for key, data in images.items():
             self._images[key].append(data)
-            self._image_bytes += len(data)
+            self._image_bytes += len(data or b"")
+            flags = self._flags[key]
+            if data is None and flags is not None and not self._numbers[flags][i]:
+                self._numbers[flags][i] = FrameFlag.MISSING  # no image, and nobody said why
+        for key, is_held in self._is_held.items():
+            value = self._numbers[key][i]
+            is_held[i] = key in self._last and value.tobytes() == self._last[key].tobytes()
+            if not is_held[i]:
+                self._last[key] = value.copy()
         if sim_state is not None:
             self._sim_states[i] = sim_state
         if is_first:
-            self._null_at_reset = {key for key in self._keys if row.get(key) is None}
+            features = (f for f in self._info.features if not f.is_flags)
+            self._null_at_reset = {f.key for f in features if row.get(f.key) is None}
         self._rows += 1
 
     def take(self) -> pa.RecordBatch:
@@ -129,24 +144,22 @@ class RowBuffer:
     def _array(self, feature: Feature, n: int) -> pa.Array:
         if self._at_reset and feature.key in self._null_at_reset:
             return pa.nulls(n, feature.arrow_type)
-        if feature.encoding != "plain":
+        if feature.is_image:
             return pa.array(self._images[feature.key], type=pa.binary())
         numbers = self._numbers[feature.key][:n]
         if feature.is_time:
             return pa.array(numbers, mask=np.isnan(numbers))
-        flat = pa.array(numbers.reshape(-1))
-        return flat if feature.shape == () else pa.FixedSizeListArray.from_arrays(flat, feature.size)
-
-    def _encoded(self, feature: Feature, image: Any) -> bytes:
-        if feature.encoding == "depth":
-            return encode_depth(image)
-        return encode_jpeg(image, self._info.jpeg_quality, self._info.jpeg_subsampling)
+        is_held = self._is_held[feature.key][:n] if feature.encoding == "held" else None
+        if feature.shape == ():
+            return pa.array(numbers, mask=is_held)
+        mask = None if is_held is None else pa.array(is_held)
+        return pa.FixedSizeListArray.from_arrays(pa.array(numbers.reshape(-1)), feature.size, mask=mask)
 
     def _check_keys(self, row: Mapping[str, Value], is_first: bool) -> None:
         given = row.keys()
-        if given == self._keys or (is_first and self._needed_at_reset <= given <= self._keys):
+        needed = self._needed_at_reset if is_first else self._needed
+        if needed <= given <= self._keys:
             return
-        needed = self._needed_at_reset if is_first else self._keys
         wrong = [f"missing {', '.join(sorted(needed - given))}"] if needed - given else []
         wrong += [f"unknown {', '.join(sorted(given - self._keys))}"] if given - self._keys else []
         raise InvalidSetup(
@@ -166,7 +179,9 @@ class RowBuffer:
 
 def _checked(feature: Feature, value: Value, is_first: bool) -> Any:
     if value is None:
-        if feature.is_time or (is_first and (feature.is_unknown_at_reset or feature.is_optional_at_reset)):
+        if feature.is_time or feature.is_flags or feature.is_image:
+            return None
+        if is_first and (feature.is_unknown_at_reset or feature.is_optional_at_reset):
             return None
         raise InvalidSetup(f"{feature.key!r} is None; expected is {feature.shape} {feature.dtype}.")
     if is_first and feature.is_unknown_at_reset:

@@ -98,7 +98,7 @@ def camera_features(info: DatasetInfo, kind: str = "rgb") -> dict[str, Feature]:
     found: dict[str, Feature] = {}
     for feature in info.features:
         parts = feature.key.split("/")
-        if feature.encoding != "plain" and parts[:2] == [OBSERVATION, FRAMES] and parts[-1] == kind:
+        if feature.is_image and parts[:2] == [OBSERVATION, FRAMES] and parts[-1] == kind:
             found["/".join(parts[2:-1])] = feature
     return found
 
@@ -165,7 +165,7 @@ def step_frames(episode: EpisodeRecord, key: str) -> Iterator[NDArray[np.generic
 
 def _layout(info: DatasetInfo, prefix: str, names: tuple[str, ...], keys: Sequence[str] | None) -> VectorLayout:
     if keys is None:
-        numbers = [f for f in info.features if f.key.startswith(f"{prefix}/") and f.encoding == "plain"]
+        numbers = [f for f in info.features if f.key.startswith(f"{prefix}/") and not f.is_image]
         parts = {f: f.key.split("/") for f in numbers if f.key.split("/")[1] != FRAMES}
         # Robot by robot, and of each robot the parts in a fixed order, whatever the order in the file.
         robots = list(dict.fromkeys("/".join(words[1:-1]) for words in parts.values()))
@@ -176,9 +176,9 @@ def _layout(info: DatasetInfo, prefix: str, names: tuple[str, ...], keys: Sequen
         chosen = chosen or list(parts)
     else:
         chosen = [info.feature(key) for key in keys]
-    images = [f.key for f in chosen if f.encoding != "plain"]
+    images = [f.key for f in chosen if f.is_image]
     if images or not chosen:
-        known = ", ".join(f.key for f in info.features if f.key.startswith(f"{prefix}/") and f.encoding == "plain")
+        known = ", ".join(f.key for f in info.features if f.key.startswith(f"{prefix}/") and not f.is_image)
         what = ", ".join(images) or "Nothing"
         raise InvalidSetup(f"{what} cannot be joined to a vector of {prefix}s. Choose from: {known or 'none'}.")
     return VectorLayout(features=tuple(chosen))

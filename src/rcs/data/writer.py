@@ -6,20 +6,22 @@ import logging
 from pathlib import Path
 from typing import Self
 
-from rcs.data.durable import disk_errors, remove_folder, sealed, sync_folder, write_file
+from rcs.data.durable import disk_errors, remove_folder, sync_folder
 from rcs.data.episode_writer import EpisodeWriter
-from rcs.data.info import DatasetInfo, differences
+from rcs.data.head import Head, read_head, write_head
+from rcs.data.info import SCHEMA_VERSION, DatasetInfo, differences
 from rcs.data.layout import (
+    COPY_FILE,
     DATASET_FILE,
     EPISODES_FOLDER,
     check_episode_id,
     episode_folder,
     episodes_folder,
+    generation_folder,
     new_trash_folder,
     open_folder,
 )
 from rcs.data.lock import LOCK_FILES, DatasetLock
-from rcs.data.reader import read_info
 from rcs.data.recover import Leftovers, RecoverReport, settle_leftovers
 from rcs.errors import DatasetError
 
@@ -32,17 +34,18 @@ class DatasetWriter:
     Several episodes can be open at the same time, as when many copies of an environment record together.
     """
 
-    def __init__(self, path: Path, info: DatasetInfo, lock: DatasetLock, recovered: RecoverReport) -> None:
+    def __init__(self, path: Path, head: Head, lock: DatasetLock, recovered: RecoverReport) -> None:
         """Hold what `open` or `join` prepared.
 
         Args:
             path: The dataset's folder.
-            info: What its episodes share.
+            head: What `dataset.json` says.
             lock: The lock that keeps other writers away.
             recovered: What was done with the leftovers of an earlier writer.
         """
         self.path = path
-        self.info = info
+        self.info = head.info
+        self._base = generation_folder(path, head.generation)
         self.recovered = recovered
         self._lock = lock
         self._open: list[EpisodeWriter] = []
@@ -76,18 +79,22 @@ class DatasetWriter:
         try:
             with disk_errors("make the dataset", root):
                 if (root / DATASET_FILE).exists():
-                    _refuse_other_info(root, info, resume)
+                    head = read_head(root)
+                    _refuse_other_info(root, head, info, resume)
+                    if head.info.schema_version < SCHEMA_VERSION:
+                        write_head(root, head)
                 else:
                     episodes_folder(root).mkdir(exist_ok=True)
-                    write_file(root / DATASET_FILE, sealed(info.to_json()))
                     sync_folder(root)
-            report = settle_leftovers(root, info, leftovers)
+                    head = Head(info=info)
+                    write_head(root, head)
+            report = settle_leftovers(root, head, leftovers)
         except BaseException:
             lock.release()
             raise
         for episode_id, reason in report.failed:
             _log.warning("Open episode %r was left alone: %s", episode_id, reason)
-        return cls(root, info, lock, report)
+        return cls(root, head, lock, report)
 
     @classmethod
     def join(cls, path: str | Path) -> DatasetWriter:
@@ -101,8 +108,8 @@ class DatasetWriter:
             CorruptEpisode: `dataset.json` is damaged.
         """
         root = Path(path)
-        info = read_info(root)
-        return cls(root, info, DatasetLock.worker(root), RecoverReport())
+        head = read_head(root)
+        return cls(root, head, DatasetLock.worker(root), RecoverReport())
 
     def episode(self, episode_id: str, *, seed: int | None, instruction: str | None = None) -> EpisodeWriter:
         """Start an episode.
@@ -119,7 +126,7 @@ class DatasetWriter:
         if self._is_closed:
             raise DatasetError(f"Cannot start episode {episode_id!r}: the writer of {self.path} is closed.")
         words = self.info.instruction if instruction is None else instruction
-        writer = EpisodeWriter(self.path, self.info, episode_id, seed, words)
+        writer = EpisodeWriter(self._base, self.info, episode_id, seed, words)
         self._open = [other for other in self._open if other.state == "open"]
         self._open.append(writer)
         return writer
@@ -136,11 +143,11 @@ class DatasetWriter:
         check_episode_id(episode_id)
         if any(episode.id == episode_id and episode.state == "open" for episode in self._open):
             raise DatasetError(f"Episode {episode_id!r} is being recorded; discard it through its own writer.")
-        folder = open_folder(self.path, episode_id)
+        folder = open_folder(self._base, episode_id)
         with disk_errors(f"discard episode {episode_id!r}", folder):
             if not folder.exists():
                 return False
-            remove_folder(folder, new_trash_folder(self.path, episode_id))
+            remove_folder(folder, new_trash_folder(self._base, episode_id))
         return True
 
     def remove_episode(self, episode_id: str) -> None:
@@ -153,11 +160,11 @@ class DatasetWriter:
             DatasetError: There is none of that id, or the disk fails.
         """
         check_episode_id(episode_id)
-        folder = episode_folder(self.path, episode_id)
+        folder = episode_folder(self._base, episode_id)
         if not folder.exists():
             raise DatasetError(f"There is no episode {episode_id!r} in {self.path} to remove.")
         with disk_errors(f"remove episode {episode_id!r}", folder):
-            remove_folder(folder, new_trash_folder(self.path, episode_id))
+            remove_folder(folder, new_trash_folder(self._base, episode_id))
 
     def close(self) -> None:
         """Abort the episodes that are still open and give the lock back; twice is harmless."""
@@ -182,7 +189,7 @@ class DatasetWriter:
 
 def _refuse_strangers(root: Path) -> None:
     # What a kill can leave of a dataset that was just being made.
-    ours = {*LOCK_FILES, EPISODES_FOLDER, f"{DATASET_FILE}.tmp"}
+    ours = {*LOCK_FILES, EPISODES_FOLDER, f"{DATASET_FILE}.tmp", COPY_FILE, f"{COPY_FILE}.tmp"}
     strangers = sorted(entry.name for entry in root.iterdir() if entry.name not in ours)
     if strangers:
         raise DatasetError(
@@ -190,8 +197,8 @@ def _refuse_strangers(root: Path) -> None:
         )
 
 
-def _refuse_other_info(root: Path, info: DatasetInfo, resume: bool) -> None:
-    lines = differences(read_info(root), info)
+def _refuse_other_info(root: Path, head: Head, info: DatasetInfo, resume: bool) -> None:
+    lines = differences(head.info, info)
     if lines:
         raise DatasetError(f"The dataset in {root} was made for another setup. What differs:\n  " + "\n  ".join(lines))
     if not resume:

@@ -1,0 +1,153 @@
+"""`dataset.json`: what the episodes share, which generation of them is current, and what was done to them.
+
+An edit never changes an episode. It makes a new folder of episodes, a generation, in which unchanged ones are links to
+the same files, and then puts a `dataset.json` in place that names it: that one step is the edit. Undo puts the former
+generation back, and needs no more than that either.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rcs.data.durable import disk_errors, sealed, sync_folder, unsealed, write_file
+from rcs.data.info import SCHEMA_VERSION, DatasetInfo
+from rcs.data.layout import COPY_FILE, DATASET_FILE, generation_folder
+from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edit:
+    """One line of a dataset's history."""
+
+    command: str
+    """What was done, such as "delete" or "undo"."""
+    arguments: dict[str, Any]
+    """With what, as JSON values."""
+    at: str
+    """Wall clock, ISO 8601 in UTC."""
+    before: int
+    """The generation that was current before."""
+    after: int
+    """The generation that was current then."""
+    episodes: tuple[str, ...]
+    """The ids of the episodes after the edit."""
+    info: dict[str, Any]
+    """What the episodes shared before, as JSON; undo puts it back."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Head:
+    """What `dataset.json` says."""
+
+    info: DatasetInfo
+    """What the episodes of the current generation share."""
+    generation: int = 0
+    """The current generation; 0 is what was recorded."""
+    history: tuple[Edit, ...] = ()
+    """What was done, oldest first."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields as JSON values."""
+        return {
+            **self.info.to_json(),
+            "generation": self.generation,
+            "history": [asdict(edit) for edit in self.history],
+        }
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Head:
+        """Build the head from what `to_json` returned, or from a dataset of schema version 1, which had no edits.
+
+        Raises:
+            DatasetError: The layout is newer than this code.
+            InvalidSetup: A field is missing, unknown or does not make sense.
+        """
+        own = ("generation", "history")
+        info = DatasetInfo.from_json({key: value for key, value in values.items() if key not in own})
+        try:
+            edits: list[dict[str, Any]] = [
+                {**edit, "episodes": tuple(edit["episodes"])} for edit in values.get("history", ())
+            ]
+            return cls(info=info, generation=int(values.get("generation", 0)), history=tuple(Edit(**e) for e in edits))
+        except (KeyError, TypeError, ValueError) as err:
+            raise InvalidSetup(f"Not a history of a dataset: {err!r}.") from err
+
+
+def read_head(root: Path) -> Head:
+    """Read `dataset.json`, or its copy when it is damaged.
+
+    Args:
+        root: The dataset's folder.
+
+    Raises:
+        DatasetError: There is no dataset, or its layout is newer than this code.
+        CorruptEpisode: Both files are damaged.
+    """
+    try:
+        return read_head_file(root / DATASET_FILE)
+    except CorruptEpisode as err:
+        try:
+            head = read_head_file(root / COPY_FILE)
+        except (CorruptEpisode, DatasetError):
+            raise err from None
+        _log.warning("%s; read from %s, its copy. `rcs data check --repair` mends it.", err, COPY_FILE)
+        return head
+
+
+def read_head_file(path: Path) -> Head:
+    """Read `dataset.json` or its copy, and nothing else.
+
+    Raises:
+        DatasetError: There is no such file, or its layout is newer than this code.
+        CorruptEpisode: It is damaged.
+    """
+    if not path.exists():
+        raise DatasetError(f"There is no dataset in {path.parent}: {path.name} is missing.")
+    with disk_errors("read the dataset", path):
+        values = unsealed(path.read_bytes(), path)
+    try:
+        return Head.from_json(values)
+    except InvalidSetup as err:
+        raise CorruptEpisode(f"{path} is damaged: {err}") from err
+
+
+def write_head(root: Path, head: Head) -> None:
+    """Put a new `dataset.json` in place in one step, and then its copy.
+
+    Raises:
+        OSError: The disk fails; there is the old file or the new one.
+    """
+    current = replace(head, info=replace(head.info, schema_version=SCHEMA_VERSION))
+    data = sealed(current.to_json())
+    write_file(root / DATASET_FILE, data)
+    sync_folder(root)
+    write_file(root / COPY_FILE, data)
+
+
+def read_info(root: Path) -> DatasetInfo:
+    """Read what a dataset's episodes share.
+
+    Args:
+        root: The dataset's folder.
+
+    Raises:
+        DatasetError: There is no dataset, or its layout is newer than this code.
+        CorruptEpisode: The file is damaged, and its copy too.
+    """
+    return read_head(root).info
+
+
+def content_folder(root: Path) -> Path:
+    """Return the folder that has the current episodes: the dataset's own, or one of its generations.
+
+    Raises:
+        DatasetError: There is no dataset, or its layout is newer than this code.
+        CorruptEpisode: The file is damaged, and its copy too.
+    """
+    return generation_folder(root, read_head(root).generation)
