@@ -54,6 +54,8 @@ def compact(
     success: bool | None,
     outcome: Mapping[str, Any],
     ended: str | None,
+    instruction: str | None = None,
+    quality: Mapping[str, Any] | None = None,
 ) -> Path | None:
     """Turn the open episode's stream into a complete episode and return its folder; None if there are no rows.
 
@@ -64,6 +66,8 @@ def compact(
         success: Whether the task was done; None if that is not known.
         outcome: What else is to be kept about how it went, as JSON values.
         ended: Wall clock at the end, ISO 8601 in UTC; None if nobody looked.
+        instruction: What the robot was asked to do; None for what was said at the start.
+        quality: What the quality report says beside what is found in the rows.
 
     Raises:
         DatasetError: The disk is full or fails, or there is a complete episode of that name; the stream stays.
@@ -86,12 +90,13 @@ def compact(
             "seed": header.seed,
             "success": success,
             "outcome": dict(outcome),
-            "instruction": header.instruction,
+            "instruction": header.instruction if instruction is None else instruction,
             "started": header.started,
             "ended": ended,
             "versions": header.versions,
         }
-        seal(folder, info, _chain(first, groups), about, quality=lambda: {"is_torn": stream.is_torn})
+        rows = _chain(first, groups)
+        seal(folder, info, rows, about, quality=lambda: {**(quality or {}), "is_torn": stream.is_torn})
     return publish(base, episode_id)
 
 

@@ -86,6 +86,19 @@ class EpisodeWriter:
         """How many rows were added, the reset observation included."""
         return self._rows
 
+    def check(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None, *, is_first: bool) -> None:
+        """Refuse a row that `add` would refuse; may be called while another thread adds.
+
+        Args:
+            row: A value for each feature.
+            sim_state: The simulation's state, shape (sim_state_size,).
+            is_first: Whether it is the reset observation.
+
+        Raises:
+            InvalidSetup: A key, shape, dtype or time is wrong.
+        """
+        self._buffer.check(row, sim_state, is_first=is_first)
+
     def add(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None = None) -> None:
         """Record one step; the first row is the reset observation.
 
@@ -104,12 +117,21 @@ class EpisodeWriter:
         if self._buffer.is_full or time.monotonic() - self._flushed_at > _FLUSH_AFTER_S:
             self._flush()
 
-    def finish(self, success: bool | None, outcome: Mapping[str, Any] | None = None) -> EpisodeRecord:
+    def finish(
+        self,
+        success: bool | None,
+        outcome: Mapping[str, Any] | None = None,
+        *,
+        instruction: str | None = None,
+        quality: Mapping[str, Any] | None = None,
+    ) -> EpisodeRecord:
         """Complete the episode and return it.
 
         Args:
             success: Whether the task was done; None if that is not known.
             outcome: What else is to be kept about how it went: JSON values, numpy numbers and arrays.
+            instruction: What the robot was asked to do, if that was said only in the end; None for what was said first.
+            quality: What the quality report is to say beside what is found in the rows.
 
         Raises:
             InvalidSetup: There are no rows, or the outcome is not JSON; the episode stays open.
@@ -125,7 +147,16 @@ class EpisodeWriter:
         try:
             self._stream.close()
             verdict = None if success is None else bool(success)
-            folder = compact(self._base, self.id, self._info, success=verdict, outcome=kept, ended=_now())
+            folder = compact(
+                self._base,
+                self.id,
+                self._info,
+                success=verdict,
+                outcome=kept,
+                ended=_now(),
+                instruction=instruction,
+                quality=as_json(dict(quality or {})),
+            )
         except DatasetError as err:
             if self._folder.exists():
                 self._mark_aborted(str(err))

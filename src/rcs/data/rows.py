@@ -83,6 +83,22 @@ class RowBuffer:
         # The first row has empty columns, so it is a batch of its own. 8 MiB of images are worth a write by themselves.
         return self._rows >= self._capacity or self._at_reset or self._image_bytes > 8 << 20
 
+    def check(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None, *, is_first: bool) -> None:
+        """Refuse a row that could not be kept; changes nothing, so another thread may be adding rows meanwhile.
+
+        Args:
+            row: A value for each feature.
+            sim_state: The simulation's state, shape (sim_state_size,); None where there is no simulation.
+            is_first: Whether it is the reset observation.
+
+        Raises:
+            InvalidSetup: A key, shape, dtype or time is wrong.
+        """
+        self._check_keys(row, is_first)
+        self._check_sim_state(sim_state)
+        for feature in self._info.features:
+            _check_value(feature, row.get(feature.key), is_first)
+
     def add(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None) -> None:
         """Check one row and keep it; a row that is refused leaves nothing behind.
 
@@ -94,12 +110,11 @@ class RowBuffer:
             InvalidSetup: A key, shape, dtype or time is wrong.
         """
         is_first = self._rows == 0 and self._at_reset
-        self._check_keys(row, is_first)
-        self._check_sim_state(sim_state)
+        self.check(row, sim_state, is_first=is_first)
         i = self._rows
         images: dict[str, bytes | None] = {}
         for feature in self._info.features:
-            value = _checked(feature, row.get(feature.key), is_first)
+            value: Any = row.get(feature.key)
             if feature.is_image:
                 images[feature.key] = None if value is None else encode_frame(feature, value, self._info)
             elif value is not None:
@@ -177,12 +192,12 @@ class RowBuffer:
             raise InvalidSetup(f"sim_state is {_form(sim_state)}; expected is ({size},) float64.")
 
 
-def _checked(feature: Feature, value: Value, is_first: bool) -> Any:
+def _check_value(feature: Feature, value: Value, is_first: bool) -> None:
     if value is None:
         if feature.is_time or feature.is_flags or feature.is_image:
-            return None
+            return
         if is_first and (feature.is_unknown_at_reset or feature.is_optional_at_reset):
-            return None
+            return
         raise InvalidSetup(f"{feature.key!r} is None; expected is {feature.shape} {feature.dtype}.")
     if is_first and feature.is_unknown_at_reset:
         raise InvalidSetup(
@@ -196,7 +211,6 @@ def _checked(feature: Feature, value: Value, is_first: bool) -> Any:
         raise InvalidSetup(f"{feature.key!r} is {_form(value)}; expected is {feature.shape} {feature.dtype}.")
     if feature.is_time and not math.isfinite(float(value)):
         raise InvalidSetup(f"{feature.key!r} is {value}; a time must be finite, or None where none was measured.")
-    return value
 
 
 def _fits(value: object, dtype: np.dtype[Any]) -> bool:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import importlib.metadata
 import platform
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.data import DatasetInfo, DatasetWriter, EpisodeRecord, EpisodeWriter, Feature
+from rcs.data import DatasetInfo, DatasetWriter, Encoding, EpisodeRecord, EpisodeWriter, Feature
+from rcs.data.background import BackgroundEpisode
+from rcs.data.flags import FrameFlag, camera_of, flags_key, time_key
 from rcs.envs import spaces as keys
 from rcs.envs.env import Env
 from rcs.envs.observers.observer import Observer, Transition
@@ -23,19 +26,23 @@ TIME_MONOTONIC, TIME_PERIOD = "time/monotonic", "time/period"
 SIMULATED_TIME = "simulated_time"
 
 
-def dataset_info(env: Env, setup: Setup, *, jpeg_quality: int = 95) -> DatasetInfo:
+Colour = Literal["jpeg", "lossless"]
+
+
+def dataset_info(env: Env, setup: Setup, *, colour: Colour = "jpeg", jpeg_quality: int = 95) -> DatasetInfo:
     """Return what a dataset of an environment's episodes has in common.
 
     Args:
         env: The environment.
         setup: Its setup.
-        jpeg_quality: Of colour frames, 1 to 100.
+        colour: How colour frames are stored; without loss they take some four times the space.
+        jpeg_quality: Of colour frames as JPEG, 1 to 100.
     """
     observation_space = env.observation_space
     assert isinstance(observation_space, spaces.Dict)
-    features = [*_features(OBSERVATION, observation_space.spaces)]
-    features += _features(ACTION, env.stack.action_space.spaces)
-    features += _features(EXECUTED, env.stack.executed_spaces)
+    features = [*_features(OBSERVATION, observation_space.spaces, colour)]
+    features += _features(ACTION, env.stack.action_space.spaces, colour)
+    features += _features(EXECUTED, env.stack.executed_spaces, colour)
     features += [
         Feature(key="reward", shape=(), dtype="float64"),
         Feature(key="terminated", shape=(), dtype="bool"),
@@ -44,9 +51,8 @@ def dataset_info(env: Env, setup: Setup, *, jpeg_quality: int = 95) -> DatasetIn
         Feature(key=TIME_MONOTONIC, shape=(), dtype="float64", unit="s"),
         Feature(key=TIME_PERIOD, shape=(), dtype="float64", unit="s"),
     ]
-    features += [
-        Feature(key=f"time/{keys.FRAMES}/{name}", shape=(), dtype="float64", unit="s") for name in _sensors(env)
-    ]
+    features += [Feature(key=time_key(name), shape=(), dtype="float64", unit="s") for name in _sensors(env)]
+    features += [Feature(key=flags_key(name), shape=(), dtype="uint8") for name in _sensors(env)]
     return DatasetInfo(
         fps=setup.frequency,
         features=tuple(features),
@@ -70,15 +76,19 @@ def _sensors(env: Env) -> list[str]:
     return list(frames.spaces) if isinstance(frames, spaces.Dict) else []
 
 
-def _features(prefix: str, entries: Mapping[str, spaces.Space[Any]]) -> list[Feature]:
+def _features(prefix: str, entries: Mapping[str, spaces.Space[Any]], colour: Colour) -> list[Feature]:
     """Return a feature per array, with `/` between the levels of nested spaces."""
     features: list[Feature] = []
     for key, space in entries.items():
         if isinstance(space, spaces.Dict):
-            features += _features(f"{prefix}/{key}", space.spaces)
+            features += _features(f"{prefix}/{key}", space.spaces, colour)
             continue
         assert isinstance(space, spaces.Box)
-        encoding = "jpeg" if key == keys.RGB else "depth" if key == keys.DEPTH else "plain"
+        # A camera on a table has the same matrices in every row, one on a wrist has not.
+        encodings: dict[str, Encoding] = {
+            keys.RGB: colour, keys.DEPTH: "depth", keys.INTRINSICS: "held", keys.EXTRINSICS: "held",
+        }  # fmt: skip
+        encoding = encodings.get(key, "plain")
         unit = keys.UNITS.get(key, "")
         features.append(
             Feature(key=f"{prefix}/{key}", shape=space.shape, dtype=str(space.dtype), unit=unit, encoding=encoding)
@@ -89,44 +99,90 @@ def _features(prefix: str, entries: Mapping[str, spaces.Space[Any]]) -> list[Fea
 class Recorder(Observer):
     """Writes the episodes of one environment. An episode is kept by `finish` and dropped by `discard`.
 
-    A new reset while an episode is open discards it: what was not kept on purpose is not kept.
+    A new reset while an episode is open discards it: what was not kept on purpose is not kept. A frame with the capture
+    time of the row before is stored once and flagged as repeated.
     """
 
-    def __init__(self, env: Env, writer: DatasetWriter) -> None:
+    def __init__(
+        self, env: Env, writer: DatasetWriter, *, background: bool = False, stale_after: float | None = None
+    ) -> None:
         """Record into a dataset.
 
         Args:
             env: The environment, for its simulation state.
             writer: The dataset; it stays open when the recorder is closed.
+            background: Whether a thread encodes and writes, so that a loop that must keep its rate never waits. Then a
+                writer that is too slow leaves out images, flagged and counted; otherwise the loop waits for it.
+            stale_after: Age [s] of a frame, from capture to the end of the step, from which it is flagged as stale;
+                None for never, as simulated frames are as old as their drawing takes.
         """
         self._world = env.scenario.world
         self._writer = writer
-        self._episode: EpisodeWriter | None = None
-        self._next_id: str | None = None
+        self._is_background = background
+        self._stale_after = stale_after
+        self._episode: EpisodeWriter | BackgroundEpisode | None = None
+        self._next: tuple[str, str | None] | None = None
+        self._starts_at_reset = True
         self._last_time = 0.0
+        self._last_captures: dict[str, float] = {}
         self._dtypes = {feature.key: feature.numpy_dtype for feature in writer.info.features}
+        self._images: dict[str, list[str]] = {}
+        for feature in writer.info.features:
+            camera = camera_of(feature.key)
+            if feature.is_image and camera is not None:
+                self._images.setdefault(camera, []).append(feature.key)
 
-    def name_next(self, episode_id: str) -> None:
-        """Set the id of the next episode; without one, episodes are not recorded."""
-        self._next_id = episode_id
+    @property
+    def is_recording(self) -> bool:
+        """Whether an episode is open."""
+        return self._episode is not None
+
+    @property
+    def rows(self) -> int:
+        """How many rows the open episode has; 0 if none is open."""
+        return 0 if self._episode is None else self._episode.rows
+
+    def name_next(self, episode_id: str, *, instruction: str | None = None, at_reset: bool = True) -> None:
+        """Set the id of the next episode; without one, episodes are not recorded.
+
+        Args:
+            episode_id: The name of its folder.
+            instruction: What the robot is asked to do; None for the dataset's instruction.
+            at_reset: Whether it begins with the next reset, or already with the next step.
+        """
+        self._next = (episode_id, instruction)
+        self._starts_at_reset = at_reset
+
+    def forget_next(self) -> None:
+        """Take back what `name_next` set."""
+        self._next = None
 
     def on_reset(self, first: Transition, seed: int | None) -> None:
         """Begin an episode with its first observation."""
         self.discard()
-        if self._next_id is None:
-            return
-        self._episode = self._writer.episode(self._next_id, seed=seed)
-        self._next_id = None
-        self._last_time = first.time
-        self._add(first, period=None)
+        if self._next is not None:
+            self._begin(first, seed)
 
     def on_step(self, transition: Transition) -> None:
         """Record a step."""
         if self._episode is None:
+            if self._next is not None and not self._starts_at_reset:
+                # What was seen after this step is where the episode starts; what led there is not part of it.
+                self._begin(replace(transition, action=None, executed=None), None)
             return
         period = transition.time - self._last_time
         self._last_time = transition.time
         self._add(transition, period)
+
+    def _begin(self, first: Transition, seed: int | None) -> None:
+        assert self._next is not None
+        name, instruction = self._next
+        episode = self._writer.episode(name, seed=seed, instruction=instruction)
+        self._episode = BackgroundEpisode(episode, self._writer.info) if self._is_background else episode
+        self._next = None
+        self._last_time = first.time
+        self._last_captures = {}
+        self._add(first, period=None)
 
     def _add(self, transition: Transition, period: float | None) -> None:
         assert self._episode is not None
@@ -144,27 +200,46 @@ class Recorder(Observer):
             row.update({key: np.asarray(value, self._dtypes[key]) for key, value in given.items()})
             row.update(_flat(EXECUTED, transition.executed))
             row["reward"] = transition.reward
-        row.update({f"time/{key}": time for key, time in transition.capture_times.items()})
+        for key, captured in transition.capture_times.items():
+            camera = key.removeprefix(f"{keys.FRAMES}/")
+            row[time_key(camera)] = captured
+            row[flags_key(camera)] = self._flags(camera, captured, transition.time)
+            if row[flags_key(camera)] & FrameFlag.REPEATED:
+                row.update(dict.fromkeys(self._images.get(camera, ())))
+        self._last_captures = {
+            key.removeprefix(f"{keys.FRAMES}/"): captured for key, captured in transition.capture_times.items()
+        }
         self._episode.add(row, self._world.states())
 
-    def finish(self, success: bool | None, outcome: Mapping[str, Any] | None = None) -> EpisodeRecord:
+    def _flags(self, camera: str, captured: float, now: float) -> int:
+        flags = FrameFlag(0)
+        if captured == self._last_captures.get(camera):
+            flags |= FrameFlag.REPEATED
+        if self._stale_after is not None and now - captured > self._stale_after:
+            flags |= FrameFlag.STALE
+        return int(flags)
+
+    def finish(
+        self, success: bool | None, outcome: Mapping[str, Any] | None = None, *, instruction: str | None = None
+    ) -> EpisodeRecord:
         """Keep the open episode.
 
         Args:
             success: Whether the task was done; None if that is not known.
             outcome: What else is to be kept of how it went, as JSON values.
+            instruction: What the robot was asked to do; None for what was said at the start.
 
         Raises:
             WrongOrder: No episode is open.
         """
         if self._episode is None:
             raise WrongOrder("There is no open episode to finish; reset the environment first.")
-        record = self._episode.finish(success, outcome)
+        record = self._episode.finish(success, outcome, instruction=instruction)
         self._episode = None
         return record
 
     def discard(self) -> None:
-        """Drop the open episode, if there is one."""
+        """Drop the open episode with all its rows, if there is one."""
         if self._episode is not None:
             self._episode.discard()
             self._episode = None
