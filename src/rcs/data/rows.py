@@ -80,8 +80,9 @@ class RowBuffer:
     @property
     def is_full(self) -> bool:
         """Whether the rows must be taken before another can come."""
-        # The first row has empty columns, so it is a batch of its own. 8 MiB of images are worth a write by themselves.
-        return self._rows >= self._capacity or self._at_reset or self._image_bytes > 8 << 20
+        # The first row has empty columns, so it is a batch of its own. A megabyte of images is worth a write by itself;
+        # more would keep the interpreter from other threads for milliseconds.
+        return self._rows >= self._capacity or self._at_reset or self._image_bytes > 1 << 20
 
     def check(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None, *, is_first: bool) -> None:
         """Refuse a row that could not be kept; changes nothing, so another thread may be adding rows meanwhile.
