@@ -85,6 +85,28 @@ def remove_folder(path: Path, trash: Path) -> None:
     shutil.rmtree(trash, ignore_errors=True)
 
 
+def link_file(source: Path, target: Path) -> None:
+    """Give a file a second name; where the file system has no links, make a copy."""
+    try:
+        os.link(source, target)
+    except OSError as err:
+        if err.errno not in (errno.EPERM, errno.EXDEV, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS):
+            raise
+        copy_file(source, target)
+
+
+def copy_file(source: Path, target: Path) -> None:
+    """Copy a file's bytes and bring them to the disk."""
+    with source.open("rb") as given:
+        fd = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        try:
+            while piece := given.read(_CHUNK):
+                write_all(fd, piece)
+            os.fsync(fd)
+        finally:
+            os.close(fd)
+
+
 class HashedFile:
     """A new file whose SHA-256 is known when it is complete, without reading it again."""
 

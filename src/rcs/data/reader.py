@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -262,6 +263,13 @@ class Dataset:
         base = generation_folder(root, head.generation)
         episodes = (EpisodeRecord(episode_folder(base, name), head.info) for name in complete_ids(base))
         return cls(root, head, tuple(episodes))
+
+    def digest(self) -> str:
+        """Return one SHA-256 over all episodes, without times and flags: equal for two runs of one collection."""
+        total = hashlib.sha256()
+        for episode in self.episodes:
+            total.update(f"{episode.id} {episode.content_hash}\n".encode())
+        return total.hexdigest()
 
     def __len__(self) -> int:
         """Return how many complete episodes there are."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rcs.data import Dataset
-from rcs.rollout.wilson import wilson_interval
+from rcs.data.wilson import wilson_interval
 
 
 @dataclass(kw_only=True)
@@ -38,18 +37,10 @@ class InfoCommand:
         table.add_row("success", f"{good} (95 % Wilson interval {100 * low:.1f} to {100 * high:.1f} %)")
         table.add_row("failures", ", ".join(f"{name} {count}" for name, count in failures.most_common()) or "none")
         table.add_row("rows", f"{steps} at {dataset.info.fps:g} Hz = {steps / dataset.info.fps / 60:.1f} min")
-        table.add_row("content", digest(dataset))
+        table.add_row("content", f"sha256 {dataset.digest()}")
         console.print(table)
         features = Table("feature", "shape", "dtype", "unit", "stored as", box=None, pad_edge=False)
         for feature in dataset.info.features:
             features.add_row(feature.key, str(feature.shape), feature.dtype, feature.unit, feature.encoding)
         console.print(features)
         return 0
-
-
-def digest(dataset: Dataset) -> str:
-    """Return one hash over all episodes without their measured times: equal for two runs of one collection."""
-    total = hashlib.sha256()
-    for episode in dataset.episodes:
-        total.update(f"{episode.id} {episode.content_hash}\n".encode())
-    return f"sha256 {total.hexdigest()}"

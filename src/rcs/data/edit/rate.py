@@ -1,0 +1,161 @@
+"""Another rate: fewer steps per second, each of which does what several did."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from rcs.data.content import flat_numbers
+from rcs.data.edit.rows import last_valid, rows_of, take_rows
+from rcs.data.edit.transaction import OnProgress, editing
+from rcs.data.feature import Feature
+from rcs.data.flags import FrameFlag, camera_of
+from rcs.data.info import DatasetInfo
+from rcs.data.reader import EpisodeRecord
+from rcs.errors import InvalidSetup
+from rcs.spatial import compose, normalize, tquat_to_xyzrpy, xyzrpy_to_tquat
+
+
+def resample(path: str | Path, fps: float, *, on_progress: OnProgress | None = None) -> None:
+    """Lower the rate, as from 30 to 5 Hz for policies that predict the next of few steps.
+
+    A step of the new rate ends where the nearest row of the old one is; the last row always stays. Its action is what
+    the steps it stands for did together: the last of absolute targets; of targets relative to the step before, their
+    sum, rotations composed. Rewards are summed, and a flag is set if it was set in any of them.
+
+    Args:
+        path: The dataset.
+        fps: The new rate [Hz], at most that of the dataset.
+        on_progress: Called with the number of episodes done and of all.
+
+    Raises:
+        InvalidSetup: The rate is not lower than the dataset's; nothing changes.
+        CorruptEpisode: An episode is damaged; nothing changes.
+        DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
+    """
+    with editing(path, "resample", {"fps": fps}, new_info=lambda info: at_rate(info, fps)) as edit:
+        episodes = edit.dataset.episodes
+        for i, episode in enumerate(episodes):
+            edit.write(episode, resampled(rows_of(episode), episode, fps))
+            if on_progress is not None:
+                on_progress(i + 1, len(episodes))
+
+
+def at_rate(info: DatasetInfo, fps: float) -> DatasetInfo:
+    """Return the info at a lower rate.
+
+    Raises:
+        InvalidSetup: The rate is not lower than the dataset's.
+    """
+    if not 0 < fps < info.fps:
+        raise InvalidSetup(f"fps is {fps:g}; a dataset of {info.fps:g} Hz can be resampled to less, and more than 0.")
+    return replace(info, fps=fps)
+
+
+def resampled(rows: pa.Table, episode: EpisodeRecord, fps: float) -> pa.Table:
+    """Return the rows of an episode at a lower rate.
+
+    Args:
+        rows: All its rows.
+        episode: The episode.
+        fps: The new rate [Hz].
+    """
+    info = episode.info
+    kept = kept_rows(rows.num_rows, info.fps / fps)
+    taken = take_rows(rows, info, kept)
+    columns = {field.name: taken.column(field.name).combine_chunks() for field in taken.schema}
+    is_relative = info.setup.get("relative") == "last_step"
+    for feature in info.features:
+        column = rows.column(feature.key).combine_chunks()
+        if feature.key.startswith("action/") and is_relative and feature.key.split("/")[-1] in _TOGETHER:
+            columns[feature.key] = _together(column, feature, kept)
+        elif feature.key in ("reward", "time/period"):
+            columns[feature.key] = _summed(column, kept)
+        elif feature.key in ("terminated", "truncated"):
+            columns[feature.key] = _any(column, kept)
+        elif feature.is_flags:
+            columns[feature.key] = _flags(column, feature, rows, info, kept)
+    return pa.Table.from_arrays([columns[name] for name in taken.schema.names], schema=taken.schema)
+
+
+def kept_rows(length: int, ratio: float) -> NDArray[np.int64]:
+    """Return the rows of an episode that stay: nearest to the new rate's grid, the first and the last among them.
+
+    Args:
+        length: Rows of the episode.
+        ratio: Old rate over new rate, above 1.
+    """
+    if length < 2:
+        return np.arange(length)
+    grid = np.rint(np.arange(0, length + ratio) * ratio).astype(np.int64)
+    grid = grid[grid < length]
+    # What is left after the last row of the grid belongs to it, or is a step of its own, whichever is nearer.
+    rest = length - 1 - grid[-1]
+    if len(grid) > 1 and rest < ratio / 2:
+        grid[-1] = length - 1
+    elif rest:
+        grid = np.append(grid, length - 1)
+    return grid
+
+
+def _groups(kept: NDArray[np.int64]) -> list[slice]:
+    """Return for each kept row but the first the rows that it stands for."""
+    return [slice(int(a) + 1, int(b) + 1) for a, b in itertools.pairwise(kept)]
+
+
+def _summed(column: pa.Array, kept: NDArray[np.int64]) -> pa.Array:
+    values = flat_numbers(column)
+    sums = [values[group].sum() for group in _groups(kept)]
+    return pa.concat_arrays([pa.nulls(1, column.type), pa.array(sums, type=column.type)])
+
+
+def _any(column: pa.Array, kept: NDArray[np.int64]) -> pa.Array:
+    values = flat_numbers(column)
+    flags = pa.array([bool(values[group].any()) for group in _groups(kept)], type=column.type)
+    return pa.concat_arrays([column.take(pa.array(kept[:1])), flags])
+
+
+def _flags(column: pa.Array, feature: Feature, rows: pa.Table, info: DatasetInfo, kept: NDArray[np.int64]) -> pa.Array:
+    flags = flat_numbers(column)[kept].astype(np.uint8) & ~np.uint8(FrameFlag.REPEATED)
+    camera = feature.key.removeprefix("flags/frames/")
+    images = [f for f in info.features if f.is_image and camera_of(f.key) == camera]
+    if images:
+        origin = last_valid(rows.column(images[0].key).combine_chunks())[kept]
+        flags[1:][np.diff(origin) == 0] |= np.uint8(FrameFlag.REPEATED)
+    return pa.array(flags)
+
+
+def _joints(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    return steps.sum(axis=0)
+
+
+def _tquat(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    # A relative step turns about the axes of the base, so a later one comes from the left.
+    turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    for step in normalize(steps):
+        turn = compose(np.concatenate([np.zeros(3), step[3:]]), turn)
+    return np.concatenate([steps[:, :3].sum(axis=0), turn[3:]])
+
+
+def _xyzrpy(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    return tquat_to_xyzrpy(_tquat(xyzrpy_to_tquat(steps)))
+
+
+_TOGETHER: dict[str, Any] = {"joints": _joints, "tquat": _tquat, "xyzrpy": _xyzrpy}
+"""What several relative actions do together, by the last word of their key."""
+
+
+def _together(column: pa.Array, feature: Feature, kept: NDArray[np.int64]) -> pa.Array:
+    values = flat_numbers(column).reshape(len(column), -1)
+    do = _TOGETHER[feature.key.split("/")[-1]]
+    whole = np.zeros((len(kept), feature.size), feature.numpy_dtype)
+    for i, group in enumerate(_groups(kept)):
+        whole[i + 1] = do(values[group].astype(np.float64))
+    mask = pa.array(np.arange(len(kept)) == 0)
+    return pa.FixedSizeListArray.from_arrays(pa.array(whole.reshape(-1)), feature.size, mask=mask)

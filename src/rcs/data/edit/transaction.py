@@ -1,0 +1,228 @@
+"""An edit under way: a new generation of a dataset's episodes, or a new dataset, that counts only when it is complete.
+
+Episodes are never changed. In a new generation an unchanged one is a folder of links to the same files. Until
+`dataset.json` names the generation nobody reads it, and what a kill leaves of it is removed by the next edit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import shutil
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from rcs.data.compact import cut, seal
+from rcs.data.durable import copy_file, disk_errors, link_file, sealed, sync_folder, write_file
+from rcs.data.head import Edit, Head, read_head, write_head
+from rcs.data.info import DatasetInfo
+from rcs.data.layout import (
+    EPISODE_FILE,
+    SIM_STATE_FILE,
+    STEPS_FILE,
+    check_episode_id,
+    complete_ids,
+    episode_folder,
+    episodes_folder,
+    generation_folder,
+    generations,
+    open_ids,
+)
+from rcs.data.lock import DatasetLock
+from rcs.data.reader import Dataset, EpisodeRecord
+from rcs.data.recover import unreachable_generations
+from rcs.errors import DatasetError, InvalidSetup
+
+OnProgress = Callable[[int, int], object]
+"""Called with the number of episodes done and of all."""
+
+
+class EpisodeFolder:
+    """A folder that is being filled with complete episodes."""
+
+    def __init__(self, base: Path, info: DatasetInfo, place: Callable[[Path, Path], object]) -> None:
+        """Start with no episode.
+
+        Args:
+            base: Its episodes go to `base/episodes`.
+            info: What they share.
+            place: Puts a file of another episode there, by a link or as a copy.
+        """
+        self.info = info
+        self._base = base
+        self._place = place
+
+    def keep(self, episode: EpisodeRecord, *, episode_id: str | None = None, **about: Any) -> None:
+        """Take over an episode with all its rows.
+
+        Args:
+            episode: The episode.
+            episode_id: Its id from now on; None for the same.
+            about: What `episode.json` says otherwise from now on.
+
+        Raises:
+            CorruptEpisode: Its `episode.json` is damaged.
+        """
+        name = episode_id or episode.id
+        folder = self._new(name)
+        files = [STEPS_FILE] if self.info.sim_state_size is None else [STEPS_FILE, SIM_STATE_FILE]
+        values = episode.about
+        for file in files:
+            self._place(episode.path / file, folder / file)
+        if about or name != episode.id or list(values["sha256"]) != files:
+            hashes = {file: values["sha256"][file] for file in files}
+            write_file(folder / EPISODE_FILE, sealed({**values, "id": name, "sha256": hashes, **about}))
+        else:
+            self._place(episode.path / EPISODE_FILE, folder / EPISODE_FILE)
+        sync_folder(folder)
+
+    def write(self, episode: EpisodeRecord, rows: pa.Table, *, episode_id: str | None = None, **about: Any) -> None:
+        """Write other rows of an episode.
+
+        Args:
+            episode: Where the rest of `episode.json` comes from.
+            rows: The rows, with the columns of `stream_schema`.
+            episode_id: Its id from now on; None for the same.
+            about: What `episode.json` says otherwise from now on.
+        """
+        found = ("length", "content_hash", "sha256", "quality", "schema_version")
+        kept = {key: value for key, value in episode.about.items() if key not in found}
+        name = episode_id or episode.id
+        seal(
+            self._new(name),
+            self.info,
+            cut(rows, self.info),
+            {**kept, "id": name, **about},
+            quality=_same_writer(episode),
+        )
+
+    def _new(self, episode_id: str) -> Path:
+        check_episode_id(episode_id)
+        folder = episode_folder(self._base, episode_id)
+        if folder.exists():
+            raise InvalidSetup(f"There would be two episodes {episode_id!r}; choose other ids.")
+        folder.mkdir()
+        return folder
+
+
+def _same_writer(episode: EpisodeRecord) -> Callable[[], Mapping[str, Any]]:
+    """Keep what the quality report says of the recording and cannot be found in the rows."""
+    kept = {key: value for key, value in episode.quality.items() if key in ("writer", "is_torn")}
+    return lambda: kept
+
+
+class Transaction(EpisodeFolder):
+    """A new generation of a dataset; made by `editing`."""
+
+    def __init__(self, dataset: Dataset, info: DatasetInfo, generation: int) -> None:
+        """Start with no episode; use `editing`."""
+        super().__init__(generation_folder(dataset.path, generation), info, link_file)
+        self.dataset = dataset
+        self.generation = generation
+
+
+@contextlib.contextmanager
+def editing(
+    path: str | Path,
+    command: str,
+    arguments: Mapping[str, Any],
+    *,
+    new_info: Callable[[DatasetInfo], DatasetInfo] = lambda info: info,
+) -> Generator[Transaction]:
+    """Edit a dataset: inside the block its new generation is filled; at the end of the block it becomes current.
+
+    Args:
+        path: The dataset's folder.
+        command: What is done, for the history.
+        arguments: With what, for the history, as JSON values.
+        new_info: What the episodes share after the edit, by what they shared before.
+
+    Raises:
+        DatasetError: There is no dataset, somebody writes to it, an episode of a killed recording is still open, or the
+            disk fails. After any error the dataset is as it was.
+        CorruptEpisode: The dataset is damaged.
+    """
+    root = Path(path)
+    read_head(root)  # before a lock is made where there is no dataset
+    lock = DatasetLock.writer(root)
+    try:
+        dataset = Dataset.open(root)
+        head = dataset.head
+        if still_open := open_ids(generation_folder(root, head.generation)):
+            raise DatasetError(f"Episodes {still_open} of {root} were left open by a recording; run recover first.")
+        with disk_errors(command, root):
+            for folder in unreachable_generations(root, head):
+                shutil.rmtree(folder)
+            known = {head.generation, *generations(root), *(edit.after for edit in head.history)}
+            generation = max(known) + 1
+            base = generation_folder(root, generation)
+            transaction = Transaction(dataset, new_info(head.info), generation)
+            try:
+                episodes_folder(base).mkdir(parents=True)
+                yield transaction
+                _commit(transaction, head, command, dict(arguments))
+            except BaseException:
+                if read_head(root).generation != generation:
+                    shutil.rmtree(base, ignore_errors=True)
+                raise
+    finally:
+        lock.release()
+
+
+def _commit(transaction: Transaction, head: Head, command: str, arguments: dict[str, Any]) -> None:
+    root = transaction.dataset.path
+    base = generation_folder(root, transaction.generation)
+    for folder in (episodes_folder(base), base, base.parent):
+        sync_folder(folder)
+    edit = Edit(
+        command=command,
+        arguments=arguments,
+        at=now(),
+        before=head.generation,
+        after=transaction.generation,
+        episodes=tuple(complete_ids(base)),
+        info=head.info.to_json(),
+    )
+    write_head(root, Head(info=transaction.info, generation=transaction.generation, history=(*head.history, edit)))
+
+
+@contextlib.contextmanager
+def making(out: str | Path, info: DatasetInfo) -> Generator[EpisodeFolder]:
+    """Make a dataset of episodes of others: it is filled in the block, and at the end of the block it is there.
+
+    Args:
+        out: Its folder; nothing may be there.
+        info: What its episodes share.
+
+    Raises:
+        DatasetError: There is something in the folder, or the disk fails; then nothing is left.
+    """
+    root = Path(out)
+    with disk_errors("make a dataset", root):
+        if root.exists() and (not root.is_dir() or any(root.iterdir())):
+            raise DatasetError(f"{root} is not empty; choose another folder.")
+        root.parent.mkdir(parents=True, exist_ok=True)
+        partial = root.with_name(f".{root.name}.partial-{secrets.token_hex(4)}")
+        try:
+            episodes_folder(partial).mkdir(parents=True)
+            yield EpisodeFolder(partial, replace(info), copy_file)
+            write_head(partial, Head(info=info))
+            for folder in (episodes_folder(partial), partial):
+                sync_folder(folder)
+            if root.exists():
+                root.rmdir()
+            partial.rename(root)
+            sync_folder(root.parent)
+        except BaseException:
+            shutil.rmtree(partial, ignore_errors=True)
+            raise
+
+
+def now() -> str:
+    """Return the wall clock as the history has it."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
