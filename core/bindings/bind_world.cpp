@@ -119,13 +119,14 @@ void bind_world(nb::module_& m) {
       .def(nb::init<std::vector<int>, double, double, int>(), "joints"_a, "velocity_tolerance"_a, "duration"_a,
            "copies"_a, "Tolerance in rad/s (or m/s), duration in s.");
   nb::class_<rcs::Collision, rcs::StepCallback>(
-      m, "Collision", "True when a geom of one set touches a geom of the other with more than a force.")
+      m, "Collision", "True when a surface of one set touches one of the other with more than a force.")
       .def(
           "__init__",
           [](rcs::Collision* self, const Flags& first, const Flags& second, double force) {
             new (self) rcs::Collision(to_flags(first), to_flags(second), force);
           },
-          "first"_a, "second"_a, "force"_a, "One uint8 flag per geom of the model for each set; force in N.");
+          "first"_a, "second"_a, "force"_a,
+          "One uint8 flag per geom of the model, then one per flex, for each set; force in N.");
 
   nb::class_<rcs::World>(m, "World", "N copies of one MuJoCo scene, advanced together by one control step at a time.")
       .def_static(
@@ -168,7 +169,9 @@ void bind_world(nb::module_& m) {
             return w.read_force(to_flags(first), to_flags(second));
           },
           "first"_a, "second"_a,
-          "Have the normal force between two sets of geoms (one uint8 flag per geom) read out. Returns its index.")
+          "Have the normal force between two sets of surfaces read out: one uint8 flag per geom, then, where soft "
+          "bodies "
+          "count too, one per flex. Returns its index.")
       .def("read_opening", &rcs::World::read_opening, "joints"_a, "closed"_a, "open"_a,
            "Have the mean position of joints read out as 0 at `closed` … 1 at `open`. Returns its index in `openings`.")
       .def("keep_initial_state", &rcs::World::keep_initial_state, "copy"_a = 0,

@@ -29,12 +29,17 @@ bool Collision::call(const StepView& view) { return contact_force(view.model, vi
 
 double contact_force(const mjModel* model, const mjData* data, const std::vector<std::uint8_t>& first,
                      const std::vector<std::uint8_t>& second) {
+  const auto surface = [&](const mjContact& contact, int side) {
+    const int geom = contact.geom[side];
+    return static_cast<std::size_t>(geom >= 0 ? geom : model->ngeom + contact.flex[side]);
+  };
+  const auto has = [](const std::vector<std::uint8_t>& set, std::size_t i) { return i < set.size() && set[i]; };
   double total = 0.0;
   for (int i = 0; i < data->ncon; ++i) {
     const mjContact& contact = data->contact[i];
-    const int a = contact.geom[0], b = contact.geom[1];
-    if (a < 0 || b < 0 || contact.efc_address < 0) continue;
-    if (!((first[a] && second[b]) || (first[b] && second[a]))) continue;
+    if (contact.efc_address < 0) continue;
+    const std::size_t a = surface(contact, 0), b = surface(contact, 1);
+    if (!((has(first, a) && has(second, b)) || (has(first, b) && has(second, a)))) continue;
     double force[6];
     mj_contactForce(model, data, i, force);
     total += force[0];

@@ -109,8 +109,11 @@ int World::add_pose(PoseReadout readout) {
 }
 
 int World::read_force(std::vector<std::uint8_t> first, std::vector<std::uint8_t> second) {
-  if (first.size() != static_cast<std::size_t>(model_->ngeom) || second.size() != first.size())
-    throw InvalidSetup("world: a force readout needs one flag per geom of the model");
+  const auto geoms = static_cast<std::size_t>(model_->ngeom), flexes = static_cast<std::size_t>(model_->nflex);
+  for (const auto* flags : {&first, &second})
+    if (const std::size_t given = flags->size(); given != geoms && given != geoms + flexes)
+      throw InvalidSetup("world: a force readout needs one flag per geom of the model (" + std::to_string(geoms) +
+                         "), or these and one per flex (" + std::to_string(flexes) + "), not " + std::to_string(given));
   force_readouts_.push_back({std::move(first), std::move(second)});
   renew(forces_, static_cast<std::size_t>(copies_) * force_readouts_.size());
   return force_count() - 1;

@@ -42,6 +42,21 @@ inline constexpr const char* kCart = R"(
   <actuator><position joint="slide" kp="100" kv="20" ctrlrange="-10 10"/></actuator>
 </mujoco>)";
 
+/// A soft block of 1 kg that lies on a plate, with a ball beside it that nothing touches.
+inline constexpr const char* kSoftBlock = R"(
+<mujoco>
+  <option timestep="0.002" integrator="discrete"/>
+  <worldbody>
+    <geom name="plate" type="box" size="0.5 0.5 0.1" pos="0 0 -0.1"/>
+    <geom name="ball" type="sphere" size="0.1" pos="0.4 0 0.2"/>
+    <flexcomp name="block" type="grid" count="3 3 3" spacing="0.05 0.05 0.05" pos="0 0 0.06" dim="3" mass="1"
+              radius="0.005" dof="trilinear">
+      <elasticity young="2e4" poisson="0.3" damping="0.002"/>
+      <contact selfcollide="none"/>
+    </flexcomp>
+  </worldbody>
+</mujoco>)";
+
 /// Six hinges on a base that is moved and turned.
 inline constexpr const char* kArm = R"(
 <mujoco>

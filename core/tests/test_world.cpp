@@ -200,6 +200,33 @@ void copies_may_have_masses_of_their_own() {
   CHECK_THROWS(std::invalid_argument, single.set_constants());
 }
 
+void a_soft_body_weighs_on_what_it_lies_on() {
+  const Model model = rcs::test::make_model(rcs::test::kSoftBlock);
+  const std::vector<std::uint8_t> plate{1, 0}, ball{0, 1}, block{0, 0, 1}, all{1, 1, 1}, geoms{1, 1};
+  World batch(model.get(), 2, 1, {500, 1, false, 500});
+  const Data data(mj_makeData(model.get()));
+  World single(model.get(), data.get(), {500, 1, false, 500});
+  for (World* world : {&batch, &single}) {
+    CHECK(world->read_force(plate, block) == 0);
+    CHECK(world->read_force(block, plate) == 1);
+    CHECK(world->read_force(all, all) == 2);
+    CHECK(world->read_force(ball, block) == 3);
+    CHECK(world->read_force(geoms, geoms) == 4);  // without flags of flexes
+    CHECK_THROWS(rcs::InvalidSetup, world->read_force({1, 1, 1, 1}, plate));
+    CHECK_THROWS(rcs::InvalidSetup, world->read_force(plate, {1}));
+    world->advance();
+  }
+  for (std::size_t readout = 0; readout < 5; ++readout) {
+    CHECK_NEAR(single.forces()[readout], readout < 3 ? 9.81 : 0.0, 1e-2);
+    CHECK(batch.forces()[5 + readout] == single.forces()[readout]);
+  }
+  rcs::Collision on_plate(plate, block, 1.0), on_ball(ball, block, 1.0), among_geoms(geoms, geoms, 1.0);
+  const rcs::StepView view{model.get(), data.get(), 0};
+  CHECK(on_plate.call(view));
+  CHECK(!on_ball.call(view));
+  CHECK(!among_geoms.call(view));
+}
+
 void numbers_that_make_no_sense_are_refused() {
   const Model model = rcs::test::make_model(rcs::test::kCart);
   CHECK_THROWS(rcs::InvalidSetup, World(model.get(), 0, 1, k30Hz));
@@ -225,6 +252,7 @@ int main() {
   states_continue_with_the_same_bits();
   poses_are_read_out_in_the_frame_of_a_body();
   copies_may_have_masses_of_their_own();
+  a_soft_body_weighs_on_what_it_lies_on();
   numbers_that_make_no_sense_are_refused();
   return rcs::test::result();
 }

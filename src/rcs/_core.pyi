@@ -671,11 +671,13 @@ class JointsAtRest(StepCallback):
 
 class Collision(StepCallback):
     """
-    True when a geom of one set touches a geom of the other with more than a force.
+    True when a surface of one set touches one of the other with more than a force.
     """
 
     def __init__(self, first: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], second: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], force: float) -> None:
-        """One uint8 flag per geom of the model for each set; force in N."""
+        """
+        One uint8 flag per geom of the model, then one per flex, for each set; force in N.
+        """
 
 class World:
     """
@@ -727,7 +729,7 @@ class World:
 
     def read_force(self, first: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], second: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> int:
         """
-        Have the normal force between two sets of geoms (one uint8 flag per geom) read out. Returns its index.
+        Have the normal force between two sets of surfaces read out: one uint8 flag per geom, then, where soft bodies count too, one per flex. Returns its index.
         """
 
     def read_opening(self, joints: Sequence[int], closed: float, open: float) -> int:

@@ -87,7 +87,7 @@ def test_a_bar_out_of_reach_is_an_ik_failure() -> None:
     observation, info = env.reset(seed=0)
     far = info["bar_in_scene"].copy()
     far[0] = 2.0
-    expert.reset(observation, {"bar_in_scene": far})
+    expert.reset(observation, {**info, "bar_in_scene": far})
     assert expert.failure == "ik"
     env.step(expert.act(observation, info))
 

@@ -63,10 +63,10 @@ class JointsAtRest final : public StepCallback {
   std::vector<double> since_;  // s, when the joints came to rest; negative while they move
 };
 
-/// True when a geom of one set touches a geom of the other with more than a given force.
+/// True when a surface of one set touches one of the other with more than a given force. See `contact_force`.
 class Collision final : public StepCallback {
  public:
-  /// `first` and `second` hold one flag per geom of the model; `force` is in N.
+  /// `first` and `second` hold one flag per geom of the model, then one per flex; `force` is in N.
   Collision(std::vector<std::uint8_t> first, std::vector<std::uint8_t> second, double force)
       : first_(std::move(first)), second_(std::move(second)), force_(force) {}
   bool call(const StepView& view) override;
@@ -77,7 +77,8 @@ class Collision final : public StepCallback {
   double force_;
 };
 
-/// Sum of the normal forces [N] between two sets of geoms, given as one flag per geom.
+/// Sum of the normal forces [N] between two sets of surfaces, each given as one flag per geom of the model and then one
+/// per flex. Flags that are left out at the end count as 0: a set of geoms alone needs none for flexes.
 double contact_force(const mjModel* model, const mjData* data, const std::vector<std::uint8_t>& first,
                      const std::vector<std::uint8_t>& second);
 

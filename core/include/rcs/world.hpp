@@ -65,7 +65,8 @@ class World {
   int read_pose(int site, int frame_body);
   /// Have the pose of a body in the frame of another read out. Returns its index in `poses`.
   int read_body_pose(int body, int frame_body);
-  /// Have the normal force between two sets of geoms read out. Returns its index in `forces`.
+  /// Have the normal force between two sets of surfaces read out: one flag per geom of the model, then, where soft
+  /// bodies count too, one per flex. Returns its index in `forces`.
   int read_force(std::vector<std::uint8_t> first, std::vector<std::uint8_t> second);
 
   /// Have the mean position of joints read out as 0 at `closed` … 1 at `open`. Returns its index in `openings`.

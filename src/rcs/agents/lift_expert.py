@@ -31,7 +31,6 @@ from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Observation
 from rcs.errors import WrongOrder
 from rcs.kinematics import DampedLeastSquares
 from rcs.spatial import Pose, distance, limit_step
-from rcs.tasks.lift_bar import GRASP_OFFSET
 
 LIFT = 0.15
 """Height to lift to above the grasp [m]: the task wants 0.10."""
@@ -59,7 +58,7 @@ class _Side:
     kinematics: DampedLeastSquares
     writer: ActionWriter
     end: float
-    """Where it grasps, along the bar's y [m]."""
+    """Which end it grasps: +1 for the one along the bar's y, -1 for the other."""
     grasp: NDArray[np.float64] = field(default_factory=lambda: np.zeros(7))
     target: NDArray[np.float64] = field(default_factory=lambda: np.zeros(7))
     last_opening: float = 1.0
@@ -67,7 +66,10 @@ class _Side:
 
 
 class LiftExpert(Agent):
-    """Lifts the bar whose pose is in `info["bar_in_scene"]` with both arms of an environment."""
+    """Lifts a bar with both arms of an environment.
+
+    Its pose is in `info["bar_in_scene"]`; it is grasped `info["grasp_offset"]` from its middle.
+    """
 
     def __init__(
         self,
@@ -86,7 +88,7 @@ class LiftExpert(Agent):
         """
         self._period = 1.0 / setup.frequency
         self._sides: list[_Side] = []
-        for (name, base), end in zip(bases_in_scene.items(), (GRASP_OFFSET, -GRASP_OFFSET), strict=True):
+        for (name, base), end in zip(bases_in_scene.items(), (1.0, -1.0), strict=True):
             space = action_space[name]
             assert isinstance(space, spaces.Dict)
             writer = ActionWriter(setup, space, kinematics[name])
@@ -107,9 +109,11 @@ class LiftExpert(Agent):
         Raises:
             WrongOrder: The info has no bar: this is not Lift-Bar.
         """
-        if "bar_in_scene" not in info:
-            raise WrongOrder("LiftExpert needs info['bar_in_scene']; use it in the task LiftBar.")
-        bar = Pose.from_tquat(info["bar_in_scene"])
+        if not {"bar_in_scene", "grasp_offset"} <= info.keys():
+            raise WrongOrder(
+                "LiftExpert needs info['bar_in_scene'] and info['grasp_offset']; use it in the task LiftBar."
+            )
+        bar, offset = Pose.from_tquat(info["bar_in_scene"]), float(info["grasp_offset"])
         self._failure = None
         self._opening = 1.0
         self._enter(Phase.APPROACH)
@@ -117,7 +121,7 @@ class LiftExpert(Agent):
             own = observation[side.name]
             side.writer.reset(own)
             side.target = np.array(own[TQUAT])
-            end = side.base_in_scene.inverse() * (bar * Pose((0.0, side.end, 0.0)))
+            end = side.base_in_scene.inverse() * (bar * Pose((0.0, side.end * offset, 0.0)))
             # Across the bar: its short side is along its x axis.
             plan = plan_top_grasp(end, end.matrix[:3, 0], np.array(own[JOINTS]), side.kinematics, CLEARANCE, LIFT)
             if plan is None:

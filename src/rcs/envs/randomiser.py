@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -150,11 +151,13 @@ class Randomiser:
     def _texture_names(self) -> list[str]:
         return [texture_name(i) for i in range(self._ranges.textures)]
 
-    def _add_colour(self, field: str, groups: Sequence[NDArray[np.intp]]) -> None:
-        """Shift the colours of groups of geoms, each group by the same."""
-        geoms, group = np.concatenate(groups), owners(groups)
-        rows = ModelRows(self._world, "geom_rgba", geoms)
-        nominal = colours(self._world, geoms).astype(np.float64)
+    def _add_colour(self, field: str, groups: Sequence[NDArray[np.intp]], *, flexes: bool = False) -> None:
+        """Shift the colours of groups of geoms, or of flexes, each group by the same."""
+        members, group = np.concatenate(groups), owners(groups)
+        if not len(members):
+            return
+        rows = ModelRows(self._world, "flex_rgba" if flexes else "geom_rgba", members)
+        nominal = (rows.nominal if flexes else colours(self._world, members)).astype(np.float64)
 
         def write(drawn: dict[str, Values], copies: Copies) -> None:
             shift = drawn[field][..., group, :]
@@ -166,9 +169,10 @@ class Randomiser:
         self._writes.append(write)
 
     def _add_objects(self, parts: Sequence[ObjectParts], names: Sequence[str]) -> None:
-        coloured = [i for i, part in enumerate(parts) if len(part.geoms)]
+        coloured = [i for i, part in enumerate(parts) if len(part.geoms) or len(part.flexes)]
         if self._draw("object_colour", (len(coloured), 3), [names[i] for i in coloured]):
             self._add_colour("object_colour", [parts[i].geoms for i in coloured])
+            self._add_colour("object_colour", [parts[i].flexes for i in coloured], flexes=True)
         scalable = [i for i, part in enumerate(parts) if part.is_scalable]
         has_size = self._draw("object_size", (len(scalable),), [names[i] for i in scalable])
         has_mass = self._draw("object_mass", (len(parts),), names)
@@ -206,6 +210,12 @@ class Randomiser:
             "body_ipos": [part.bodies for part in parts],
             "body_pos": [part.bodies[part.bodies != part.root] for part in parts],
             "bvh_aabb": [part.boxes for part in parts],
+            "flex_radius": [part.flexes for part in parts],
+            "flex_size": [part.flexes for part in parts],
+            "flex_vert": [part.vertices for part in parts],
+            "flex_node": [part.nodes for part in parts],
+            # Of a material that stays the same: forces grow with the area, strains fall with the length.
+            "flex_stiffness": [part.stiffness for part in parts],
         }
         scaled = [
             (ModelRows(self._world, field, np.concatenate(rows)), owners(rows))
@@ -216,6 +226,23 @@ class Randomiser:
         def write(drawn: dict[str, Values], copies: Copies) -> None:
             for rows, owner in scaled:
                 rows.scale(drawn["object_size"][..., owner], copies)
+
+        self._writes.append(write)
+        nodes = [part.nodes for part in parts]
+        if sum(map(len, nodes)):
+            self._add_nodes_at_rest(parts, nodes)
+
+    def _add_nodes_at_rest(self, parts: Sequence[ObjectParts], nodes: Sequence[NDArray[np.intp]]) -> None:
+        """Scale where the nodes of soft bodies are when nothing pulls at them, which the model has in the scene."""
+        at_rest = mujoco.MjData(self._world.model)
+        mujoco.mj_kinematics(self._world.model, at_rest)
+        owner = owners(nodes)
+        center = at_rest.xpos[[part.root for part in parts]][owner]
+        rows = ModelRows(self._world, "flex_node0", np.concatenate(nodes))
+        offset = rows.nominal - center
+
+        def write(drawn: dict[str, Values], copies: Copies) -> None:
+            rows.write(center + offset * drawn["object_size"][..., owner, None], copies)
 
         self._writes.append(write)
 

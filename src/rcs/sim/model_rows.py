@@ -48,7 +48,7 @@ class ModelRows:
 
 
 class ObjectParts:
-    """What in a model belongs to one object: its body, all that is attached to it, and their shapes."""
+    """What in a model belongs to one object: its body, all that is attached to it, and their shapes, rigid and soft."""
 
     def __init__(self, world: World, body: str) -> None:
         """Look an object up.
@@ -62,25 +62,46 @@ class ObjectParts:
         self.bodies = np.flatnonzero(inside)
         self.geoms = np.flatnonzero(inside[model.geom_bodyid])
         self.sites = np.flatnonzero(inside[model.site_bodyid])
-        self.flexes = np.array([i for i in range(model.nflex) if inside[_first_body(model, i)]], np.intp)
+        self.flexes = np.flatnonzero(world.subtree_flexes(body))
+        self.vertices = _rows_of(self.flexes, model.flex_vertadr, model.flex_vertnum)
+        self.nodes = _rows_of(self.flexes, model.flex_nodeadr, model.flex_nodenum)
+        self.stiffness = _rows_of(self.flexes, model.flex_stiffnessadr, _stiffness_count(model))
+        """Rows of the flexes' vertices, nodes and stiffness."""
         self.boxes = np.concatenate([np.arange(0), *(_tree_of(model, int(i)) for i in self.bodies)])
         """Nodes of the bodies' bounding volume trees."""
         joints = np.flatnonzero(inside[model.jnt_bodyid])
+        moving = np.append(model.flex_nodebodyid[self.nodes], self.root)
         self.is_scalable = bool(
-            len(self.geoms)
-            and not len(self.flexes)
+            (len(self.geoms) or len(self.flexes))
             and np.isin(model.geom_type[self.geoms], _SIMPLE).all()
-            and (model.jnt_bodyid[joints] == self.root).all()
+            and _have_nodes_alone(model, self.flexes)
+            and np.isin(model.jnt_bodyid[joints], moving).all()
         )
-        """Whether it is of simple shapes and rigid; meshes are shared by all copies and keep their size."""
+        """Whether it is of simple shapes that are rigid, or of soft solids whose shape follows nodes. Meshes are shared
+        by all copies and keep their size, as do soft bodies with springs along their edges."""
 
 
 _SIMPLE = np.arange(2, 7)
 """Sphere, capsule, ellipsoid, cylinder and box, as `mjtGeom` numbers them."""
 
 
-def _first_body(model: Any, flex: int) -> int:
-    return int(model.flex_vertbodyid[model.flex_vertadr[flex]])
+def _rows_of(flexes: NDArray[np.intp], first: NDArray[np.int32], count: NDArray[np.int32]) -> NDArray[np.intp]:
+    return np.concatenate([np.arange(0), *(np.arange(int(count[i])) + int(first[i]) for i in flexes)])
+
+
+def _stiffness_count(model: Any) -> NDArray[np.int32]:
+    """Return how many values the stiffness of each flex has that is elastic between nodes; 0 for all others."""
+    nodes_per_cell = (model.flex_interp + 1) ** 3
+    count = model.flex_cellnum.prod(axis=1, dtype=np.int32) * (3 * nodes_per_cell) ** 2
+    return np.where((model.flex_interp > 0) & (model.flex_stiffnessadr >= 0), count, 0)
+
+
+def _have_nodes_alone(model: Any, flexes: NDArray[np.intp]) -> bool:
+    """Return whether flexes are solids whose only elasticity is that between nodes: it alone is known to grow along."""
+    has_edges = (model.flex_edgestiffness[flexes] != 0) | (model.flex_edgeequality[flexes] != 0)
+    is_plastic = model.flex_plasticadr[flexes] >= 0
+    is_of_nodes = (model.flex_dim[flexes] == 3) & (model.flex_interp[flexes] > 0)
+    return bool((is_of_nodes & ~has_edges & ~is_plastic).all())
 
 
 def _tree_of(model: Any, body: int) -> NDArray[np.intp]:

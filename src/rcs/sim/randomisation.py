@@ -44,7 +44,7 @@ class Randomisation:
     field_of_view: Factors = (0.97, 1.03)
     """Factor on the vertical field of view of each camera."""
     object_size: Factors = (0.9, 1.1)
-    """Factor on all edges of each object that is made of simple shapes; its mass stays."""
+    """Factor on all edges of each object that is made of simple shapes or soft; its mass and material stay."""
     object_mass: Factors = (0.5, 2.0)
     """Factor on the mass and the inertia of each object."""
     friction: Factors = (0.8, 1.25)

@@ -201,8 +201,29 @@ class World:
         return flags
 
     def subtree_flags(self, body: str) -> NDArray[np.uint8]:
-        """Return one flag per geom that is 1 for those of a body and everything attached to it."""
-        return self.subtree(body)[self.model.geom_bodyid].astype(np.uint8)
+        """Return one flag per geom, then one per flex, that is 1 for those of a body and everything attached to it.
+
+        Raises:
+            KeyError: The body is not in the model.
+        """
+        inside = self.subtree(body)
+        return np.concatenate([inside[self.model.geom_bodyid], self.subtree_flexes(body)]).astype(np.uint8)
+
+    def subtree_flexes(self, body: str) -> NDArray[np.bool_]:
+        """Return for each flex of the model whether all of it moves with a body and what is attached to it.
+
+        Raises:
+            KeyError: The body is not in the model.
+        """
+        inside, model = self.subtree(body), self.model
+        flexes = np.zeros(model.nflex, np.bool_)
+        for i in range(model.nflex):
+            # Vertices that are interpolated between nodes have no bodies of their own.
+            part = "node" if model.flex_interp[i] else "vert"
+            first = getattr(model, f"flex_{part}adr")[i]
+            bodies = getattr(model, f"flex_{part}bodyid")[first : first + getattr(model, f"flex_{part}num")[i]]
+            flexes[i] = inside[bodies].all()
+        return flexes
 
     def subtree(self, body: str) -> NDArray[np.bool_]:
         """Return for each body of the model whether it is the named one or attached to it.

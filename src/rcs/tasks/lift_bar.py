@@ -20,8 +20,8 @@ EDGES = (0.035, 0.50, 0.05)
 """Edges of the bar along its x, y, z [m]: too long and too heavy at one end for one hand."""
 MASS = 0.30
 """Mass of such a bar of light wood [kg]."""
-GRASP_OFFSET = 0.20
-"""Where it is grasped: this far from its middle along its y [m]."""
+GRASP_AT = 0.8
+"""Where it is grasped along its y, between its middle (0) and its ends (1)."""
 LIFT_HEIGHT = 0.10
 """How far above the table both ends must be held [m]."""
 HOLD_TIME = 1.0
@@ -65,6 +65,10 @@ class LiftBar(Task):
             group=0,
         )
 
+    def objects(self) -> list[str]:
+        """Return the bar."""
+        return [BAR]
+
     def bind(self, world: World, robots: list[SimRobot]) -> None:
         """Have the bar's pose and the pads' forces on it read out.
 
@@ -88,16 +92,25 @@ class LiftBar(Task):
         self._quaternion = slice(first + 3, first + 7)
         self._hold_steps = round(HOLD_TIME * world.frequency)
         self._steps_held = np.zeros(world.leading, np.int64)
+        self._geom = int(model.geom(BAR).id)
+        self._measure()
+
+    def _measure(self) -> None:
+        """Take over how large the bars are, which may vary between episodes."""
+        half_edges = self._world.field("geom_size")[..., self._geom, :]
+        self._rest_height = half_edges[..., 2].copy()
+        self._grasp_offset = GRASP_AT * half_edges[..., 1]
         # The first robot stands on the left, at larger y: it takes the end at larger y.
-        self._ends = np.array([[0.0, GRASP_OFFSET, 0.0], [0.0, -GRASP_OFFSET, 0.0]])
+        self._ends = np.stack([self._grasp_offset, -self._grasp_offset], axis=-1)
 
     def reset(self, draws: Draws, where: Where) -> None:
         """Lay the bar down at a random place, turned a little."""
+        self._measure()
         half, center = np.array(self.area.size) / 2, np.array(self.area.center)
         place = draws.uniform(np.append(center - half, -MAX_YAW), np.append(center + half, MAX_YAW))
         rows = self._world.qpos[where] if self._world.leading else self._world.qpos
         rows[..., self._translation][..., :2] = place[..., :2]
-        rows[..., self._translation][..., 2] = EDGES[2] / 2
+        rows[..., self._translation][..., 2] = self._rest_height[where]
         rows[..., self._quaternion] = 0.0
         rows[..., self._quaternion][..., 0] = np.cos(place[..., 2] / 2)
         rows[..., self._quaternion][..., 3] = np.sin(place[..., 2] / 2)
@@ -116,25 +129,37 @@ class LiftBar(Task):
         both = grasped[..., 0] & grasped[..., 1]
         x, y = bar[..., 3], bar[..., 4]
         is_level = 1.0 - 2.0 * (x * x + y * y) > np.cos(MAX_TILT)  # z component of the bar's z axis
-        height = bar[..., 2] - EDGES[2] / 2
+        height = bar[..., 2] - self._rest_height
         is_held = (height > LIFT_HEIGHT) & is_level & both
         self._steps_held = (self._steps_held + 1) * is_held
         success = self._steps_held >= self._hold_steps
         offsets = poses[..., self._tcps, :3] - self._grasps(bar)
-        reach = 1.0 - np.tanh(5.0 * np.sqrt(np.vecdot(offsets, offsets)))
+        dx, dy, dz = (offsets[..., i] for i in range(3))  # one order of adding for one bar and for many
+        reach = 1.0 - np.tanh(5.0 * np.sqrt(dx * dx + dy * dy + dz * dz))
         lift = np.minimum(np.maximum(height * (1.0 / LIFT_HEIGHT), 0.0), 1.0)
         each = (reach + grasped * (1.0 + lift[..., None])) * (1.0 / 3.0)
         reward = np.maximum(each.mean(axis=-1), success)
-        info: dict[str, NDArray[Any]] = {"success": success, "is_grasped": both, "bar_in_scene": bar}
+        info: dict[str, NDArray[Any]] = {
+            "success": success,
+            "is_grasped": both,
+            "bar_in_scene": bar,
+            "grasp_offset": self._grasp_offset.copy(),
+        }
         return Outcome(reward=reward, terminated=success, info=info)
 
     def _grasps(self, bar: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where the two ends are to be grasped, in the scene, (..., 2, 3)."""
         x, y, z, w = (bar[..., 3 + i] for i in range(4))
         axis = np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=-1)
-        return bar[..., None, :3] + self._ends[:, 1, None] * axis[..., None, :]
+        return bar[..., None, :3] + self._ends[..., None] * axis[..., None, :]
 
     def describe(self) -> dict[str, NDArray[Any]]:
-        """Return where the bar lies."""
+        """Return where the bar lies, and how far from its middle along its y it is to be grasped [m]."""
         never = np.zeros(self._world.leading, np.bool_)
-        return {"success": never, "is_grasped": never, "bar_in_scene": self._world.poses[..., self._pose, :].copy()}
+        bar = self._world.poses[..., self._pose, :].copy()
+        return {
+            "success": never,
+            "is_grasped": never,
+            "bar_in_scene": bar,
+            "grasp_offset": self._grasp_offset.copy(),
+        }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -41,13 +42,11 @@ HOLD_TIME = 1.0
 """For how long, with the arm at home [s]."""
 NEAR_HOME = 0.05
 """The arm is back home with its TCP this close to where it was at the start [m]."""
-TOUCHED = 0.005
-"""A distance between two nodes that differs from the one at rest by more than this part of it. Half a newton from above
-makes 0.8 %, lying still less than 0.05 %."""
+TOUCH_FORCE = 0.2
+"""A robot with less than this on the toy does not count as touching it [N]: half the weight of the lightest toy."""
 SQUEEZED = 0.03
-"""The same for a grasp: 2 N from above make as much."""
-LIFTED = 0.005
-"""Its centre this far above where it lay means that something holds it [m]."""
+"""A toy is squeezed when a distance between two nodes differs from the one at rest by more than this part of it: 2 N
+from above make as much."""
 TOY = "toy"
 
 
@@ -79,7 +78,7 @@ class PickToy(Task):
         return [TOY]
 
     def bind(self, world: World, robots: list[SimRobot]) -> None:
-        """Look up the toy's nodes.
+        """Look up the toy's nodes and have the robot's force on it read out.
 
         Raises:
             InvalidSetup: There is not exactly one robot, or it has neither gripper nor hand.
@@ -89,14 +88,20 @@ class PickToy(Task):
         self._world = world
         self._robot = robots[0]
         placement = self._robot.placement
-        self._center, self._nodes, self._qpos = _nodes_of(world.model)
-        self._settled = self._nodes + _sag(self.area.object_scale)
-        """Nodes of the toy as it lies, relative to the carrier, which stands where they are centred when weightless."""
-        self._rest_height = float(self._center[2] + self._settled[:, 2].mean())
-        first, second = np.triu_indices(len(self._nodes), 1)
-        self._first, self._second = first, second
-        self._distances = _norm(self._settled[first] - self._settled[second])
-        self._along = np.sign(self._nodes[:, :1])  # +1 for nodes at the toy's front, -1 at its back
+        model = world.model
+        self._touched = world.core.read_force(world.subtree_flags(placement.base_body), world.subtree_flags(TOY))
+        self._center, nodes, self._qpos = _nodes_of(model)
+        self._bodies = _node_bodies(model)
+        self._nominal = float(nodes[0, 0]), float(model.body_mass[self._bodies[0]])
+        """A length [m] and a mass [kg] of the toy that was made; the others are in proportion to it."""
+        self._lying = _lying(self.area.object_scale)
+        self._first, self._second = np.triu_indices(len(nodes), 1)
+        self._along = np.sign(nodes[:, :1])  # +1 for nodes at the toy's front, -1 at its back
+        self._nodes = np.empty((*world.leading, *nodes.shape))
+        """Nodes of the toy when nothing pulls at them, relative to the carrier, which does not move."""
+        self._rest_height = np.empty(world.leading)
+        self._distances = np.empty((*world.leading, len(self._first)))
+        self._measure(...)
         base = placement.base_in_scene
         self._scene_in_base = inverse(Pose(base.translation, base.quaternion).tquat)
         home = kinematics_of(placement.arm, placement.end_effector).forward(np.array(placement.arm.home))
@@ -104,17 +109,32 @@ class PickToy(Task):
         self._hold_steps = round(HOLD_TIME * world.frequency)
         self._steps_held = np.zeros(world.leading, np.int64)
 
+    def _measure(self, where: Where) -> NDArray[np.float64]:
+        """Take over how large and heavy the toys are, which may vary between episodes.
+
+        Returns:
+            Nodes of the toys as they lie, from the point on the table under their middle [m], (*leading, nodes, 3).
+        """
+        nodes = self._world.field("body_pos")[where][..., self._bodies, :]
+        mass = self._world.field("body_mass")[where][..., self._bodies[0]]
+        lying = self._lying.nodes(nodes[..., 0, 0] / self._nominal[0], mass / self._nominal[1])
+        self._nodes[where] = nodes
+        self._rest_height[where] = _mean(lying)[..., 2]
+        self._distances[where] = _norm(lying[..., self._first, :] - lying[..., self._second, :])
+        return lying
+
     def reset(self, draws: Draws, where: Where) -> None:
         """Lay the toy down at a random place and yaw, as it lies under its own weight."""
+        lying = self._measure(where)
         half, center = np.array(self.area.size) / 2, np.array(self.area.center)
         place = draws.uniform(np.append(center - half, -np.pi), np.append(center + half, np.pi))
         cos, sin = np.cos(place[..., 2:]), np.sin(place[..., 2:])
-        x, y, z = self._settled.T
-        nodes = np.empty((*draws.leading, len(self._nodes), 3))
+        x, y = lying[..., 0], lying[..., 1]
+        nodes = np.empty_like(lying)
         nodes[..., 0] = place[..., 0:1] + cos * x - sin * y
         nodes[..., 1] = place[..., 1:2] + sin * x + cos * y
-        nodes[..., 2] = self._center[2] + z
-        values = (nodes - self._center - self._nodes).reshape(*draws.leading, -1)
+        nodes[..., 2] = lying[..., 2]
+        values = (nodes - self._center - self._nodes[where]).reshape(*draws.leading, -1)
         if self._world.leading:
             # Two steps: one index with copies and joints would pair them.
             rows = self._world.qpos[where]
@@ -132,15 +152,15 @@ class PickToy(Task):
         toy = compose(self._scene_in_base, in_scene)
         tcp = self._world.poses[..., self._robot.tcp_readout, :3]
         height = in_scene[..., 2] - self._rest_height
-        strain = self._strain(nodes)
-        is_squeezed = strain > SQUEEZED
+        is_squeezed = self._strain(nodes) > SQUEEZED
+        is_touched = self._world.forces[..., self._touched] > TOUCH_FORCE
         is_home = _norm(tcp - self._home) < NEAR_HOME
         self._steps_held = (self._steps_held + 1) * ((height > LIFT_HEIGHT) & is_home)
         success = self._steps_held >= self._hold_steps
         reach = 1.0 - np.tanh(5.0 * _norm(toy[..., :3] - tcp))
         lift = np.minimum(np.maximum(height * (1.0 / LIFT_HEIGHT), 0.0), 1.0)
         reward = np.maximum((reach + is_squeezed * (1.0 + lift)) * (1.0 / 3.0), success)
-        info = {"success": success, "is_touched": (strain > TOUCHED) | (height > LIFTED), "toy": toy}
+        info = {"success": success, "is_touched": is_touched, "toy": toy}
         return Outcome(reward=reward, terminated=success, info=info)
 
     def describe(self) -> dict[str, NDArray[Any]]:
@@ -152,14 +172,14 @@ class PickToy(Task):
     def _present_nodes(self) -> NDArray[np.float64]:
         """Return the nodes in the scene [m], (*leading, nodes, 3)."""
         moved = self._world.qpos[..., self._qpos]
-        return self._center + self._nodes + moved.reshape(*self._world.leading, len(self._nodes), 3)
+        return self._center + self._nodes + moved.reshape(self._nodes.shape)
 
     def _pose(self, nodes: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the centre of nodes, and the yaw of the line from their back to their front, (*leading, 7)."""
-        front = (nodes * self._along).sum(axis=-2)
+        front = _sum(nodes * self._along)
         half_yaw = 0.5 * np.arctan2(front[..., 1], front[..., 0])
         pose = np.zeros((*self._world.leading, 7))
-        pose[..., :3] = nodes.mean(axis=-2)
+        pose[..., :3] = _mean(nodes)
         pose[..., 5], pose[..., 6] = np.sin(half_yaw), np.cos(half_yaw)
         return pose
 
@@ -169,8 +189,18 @@ class PickToy(Task):
         return (np.abs(distances - self._distances) * (1.0 / self._distances)).max(axis=-1)
 
 
+# NumPy's own sums add in an order that may depend on how many copies there are.
 def _norm(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.sqrt(np.vecdot(vectors, vectors))
+    x, y, z = (vectors[..., i] for i in range(3))
+    return np.sqrt(x * x + y * y + z * z)
+
+
+def _sum(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.add.accumulate(nodes, axis=-2)[..., -1, :]
+
+
+def _mean(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+    return _sum(nodes) / nodes.shape[-2]
 
 
 def _add_toy(spec: mujoco.MjSpec, center: tuple[float, float, float], scale: float) -> None:
@@ -199,28 +229,63 @@ def _add_toy(spec: mujoco.MjSpec, center: tuple[float, float, float], scale: flo
     flex.group = 0
 
 
+def _node_bodies(model: mujoco.MjModel) -> NDArray[np.intp]:
+    """Return the ids of the bodies of the nodes."""
+    return np.flatnonzero(model.body_parentid == model.body(TOY).id)
+
+
 def _nodes_of(model: mujoco.MjModel) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
     """Return the carrier's place (3,), the nodes' relative to it (nodes, 3) and the indices of their `qpos` [m]."""
-    carrier = model.body(TOY).id
-    bodies = np.flatnonzero(model.body_parentid == carrier)
+    bodies = _node_bodies(model)
     first = model.jnt_qposadr[model.body_jntadr[bodies]]
     qpos = (first[:, None] + np.arange(3)).ravel().astype(np.intp)
-    return model.body_pos[carrier].copy(), model.body_pos[bodies].copy(), qpos
+    return model.body(TOY).pos.copy(), model.body_pos[bodies].copy(), qpos
+
+
+@dataclass(frozen=True)
+class _Lying:
+    """How a toy lies on a table, for any size and mass: three shares of where its nodes are, (nodes, 3) each.
+
+    A toy gives in by its weight over its stiffness, which grows with its size; how far the contact lets it sink in
+    depends on neither.
+    """
+
+    shape: NDArray[np.float64]
+    """Of a weightless toy that touches the table [m]."""
+    sunk: NDArray[np.float64]
+    """By how much the contact lets it sink in [m]."""
+    given_in: NDArray[np.float64]
+    """By how much it gives in under its own weight [m]."""
+
+    def nodes(self, size: NDArray[np.float64], mass: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the nodes from the point on the table under their middle [m], (*leading, nodes, 3).
+
+        Args:
+            size: Factor on the size, (*leading,).
+            mass: Factor on the mass, (*leading,).
+        """
+        return size[..., None, None] * self.shape + self.sunk + (mass / size)[..., None, None] * self.given_in
 
 
 @functools.cache
-def _sag(scale: float) -> NDArray[np.float64]:
-    """Return how far the toy's nodes move until it lies still on a table [m], (nodes, 3)."""
-    spec = Scene.empty().spec
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1.0, 1.0, 0.1])
-    _add_toy(spec, (0.0, 0.0, scale * SIZE[2] / 2), scale)
-    model = spec.compile()
+def _lying(scale: float) -> _Lying:
+    """Let a toy, and one of twice its mass, come to rest on a table."""
+    scene = Scene.empty()
+    scene.add_table()  # a plane would have other contacts
+    _add_toy(scene.spec, (0.0, 0.0, scale * SIZE[2] / 2), scale)
+    model = scene.compile()
     data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, nstep=round(SETTLE_TIME / model.opt.timestep))
-    _, nodes, qpos = _nodes_of(model)
-    moved = data.qpos[qpos].reshape(-1, 3)
-    settled = nodes + moved
-    settled[:, :2] -= settled[:, :2].mean(axis=0)  # it may have rolled a little
-    sag = settled - nodes
-    sag.setflags(write=False)
-    return sag
+    mujoco.mj_forward(model, data)
+    center, shape, qpos = _nodes_of(model)
+    shape += center - [0.0, 0.0, data.flexvert_xpos[:, 2].min() - model.flex_radius[0]]
+    rest: list[NDArray[np.float64]] = []
+    for factor in (1.0, 2.0):
+        model.body_mass[_node_bodies(model)] *= factor
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_setConst(model, data)
+        mujoco.mj_step(model, data, nstep=round(SETTLE_TIME / model.opt.timestep))
+        nodes = center + _nodes_of(model)[1] + data.qpos[qpos].reshape(-1, 3)
+        nodes[:, :2] -= nodes[:, :2].mean(axis=0)  # it may have rolled a little
+        rest.append(nodes)
+    given_in = rest[1] - rest[0]
+    return _Lying(shape, rest[0] - given_in - shape, given_in)
