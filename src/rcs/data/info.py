@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 from rcs.data.feature import Feature
@@ -122,26 +122,50 @@ def refuse_newer_schema(version: object, what: str) -> None:
         )
 
 
-def differences(stored: DatasetInfo, given: DatasetInfo) -> list[str]:
-    """Say in which fields two infos differ, one line each; the software versions are not compared.
+def differences(
+    stored: DatasetInfo, given: DatasetInfo, *, names: tuple[str, str] = ("the dataset", "this setup")
+) -> list[str]:
+    """Say in which fields two infos differ, one line each; versions are not compared.
 
     Args:
         stored: What a dataset on disk has.
         given: What a new recording would have.
+        names: What the two are called in the lines.
     """
+    one, other = names
     left, right = (dict(_leaves("", _comparable(info))) for info in (stored, given))
     lines: list[str] = []
     for name in sorted(left.keys() | right.keys()):
         if name not in right:
-            lines.append(f"{name}: the dataset has {left[name]!r}, which is not in this setup")
+            lines.append(f"{name}: {one} has {left[name]!r}, which is not in {other}")
         elif name not in left:
-            lines.append(f"{name}: this setup has {right[name]!r}, which is not in the dataset")
+            lines.append(f"{name}: {other} has {right[name]!r}, which is not in {one}")
         elif left[name] != right[name]:
-            lines.append(f"{name}: the dataset has {left[name]!r}, this setup has {right[name]!r}")
+            lines.append(f"{name}: {one} has {left[name]!r}, {other} has {right[name]!r}")
     order = [[feature.key for feature in info.features] for info in (stored, given)]
     if not lines and order[0] != order[1]:
-        lines.append(f"features: the dataset has the order {order[0]}, this setup has {order[1]}")
+        lines.append(f"features: {one} has the order {order[0]}, {other} has {order[1]}")
     return lines
+
+
+def feature_differences(
+    stored: DatasetInfo, given: DatasetInfo, *, names: tuple[str, str] = ("the dataset", "this setup")
+) -> list[str]:
+    """Say in what the rows of two infos differ: features, their order, rate, simulation state; not in setup or words.
+
+    Args:
+        stored: One info.
+        given: The other.
+        names: What the two are called in the lines.
+    """
+    alike = replace(
+        given,
+        setup=stored.setup,
+        instruction=stored.instruction,
+        jpeg_quality=stored.jpeg_quality,
+        jpeg_subsampling=stored.jpeg_subsampling,
+    )
+    return differences(stored, alike, names=names)
 
 
 def _comparable(info: DatasetInfo) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """A program that edits, and is killed before every single call that changes the disk, once each.
 
-Run as `kill_every_edit.py SOURCE FOLDER EDIT`: for n = 0, 1, 2 … a copy of the dataset in SOURCE is edited in FOLDER/n by
-a child that dies just before its n-th call, until one lives to the end.
+Run as `kill_every_edit.py SOURCE FOLDER EDIT`: for n = 0, 1, 2 … a copy of the dataset in SOURCE is edited in FOLDER/n
+by a child that dies just before its n-th call, until one lives to the end.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import numpy as np
 
 from rcs.data.edit.episodes import require_ids
 from rcs.data.edit.transaction import OnProgress, making
-from rcs.data.info import DatasetInfo, differences
+from rcs.data.info import DatasetInfo, differences, feature_differences
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.errors import DatasetError, InvalidSetup
 
@@ -128,16 +128,8 @@ def source_names(datasets: Sequence[Dataset]) -> list[str]:
 
 
 def _require_fit(name: str, first: Dataset, other_name: str, other: Dataset) -> None:
-    # What the robot was asked and the setup may differ; what is in a row may not.
-    alike = replace(other.info, setup=first.info.setup, instruction=first.info.instruction)
-    alike = replace(alike, jpeg_quality=first.info.jpeg_quality, jpeg_subsampling=first.info.jpeg_subsampling)
-    if lines := differences(first.info, alike):
-        text = (
-            "\n  ".join(lines).replace("the dataset has", f"{name} has").replace("this setup has", f"{other_name} has")
-        )
-        text = text.replace("is not in the dataset", f"is not in {name}").replace(
-            "not in this setup", f"not in {other_name}"
-        )
+    if lines := feature_differences(first.info, other.info, names=(name, other_name)):
+        text = "\n  ".join(lines)
         raise DatasetError(f"{name} and {other_name} do not fit each other; mix can map them. What differs:\n  {text}")
 
 

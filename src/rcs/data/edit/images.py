@@ -18,7 +18,6 @@ from rcs.data.edit.transaction import OnProgress, editing
 from rcs.data.feature import Feature
 from rcs.data.flags import camera_of
 from rcs.data.info import DatasetInfo
-from rcs.data.reader import EpisodeRecord
 from rcs.errors import InvalidSetup
 
 _SINGLE = ("time/frames/", "flags/frames/")
@@ -93,7 +92,7 @@ def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress |
     with editing(path, "resize", {"size": list(size)}, new_info=lambda info: resized(info, size)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
-            edit.write(episode, with_size(rows_of(episode), episode, edit.info))
+            edit.write(episode, with_size(rows_of(episode), episode.info, edit.info))
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 
@@ -115,13 +114,13 @@ def resized(info: DatasetInfo, size: tuple[int, int]) -> DatasetInfo:
     )
 
 
-def with_size(rows: pa.Table, episode: EpisodeRecord, info: DatasetInfo) -> pa.Table:
-    """Return the rows with all frames of an episode scaled to the sizes in another info."""
+def with_size(rows: pa.Table, before: DatasetInfo, info: DatasetInfo) -> pa.Table:
+    """Return the rows with all frames scaled from the sizes in one info to those in another."""
     columns: list[pa.Array] = []
     for field in rows.schema:
         column = rows.column(field.name).combine_chunks()
         feature = next((f for f in info.features if f.key == field.name), None)
-        old = None if feature is None else episode.info.feature(feature.key)
+        old = None if feature is None else before.feature(feature.key)
         if feature is not None and old is not None and feature.is_image and feature.shape != old.shape:
             images = [
                 encode_frame(feature, scaled(decode_frame(old, image.as_py()), feature), info)
@@ -131,7 +130,7 @@ def with_size(rows: pa.Table, episode: EpisodeRecord, info: DatasetInfo) -> pa.T
             ]
             columns.append(pa.array(images, type=pa.binary()))
         elif feature is not None and feature.key.endswith("/intrinsics"):
-            columns.append(_scaled_intrinsics(column, feature, episode.info, info))
+            columns.append(_scaled_intrinsics(column, feature, before, info))
         else:
             columns.append(column)
     fields = [*(feature.arrow_field for feature in info.features), *list(rows.schema)[len(info.features) :]]

@@ -17,7 +17,6 @@ from rcs.data.edit.transaction import OnProgress, editing
 from rcs.data.feature import Feature
 from rcs.data.flags import FrameFlag, camera_of
 from rcs.data.info import DatasetInfo
-from rcs.data.reader import EpisodeRecord
 from rcs.errors import InvalidSetup
 from rcs.spatial import compose, normalize, tquat_to_xyzrpy, xyzrpy_to_tquat
 
@@ -42,7 +41,7 @@ def resample(path: str | Path, fps: float, *, on_progress: OnProgress | None = N
     with editing(path, "resample", {"fps": fps}, new_info=lambda info: at_rate(info, fps)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
-            edit.write(episode, resampled(rows_of(episode), episode, fps))
+            edit.write(episode, resampled(rows_of(episode), episode.info, fps))
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 
@@ -58,15 +57,14 @@ def at_rate(info: DatasetInfo, fps: float) -> DatasetInfo:
     return replace(info, fps=fps)
 
 
-def resampled(rows: pa.Table, episode: EpisodeRecord, fps: float) -> pa.Table:
+def resampled(rows: pa.Table, info: DatasetInfo, fps: float) -> pa.Table:
     """Return the rows of an episode at a lower rate.
 
     Args:
         rows: All its rows.
-        episode: The episode.
+        info: What its columns are, and their rate.
         fps: The new rate [Hz].
     """
-    info = episode.info
     kept = kept_rows(rows.num_rows, info.fps / fps)
     taken = take_rows(rows, info, kept)
     columns = {field.name: taken.column(field.name).combine_chunks() for field in taken.schema}

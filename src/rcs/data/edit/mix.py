@@ -1,0 +1,212 @@
+"""A dataset mixed of others, by numbers of episodes or by shares, with their features brought together."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from rcs.data.edit.combine import MERGED, provenance, source_names
+from rcs.data.edit.images import cameras_of, renamed, resized, with_names, with_size
+from rcs.data.edit.rate import at_rate, resampled
+from rcs.data.edit.rows import rows_of
+from rcs.data.edit.transaction import OnProgress, making
+from rcs.data.info import DatasetInfo, feature_differences
+from rcs.data.reader import Dataset, EpisodeRecord
+from rcs.data.rows import stream_schema
+from rcs.errors import DatasetError, InvalidSetup
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """What a mix takes from one dataset."""
+
+    path: Path
+    """The dataset."""
+    episodes: int | None = None
+    """How many episodes, drawn by the seed; None for all, or for the share."""
+    share: float | None = None
+    """The weight against the other parts; the mix then has a total."""
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        if self.episodes is not None and self.share is not None:
+            raise InvalidSetup(f"{self.path}: give a number of episodes or a share, not both.")
+        if (self.episodes is not None and self.episodes < 0) or (self.share is not None and not self.share > 0):
+            raise InvalidSetup(f"{self.path}: a number of episodes must not be negative, and a share be more than 0.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Harmonise:
+    """How the features of different datasets are brought together; by default they must be the same."""
+
+    common: bool = False
+    """Whether features that are not in every dataset are left out, instead of refused."""
+    drop: tuple[str, ...] = ()
+    """Features to leave out: their keys, or the start of them, such as "observation/frames/side"."""
+    rename: Mapping[str, Mapping[str, str]] = field(default_factory=dict[str, Mapping[str, str]])
+    """Other names of cameras, by the name of the dataset: {"real": {"front": "side"}}."""
+    size: tuple[int, int] | None = None
+    """Width and height of all frames [px]; None for what they are."""
+    fps: float | None = None
+    """The rate of all episodes [Hz]; None for what it is."""
+
+
+def mix(
+    parts: Sequence[Part],
+    out: str | Path,
+    *,
+    seed: int = 0,
+    total: int | None = None,
+    mapping: Harmonise | None = None,
+    on_progress: OnProgress | None = None,
+) -> Dataset:
+    """Make a dataset of episodes of others and return it. Every episode keeps where it came from.
+
+    Args:
+        parts: What is taken of which dataset.
+        out: The new dataset.
+        seed: Of the draw of episodes.
+        total: Episodes in all, if the parts have shares.
+        mapping: How different features are brought together; None if they must be the same.
+        on_progress: Called with the number of episodes done and of all.
+
+    Raises:
+        InvalidSetup: A part has too few episodes, numbers and shares do not go together, or a name is unknown.
+        DatasetError: The features still differ, and the message says in what; or `out` is not empty.
+        CorruptEpisode: A dataset is damaged.
+    """
+    if not parts:
+        raise InvalidSetup("There is nothing to mix; give at least one dataset.")
+    how = mapping or Harmonise()
+    datasets = [Dataset.open(part.path) for part in parts]
+    names = source_names(datasets)
+    if unknown := sorted(set(how.rename) - set(names)):
+        raise InvalidSetup(f"Cameras of {', '.join(unknown)} cannot be renamed; the datasets are {', '.join(names)}.")
+    numbers = _numbers(parts, datasets, total)
+    infos = _brought_together(names, datasets, how)
+    chosen = [
+        _drawn(dataset, number, np.random.default_rng([seed, i]))
+        for i, (dataset, number) in enumerate(zip(datasets, numbers, strict=True))
+    ]
+    setup: dict[str, Any] = {
+        "mix": {"seed": seed, "parts": dict(zip(names, numbers, strict=True))},
+        MERGED: {name: {"setup": d.info.setup} for name, d in zip(names, datasets, strict=True)},
+    }
+    ids = [episode.id for episodes in chosen for episode in episodes]
+    is_unique = len(set(ids)) == len(ids)
+    done = 0
+    with making(out, replace(infos[0], setup=setup)) as made:
+        for name, dataset, info, episodes in zip(names, datasets, infos, chosen, strict=True):
+            digest = dataset.digest()
+            for episode in episodes:
+                about = {"source": provenance(name, digest, episode)}
+                new_id = episode.id if is_unique else f"{name}.{episode.id}"
+                if _rows_stay(dataset.info, info):
+                    made.keep(episode, episode_id=new_id, **about)
+                else:
+                    rows = _mapped(rows_of(episode), dataset.info, info, how.rename.get(name, {}))
+                    made.write(episode, rows, episode_id=new_id, **about)
+                done += 1
+                if on_progress is not None:
+                    on_progress(done, len(ids))
+    return Dataset.open(out)
+
+
+def parse_part(text: str) -> Part:
+    """Read "real:143" (episodes), "sim:0.7" (a share) or "sim" (all episodes).
+
+    Raises:
+        InvalidSetup: What comes after the colon is no number.
+    """
+    path, colon, number = text.rpartition(":")
+    if not colon:
+        return Part(path=Path(text))
+    try:
+        return (
+            Part(path=Path(path), share=float(number)) if "." in number else Part(path=Path(path), episodes=int(number))
+        )
+    except ValueError as err:
+        if Path(text).exists():
+            return Part(path=Path(text))
+        raise InvalidSetup(
+            f"{text!r} is no part of a mix: give DATASET, DATASET:143 for 143 episodes, or DATASET:0.7 for a share."
+        ) from err
+
+
+def _numbers(parts: Sequence[Part], datasets: Sequence[Dataset], total: int | None) -> list[int]:
+    shares = [part.share for part in parts]
+    has_shares = any(share is not None for share in shares)
+    if has_shares and (total is None or any(share is None for share in shares)):
+        raise InvalidSetup("With shares, every part needs one, and the mix a total number of episodes.")
+    if total is not None and not has_shares:
+        raise InvalidSetup(f"A total of {total} episodes is given, and no shares; give a share to each part.")
+    if total is not None:
+        weights = np.array(shares, np.float64)
+        ends = np.rint(np.cumsum(weights / weights.sum()) * total).astype(int)
+        numbers = [int(n) for n in np.diff(ends, prepend=0)]
+    else:
+        numbers = [len(d) if part.episodes is None else part.episodes for part, d in zip(parts, datasets, strict=True)]
+    for number, dataset in zip(numbers, datasets, strict=True):
+        if number > len(dataset):
+            raise InvalidSetup(f"{number} episodes of {dataset.path} are asked for, and it has {len(dataset)}.")
+    return numbers
+
+
+def _drawn(dataset: Dataset, number: int, rng: np.random.Generator) -> list[EpisodeRecord]:
+    rows = sorted(rng.permutation(len(dataset))[:number].tolist())
+    return [dataset.episodes[row] for row in rows]
+
+
+def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Harmonise) -> list[DatasetInfo]:
+    """Return what each dataset's episodes are after the mapping; but for their sources' setups these are the same."""
+    infos: list[DatasetInfo] = []
+    for name, dataset in zip(names, datasets, strict=True):
+        info = renamed(dataset.info, how.rename.get(name, {}))
+        if how.fps is not None and info.fps != how.fps:
+            info = at_rate(info, how.fps)
+        if how.size is not None and cameras_of(info):
+            info = resized(info, how.size)
+        kept = [f for f in info.features if not any(f.key == key or f.key.startswith(f"{key}/") for key in how.drop)]
+        infos.append(replace(info, features=tuple(kept)))
+    if how.common:
+        shared = set.intersection(*({feature.key for feature in info.features} for info in infos))
+        infos = [replace(info, features=tuple(f for f in info.features if f.key in shared)) for info in infos]
+    # A state can be restored only in the simulation that it came from.
+    states = {(info.sim_state_size, json.dumps(info.setup, sort_keys=True)) for info in infos}
+    if len(states) > 1:
+        infos = [replace(info, sim_state_size=None) for info in infos]
+    first = infos[0]
+    for name, info in zip(names[1:], infos[1:], strict=True):
+        known = {feature.key: i for i, feature in enumerate(first.features)}
+        ordered = sorted(info.features, key=lambda feature: known.get(feature.key, len(known)))
+        if lines := feature_differences(first, replace(info, features=tuple(ordered)), names=(names[0], name)):
+            text = "\n  ".join(lines)
+            raise DatasetError(
+                f"{names[0]} and {name} do not fit each other. Leave out what differs (drop, common), rename cameras, "
+                f"or give one size and rate (size, fps). What differs:\n  {text}"
+            )
+    return [replace(info, features=first.features) for info in infos]
+
+
+def _rows_stay(before: DatasetInfo, after: DatasetInfo) -> bool:
+    return before.features == after.features and before.fps == after.fps
+
+
+def _mapped(rows: pa.Table, before: DatasetInfo, after: DatasetInfo, rename: Mapping[str, str]) -> pa.Table:
+    info = before
+    if rename:
+        info = renamed(info, rename)
+        rows = with_names(rows, info)
+    if info.fps != after.fps:
+        rows = resampled(rows, info, after.fps)
+    sizes = {feature.key: feature for feature in after.features}
+    target = replace(info, features=tuple(sizes.get(f.key, f) if f.is_image else f for f in info.features))
+    if target.features != info.features:
+        rows = with_size(rows, info, target)
+    return rows.select(stream_schema(after).names).cast(stream_schema(after))
