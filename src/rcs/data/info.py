@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
@@ -17,6 +17,8 @@ SCHEMA_VERSION = 2
 1. has neither flags nor held values, an image in every row, and no history.
 2. is this one.
 """
+
+_MEANING_OF_ACTIONS = ("control", "relative")
 
 Subsampling = Literal["444", "422", "420"]
 
@@ -151,7 +153,9 @@ def differences(
 def feature_differences(
     stored: DatasetInfo, given: DatasetInfo, *, names: tuple[str, str] = ("the dataset", "this setup")
 ) -> list[str]:
-    """Say in what the rows of two infos differ: features, their order, rate, simulation state; not in setup or words.
+    """Say in what the rows of two infos differ: features, their order, rate, state, and what an action means.
+
+    Their setups and instructions may be different otherwise.
 
     Args:
         stored: One info.
@@ -165,7 +169,18 @@ def feature_differences(
         jpeg_quality=stored.jpeg_quality,
         jpeg_subsampling=stored.jpeg_subsampling,
     )
-    return differences(stored, alike, names=names)
+    lines = differences(stored, alike, names=names)
+    for key in _MEANING_OF_ACTIONS:
+        one, other = stored.setup.get(key), given.setup.get(key)
+        if one is not None and other is not None and one != other:
+            lines.append(f"setup.{key}: to {names[0]} an action is {one!r}, to {names[1]} {other!r}")
+    return lines
+
+
+def shared_setup(setups: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what several setups have in common."""
+    first, *rest = setups
+    return {key: value for key, value in first.items() if all(key in s and s[key] == value for s in rest)}
 
 
 def _comparable(info: DatasetInfo) -> dict[str, Any]:

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 def test_merge_then_split_gives_back_both_by_hash(tmp_path: Path, make_dataset: MakeDataset) -> None:
     a = make_dataset(tmp_path / "real", [5, 3, 7], seed=1)
-    b = make_dataset(tmp_path / "sim", [4, 6], seed=2, setup={"robot": "ur5e"}, instruction="push")
+    b = make_dataset(
+        tmp_path / "sim", [4, 6], seed=2, setup={"robot": "ur5e", "relative": "last_step"}, instruction="push"
+    )
     merged = edit.merge([a, b], tmp_path / "both")
     assert len(merged) == 5
     assert check(merged.path).is_ok

@@ -19,7 +19,11 @@ RGB, DEPTH = "observation/frames/wrist/rgb", "observation/frames/wrist/depth"
 @pytest.fixture
 def real(tmp_path: Path, make_dataset: MakeDataset) -> Path:
     return make_dataset(
-        tmp_path / "real", [5, 7, 4, 6], seed=1, sim_state_size=3, setup={"robot": "fr3", "lab": "ours"}
+        tmp_path / "real",
+        [5, 7, 4, 6],
+        seed=1,
+        sim_state_size=3,
+        setup={"robot": "fr3", "lab": "ours", "relative": "last_step"},
     )
 
 
@@ -94,6 +98,12 @@ def test_other_features_are_refused_with_what_differs_or_mapped(tmp_path: Path, 
     for episode in mixed.episodes:
         joints = episode.column("observation/joints")
         np.testing.assert_allclose(np.diff(joints, axis=0), episode.column("action/joints")[1:], atol=1e-12)
+
+
+def test_relative_and_absolute_actions_do_not_mix(tmp_path: Path, make_dataset: MakeDataset, sim: Path) -> None:
+    other = make_dataset(tmp_path / "absolute", [4], setup={"robot": "fr3", "relative": "absolute"})
+    with pytest.raises(DatasetError, match=r"setup\.relative: to sim an action is 'last_step', to absolute 'absolute'"):
+        mix([Part(path=sim), Part(path=other)], tmp_path / "mix")
 
 
 def test_what_only_some_have_can_be_left_out(tmp_path: Path, real: Path, sim: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from rcs.data.edit.episodes import require_ids
 from rcs.data.edit.transaction import OnProgress, making
-from rcs.data.info import DatasetInfo, differences, feature_differences
+from rcs.data.info import DatasetInfo, differences, feature_differences, shared_setup
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.errors import DatasetError, InvalidSetup
 
@@ -146,7 +146,7 @@ def _merged_info(names: Sequence[str], datasets: Sequence[Dataset]) -> DatasetIn
         }
         for name, dataset in zip(names, datasets, strict=True)
     }
-    return replace(first, setup={MERGED: kept})
+    return replace(first, setup={**shared_setup([d.info.setup for d in datasets]), MERGED: kept})
 
 
 def _drawn(dataset: Dataset, parts: Mapping[str, float], seed: int) -> dict[str, list[str]]:

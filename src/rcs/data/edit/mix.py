@@ -16,7 +16,7 @@ from rcs.data.edit.images import cameras_of, renamed, resized, with_names, with_
 from rcs.data.edit.rate import at_rate, resampled
 from rcs.data.edit.rows import rows_of
 from rcs.data.edit.transaction import OnProgress, making
-from rcs.data.info import DatasetInfo, feature_differences
+from rcs.data.info import DatasetInfo, feature_differences, shared_setup
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.rows import stream_schema
 from rcs.errors import DatasetError, InvalidSetup
@@ -95,6 +95,7 @@ def mix(
         for i, (dataset, number) in enumerate(zip(datasets, numbers, strict=True))
     ]
     setup: dict[str, Any] = {
+        **shared_setup([dataset.info.setup for dataset in datasets]),
         "mix": {"seed": seed, "parts": dict(zip(names, numbers, strict=True))},
         MERGED: {name: {"setup": d.info.setup} for name, d in zip(names, datasets, strict=True)},
     }
