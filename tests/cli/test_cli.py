@@ -87,11 +87,28 @@ def test_check_finds_a_flipped_bit_and_fails(capsys: pytest.CaptureFixture[str],
     assert "000000" not in told
 
 
+def test_collect_records_the_frames_of_tactile_sensors(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    out = str(tmp_path / "touch")
+    options = ("--robot", "so101", "--cameras", "none", "--tactile", "digit", "--episodes", "1", "--workers", "1")
+    code, _ = call(capsys, "collect", "PickCuboid", *options, "--no-report", "--out", out)
+    assert code == 0
+    assert "observation/frames/so101_left/rgb" in (tmp_path / "touch" / "dataset.json").read_text()
+
+
 def test_list_names_robots_cameras_tasks_and_ids(capsys: pytest.CaptureFixture[str]) -> None:
     code, told = call(capsys, "list")
     assert code == 0
     for word in ("fr3", "franka_hand", "realsense_d405", "realsense_d435", "PickCuboid", "rcs/FR3-v0"):
         assert word in told
+    assert "DIGIT, on the pads of franka_hand, robotiq_2f85, so101_gripper" in " ".join(told.split())
+
+
+def test_list_names_the_modes_of_every_camera(capsys: pytest.CaptureFixture[str]) -> None:
+    code, told = call(capsys, "list", "--cameras")
+    assert code == 0
+    rows = [line.split() for line in told.splitlines()]
+    assert ["realsense_d435", "640x480", "6,", "15,", "30,", "60", "617.2", "0.175", "..", "3"] in rows
+    assert ["usb_webcam", "640x480", "5,", "10,", "15,", "20,", "25,", "~30", "609.3", "-"] in rows
 
 
 def test_doctor_tells_which_backend_draws_and_why(capsys: pytest.CaptureFixture[str]) -> None:

@@ -68,6 +68,16 @@ class TestPickCuboidWithCameras(Made):
     }
 
 
+class TestUR5eWithTactileSensors(Made):
+    steps = 2
+    options: ClassVar[dict[str, Any]] = {"task": "PickCuboid", "robot": "ur5e", "tactile": "digit"}
+
+
+class TestSO101WithTactileSensors(Made):
+    steps = 2
+    options: ClassVar[dict[str, Any]] = {"task": "PickCuboid", "robot": "so101", "tactile": "digit"}
+
+
 class TestFakeDevices(EnvContract):
     longest_episode = 20
     is_reset_complete = False  # a reset opens the devices and moves nothing

@@ -17,13 +17,13 @@ from rcs.robots.digit.description import DIGIT
 from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND
 from rcs.robots.realsense_d435.description import REALSENSE_D435
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import Collection, Progress, collect, expert_for
 from rcs.rollout.replay import replay
 from rcs.sim import CameraPlacement, RobotPlacement, Scene, World
 from rcs.sim.camera import SimCameras
 from rcs.sim.robot import SimRobot
 from rcs.sim.tactile import SimTactile
-from rcs.sim.tactile_mounts import franka_hand_pads
+from rcs.sim.tactile_mounts import on_pads
 
 ROBOT = RobotPlacement(name="fr3", arm=FR3, gripper=FRANKA_HAND)
 EYE = CameraPlacement(
@@ -38,7 +38,7 @@ def scene() -> Scene:
     scene = Scene.empty()
     scene.add_robot(ROBOT)
     scene.add_camera(EYE)
-    for sensor in franka_hand_pads(ROBOT, DIGIT):
+    for sensor in on_pads(ROBOT, DIGIT):
         scene.add_tactile(sensor)
     return scene
 
@@ -100,6 +100,31 @@ def test_a_setup_with_digits_on_its_pads_is_collected_and_replayed(tmp_path: Pat
     assert all(result.is_equal for result in replay(tmp_path / "digit"))
 
 
-def test_a_gripper_without_a_mount_for_the_sensor_is_refused_with_what_to_do() -> None:
-    with pytest.raises(InvalidSetup, match=r"no mount for DIGIT on Robotiq 2F-85.*TactilePlacement"):
-        rcs.make("PickCuboid", robot="ur5e", tactile="digit")
+@pytest.mark.parametrize("robot", ["ur5e", "so101"])
+def test_the_expert_grasps_with_digits_on_any_gripper_and_both_feel_it(robot: str) -> None:
+    setup = rcs.Setup(task="PickCuboid", robot=robot, tactile="digit")
+    env = rcs.make(setup)
+    expert = expert_for(env, setup)
+    observation, info = env.reset(seed=3)
+    expert.reset(observation, info)
+    names = [f"{robot}_left", f"{robot}_right"]
+    open_frames = {name: observation["frames"][name]["rgb"] for name in names}
+    is_over = False
+    while not is_over:
+        observation, _, terminated, truncated, info = env.step(expert.act(observation, info))
+        is_over = terminated or truncated
+        if not info["is_touched"]:
+            for name in names:
+                np.testing.assert_array_equal(observation["frames"][name]["rgb"], open_frames[name])
+    assert info["success"]
+    for name in names:
+        change = np.abs(observation["frames"][name]["rgb"].astype(int) - open_frames[name])
+        assert change.max() > 15
+        assert (change.max(axis=2) > 0).mean() > 0.2
+    env.close()
+
+
+@pytest.mark.parametrize("end_effector", ["tilburg_hand", "none"])
+def test_what_has_no_pads_is_refused_with_what_has_them(end_effector: str) -> None:
+    with pytest.raises(InvalidSetup, match=r"has no pads for DIGIT.*franka_hand, robotiq_2f85, so101_gripper have"):
+        rcs.make("Free", robot="ur5e", end_effector=end_effector, tactile="digit")

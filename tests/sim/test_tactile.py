@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -129,7 +130,7 @@ class TestSimTactileCamera(CameraContract):
             self.world.advance()
 
 
-@pytest.mark.parametrize("radius", [0.004, 0.006, 0.01, 0.02])
+@pytest.mark.parametrize("radius", [0.002, 0.003, 0.004, 0.006, 0.01, 0.02])
 @pytest.mark.parametrize("depth", [0.0004, 0.0008, 0.0012, 0.0016])
 def test_the_patch_of_a_ball_has_the_radius_of_the_cap_that_is_inside_the_gel(radius: float, depth: float) -> None:
     world = ball_world(radius)
@@ -267,6 +268,35 @@ def test_a_copy_with_a_larger_ball_feels_it() -> None:
     small, large = (int((felt > 5e-5).sum()) for felt in indentation)
     assert large > 1.2 * small
     np.testing.assert_allclose(indentation.max(axis=(1, 2)), 0.001, rtol=0.03)
+
+
+def test_what_the_sensor_is_fixed_to_does_not_hide_what_touches() -> None:
+    frames: list[NDArray[np.uint8]] = []
+    for has_plate in (False, True):
+        scene = Scene.empty()
+        carrier = scene.spec.worldbody.add_body(name="carrier", pos=[0.0, 0.0, 0.5], gravcomp=1.0)
+        carrier.add_joint(name="carrier", type=mujoco.mjtJoint.mjJNT_SLIDE)
+        carrier.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.005, 0.0, 0.0], pos=[-0.05, 0.0, 0.0], mass=1.0)
+        if has_plate:  # inside of the housing, right before the camera, as the bar of a finger may be
+            carrier.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.002, 0.02, 0.02], pos=[0.01, 0.0, MIDDLE], group=3, mass=0.0
+            )
+        touch = replace(TOUCH, parent_body="carrier", sensor_in_parent=Mount())
+        scene.add_tactile(touch)
+        scene.spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.008, 0.0, 0.0], pos=[TIP + 0.007, 0.0, 0.5 + MIDDLE]
+        )
+        frames.append(SimTactile(World(scene.compile()), touch, indentation="geometry").read()["rgb"])
+    assert (frames[0] != frames[0][:1]).any()
+    np.testing.assert_array_equal(frames[0], frames[1])
+
+
+def test_a_ball_that_grows_is_felt_as_it_is(world: World, sensor: SimTactile) -> None:
+    small = press_ball(sensor, world, 0.008, 0.0005)["indentation"]
+    geom = world.model.geom("object").id
+    world.model.geom_size[geom, 0] = world.model.geom_rbound[geom] = world.model.geom_aabb[geom, 3:] = 0.0085
+    large = sensor.read()["indentation"]
+    assert large.max() == pytest.approx(float(small.max()) + 0.0005, abs=1e-5)
 
 
 def test_noise_is_of_the_sensors_size_and_the_same_for_the_same_seed(

@@ -12,14 +12,14 @@ from rcs.robots.franka_hand.description import FRANKA_HAND
 from rcs.sim import RobotPlacement, Scene, World
 from rcs.sim.robot import SimRobot
 from rcs.sim.tactile import SimTactile
-from rcs.sim.tactile_mounts import franka_hand_pads
+from rcs.sim.tactile_mounts import on_pads
 
 
 def scene_with_pads(robot: RobotPlacement) -> Scene:
     """The robot with a DIGIT in the place of each pad, and a box of 40 mm that floats between them."""
     scene = Scene.empty()
     scene.add_robot(robot)
-    for sensor in franka_hand_pads(robot, DIGIT):
+    for sensor in on_pads(robot, DIGIT):
         scene.add_tactile(sensor)
     body = scene.spec.worldbody.add_body(name="box", pos=[0.0, 0.0, 2.0], gravcomp=1.0)
     body.add_freejoint(name="box")
@@ -32,20 +32,21 @@ def model(placement: RobotPlacement) -> mujoco.MjModel:
     return scene_with_pads(placement).compile()
 
 
-def test_the_gels_have_the_pads_names_and_meet_at_the_tcp(placement: RobotPlacement, model: mujoco.MjModel) -> None:
+def test_the_gels_have_the_pads_names_and_meet_before_the_tcp(placement: RobotPlacement, model: mujoco.MjModel) -> None:
     world = World(model)
     data = world.data
     assert data is not None
-    # Home, with closed fingers: both gels' foremost points are the TCP.
+    # Home, with closed fingers: both gels' foremost points are in the middle of the pads, 0.25 mm before the TCP.
     world.qpos[[model.joint(placement.prefix + joint).qposadr[0] for joint in placement.arm.joints]] = (
         placement.arm.home
     )
     world.refresh()
     tcp = data.site(placement.tcp_site).xpos
-    for sensor in franka_hand_pads(placement, DIGIT):
+    outwards = data.site(placement.tcp_site).xmat.reshape(3, 3)[:, 2]
+    for sensor in on_pads(placement, DIGIT):
         body = data.body(sensor.body_name)
         tip = body.xpos + body.xmat.reshape(3, 3) @ np.array(DIGIT.gel_center)
-        np.testing.assert_allclose(tip, tcp, atol=1e-9)
+        np.testing.assert_allclose(tip, tcp + 0.00025 * outwards, atol=1e-9)
         assert model.geom(sensor.gel_name).bodyid[0] == model.body(sensor.body_name).id
     assert sensor.gel_name == placement.gripper_prefix + FRANKA_HAND.pad_geoms[1][0]
 
@@ -53,7 +54,7 @@ def test_the_gels_have_the_pads_names_and_meet_at_the_tcp(placement: RobotPlacem
 def test_a_closed_empty_hand_feels_nothing(placement: RobotPlacement, model: mujoco.MjModel) -> None:
     world = World(model)
     robot = SimRobot(world, placement)
-    touch = [SimTactile(world, sensor) for sensor in franka_hand_pads(placement, DIGIT)]
+    touch = [SimTactile(world, sensor) for sensor in on_pads(placement, DIGIT)]
     robot.go_home()
     robot.command_opening(np.zeros(1, np.float32))
     for _ in range(30):
@@ -66,7 +67,7 @@ def test_a_closed_empty_hand_feels_nothing(placement: RobotPlacement, model: muj
 def test_what_is_grasped_is_held_and_felt_alike_on_both_sides(placement: RobotPlacement, model: mujoco.MjModel) -> None:
     world = World(model)
     robot = SimRobot(world, placement)
-    left, right = (SimTactile(world, sensor) for sensor in franka_hand_pads(placement, DIGIT))
+    left, right = (SimTactile(world, sensor) for sensor in on_pads(placement, DIGIT))
     robot.go_home()
     world.refresh()
     data = world.data
@@ -96,7 +97,7 @@ def test_what_is_grasped_is_held_and_felt_alike_on_both_sides(placement: RobotPl
 def test_one_pad_alone_can_be_replaced(placement: RobotPlacement) -> None:
     scene = Scene.empty()
     scene.add_robot(placement)
-    scene.add_tactile(franka_hand_pads(placement, DIGIT)[0])
+    scene.add_tactile(on_pads(placement, DIGIT)[0])
     model = scene.compile()
     assert model.geom(placement.gripper_prefix + "right_pad").bodyid[0] == model.body("fr3/gripper/right_finger").id
 
@@ -104,19 +105,14 @@ def test_one_pad_alone_can_be_replaced(placement: RobotPlacement) -> None:
 def test_a_sensor_is_mounted_once(placement: RobotPlacement) -> None:
     scene = scene_with_pads(placement)
     with pytest.raises(InvalidSetup, match="Two sensors are named 'fr3_left'"):
-        scene.add_tactile(franka_hand_pads(placement, DIGIT)[0])
+        scene.add_tactile(on_pads(placement, DIGIT)[0])
 
 
 def test_a_body_or_a_pad_that_is_not_there_is_refused(placement: RobotPlacement) -> None:
     scene = Scene.empty()
     scene.add_robot(placement)
-    sensor = franka_hand_pads(placement, DIGIT)[0]
+    sensor = on_pads(placement, DIGIT)[0]
     with pytest.raises(InvalidSetup, match="'thumb', which is not there"):
         scene.add_tactile(replace(sensor, parent_body="thumb"))
     with pytest.raises(InvalidSetup, match=r"replace 'nail'.*left_pad"):
         scene.add_tactile(replace(sensor, replaced_pad="nail"))
-
-
-def test_the_mounts_of_a_franka_hand_are_for_a_franka_hand(placement: RobotPlacement) -> None:
-    with pytest.raises(InvalidSetup, match="gripper None"):
-        franka_hand_pads(replace(placement, gripper=None), DIGIT)

@@ -43,8 +43,8 @@ BARELY_CLOSED = 0.9
 """Nothing that is to be grasped here is this wide in proportion to the gripper."""
 STILL = 2e-3
 """The gripper counts as still when its opening changes by less than this per step."""
-EMPTY = 0.1
-"""An opening below this has nothing in it: the cuboid's short side is 0.4 of the gripper's width."""
+EMPTY = 0.05
+"""An opening below this has nothing in it: empty jaws close to 0, and those of an SO101 on its cuboid to 0.1."""
 PATIENCE = 4.0
 """Longest time of any phase before the expert goes on regardless [s]."""
 ATTEMPTS = 2

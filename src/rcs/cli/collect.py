@@ -17,13 +17,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from rcs.data.wilson import wilson_interval
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, collect
 from rcs.rollout.collect import Progress as CollectionProgress
 from rcs.rollout.report import write_report
-from rcs.rollout.wilson import wilson_interval
 from rcs.sim.randomisation import Randomisation
 
 INTERRUPTED = 130
@@ -52,8 +52,14 @@ class CollectCommand:
     """Cameras to record; `none` for none."""
     size: int = 224
     """Width and height of every frame in pixels."""
+    camera_mode: str | None = None
+    """Mode of the cameras in the place of the size, such as `848x480`; `rcs list --cameras` has them."""
+    fps: float | None = None
+    """Frames per second of the cameras; the most that each offers when not given."""
     depth: bool = False
     """Record depth too."""
+    tactile: str | None = None
+    """Tactile sensor in the place of the gripper's pads, such as `digit`, whose frames are recorded too."""
     control: Control = "joints"
     """What actions say of the arm."""
     absolute: bool = False
@@ -100,7 +106,10 @@ class CollectCommand:
             robot=self.robot,
             cameras=cameras,
             size=(self.size, self.size),
+            camera_mode=self.camera_mode,
+            fps=self.fps,
             depth=self.depth and bool(cameras),
+            tactile=self.tactile,
             control=self.control,
             relative="absolute" if self.absolute else "last_step",
             mode="realtime" if self.viewer else "async",

@@ -8,17 +8,25 @@ from rich.console import Console
 from rich.table import Table
 
 from rcs.devices import lookup
+from rcs.robots.description import CameraDescription
 from rcs.setups.ids import ids
 from rcs.setups.lab import lab_of
+from rcs.sim.noise import nearest_depth
 
 
 @dataclass(kw_only=True)
 class ListCommand:
     """List robots, end effectors, cameras, tasks and environment ids."""
 
+    cameras: bool = False
+    """List the resolution modes of cameras instead, with what each sees."""
+
     def run(self) -> int:
         """Print them."""
         console = Console(soft_wrap=True)
+        if self.cameras:
+            console.print(_modes_of_cameras())
+            return 0
         table = Table("kind", "name", "what", box=None, pad_edge=False)
         for name in lookup.names("arm"):
             arm = lookup.find("arm", name)
@@ -32,7 +40,8 @@ class ListCommand:
                 "end effector", name, f"{hand.label}, {len(hand.joints)} joints; grasps: {', '.join(hand.grasps)}"
             )
         for name in lookup.names("tactile"):
-            table.add_row("tactile sensor", name, lookup.find("tactile", name).label)
+            mounts = ", ".join(lookup.names("gripper"))
+            table.add_row("tactile sensor", name, f"{lookup.find('tactile', name).label}, on the pads of {mounts}")
         for name in lookup.names("camera"):
             camera = lookup.find("camera", name)
             table.add_row("camera", name, f"{camera.label}, {'colour and depth' if camera.has_depth else 'colour'}")
@@ -47,3 +56,17 @@ class ListCommand:
             table.add_row("id", name, "gymnasium.make")
         console.print(table)
         return 0
+
+
+def _modes_of_cameras() -> Table:
+    table = Table("camera", "mode", "frames/s (~ rolling)", "focal [px]", "depth [m]", box=None, pad_edge=False)
+    for name in lookup.names("camera"):
+        camera: CameraDescription = lookup.find("camera", name)
+        for mode in camera.modes:
+            rates = ", ".join(f"{'~' if rate * camera.longest_exposure > 1 else ''}{rate}" for rate in mode.rates)
+            focal = camera.intrinsics(mode.width, mode.height)[1, 1]
+            depth = "-"
+            if camera.has_depth:
+                depth = f"{nearest_depth(camera, (mode.width, mode.height)):g} .. {camera.depth_range[1]:g}"
+            table.add_row(name, mode.name, rates, f"{focal:.1f}", depth)
+    return table

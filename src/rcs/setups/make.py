@@ -18,11 +18,9 @@ from rcs.robots.tactile import TactileDescription
 from rcs.setups.calibration import calibrated
 from rcs.setups.lab import Lab, Stand, lab_of
 from rcs.sim.scene import CameraPlacement, RobotPlacement
-from rcs.sim.tactile_mounts import franka_hand_pads
+from rcs.sim.tactile_mounts import on_pads
 from rcs.sim.tactile_placement import TactilePlacement
 
-TACTILE_MOUNTS = {"franka_hand": franka_hand_pads}
-"""How tactile sensors take the place of a gripper's pads, by the gripper's name."""
 NO_END_EFFECTOR = "none"
 """Asks for a bare flange."""
 
@@ -113,13 +111,14 @@ def _feel(name: str | None, robot: RobotPlacement) -> tuple[TactilePlacement, ..
     if name is None:
         return ()
     sensor: TactileDescription = lookup.find("tactile", name)
-    if robot.gripper is None or robot.gripper.name not in TACTILE_MOUNTS:
-        carried = robot.end_effector.label if robot.end_effector is not None else "a bare flange"
+    if robot.gripper is None:
+        carried = robot.end_effector.label if robot.end_effector is not None else "A bare flange"
         raise InvalidSetup(
-            f"There is no mount for {sensor.label} on {carried}, only on {', '.join(TACTILE_MOUNTS)}; "
-            "place one yourself with rcs.sim.tactile_placement.TactilePlacement."
+            f"{carried} has no pads for {sensor.label} to take the place of; "
+            f"{', '.join(lookup.names('gripper'))} have. "
+            "On fingertips of a hand it goes in a scene of your own: rcs.sim.tactile_mounts.on_fingertips."
         )
-    return TACTILE_MOUNTS[robot.gripper.name](robot, sensor)
+    return on_pads(robot, sensor)
 
 
 def _place(stand: Stand, end_effector: str | None) -> RobotPlacement:
@@ -163,6 +162,8 @@ def _mount(name: str, setup: Setup, lab: Lab, robots: tuple[RobotPlacement, ...]
             )
         parent = robot.gripper_prefix + robot.end_effector.base_body
     description: CameraDescription = lookup.find("camera", mount.camera)
+    if setup.camera_mode is not None:
+        description.mode(setup.camera_mode)
     return CameraPlacement(
         name=name, camera=description, parent_body=parent, optical_in_parent=mount.optical, fovy=mount.fovy
     )

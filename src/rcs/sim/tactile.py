@@ -19,7 +19,7 @@ from rcs._core import Camera, CameraMode, Frame
 from rcs.errors import InvalidSetup
 from rcs.sim.gel import Gel
 from rcs.sim.gel_light import GelLight, GelRenderer, Picture
-from rcs.sim.tactile_placement import TactilePlacement
+from rcs.sim.tactile_placement import UNFELT_GROUP, TactilePlacement
 from rcs.sim.world import World
 
 Indentation = Literal["force", "geometry"]
@@ -32,7 +32,7 @@ Look = Literal["rcs", "tacto"]
 FELT_GROUPS = (0, 3)
 """Groups of geoms that are felt: 0 is what both touches and is seen, 3 what only touches."""
 FELT_FIELDS = ("body_pos", "body_quat", "geom_pos", "geom_quat", "geom_size", "geom_rbound", "geom_aabb", "bvh_aabb")
-"""Fields of the model that say where geoms are and how large: copies of a world may have values of their own."""
+"""Fields of the model that say where geoms are and how large: they may vary, from copy to copy as well."""
 COARSER = 2
 """Every second ray finds the deepest point; all rays are cast only where something touches."""
 
@@ -86,7 +86,7 @@ class SimTactile:
         is_gel = np.zeros(model.ngeom, np.uint8)
         is_gel[gel_geom] = 1
         self._force = world.core.read_force(is_gel, 1 - is_gel)
-        # What the sensor is fixed to may stand in its rays, and is not felt; to the world, everything that stands is.
+        # What the sensor is fixed to is not felt; to the world, everything that stands is.
         fixed_to = model.body_weldid[self._body]
         bodies = model.geom_bodyid
         self._is_own = bodies == self._body if fixed_to == 0 else model.body_weldid[bodies] == fixed_to
@@ -95,7 +95,8 @@ class SimTactile:
         self._groups = groups
         self._felt = np.flatnonzero((groups[model.geom_group] == 1) & ~self._is_own)
         self._rays = np.stack(self.gel.ray_slopes, axis=-1)
-        self._one_copy: tuple[mujoco.MjModel, mujoco.MjData] | None = None
+        self._shapes: mujoco.MjModel | None = None
+        self._poses: mujoco.MjData | None = None
 
     @property
     def force(self) -> NDArray[np.float64]:
@@ -114,34 +115,47 @@ class SimTactile:
         rgb = np.empty((*leading, height, width, 3), np.uint8)
         indentation = np.empty((*leading, height, width), np.float32)
         for copy in np.ndindex(leading):
-            model, data = self._present(copy)
-            force = float(self._world.forces[(*copy, self._force)]) if self._by_force else 0.0
-            indentation[copy] = self._feel(model, data, force)
+            indentation[copy] = self._feel(copy)
             rgb[copy] = self._with_noise(self._renderer.draw(indentation[copy]))
         return {"rgb": rgb, "indentation": indentation}
 
     def _present(self, copy: tuple[int, ...]) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """Return the model and the poses of one copy."""
-        if self._world.data is not None:
-            return self._world.model, self._world.data
-        if self._one_copy is None:
-            own = copying.copy(self._world.model)
-            self._one_copy = own, mujoco.MjData(own)
-        model, data = self._one_copy
+        """Return the shapes, without those that the sensor is fixed to, and the poses of one copy."""
+        world = self._world
+        if self._shapes is None:
+            self._shapes = self._without_own(world.model)
+        model = self._shapes
         for field in FELT_FIELDS:
-            values = self._world.core.expanded(field)
-            if values is not None:
-                common = getattr(model, field)
-                common[:] = values[copy].reshape(common.shape)
-        mujoco.mj_setState(model, data, self._world.core.states[copy], mujoco.mjtState.mjSTATE_INTEGRATION.value)
+            values = world.core.expanded(field) if world.leading else None
+            shared = getattr(world.model, field)
+            getattr(model, field)[:] = shared if values is None else values[copy].reshape(shared.shape)
+        if world.data is not None:
+            return model, world.data
+        if self._poses is None:
+            self._poses = mujoco.MjData(model)
+        data = self._poses
+        mujoco.mj_setState(model, data, world.core.states[copy], mujoco.mjtState.mjSTATE_INTEGRATION.value)
         mujoco.mj_kinematics(model, data)
         return model, data
 
-    def _feel(self, model: mujoco.MjModel, data: mujoco.MjData, force: float) -> NDArray[np.float32]:
+    def _without_own(self, model: mujoco.MjModel) -> mujoco.MjModel:
+        """Return a copy of a model whose rays pass through what the sensor is fixed to.
+
+        A finger may reach into the housing, in between the camera and the gel.
+        """
+        seen: mujoco.MjModel = copying.copy(model)
+        seen.geom_group[self._is_own] = UNFELT_GROUP
+        return seen
+
+    def _feel(self, copy: tuple[int, ...]) -> NDArray[np.float32]:
         """Return the gel's displacement in one copy [m], (H, W)."""
         sensor = self.placement.sensor
         least, most = sensor.force_range
-        if (self._by_force and force <= least) or not self._is_something_near(model, data):
+        force = float(self._world.forces[(*copy, self._force)]) if self._by_force else 0.0
+        if self._by_force and force <= least:
+            return np.zeros(self.gel.rest.shape, np.float32)
+        model, data = self._present(copy)
+        if not self._is_something_near(model, data):
             return np.zeros(self.gel.rest.shape, np.float32)
         coarse = slice(None, None, COARSER)
         penetration = self.gel.penetration(self._cast(model, data, coarse, coarse, 0.0), COARSER)
@@ -195,7 +209,7 @@ class SimTactile:
         # MuJoCo leaves geoms out by their distance from the eye, which is more than the depth towards the corners.
         reach = 2.0 * farthest
         mujoco.mj_multiRay(model, data, eye, directions, self._groups, 1, self._body, geoms, depth, None, count, reach)
-        depth[(depth < 0.0) | (depth > farthest) | ((geoms >= 0) & self._is_own[geoms])] = np.inf
+        depth[(depth < 0.0) | (depth > farthest)] = np.inf
         return depth.reshape(rays.shape[:2])
 
     def _with_noise(self, frame: Picture) -> Picture:

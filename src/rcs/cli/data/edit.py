@@ -1,0 +1,210 @@
+"""`rcs data delete`, `keep`, `trim`, `relabel`, `rename-camera`, `resample`, `resize`, `undo`, `history`, `prune`."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from rcs.data import Dataset, edit
+from rcs.data.edit.transaction import OnProgress
+from rcs.errors import InvalidSetup
+
+Which = Literal["listed", "failed", "successful", "unknown"]
+_VERDICTS: dict[str, bool | None] = {"failed": False, "successful": True, "unknown": None}
+
+
+@dataclass(kw_only=True)
+class _Selection:
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    episodes: tuple[str, ...] = ()
+    """Ids of episodes."""
+    which: Which = "listed"
+    """Instead of ids: all that failed, that succeeded, or that nobody judged."""
+
+    def ids(self) -> list[str]:
+        """Return the ids that are meant.
+
+        Raises:
+            InvalidSetup: Nothing is chosen, or in two ways.
+        """
+        if (self.which == "listed") != bool(self.episodes):
+            raise InvalidSetup("Choose episodes by --episodes ID ID …, or by --which failed, successful or unknown.")
+        if self.episodes:
+            return list(self.episodes)
+        return [e.id for e in Dataset.open(self.path).episodes if e.success is _VERDICTS[self.which]]
+
+
+@dataclass(kw_only=True)
+class DeleteCommand(_Selection):
+    """Take episodes out of a dataset; `undo` brings them back."""
+
+    def run(self) -> int:
+        """Delete and say what is left."""
+        edit.delete(self.path, self.ids())
+        return _tell(self.path)
+
+
+@dataclass(kw_only=True)
+class KeepCommand(_Selection):
+    """Take all episodes but some out of a dataset; `undo` brings them back."""
+
+    def run(self) -> int:
+        """Keep and say what is left."""
+        edit.keep(self.path, self.ids())
+        return _tell(self.path)
+
+
+@dataclass(kw_only=True)
+class TrimCommand:
+    """Cut rows off the start and the end of an episode."""
+
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    episode: str
+    """Id of the episode."""
+    first: int = 0
+    """The row that becomes the first."""
+    last: int = -1
+    """The row that becomes the last; -1 is the last there is."""
+
+    def run(self) -> int:
+        """Trim and say what there is."""
+        edit.trim(self.path, self.episode, first=self.first, last=self.last)
+        return _tell(self.path)
+
+
+@dataclass(kw_only=True)
+class RelabelCommand:
+    """Change what the robot was asked to do, in some episodes or in all."""
+
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    instruction: str
+    """The new words."""
+    episodes: tuple[str, ...] = ()
+    """Ids of episodes; none for all."""
+
+    def run(self) -> int:
+        """Relabel and say what there is."""
+        edit.relabel(self.path, self.instruction, episodes=self.episodes or None)
+        return _tell(self.path)
+
+
+@dataclass(kw_only=True)
+class RenameCameraCommand:
+    """Give a camera another name."""
+
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    name: str
+    """The camera."""
+    to: str
+    """Its name from now on."""
+
+    def run(self) -> int:
+        """Rename and say what there is."""
+        with progress("Renaming") as on_progress:
+            edit.rename_camera(self.path, self.name, self.to, on_progress=on_progress)
+        return _tell(self.path)
+
+
+@dataclass(kw_only=True)
+class ResampleCommand:
+    """Lower the rate of all episodes, as from 30 to 5 Hz."""
+
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    fps: float
+    """The new rate [Hz]."""
+
+    def run(self) -> int:
+        """Resample and say what there is."""
+        with progress("Resampling") as on_progress:
+            edit.resample(self.path, self.fps, on_progress=on_progress)
+        return _tell(self.path)
+
+
+@dataclass(kw_only=True)
+class ResizeCommand:
+    """Scale the frames of all cameras, and their intrinsics with them."""
+
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    size: tuple[int, int]
+    """Width and height [px]."""
+
+    def run(self) -> int:
+        """Resize and say what there is."""
+        with progress("Resizing") as on_progress:
+            edit.resize(self.path, self.size, on_progress=on_progress)
+        return _tell(self.path)
+
+
+@dataclass(kw_only=True)
+class UndoCommand:
+    """Take back the last edit that was not taken back yet."""
+
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+
+    def run(self) -> int:
+        """Undo and say what."""
+        line = edit.undo(self.path)
+        Console(soft_wrap=True).print(f"Took back {line.command} of {line.at}.", highlight=False, markup=False)
+        return _tell(self.path)
+
+
+@dataclass(kw_only=True)
+class HistoryCommand:
+    """Show what was done to a dataset."""
+
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+
+    def run(self) -> int:
+        """Print a line per edit."""
+        table = Table("when", "what", "with", "episodes after", box=None, pad_edge=False)
+        for line in Dataset.open(self.path).head.history:
+            given = ", ".join(f"{key}={value}" for key, value in line.arguments.items() if value is not None)
+            table.add_row(line.at, line.command, given, str(len(line.episodes)))
+        Console(soft_wrap=True).print(table, markup=False)
+        return 0
+
+
+@dataclass(kw_only=True)
+class PruneCommand:
+    """Free the space of what edits replaced; what is in the history can then not be undone."""
+
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+
+    def run(self) -> int:
+        """Prune and say how much became free."""
+        freed = edit.prune(self.path)
+        Console(soft_wrap=True).print(f"{freed / 1e6:.1f} MB are free.", highlight=False)
+        return 0
+
+
+@contextmanager
+def progress(doing: str) -> Generator[OnProgress]:
+    """Show a bar while the block runs; give what moves it."""
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task(doing, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _tell(path: Path) -> int:
+    dataset = Dataset.open(path)
+    rows = sum(episode.length for episode in dataset.episodes)
+    text = f"{len(dataset)} episodes, {rows} rows at {dataset.info.fps:g} Hz. `rcs data undo {path}` takes it back."
+    Console(soft_wrap=True).print(text, highlight=False, markup=False)
+    return 0
