@@ -18,12 +18,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from rcs.data.wilson import wilson_interval
+from rcs.envs.observers.recorder import Colour
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, collect
 from rcs.rollout.collect import Progress as CollectionProgress
 from rcs.rollout.report import write_report
+from rcs.sim.detail import Assets
 from rcs.sim.randomisation import Randomisation
 
 INTERRUPTED = 130
@@ -70,8 +72,14 @@ class CollectCommand:
     """Processes; 0 for one per CPU core."""
     only_success: bool = False
     """Keep successful episodes only, and try until there are enough."""
+    colour: Colour = "jpeg"
+    """How colour frames are stored; `lossless` takes some four times the space."""
     quality: int = 95
     """JPEG quality of colour frames."""
+    camera_noise: bool = False
+    """Give frames the noise of real cameras."""
+    assets: Assets = "builtin"
+    """Looks of the robots: `menagerie` for detailed meshes, which are slow to draw without a GPU."""
     report: bool = True
     """Write report.html."""
     viewer: bool = False
@@ -109,6 +117,8 @@ class CollectCommand:
             camera_mode=self.camera_mode,
             fps=self.fps,
             depth=self.depth and bool(cameras),
+            camera_noise=self.camera_noise,
+            assets=self.assets,
             tactile=self.tactile,
             control=self.control,
             relative="absolute" if self.absolute else "last_step",
@@ -123,6 +133,7 @@ class CollectCommand:
             seed=self.seed,
             only_success=self.only_success,
             workers=workers,
+            colour=self.colour,
             jpeg_quality=self.quality,
         )
 

@@ -17,7 +17,7 @@ import numpy as np
 from rcs.agents import Agent, LiftExpert, PickExpert, ToyExpert
 from rcs.data import Dataset, DatasetWriter
 from rcs.envs.env import Env
-from rcs.envs.observers.recorder import Recorder, dataset_info, require_recordable
+from rcs.envs.observers.recorder import Colour, Recorder, dataset_info, require_recordable
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
@@ -44,7 +44,10 @@ class Collection:
     """Keep successful episodes only, and try until there are enough."""
     workers: int = 1
     """Processes; one works in this process."""
+    colour: Colour = "jpeg"
+    """How colour frames are stored."""
     jpeg_quality: int = 95
+    """Of colour frames as JPEG, 1 to 100."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -159,7 +162,7 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
     env = env or make(collection.setup)
     try:
         expert_for(env, collection.setup)
-        info = dataset_info(env, collection.setup, jpeg_quality=collection.jpeg_quality)
+        info = dataset_info(env, collection.setup, colour=collection.colour, jpeg_quality=collection.jpeg_quality)
         # How an episode is numbered and seeded is part of what makes two collections the same.
         made = {"seed": collection.seed, "only_success": collection.only_success}
         info = replace(info, setup={**info.setup, "collection": made})

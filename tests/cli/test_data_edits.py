@@ -1,0 +1,107 @@
+"""The commands that edit, split, merge and mix datasets do what the functions of the same name do."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rcs.cli.main import main
+from rcs.data import Dataset, check
+
+pytestmark = pytest.mark.gl
+
+
+@pytest.fixture(scope="module")
+def collected(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("collected") / "set"
+    words = ["PickCuboid", "--episodes", "3", "--cameras", "side", "--size", "48", "--seed", "4", "--workers", "1"]
+    assert call("collect", *words, "--colour", "lossless", "--camera-noise", "--out", str(path)) == 0
+    return path
+
+
+@pytest.fixture
+def dataset(tmp_path: Path, collected: Path) -> Path:
+    return shutil.copytree(collected, tmp_path / "set")
+
+
+def call(*words: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(list(words))
+    return int(ended.value.code or 0)
+
+
+def ids(path: Path) -> list[str]:
+    return [episode.id for episode in Dataset.open(path).episodes]
+
+
+def test_edits_follow_each_other_and_are_taken_back(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, digest = str(dataset), Dataset.open(dataset).digest()
+    assert Dataset.open(dataset).info.feature("observation/frames/side/rgb").encoding == "lossless"
+    steps = [
+        ["delete", path, "--episodes", "000001"],
+        ["relabel", path, "--instruction", "heb ihn auf"],
+        ["rename-camera", path, "--name", "side", "--to", "front"],
+        ["trim", path, "--episode", "000000", "--first", "2", "--last", "50"],
+        ["resize", path, "--size", "24", "24"],
+        ["resample", path, "--fps", "10"],
+        ["keep", path, "--which", "successful"],
+    ]
+    for words in steps:
+        assert call("data", *words) == 0, words
+    opened = Dataset.open(dataset)
+    assert ids(dataset) == ["000000", "000002"]
+    assert (opened.info.fps, opened.info.instruction) == (10, "heb ihn auf")
+    assert opened.episodes[0].column("observation/frames/front/rgb").shape == (17, 24, 24, 3)
+    assert check(dataset).is_ok
+    capsys.readouterr()
+    assert call("data", "history", path) == 0
+    told = capsys.readouterr().out
+    assert all(words[0] in told for words in steps)
+    for _ in steps:
+        assert call("data", "undo", path) == 0
+    assert Dataset.open(dataset).digest() == digest
+    assert call("data", "undo", path) == 1
+    assert "nothing to undo" in capsys.readouterr().err
+    assert call("data", "prune", path) == 0
+    assert check(dataset).is_ok
+
+
+def test_split_merge_and_mix(dataset: Path, tmp_path: Path) -> None:
+    parts, merged, mixed = tmp_path / "parts", tmp_path / "merged", tmp_path / "mixed"
+    assert call("data", "split", str(dataset), "--out", str(parts), "--parts", "train=0.67", "val=0.33") == 0
+    assert (len(ids(parts / "train")), len(ids(parts / "val"))) == (2, 1)
+    assert call("data", "merge", str(parts / "train"), str(parts / "val"), "--out", str(merged)) == 0
+    assert Dataset.open(merged).digest() == Dataset.open(dataset).digest()
+    words = ["data", "mix", f"{parts / 'train'}:1", f"{dataset}:2", "--out", str(mixed), "--seed", "3", "--fps", "6"]
+    assert call(*words, "--rename", "train/side=front", "set/side=front") == 0
+    opened = Dataset.open(mixed)
+    assert len(opened) == 3
+    assert {episode.source["dataset"] for episode in opened.episodes if episode.source} == {"train", "set"}
+    assert check(mixed).is_ok
+    assert np.isfinite(opened.episodes[0].column("observation/joints")).all()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["delete"],
+        ["delete", "--episodes", "x", "--which", "failed"],
+        ["delete", "--episodes", "nothing"],
+        ["trim", "--episode", "000000", "--first", "10000"],
+        ["resample", "--fps", "60"],
+        ["split", "--out", "OUT", "--parts", "train=many"],
+        ["mix", "--out", "OUT", "--rename", "side=front"],
+    ],
+)
+def test_what_makes_no_sense_is_told_and_nothing_changes(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    before = Dataset.open(dataset).head
+    filled = [str(tmp_path / "out") if word == "OUT" else word for word in words]
+    assert call("data", filled[0], str(dataset), *filled[1:]) == 1
+    assert "InvalidSetup" in capsys.readouterr().err
+    assert Dataset.open(dataset).head == before
+    assert not (tmp_path / "out").exists()
