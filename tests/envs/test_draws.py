@@ -30,10 +30,10 @@ def test_draws_lie_inside_their_bounds(seed: int, low: float, width: float) -> N
 
 def test_draws_are_those_of_splitmix64_and_never_change() -> None:
     # Steele, Lea, Flood 2014: the first outputs of a generator that starts at 0.
-    from rcs.envs.draws import _GAMMA, mix
+    from rcs.sim.splitmix import GAMMA, mix
 
     with np.errstate(over="ignore"):
-        states = np.arange(1, 4, dtype=np.uint64) * _GAMMA
+        states = np.arange(1, 4, dtype=np.uint64) * GAMMA
     expected = np.array([0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F], np.uint64)
     np.testing.assert_array_equal(mix(states), expected)
 

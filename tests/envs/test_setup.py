@@ -19,6 +19,7 @@ SETUPS = st.builds(
     end_effector=st.none() | st.just("franka_hand"),
     cameras=st.lists(st.sampled_from(["wrist", "side"]), unique=True).map(tuple),
     size=st.tuples(st.integers(1, 4096), st.integers(1, 4096)),
+    fps=st.none() | st.floats(1.0, 90.0) | st.integers(1, 90),
     depth=st.booleans(),
     quality=st.sampled_from(["fast", "full"]),
     control=st.sampled_from(["joints", "tquat", "xyzrpy"]),
@@ -66,9 +67,37 @@ def test_a_size_may_be_one_number() -> None:
     assert Setup(size=96).size == (96, 96)  # pyright: ignore[reportArgumentType]
 
 
+def test_a_camera_mode_sets_the_size() -> None:
+    setup = Setup(camera_mode="848x480")
+    assert setup.size == (848, 480)
+    assert Setup.from_json(json.loads(json.dumps(setup.to_json()))) == setup
+    assert Setup(camera_mode="848x480", size=(848, 480)) == setup
+    with pytest.raises(InvalidSetup, match="give one of the two"):
+        Setup(camera_mode="848x480", size=(84, 84))
+
+
+@pytest.mark.parametrize("given", [{"wrist": 30, "side": 15.5}, [["side", 15.5], ["wrist", 30]]])
+def test_cameras_may_have_frame_rates_of_their_own(given: Any) -> None:
+    setup = Setup(cameras=("wrist", "side", "top"), fps=given)
+    assert setup.fps == (("side", 15.5), ("wrist", 30))
+    assert [setup.fps_of(name) for name in setup.cameras] == [30, 15.5, None]
+    assert Setup.from_json(json.loads(json.dumps(setup.to_json()))) == setup
+    assert pickle.loads(pickle.dumps(setup)) == setup
+    assert hash(pickle.loads(pickle.dumps(setup))) == hash(setup)
+    assert Setup(fps=30).fps_of("wrist") == 30
+    assert Setup().fps_of("wrist") is None
+
+
+def test_a_frame_rate_for_a_camera_that_is_not_there_is_refused() -> None:
+    with pytest.raises(InvalidSetup, match=r"fps names the cameras \['wirst'\]; this setup has \['wrist'\]"):
+        Setup(cameras=("wrist",), fps={"wirst": 30})  # pyright: ignore[reportArgumentType]
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [
+        *(("camera_mode", value) for value in ("large", "848", 848, (848, 480), "0x480", "9999x10")),
+        *(("fps", value) for value in (0, -30, float("nan"), float("inf"), True, "30", [30], {"wrist": 0})),
         *(("task", value) for value in (None, 3)),
         *(("robot", value) for value in (None, ["fr3"])),
         *(("end_effector", value) for value in (3, ("franka_hand",))),

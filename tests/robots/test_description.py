@@ -159,5 +159,5 @@ def test_a_camera_needs_a_field_of_view_and_a_depth_range_that_make_sense() -> N
         replace(REALSENSE_D405, fovy=58.0)
     with pytest.raises(InvalidSetup, match="ascend"):
         replace(REALSENSE_D405, depth_range=(0.5, 0.07))
-    with pytest.raises(InvalidSetup, match="resolutions"):
-        replace(REALSENSE_D405, resolutions=())
+    with pytest.raises(InvalidSetup, match="modes"):
+        replace(REALSENSE_D405, modes=())

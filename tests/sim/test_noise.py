@@ -8,6 +8,7 @@ import pytest
 import rcs
 from rcs.robots.realsense_d405.description import REALSENSE_D405
 from rcs.robots.realsense_d435.description import REALSENSE_D435
+from rcs.robots.usb_webcam.description import USB_WEBCAM
 from rcs.sim.noise import COLOUR_DEVIATION, SUBPIXEL, CameraNoise, nearest_depth
 from rcs.testing.env_contract import require_same_bits
 
@@ -39,12 +40,21 @@ def test_depth_noise_grows_with_the_square_of_the_distance() -> None:
 
 
 def test_nothing_nearer_than_the_nearest_depth_is_seen_and_nothing_stays_nothing() -> None:
-    nearest = nearest_depth(REALSENSE_D405, 640)
+    nearest = nearest_depth(REALSENSE_D405, (640, 360))
     assert nearest == pytest.approx(0.055)
     noise = CameraNoise(REALSENSE_D405, (640, 360), 0)
     shape = {"rgb": np.zeros((360, 640, 3), np.uint8), "intrinsics": np.diag([430.0, 430.0, 1.0])}
     assert not noise.add({**shape, "depth": np.full((360, 640), 40, np.uint16)}, np.zeros(2))["depth"].any()
     assert not noise.add({**shape, "depth": np.zeros((360, 640), np.uint16)}, np.zeros(2))["depth"].any()
+
+
+def test_the_nearest_depth_is_that_of_the_smallest_format_around_a_frame() -> None:
+    for width, height, depth in REALSENSE_D435.min_depth:
+        assert nearest_depth(REALSENSE_D435, (width, height)) == depth
+    assert nearest_depth(REALSENSE_D435, (224, 224)) == 0.105
+    assert nearest_depth(REALSENSE_D435, (640, 400)) == 0.175
+    assert nearest_depth(REALSENSE_D435, (1920, 1080)) == 0.28
+    assert nearest_depth(USB_WEBCAM, (640, 480)) == 0.0
 
 
 def test_the_argument_stays_as_it_is_and_another_state_has_other_noise() -> None:

@@ -23,6 +23,7 @@ from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv
 from rcs.kinematics import kinematics_of
 from rcs.sim.camera import SimCameras
+from rcs.sim.frame_clock import FrameClock, FrameRate
 from rcs.sim.picture import Picture
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import CameraPlacement, RobotPlacement, Scene
@@ -105,8 +106,9 @@ def _populate(parts: Parts, world: World, *, is_blind: bool = False) -> tuple[Sc
     if setup.mode == "sync":
         for robot in robots:
             robot.wait_for_arrival()
-    scenario = Scenario(world, robots, parts.task, _randomiser(parts, world))
-    shared = [] if is_blind else _sensors_of(parts, world, robots)
+    clock = _frame_clock(parts, world)
+    scenario = Scenario(world, robots, parts.task, _randomiser(parts, world), clock)
+    shared = [] if is_blind else _sensors_of(parts, world, robots, clock)
     if len(robots) == 1:
         stack = Stack([*_ports_of(robots[0]), *shared], layers_of(setup, robots[0].placement), world.leading)
         return scenario, stack
@@ -117,7 +119,16 @@ def _populate(parts: Parts, world: World, *, is_blind: bool = False) -> tuple[Sc
     return scenario, StackGroup(stacks, Stack(shared, [], world.leading))
 
 
-def _sensors_of(parts: Parts, world: World, robots: list[SimRobot]) -> list[Port]:
+def _frame_clock(parts: Parts, world: World) -> FrameClock:
+    """Return the clock that says when each camera has a new frame."""
+    setup = parts.setup
+    rates = {
+        camera.name: FrameRate.of(camera.camera, setup.size, setup.fps_of(camera.name)) for camera in parts.cameras
+    }
+    return FrameClock(world, rates)
+
+
+def _sensors_of(parts: Parts, world: World, robots: list[SimRobot], clock: FrameClock) -> list[Port]:
     """Return the port of everything that gives frames, or none."""
     setup = parts.setup
     port: SimCameraPort | None = None
@@ -131,7 +142,7 @@ def _sensors_of(parts: Parts, world: World, robots: list[SimRobot]) -> list[Port
             has_noise=setup.camera_noise,
             frame_body=robots[0].layout.base_body if len(robots) == 1 else 0,
         )
-        port = SimCameraPort(cameras)
+        port = SimCameraPort(cameras, clock)
     if parts.tactile:
         return [SimTactilePort([SimTactile(world, sensor) for sensor in parts.tactile], port)]
     return [] if port is None else [port]

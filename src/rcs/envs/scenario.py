@@ -11,6 +11,7 @@ from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
 from rcs.envs.randomiser import Randomiser
 from rcs.envs.task import Outcome, Task
+from rcs.sim.frame_clock import FrameClock
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import Copies, World
 
@@ -18,7 +19,14 @@ from rcs.sim.world import Copies, World
 class Scenario:
     """World, robots and task, for one copy and for many."""
 
-    def __init__(self, world: World, robots: list[SimRobot], task: Task, randomiser: Randomiser | None = None) -> None:
+    def __init__(
+        self,
+        world: World,
+        robots: list[SimRobot],
+        task: Task,
+        randomiser: Randomiser | None = None,
+        frame_clock: FrameClock | None = None,
+    ) -> None:
         """Put all robots at home and take that as the state that every episode begins with.
 
         Args:
@@ -26,9 +34,11 @@ class Scenario:
             robots: Its robots.
             task: What to do in it.
             randomiser: Varies the world from episode to episode; None for one that is always the same.
+            frame_clock: That of the cameras, which the episode's random numbers reach here; None without cameras.
         """
         self.world = world
         self._randomiser = randomiser
+        self._frame_clock = frame_clock
         self.robots = robots
         self.task = task
         task.bind(world, robots)
@@ -47,6 +57,8 @@ class Scenario:
         where: Where = ... if copies is None else copies
         if self._randomiser is not None:
             self._randomiser.begin(draws, copies)
+        if self._frame_clock is not None:
+            self._frame_clock.begin(draws.branch("frames").bits(), copies)
         self.world.reset(copies)
         self.task.reset(draws, where)
         self.world.refresh(copies)

@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
+from rcs.robots.camera_mode import parse_mode
 from rcs.sim.camera import MAX_SIZE, Quality
 from rcs.sim.detail import Assets
 from rcs.sim.randomisation import Randomisation
@@ -33,7 +34,12 @@ class Setup:
     calibration: str | None = None
     """Calibration file with the poses and fields of view of cameras; None for those of the lab."""
     size: tuple[int, int] = (224, 224)
-    """Width and height of every frame [px]."""
+    """Width and height of every frame [px]; a size that is none of a camera's modes is cut and scaled."""
+    camera_mode: str | None = None
+    """Name of a mode that all cameras have, such as `848x480`, in the place of `size`; see `rcs list --cameras`."""
+    fps: float | tuple[tuple[str, float], ...] | None = None
+    """Frames per second of all cameras, or of some by name; None for the most that a camera offers at this size. One
+    that is slower than `frequency` gives its last frame again until the next is due."""
     depth: bool = False
     """Whether frames carry depth; costs about a third of a frame's time."""
     tactile: str | None = None
@@ -83,7 +89,8 @@ class Setup:
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; valid: True, False.")
         object.__setattr__(self, "randomisation", _ranges(self.randomisation))
         object.__setattr__(self, "cameras", _names("cameras", self.cameras))
-        object.__setattr__(self, "size", _size(self.size))
+        object.__setattr__(self, "size", _size_of_mode(self.camera_mode, _size(self.size), self.cameras))
+        object.__setattr__(self, "fps", _frame_rates(self.fps, self.cameras))
         relative: Any = self.relative
         if isinstance(relative, bool):
             object.__setattr__(self, "relative", "last_step" if relative else "absolute")
@@ -101,11 +108,17 @@ class Setup:
         if steps is not None and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
             raise InvalidSetup(f"max_episode_steps is {steps!r}; valid is a whole number from 1, or None.")
 
+    def fps_of(self, camera: str) -> float | None:
+        """Return the frame rate that is asked for of a camera [frames/s]; None for the most that it offers."""
+        return dict(self.fps).get(camera) if isinstance(self.fps, tuple) else self.fps
+
     def to_json(self) -> dict[str, Any]:
         """Return the setup as JSON values."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         if self.randomisation is not None:
             values["randomisation"] = self.randomisation.to_json()
+        if isinstance(self.fps, tuple):
+            values["fps"] = dict(self.fps)
         return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
 
     @staticmethod
@@ -150,6 +163,36 @@ def _size(value: Any) -> tuple[int, int]:
     if not isinstance(size, Sequence) or len(size) != 2 or not all(_is_edge(edge) for edge in size):
         raise InvalidSetup(f"size is {value!r}; valid is one number or (width, height) of 1 to {MAX_SIZE} px.")
     return size[0], size[1]
+
+
+def _size_of_mode(mode: Any, size: tuple[int, int], cameras: tuple[str, ...]) -> tuple[int, int]:
+    if mode is None:
+        return size
+    if not isinstance(mode, str):
+        raise InvalidSetup(f"camera_mode is {mode!r}; it must be the name of a mode, such as '848x480', or None.")
+    wanted = parse_mode(mode)
+    if wanted is None or not all(_is_edge(edge) for edge in wanted):
+        if cameras:
+            return size  # whoever looks the cameras up refuses it, and can say which modes they have
+        raise InvalidSetup(f"camera_mode is {mode!r}; it is written like '848x480' (see `rcs list --cameras`).")
+    if size not in (wanted, Setup.size):
+        raise InvalidSetup(f"camera_mode is {mode!r} and size is {size}; give one of the two.")
+    return wanted
+
+
+def _frame_rates(value: Any, cameras: tuple[str, ...]) -> float | tuple[tuple[str, float], ...] | None:
+    if value is None:
+        return None
+    try:
+        by_name = None if _is_number(value) else {str(name): rate for name, rate in dict(value).items()}
+    except (TypeError, ValueError) as err:
+        raise InvalidSetup(f"fps is {value!r}; valid is a number, or one for each of some cameras by name.") from err
+    if by_name is not None and (unknown := sorted(set(by_name) - set(cameras))):
+        raise InvalidSetup(f"fps names the cameras {unknown}; this setup has {list(cameras)}.")
+    for rate in [value] if by_name is None else by_name.values():
+        if not (_is_number(rate) and 0 < rate < float("inf")):
+            raise InvalidSetup(f"fps is {value!r}; a rate is a number above 0.")
+    return value if by_name is None else tuple(sorted(by_name.items()))
 
 
 def _is_edge(value: Any) -> bool:

@@ -8,6 +8,8 @@ from rcs.envs import spaces as keys
 from rcs.envs.ports import Port, arm_observation_spaces
 from rcs.envs.spaces import Arrays, Observation
 from rcs.sim.camera import SimCameras
+from rcs.sim.camera_feed import CameraFeed
+from rcs.sim.frame_clock import FrameClock, FrameRate
 from rcs.sim.robot import SimRobot
 
 
@@ -83,20 +85,29 @@ class SimHandPort(Port):
 
 
 class SimCameraPort(Port):
-    """All cameras of a scene, drawn together."""
+    """All cameras of a scene, drawn together, each at its own frame rate."""
 
-    def __init__(self, cameras: SimCameras) -> None:
-        """Use the cameras of a world."""
+    def __init__(self, cameras: SimCameras, clock: FrameClock | None = None) -> None:
+        """Use the cameras of a world.
+
+        Args:
+            cameras: The cameras.
+            clock: Says when each has a new frame; None for the highest rates that they offer for this size.
+        """
+        if clock is None:
+            rates = {placement.name: FrameRate.of(placement.camera, cameras.size) for placement in cameras.placements}
+            clock = FrameClock(cameras.world, rates)
         self.cameras = cameras
+        self._feed = CameraFeed(cameras, clock)
         self.action_spaces = {}
         self.observation_spaces = {keys.FRAMES: cameras_space(cameras)}
 
     def observe(self) -> Observation:
-        """Draw a frame of every camera."""
-        return {keys.FRAMES: self.cameras.read()}
+        """Return the newest frame of every camera."""
+        return {keys.FRAMES: self._feed.read()}
 
     def capture_times(self) -> dict[str, float]:
-        """Return when each camera's frame was drawn."""
+        """Return when each camera's frame was drawn; one that is returned again keeps its time."""
         return {f"{keys.FRAMES}/{name}": time for name, time in self.cameras.capture_times.items()}
 
     def command(self, action: Arrays) -> None:

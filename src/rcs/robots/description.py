@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup
+from rcs.robots.camera_mode import ResolutionMode, choose_rate, find_mode
 from rcs.robots.menagerie import MenagerieBody, MenagerieVisuals
 from rcs.robots.mount import Mount, require_numbers
 
@@ -28,6 +29,7 @@ __all__ = [
     "MenagerieBody",
     "MenagerieVisuals",
     "Mount",
+    "ResolutionMode",
 ]
 
 if TYPE_CHECKING:
@@ -145,7 +147,10 @@ class GripperDescription:
     ctrl_open: float
     """Control value of the actuator that opens."""
     pad_geoms: tuple[tuple[str, ...], tuple[str, ...]]
-    """Geoms that touch what is grasped: those of the left finger, those of the right finger."""
+    """Geoms that touch what is grasped: those of the left finger, those of the right finger.
+
+    Left is where the y axis of the TCP points to, and z points along the fingers: tactile sensors go by that.
+    """
     max_width: float
     """Distance between the pads when open [m]."""
     max_force: float
@@ -269,8 +274,8 @@ class CameraDescription:
     """Name of the camera element."""
     mount_hole_in_optical: Mount
     """Pose of the tripod hole in the optical frame; its x axis points along the view, its z axis into the housing."""
-    resolutions: tuple[tuple[int, int, int], ...]
-    """Colour formats: width [px], height [px], highest rate [frames/s]."""
+    modes: tuple[ResolutionMode, ...]
+    """Colour formats with their frame rates."""
     fovy: float
     """Vertical field of view of the colour image [rad], at the native aspect ratio."""
     native_aspect: float
@@ -283,6 +288,9 @@ class CameraDescription:
     """Nearest depth by depth format: width [px], height [px], depth [m]."""
     stereo_baseline: float = 0.05
     """Distance between the two eyes of a depth camera [m]; depth noise grows as depth squared over it."""
+    longest_exposure: float = 0.0
+    """Longest exposure that the camera slows down for [s]: where it exceeds the frame period, frames come at intervals
+    from the one to the other. 0 for a camera that keeps its rate."""
     sources: tuple[str, ...]
     """Where the figures come from."""
 
@@ -290,12 +298,13 @@ class CameraDescription:
         """Check ranges.
 
         Raises:
-            InvalidSetup: No resolution, a field of view outside of 0 .. pi, or a depth range that does not ascend.
+            InvalidSetup: No mode or two of one name, a field of view outside of 0 .. pi, a negative exposure, or a
+                depth range that does not ascend.
         """
-        if not self.resolutions or min(min(entry) for entry in self.resolutions) <= 0:
-            raise InvalidSetup(
-                f"{self.name}: resolutions needs positive (width, height, rate), got {self.resolutions}."
-            )
+        if not self.modes or len({mode.name for mode in self.modes}) != len(self.modes):
+            raise InvalidSetup(f"{self.name}: modes needs at least one, each of another size, got {self.modes}.")
+        if not (math.isfinite(self.longest_exposure) and self.longest_exposure >= 0.0):
+            raise InvalidSetup(f"{self.name}: longest_exposure is {self.longest_exposure} s; valid is from 0.")
         if not 0.0 < self.fovy < math.pi:
             raise InvalidSetup(f"{self.name}: fovy is {self.fovy} rad; valid is 0 .. pi.")
         _require_positive(f"{self.name}.native_aspect", (self.native_aspect,), 1)
@@ -307,6 +316,26 @@ class CameraDescription:
     def mjcf(self) -> Path:
         """Path of the MJCF model."""
         return _file_next_to(self.module, self.mjcf_file)
+
+    def mode(self, name: str) -> ResolutionMode:
+        """Return the mode of a name such as `848x480`.
+
+        Raises:
+            UnknownName: There is none; the message has all.
+        """
+        return find_mode(self.name, self.modes, name)
+
+    def frame_rate(self, size: tuple[int, int], wanted: float | None = None) -> int:
+        """Return the rate at which frames of a size come [frames/s].
+
+        Args:
+            size: Width and height [px]; one that is no mode is cut out of a larger one.
+            wanted: The rate that is asked for [frames/s]; None for the highest.
+
+        Raises:
+            InvalidSetup: The camera does not offer it; the message has all modes.
+        """
+        return choose_rate(self.name, self.modes, size, wanted)
 
     def intrinsics(self, width: int, height: int) -> NDArray[np.float64]:
         """Return the camera matrix of an ideal image of this camera, without distortion.

@@ -1,8 +1,9 @@
-"""The cameras of a scene, drawn together: one update of the picture's scene per step, then every camera."""
+"""The cameras of a scene, drawn together: one update of the picture's scene per call, then every camera."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import mujoco
@@ -11,9 +12,10 @@ from numpy.typing import NDArray
 
 from rcs._core import Camera, CameraMode, Frame, Renderer, RenderPool
 from rcs.errors import InvalidSetup
+from rcs.sim.frame_clock import FrameClock, FrameRate
 from rcs.sim.noise import CameraNoise
 from rcs.sim.scene import CameraPlacement
-from rcs.sim.world import World
+from rcs.sim.world import Copies, World
 from rcs.spatial import tquat_to_matrix
 
 Quality = Literal["fast", "full"]
@@ -24,7 +26,10 @@ MAX_SIZE = 4096
 
 
 class SimCameras:
-    """All cameras of a world's scene. The renderer is made at the first `read`, and draws on its own GL context."""
+    """All cameras of a world's scene. The renderer is made at the first `read`, and draws on its own GL context.
+
+    They show the present state whenever they are read; `CameraFeed` gives them the frame rates of devices.
+    """
 
     def __init__(
         self,
@@ -56,7 +61,7 @@ class SimCameras:
         for camera in cameras:
             if has_depth and not camera.camera.has_depth:
                 raise InvalidSetup(f"Camera {camera.name!r} ({camera.camera.label}) has no depth.")
-        self._world = world
+        self.world = world
         self.placements = list(cameras)
         self.names = [camera.name for camera in cameras]
         self.size = size
@@ -72,56 +77,81 @@ class SimCameras:
         self.capture_times: dict[str, float] = {}
         """When each camera's last frame was drawn [s], on the monotonic clock."""
 
-    def read(self) -> dict[str, dict[str, NDArray[Any]]]:
-        """Draw every camera.
+    def read(self, names: Sequence[str] | None = None, copies: Copies = None) -> dict[str, dict[str, NDArray[Any]]]:
+        """Draw cameras.
+
+        Args:
+            names: Which cameras; None for all.
+            copies: Which copies of a world of copies; None for all. `leading` is then their number.
 
         Returns:
             Per camera `rgb` (*leading, H, W, 3) uint8; with depth, `depth` (*leading, H, W) uint16 [mm], 0 = no
             reading; `intrinsics` (*leading, 3, 3) [px]; `extrinsics` (*leading, 4, 4), its pose in OpenCV axes.
         """
-        width, height = self.size
-        leading = self._world.leading
-        rgb = [np.empty((*leading, height, width, 3), np.uint8) for _ in self._ids]
-        depth = [np.empty((*leading, height, width), np.uint16) for _ in self._ids] if self.has_depth else None
-        renderer = self._renderer or self._make_renderer()
-        if isinstance(renderer, RenderPool):
-            renderer.render_states(self._world.core.states, self._ids, rgb, depth, self._world.core)
-            self.capture_times = dict.fromkeys(self.names, time.perf_counter())
-        else:
-            data = self._world.data
-            assert data is not None
-            mujoco.mj_camlight(self._world.model, data)
-            renderer.update(data._address)  # pyright: ignore[reportPrivateUsage]
-            for i, camera in enumerate(self._ids):
-                renderer.render(camera, rgb[i], None if depth is None else depth[i])
-                self.capture_times[self.names[i]] = time.perf_counter()
+        chosen = [self.names.index(name) for name in (self.names if names is None else names)]
+        rows = slice(None) if copies is None else copies
+        rgb, depth = self._draw(chosen, copies)
         frames: dict[str, dict[str, NDArray[Any]]] = {}
-        for i, name in enumerate(self.names):
-            frames[name] = {"rgb": rgb[i], **self._calibration(i)}
+        for drawn, i in enumerate(chosen):
+            frame: dict[str, NDArray[Any]] = {"rgb": rgb[drawn], **self._calibration(i, rows)}
             if depth is not None:
-                frames[name]["depth"] = depth[i]
+                frame["depth"] = depth[drawn]
             if self._noise:
-                frames[name] = self._noise[i].add(frames[name], self._world.qpos)
+                frame = self._noise[i].add(frame, self.world.qpos[rows])
+            frames[self.names[i]] = frame
         return frames
 
-    def _calibration(self, i: int) -> dict[str, NDArray[np.float64]]:
+    def _draw(
+        self, chosen: Sequence[int], copies: Copies
+    ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint16]] | None]:
+        """Return the pictures and depths of some cameras."""
+        width, height = self.size
+        core = self.world.core
+        ids = [self._ids[i] for i in chosen]
+        # Where copies have models of their own, a row of states is a copy, and all have to be drawn.
+        picks = copies is not None and not core.is_varied
+        states = core.states[copies] if picks else None
+        leading = self.world.leading if states is None else (len(states),)
+        rgb = [np.empty((*leading, height, width, 3), np.uint8) for _ in ids]
+        depth = [np.empty((*leading, height, width), np.uint16) for _ in ids] if self.has_depth else None
+        renderer = self._renderer or self._make_renderer()
+        if isinstance(renderer, RenderPool):
+            if states is None:
+                renderer.render_states(core.states, ids, rgb, depth, core)
+            else:
+                renderer.render_states(states, ids, rgb, depth)
+            self.capture_times.update(dict.fromkeys([self.names[i] for i in chosen], time.perf_counter()))
+        else:
+            data = self.world.data
+            assert data is not None
+            mujoco.mj_camlight(self.world.model, data)
+            renderer.update(data._address)  # pyright: ignore[reportPrivateUsage]
+            for drawn, camera in enumerate(ids):
+                renderer.render(camera, rgb[drawn], None if depth is None else depth[drawn])
+                self.capture_times[self.names[chosen[drawn]]] = time.perf_counter()
+        if copies is None or picks:
+            return rgb, depth
+        return [part[copies] for part in rgb], None if depth is None else [part[copies] for part in depth]
+
+    def _calibration(self, i: int, rows: slice | NDArray[np.int32]) -> dict[str, NDArray[np.float64]]:
         """Return the matrices of a camera as it is now: it may move, and its field of view may vary."""
         width, height = self.size
-        focal = 0.5 * height / np.tan(0.5 * np.deg2rad(self._world.field("cam_fovy")[..., self._ids[i]]))
-        intrinsics = np.zeros((*self._world.leading, 3, 3))
+        fovy = self.world.field("cam_fovy")[..., self._ids[i]]
+        poses = self.world.poses[..., self._poses[i], :]
+        if self.world.leading:
+            fovy, poses = fovy[rows], poses[rows]
+        focal = 0.5 * height / np.tan(0.5 * np.deg2rad(fovy))
+        intrinsics = np.zeros((*np.shape(focal), 3, 3))
         intrinsics[..., 0, 0] = intrinsics[..., 1, 1] = focal
         # The centre of the top left pixel is (0, 0), as in OpenCV.
         intrinsics[..., 0, 2], intrinsics[..., 1, 2], intrinsics[..., 2, 2] = (width - 1) / 2, (height - 1) / 2, 1.0
-        return {
-            "intrinsics": intrinsics,
-            "extrinsics": tquat_to_matrix(self._world.poses[..., self._poses[i], :]),
-        }
+        return {"intrinsics": intrinsics, "extrinsics": tquat_to_matrix(poses)}
 
     def _make_renderer(self) -> Renderer | RenderPool:
         width, height = self.size
-        address = self._world.model._address  # pyright: ignore[reportPrivateUsage]
-        if self._world.leading:
-            threads = self._world.core.threads
+        address = self.world.model._address  # pyright: ignore[reportPrivateUsage]
+        if self.world.leading:
+            threads = self.world.core.threads
             self._renderer = RenderPool(
                 address, threads=threads, quality=self._quality, max_width=width, max_height=height
             )
@@ -137,27 +167,40 @@ class SimCameras:
 
 
 class SimCamera(Camera):
-    """One camera of a world of one copy as a device."""
+    """One camera of a world of one copy as a device, with the device's frame rate in simulated time."""
 
-    def __init__(self, cameras: SimCameras, name: str, world: World) -> None:
+    def __init__(self, cameras: SimCameras, name: str, world: World, *, fps: float | None = None) -> None:
         """Use one of a scene's cameras.
 
+        Args:
+            cameras: The cameras of the scene.
+            name: Which of them.
+            world: Their world.
+            fps: Frames per second; None for the most that the camera offers for the size of the frames.
+
         Raises:
-            InvalidSetup: The world has many copies, or no camera of that name.
+            InvalidSetup: The world has many copies, or no camera of that name, or the camera does not offer that rate.
         """
         if world.leading or name not in cameras.names:
             raise InvalidSetup(
                 f"SimCamera needs a world of one copy and one of the cameras {cameras.names}, not {name!r}."
             )
         width, height = cameras.size
-        super().__init__(name, CameraMode(width, height, world.frequency, cameras.has_depth))
+        rate = FrameRate.of(cameras.placements[cameras.names.index(name)].camera, cameras.size, fps)
+        super().__init__(name, CameraMode(width, height, rate.fps, cameras.has_depth))
         self._cameras = cameras
         self._world = world
+        self._clock = FrameClock(world, {name: rate})
+        self._frame: Frame | None = None
 
     def _read(self) -> Frame:
-        frame = self._cameras.read()[self.name]
-        number = int(self._world.core.steps[0])
-        return Frame(frame["rgb"], frame.get("depth"), float(self._world.time), number)
+        is_new = self._clock.take()[self.name][0]
+        if self._frame is None or is_new:
+            number = int(self._clock.numbers[self.name][0])
+            frame = self._cameras.read([self.name])[self.name]
+            self._frame = Frame(frame["rgb"], frame.get("depth"), float(self._world.time), number)
+        return self._frame
 
     def _close(self) -> None:
+        self._frame = None
         self._cameras.close()

@@ -38,7 +38,7 @@ class CameraNoise:
         self._colour = np.rint(rng.normal(0.0, COLOUR_DEVIATION, (*shape, 3))).astype(np.int16)
         self._disparity = rng.normal(0.0, SUBPIXEL, shape)
         self._baseline = camera.stereo_baseline
-        self._nearest = nearest_depth(camera, width)
+        self._nearest = nearest_depth(camera, size)
 
     def add(self, frame: dict[str, NDArray[Any]], state: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
         """Return a frame with noise.
@@ -67,11 +67,11 @@ class CameraNoise:
         return np.where(is_seen, np.clip(np.rint(1e3 * measured), 0, 65535), 0).astype(np.uint16)
 
 
-def nearest_depth(camera: CameraDescription, width: int) -> float:
-    """Return the nearest depth that a camera measures in frames of a width [m]: that of the next larger format."""
-    formats = sorted(camera.min_depth)
-    larger = [depth for format_width, _, depth in formats if format_width >= width]
-    return larger[0] if larger else formats[-1][2] if formats else 0.0
+def nearest_depth(camera: CameraDescription, size: tuple[int, int]) -> float:
+    """Return the nearest depth that a camera measures in frames of a size [m]: that of the next larger format."""
+    around = [entry for entry in sorted(camera.min_depth) if entry[0] >= size[0] and entry[1] >= size[1]]
+    formats = around[:1] or sorted(camera.min_depth)[-1:]
+    return formats[0][2] if formats else 0.0
 
 
 def _shift(state: NDArray[np.float64]) -> tuple[int, int]:

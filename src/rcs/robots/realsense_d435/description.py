@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import radians
 from typing import Final
 
-from rcs.robots.description import CameraDescription, Mount
+from rcs.robots.description import CameraDescription, Mount, ResolutionMode
 
 REALSENSE_D435: Final = CameraDescription(
     name="realsense_d435",
@@ -17,17 +17,17 @@ REALSENSE_D435: Final = CameraDescription(
     # realsense2_description, _d435.urdf.xacro: the colour sensor sits 15 mm left of the depth frame, which is 17.5 mm
     # beside the centre and 14.9 mm before the tripod hole, at half of the 25 mm height.
     mount_hole_in_optical=Mount(translation=(0.0325, 0.0125, -0.0149), quaternion=(0.5, -0.5, 0.5, 0.5)),
-    # D400 series data sheet: formats of the colour sensor.
-    resolutions=(
-        (1920, 1080, 30),
-        (1280, 720, 30),
-        (960, 540, 60),
-        (848, 480, 60),
-        (640, 480, 60),
-        (640, 360, 60),
-        (424, 240, 60),
-        (320, 240, 60),
-        (320, 180, 60),
+    # D400 series data sheet: formats of the colour sensor. Rates are those that the device lists itself.
+    modes=(
+        ResolutionMode(1920, 1080, (6, 15, 30)),
+        ResolutionMode(1280, 720, (6, 15, 30)),
+        ResolutionMode(960, 540, (6, 15, 30, 60)),
+        ResolutionMode(848, 480, (6, 15, 30, 60)),
+        ResolutionMode(640, 480, (6, 15, 30, 60)),
+        ResolutionMode(640, 360, (6, 15, 30, 60)),
+        ResolutionMode(424, 240, (6, 15, 30, 60)),
+        ResolutionMode(320, 240, (6, 30, 60)),
+        ResolutionMode(320, 180, (6, 30, 60)),
     ),
     # D400 series data sheet: colour 69.4 x 42.5 degrees, +-3. Calibrated cameras report fy = 606 .. 617 px at
     # 640 x 480; this gives 617 px.
@@ -50,6 +50,7 @@ REALSENSE_D435: Final = CameraDescription(
     sources=(
         "realsense2_description _d435.urdf.xacro (Apache-2.0): size, offsets, mass",
         "Intel RealSense D400 series data sheet 337029: fields of view, formats, depth range",
+        "rs-enumerate-devices (librealsense): frame rates of each colour format",
     ),
 )
 """The Intel RealSense D435; the description is of its colour sensor."""

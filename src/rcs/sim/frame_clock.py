@@ -1,0 +1,143 @@
+"""When simulated cameras have a new frame: each at its own rate, counted in simulated time from the episode's start.
+
+A frame that falls due between two control steps is there at the later one. Rates are kept as ratios of integers, so a
+camera of 30 frames/s beside 100 control steps/s has exactly 30 frames in each second, however long the episode.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.errors import InvalidSetup
+from rcs.robots.description import CameraDescription
+from rcs.sim.splitmix import GAMMA, mix, units
+from rcs.sim.world import Copies, World
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameRate:
+    """How often a camera has a new frame."""
+
+    fps: float
+    """Frames per second."""
+    longest_exposure: float = 0.0
+    """Where this exceeds the frame period, intervals are drawn evenly from the period to this [s]."""
+
+    def __post_init__(self) -> None:
+        """Check the figures.
+
+        Raises:
+            InvalidSetup: A rate that is not positive, or a negative exposure.
+        """
+        if not (np.isfinite(self.fps) and self.fps > 0 and np.isfinite(self.longest_exposure)):
+            raise InvalidSetup(f"fps is {self.fps}, longest_exposure {self.longest_exposure} s; they must be positive.")
+
+    @property
+    def is_rolling(self) -> bool:
+        """Whether intervals differ from frame to frame."""
+        return self.longest_exposure > 1.0 / self.fps
+
+    @staticmethod
+    def of(camera: CameraDescription, size: tuple[int, int], wanted: float | None = None) -> FrameRate:
+        """Return the rate of a camera for frames of a size.
+
+        Args:
+            camera: Its figures.
+            size: Width and height [px].
+            wanted: The rate that is asked for [frames/s]; None for the highest.
+
+        Raises:
+            InvalidSetup: The camera does not offer that rate for that size.
+        """
+        return FrameRate(fps=camera.frame_rate(size, wanted), longest_exposure=camera.longest_exposure)
+
+
+class FrameClock:
+    """Says for each camera and copy whether it has a new frame. An episode begins with one."""
+
+    def __init__(self, world: World, rates: Mapping[str, FrameRate]) -> None:
+        """Start to count.
+
+        Args:
+            world: Whose simulated time counts.
+            rates: The rate of each camera, by name.
+        """
+        self._world = world
+        self._is_synchronous = world.mode == "sync"
+        step = Fraction(world.model.opt.timestep).limit_denominator(10**9)
+        frequency = Fraction(world.frequency).limit_denominator(10**6)
+        # A synchronous step lasts as long as it needs, so there the physics steps are counted.
+        tick = step if self._is_synchronous else 1 / frequency
+        self._tick = float(tick)
+        self._rates = dict(rates)
+        self._frames_per_tick = {
+            name: Fraction(rate.fps).limit_denominator(10**6) * tick for name, rate in rates.items()
+        }
+        copies = world.copies
+        self.numbers = {name: np.full(copies, -1, np.int64) for name in rates}
+        """Number of the newest frame since the start of the episode, (copies,), counted from 0 as the device counts."""
+        self._keys = np.zeros(copies, np.uint64)
+        self._start_times = np.zeros(copies)
+        rolling = [name for name, rate in rates.items() if rate.is_rolling]
+        self._next_times = {name: np.zeros(copies) for name in rolling}
+
+    def begin(self, keys: NDArray[np.uint64], copies: Copies = None) -> None:
+        """Start episodes.
+
+        Args:
+            keys: Decides over the intervals of cameras whose rate rolls, one for each of the copies.
+            copies: Which copies; None for all.
+        """
+        self._keys[slice(None) if copies is None else copies] = keys
+
+    def has_frame_each_step(self, name: str) -> bool:
+        """Return whether a camera always has a new frame when a control step ends."""
+        if self._is_synchronous:
+            return False
+        return self._frames_per_tick[name] >= 1 and self._rates[name].longest_exposure <= self._tick
+
+    def take(self) -> dict[str, NDArray[np.bool_]]:
+        """Return which copies have a frame that they did not have at the last call, (copies,) for each camera."""
+        steps = self._world.core.steps
+        # Also without `begin`, as in a world that is reset by hand.
+        starts = steps == 0
+        ticks = self._count_physics_steps(starts) if self._is_synchronous else steps
+        is_new: dict[str, NDArray[np.bool_]] = {}
+        for name, rate in self._rates.items():
+            if rate.is_rolling:
+                numbers = self._roll(name, ticks, starts)
+            else:
+                ratio = self._frames_per_tick[name]
+                numbers = ticks * ratio.numerator // ratio.denominator
+            is_new[name] = starts | (numbers != self.numbers[name])
+            self.numbers[name] = numbers
+        return is_new
+
+    def _count_physics_steps(self, starts: NDArray[np.bool_]) -> NDArray[np.int64]:
+        times = np.atleast_1d(self._world.time)
+        self._start_times[starts] = times[starts]
+        return np.rint((times - self._start_times) / self._tick).astype(np.int64)
+
+    def _roll(self, name: str, ticks: NDArray[np.int64], starts: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return the numbers of the newest frames of a camera whose intervals differ."""
+        next_times, numbers = self._next_times[name], self.numbers[name].copy()
+        numbers[starts], next_times[starts] = -1, 0.0
+        now = ticks * self._tick
+        while len(late := np.flatnonzero(next_times <= now)):
+            numbers[late] += 1
+            next_times[late] += self._intervals(name, numbers[late], self._keys[late])
+        return numbers
+
+    def _intervals(self, name: str, numbers: NDArray[np.int64], keys: NDArray[np.uint64]) -> NDArray[np.float64]:
+        """Return how long frames last [s]; they follow from the episode, the camera's name and the frame's number."""
+        shortest, longest = 1.0 / self._rates[name].fps, self._rates[name].longest_exposure
+        with np.errstate(over="ignore"):
+            stream = mix(keys ^ mix(np.array([zlib.crc32(name.encode())], np.uint64) + GAMMA))
+            drawn = units(mix(stream + numbers.astype(np.uint64) * GAMMA))
+        return shortest + (longest - shortest) * drawn

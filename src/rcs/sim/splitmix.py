@@ -1,0 +1,28 @@
+"""SplitMix64 as a function: random numbers that depend on a counter alone, computed for whole arrays at once.
+
+Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+GAMMA = np.uint64(0x9E3779B97F4A7C15)
+"""What the counter is multiplied with: the golden ratio in 64 bits, made odd."""
+
+_M1 = np.uint64(0xBF58476D1CE4E5B9)
+_M2 = np.uint64(0x94D049BB133111EB)
+
+
+def mix(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return SplitMix64's output function of each value."""
+    z = values
+    z = (z ^ (z >> np.uint64(30))) * _M1
+    z = (z ^ (z >> np.uint64(27))) * _M2
+    return z ^ (z >> np.uint64(31))
+
+
+def units(bits: NDArray[np.uint64]) -> NDArray[np.float64]:
+    """Return numbers from [0, 1) made of 53 random bits each."""
+    return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
