@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from rcs.data import Dataset, EpisodeRecord
 from rcs.data.durable import disk_errors, write_file
+from rcs.data.wilson import wilson_interval
 from rcs.errors import CorruptEpisode
 from rcs.rollout.clip import colour_cameras, encode_clip
 from rcs.rollout.plot import line_plot
-from rcs.rollout.wilson import wilson_interval
 
 __all__ = ["wilson_interval", "write_report"]
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rcs.data.wilson import wilson_interval
 from rcs.errors import InvalidSetup
-from rcs.rollout.wilson import wilson_interval
 
 counts = st.integers(0, 2000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
 

@@ -1,0 +1,8 @@
+"""Pages to look at a dataset with, in a browser and without a network."""
+
+from __future__ import annotations
+
+from rcs.data.view.clips import ClipOptions, Codec
+from rcs.data.view.page import VIEW_FOLDER, ViewReport, write_view
+
+__all__ = ["VIEW_FOLDER", "ClipOptions", "Codec", "ViewReport", "write_view"]

@@ -1,0 +1,159 @@
+"""Clips of an episode: one small video per camera with a frame per row, in which a browser finds any frame at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import simplejpeg
+from numpy.typing import NDArray
+
+from rcs.data.codec import decode_frame
+from rcs.data.feature import Feature
+from rcs.data.info import DatasetInfo
+from rcs.data.reader import EpisodeRecord
+from rcs.data.view.colours import coloured
+from rcs.errors import CorruptEpisode, InvalidSetup
+
+Codec = Literal["h264", "vp9"]
+
+# Every tenth frame is whole, so a browser that seeks decodes ten at most, however long the clip. Clips of 224 x 224 are
+# 1.6 times as large as with the encoder's own choice of 250, and a third of those in which every frame is whole.
+_WHOLE_FRAME_EVERY = 10
+_ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
+    "h264": ("libx264", {"preset": "veryfast", "crf": "26", "bf": "0", "tune": "fastdecode"}),
+    "vp9": ("libvpx-vp9", {"deadline": "realtime", "cpu-used": "8", "crf": "34", "b": "0", "lag-in-frames": "0"}),
+}
+# Maps from pixels to numbers, such as the indentation of a gel, have at least this many rows and columns; camera
+# matrices have fewer.
+_SMALLEST_MAP = 8
+_SAMPLES = 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipOptions:
+    """How clips are made.
+
+    Raises:
+        InvalidSetup: A field does not make sense.
+    """
+
+    height: int = 320
+    """The largest height [px]; smaller images stay as they are."""
+    codec: Codec = "h264"
+    """"h264" plays nearly everywhere; "vp9" in browsers that were built without it, and takes longer to make."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no encoder takes."""
+        if self.height < 16:
+            raise InvalidSetup(f"height is {self.height} pixels; it must be at least 16.")
+        if self.codec not in get_args(Codec):
+            raise InvalidSetup(f"codec is {self.codec!r}; valid are {', '.join(get_args(Codec))}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clip:
+    """What was written."""
+
+    frames: int
+    """Frames in the clip: as many as the episode has rows."""
+    limits: tuple[float, float] | None
+    """The values that the darkest and the lightest colour stand for; None for a picture in its own colours."""
+
+
+def pictures(info: DatasetInfo) -> list[Feature]:
+    """Return the features that a clip can show: images, and maps from pixels to numbers that stand beside them."""
+    return [feature for feature in info.features if feature.is_image or _is_map(feature)]
+
+
+def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: ClipOptions) -> Clip:
+    """Write the images of one feature as an MP4 file; row i is shown from i / fps on.
+
+    Args:
+        episode: The episode.
+        feature: One of `pictures`.
+        path: The file to write.
+        options: Size and codec.
+
+    Raises:
+        CorruptEpisode: The images do not read.
+        DatasetError: The file cannot be written.
+    """
+    import av  # half a tenth of a second to import, for those who look only
+
+    limits = None if feature.shape[-1:] == (3,) and len(feature.shape) == 3 else _limits(episode, feature)
+    encoder, settings = _ENCODERS[options.codec]
+    rate = Fraction(episode.info.fps).limit_denominator(1000)
+    rows, columns = _size(feature, options.height)
+    frames = 0
+    with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
+        stream: Any = container.add_stream(encoder, rate=rate, options={**settings, "g": str(_WHOLE_FRAME_EVERY)})
+        stream.width, stream.height, stream.pix_fmt = columns, rows, "yuv420p"
+        stream.thread_count = 1  # several clips are made at the same time
+        for image in _images(episode, feature, limits, rows):
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+            frame = frame.reformat(columns, rows, "yuv420p", interpolation="AREA", dst_colorspace="ITU601")
+            frame.pts, frame.time_base = frames, 1 / rate
+            container.mux(stream.encode(frame))
+            frames += 1
+        container.mux(stream.encode())
+    return Clip(frames=frames, limits=limits)
+
+
+def _is_map(feature: Feature) -> bool:
+    return "/frames/" in feature.key and len(feature.shape) == 2 and min(feature.shape) >= _SMALLEST_MAP
+
+
+def _size(feature: Feature, height: int) -> tuple[int, int]:
+    rows, columns = feature.shape[:2]
+    scale = min(1.0, height / rows)
+    # Colour has half the resolution in these codecs, so both lengths must be even.
+    return max(2, 2 * round(scale * rows / 2)), max(2, 2 * round(scale * columns / 2))
+
+
+def _images(
+    episode: EpisodeRecord, feature: Feature, limits: tuple[float, float] | None, rows: int
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield what a clip shows, in colour; for JPEG near the clip's size already, which is faster to decode."""
+    if limits is not None:
+        for values in _values(episode, feature):
+            yield coloured(values, limits)
+        return
+    if feature.encoding != "jpeg":
+        yield from episode.frames(feature.key)
+        return
+    last, image = None, np.empty(0, np.uint8)
+    for row, data in enumerate(episode.encoded_frames(feature.key)):
+        if data is not last:
+            try:
+                image = simplejpeg.decode_jpeg(data, "RGB", fastdct=True, fastupsample=True, min_height=rows)
+            except ValueError as err:
+                raise CorruptEpisode(f"{feature.key}, row {row}: the JPEG does not decode: {err}.") from err
+            last = data
+        yield image
+
+
+def _values(episode: EpisodeRecord, feature: Feature) -> Iterator[NDArray[Any]]:
+    return episode.frames(feature.key) if feature.is_image else iter(episode.column(feature.key))
+
+
+def _limits(episode: EpisodeRecord, feature: Feature) -> tuple[float, float]:
+    """Return the values that the colours span in one episode: nearly all there are, taken from some of its images."""
+    shown = set(np.linspace(0, episode.length - 1, _SAMPLES).astype(int).tolist())
+    if feature.is_image:
+        encoded = (data for row, data in enumerate(episode.encoded_frames(feature.key)) if row in shown)
+        samples = [decode_frame(feature, data) for data in encoded]
+    else:
+        samples = list(episode.column(feature.key)[sorted(shown)])
+    values = np.concatenate([np.empty(0), *(sample.ravel()[::7].astype(np.float64) for sample in samples)])
+    values = values[np.isfinite(values)]
+    if feature.encoding == "depth":
+        values = values[values > 0]  # 0 is no reading
+    if not values.size:
+        return 0.0, 1.0
+    low, high = np.percentile(values, (1, 99))
+    return float(low), float(max(high, low + 1e-6))

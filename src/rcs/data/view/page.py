@@ -1,0 +1,197 @@
+"""The page: a folder with an `index.html` that opens from the disk, without a server and without a network."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rcs.data.durable import disk_errors
+from rcs.data.feature import Feature
+from rcs.data.reader import Dataset, EpisodeRecord
+from rcs.data.view.catalogue import catalogue
+from rcs.data.view.choice import chosen_episodes
+from rcs.data.view.clips import ClipOptions, pictures, write_clip
+from rcs.data.view.episode_data import curves, episode_data
+from rcs.errors import CorruptEpisode, DatasetError
+
+VIEW_FOLDER = "view"
+"""The page's folder in that of the dataset, where no other is given."""
+
+_WEB = Path(__file__).with_name("web")
+_CATALOGUE = "dataset.js"
+_EPISODE = "episode.js"
+# Part of the hash that decides whether an episode must be rendered anew: count up when what is rendered changes.
+_FORMAT = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewReport:
+    """What `write_view` did."""
+
+    path: Path
+    """The page to open."""
+    rendered: int
+    """Episodes that were rendered now."""
+    kept: int
+    """Episodes that were there already."""
+    damaged: int
+    """Episodes that do not read; the page says so."""
+    size: int
+    """Bytes of all files."""
+
+
+def write_view(
+    dataset: Dataset | str | Path,
+    out: str | Path | None = None,
+    *,
+    episodes: Sequence[str] | None = None,
+    options: ClipOptions | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> ViewReport:
+    """Write a page to look at a dataset with; of an earlier page in the same place, what still holds is kept.
+
+    Args:
+        dataset: The dataset, or its folder.
+        out: The page's folder; None for `view` in the dataset's.
+        episodes: Ids, or patterns such as "0001*", of the episodes to show; None for all.
+        options: Size and codec of the clips.
+        on_progress: Called with the episodes done and all that there are.
+
+    Raises:
+        InvalidSetup: No episode has one of the ids.
+        DatasetError: There is no dataset, the folder has other things in it, or the page cannot be written.
+        CorruptEpisode: `dataset.json` is damaged; damaged episodes are listed as such.
+    """
+    dataset = dataset if isinstance(dataset, Dataset) else Dataset.open(dataset)
+    folder = dataset.path / VIEW_FOLDER if out is None else Path(out)
+    options = options or ClipOptions()
+    chosen = chosen_episodes(dataset, episodes)
+    tell = on_progress or (lambda _done, _total: None)
+    with disk_errors("write the page", folder):
+        _require_own(folder)
+        (folder / "episodes").mkdir(parents=True, exist_ok=True)
+        # Until all episodes are there, so that a page that was not completed is known as one.
+        _put(folder / _CATALOGUE, b"rcsDataset(null);\n")
+        for source in sorted(_WEB.iterdir()):
+            _put(folder / source.name, source.read_bytes())
+        _sweep(folder, {episode.id for episode in chosen})
+        results: list[_Rendered] = []
+        # Decoding and encoding run without Python's lock.
+        with ThreadPoolExecutor(min(8, os.cpu_count() or 1), "view") as pool:
+            for result in pool.map(lambda episode: _render(episode, folder, options), chosen):
+                results.append(result)
+                tell(len(results), len(chosen))
+        entries = [(result.record, result.flaws, result.damage) for result in results]
+        values = catalogue(dataset, entries, [clip_name(feature) for feature in pictures(dataset.info)])
+        _put(folder / _CATALOGUE, _script("rcsDataset", values))
+        size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    return ViewReport(
+        path=folder / "index.html",
+        rendered=sum(result.is_new for result in results),
+        kept=sum(not (result.is_new or result.damage) for result in results),
+        damaged=sum(bool(result.damage) for result in results),
+        size=size,
+    )
+
+
+def clip_name(feature: Feature) -> str:
+    """Return the name of a feature's clips: words that need no escaping, and a few digits that tell twins apart."""
+    words = feature.key.removeprefix("observation/").removeprefix("frames/")
+    digits = hashlib.sha256(feature.key.encode()).hexdigest()[:4]
+    return f"{re.sub(r'[^A-Za-z0-9]+', '-', words)[:60]}-{digits}.mp4"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Rendered:
+    record: EpisodeRecord
+    flaws: dict[str, int]
+    damage: str = ""
+    is_new: bool = False
+
+
+def _require_own(folder: Path) -> None:
+    if folder.exists() and any(folder.iterdir()) and not (folder / _CATALOGUE).exists():
+        raise DatasetError(f"{folder} has other things in it; choose an empty folder, or one of an earlier page.")
+
+
+def _sweep(folder: Path, ids: set[str]) -> None:
+    """Remove the episodes that the page no longer shows, and what an interrupted call left."""
+    for path in list((folder / "episodes").iterdir()):
+        if path.name not in ids:
+            shutil.rmtree(path)
+
+
+def _render(record: EpisodeRecord, folder: Path, options: ClipOptions) -> _Rendered:
+    place = folder / "episodes" / record.id
+    try:
+        key = _key(record, options)
+        flaws = _flaws_of(place / _EPISODE, key)
+        if flaws is not None:
+            return _Rendered(record=record, flaws=flaws)
+        # Ids do not start with a dot, so the next call takes what a kill leaves of this for rubbish.
+        partial = place.with_name(f".partial-{hashlib.sha256(record.id.encode()).hexdigest()[:16]}")
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir()
+        values = episode_data(record)
+        values["limits"] = [
+            write_clip(record, feature, partial / clip_name(feature), options).limits
+            for feature in pictures(record.info)
+        ]
+        head = json.dumps({"key": key, "flaws": values["flaws"]})
+        body = _script("rcsEpisode", {"id": record.id, **values})
+        (partial / _EPISODE).write_bytes(f"// {head}\n".encode() + body)
+        shutil.rmtree(place, ignore_errors=True)
+        partial.rename(place)
+        return _Rendered(record=record, flaws=values["flaws"], is_new=True)
+    except CorruptEpisode as err:
+        shutil.rmtree(place, ignore_errors=True)
+        # Where the dataset lies on this machine is nothing for a page that is passed on.
+        return _Rendered(record=record, flaws={}, damage=str(err).replace(f"{record.path}/", ""))
+
+
+def _key(record: EpisodeRecord, options: ClipOptions) -> str:
+    """Return a hash of all that an episode's files depend on."""
+    info = record.info
+    about: dict[str, Any] = {
+        "format": _FORMAT,
+        "content": record.content_hash,
+        "quality": record.quality,  # the content is without times and flags
+        "length": record.length,
+        "fps": info.fps,
+        "mode": [info.setup.get("mode"), info.sim_state_size],
+        "features": [feature.to_json() for feature in info.features],
+        "curves": [curve.to_json() for curve in curves(info)],
+        "options": asdict(options),
+    }
+    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
+
+
+def _flaws_of(path: Path, key: str) -> dict[str, int] | None:
+    """Return the flaws that a rendered episode names in its first line; None if it is not there or out of date."""
+    try:
+        with path.open("rb") as file:
+            head = json.loads(file.readline().removeprefix(b"// "))
+    except (OSError, ValueError):
+        return None
+    return head["flaws"] if head.get("key") == key else None
+
+
+def _script(function: str, values: dict[str, Any]) -> bytes:
+    # A page from the disk may load scripts but not read files, so the data come as a call. Pure ASCII, so no encoding
+    # can be mistaken; and a script of its own, so nothing in it can end a tag.
+    return f"{function}({json.dumps(values, allow_nan=False, separators=(',', ':'))});\n".encode("ascii")
+
+
+def _put(path: Path, data: bytes) -> None:
+    """Replace a file in one step; a page can be made again, so it need not outlive a power cut."""
+    temporary = path.with_name(f".{path.name}.tmp")
+    temporary.write_bytes(data)
+    temporary.replace(path)

@@ -1,0 +1,131 @@
+// The facts of the dataset, and the list of its episodes with filters.
+"use strict";
+
+const FLAW_WORDS = {
+  repeated: "repeated frames", stale: "stale frames", missing: "missing frames", dropped: "dropped frames",
+  gap: "gaps", jitter: "jitter", backwards: "time runs backwards",
+};
+
+function verdict(episode) {
+  if (episode.damaged) return "damaged";
+  return episode.success === null ? "unknown" : episode.success ? "success" : "failure";
+}
+
+function table(rows) {
+  const cells = (row) => [element("th", { textContent: row[0] }), element("td", { textContent: row[1] })];
+  return element("table", {}, ...rows.map((row) => element("tr", {}, ...cells(row))));
+}
+
+function seconds(rows, fps) {
+  const time = Math.max(0, rows - 1) / fps;
+  return time < 60 ? time.toFixed(1) + " s" : `${Math.floor(time / 60)} min ${Math.floor(time % 60)} s`;
+}
+
+function showFacts(dataset) {
+  const { counts } = dataset;
+  document.title = dataset.name;
+  document.getElementById("name").textContent = dataset.name;
+  document.getElementById("instruction").textContent = dataset.instruction;
+  const robot = Object.fromEntries(dataset.setup);
+  const percent = (rate) => (100 * rate).toFixed(1);
+  const rate = counts.judged ? percent(counts.successes / counts.judged) + " %" : "–";
+  const range = counts.judged ? ` (95 %: ${percent(counts.low)}–${percent(counts.high)} %)` : "";
+  const facts = [
+    [[robot.task, robot.robot].filter(Boolean).join(", ") || "–", "setup"],
+    [dataset.episodes.length, dataset.episodes.length === 1 ? "episode" : "episodes"],
+    [rate, `success, ${counts.successes} of ${counts.judged}${range}`],
+    [counts.rows.toLocaleString("en").replaceAll(",", "\u202f"), `frames at ${dataset.fps} Hz`],
+    [(counts.rows / dataset.fps / 60).toFixed(1) + " min", "in all"],
+  ];
+  document.getElementById("counts").replaceChildren(...facts.map(([value, name]) =>
+    element("div", {}, element("dt", { textContent: name }), element("dd", { textContent: value }))));
+  const about = document.getElementById("about");
+  const column = (name, ...content) => element("div", {}, element("h2", { textContent: name }), ...content);
+  const whole = element("details", {}, element("summary", { textContent: "All of the setup" }), element("pre", { textContent: dataset.wholeSetup }));
+  const note = element("p", { className: "dim", textContent: `Page of ${dataset.made}. It is complete in itself and loads nothing from elsewhere.` });
+  const speed = dataset.isFasterThanLife ? [element("p", { className: "dim", textContent: "Simulated without waiting for the clock: periods are computing times, and are not checked." })] : [];
+  about.append(element("div", { className: "tables" }, column("Setup", table(dataset.setup), whole), column(dataset.features.length + " features", table(dataset.features))), ...speed, note);
+  const button = document.getElementById("about-button");
+  button.addEventListener("click", () => {
+    about.hidden = !about.hidden;
+    button.setAttribute("aria-expanded", String(!about.hidden));
+    window.dispatchEvent(new Event("resize"));
+  });
+}
+
+class EpisodeList {
+  // `choose` takes an id, `compare` takes the id to compare with.
+  constructor(dataset, choose, compare) {
+    this.list = document.getElementById("list");
+    this.filter = { text: "", verdict: "all", flaw: "any", order: "id" };
+    this.shown = [];
+    this.items = new Map(dataset.episodes.map((episode) => [episode.id, this.item(dataset, episode, choose, compare)]));
+    const named = dataset.flaws.filter((flaw) => dataset.episodes.some((episode) => episode.flaws[flaw]));
+    const options = [["any", "Any quality"], ["none", "Without flaws"], ["some", "With flaws"], ...named.map((flaw) => [flaw, "With " + FLAW_WORDS[flaw]])];
+    document.getElementById("flaw").append(...options.map(([value, textContent]) => element("option", { value, textContent })));
+    const listen = (id, event, field) => document.getElementById(id).addEventListener(event, (e) => this.set({ [field]: e.target.value }));
+    listen("search", "input", "text");
+    listen("flaw", "change", "flaw");
+    listen("order", "change", "order");
+    this.buttons = [...document.querySelectorAll("[data-verdict]")];
+    for (const button of this.buttons) button.addEventListener("click", () => this.set({ verdict: button.dataset.verdict }));
+    this.episodes = dataset.episodes.map((episode) => ({
+      ...episode,
+      verdict: verdict(episode),
+      total: Object.values(episode.flaws).reduce((sum, count) => sum + count, 0),
+      text: [episode.id, episode.instruction, episode.note, episode.seed].join(" ").toLowerCase(),
+    }));
+    this.set({});
+  }
+
+  item(dataset, episode, choose, compare) {
+    const flaws = element("span", { className: "flawmarks", title: Object.entries(episode.flaws).map(([flaw, count]) => `${FLAW_WORDS[flaw]}: ${count}`).join("\n") });
+    for (const flaw of Object.keys(episode.flaws)) flaws.append(Object.assign(element("i"), { style: `background: var(--${flaw})` }));
+    const button = element("button", { textContent: "⇄", title: "Compare with this one" });
+    button.addEventListener("click", (event) => { event.stopPropagation(); compare(episode.id); });
+    const item = element("li", {},
+      element("span", { className: "dot " + verdict(episode), title: verdict(episode) }),
+      element("span", { className: "id", textContent: episode.id, title: episode.id }),
+      element("span", { className: "length" }, flaws, episode.damaged ? "damaged" : seconds(episode.rows, dataset.fps)),
+      button);
+    const note = episode.note || (episode.instruction !== dataset.instruction && episode.instruction) || "";
+    if (note) item.append(element("span", { className: "note", textContent: note }));
+    item.addEventListener("click", () => choose(episode.id));
+    return item;
+  }
+
+  // Change the filters and show what fits.
+  set(changes) {
+    Object.assign(this.filter, changes);
+    const { text, order } = this.filter;
+    const words = text.toLowerCase().split(/\s+/).filter(Boolean);
+    const flawed = { any: () => true, none: (e) => !e.total && !e.damaged, some: (e) => e.total > 0 || e.damaged };
+    const fits = flawed[this.filter.flaw] || ((e) => e.flaws[this.filter.flaw] > 0);
+    const isWanted = (e) => this.filter.verdict === "all" || e.verdict === this.filter.verdict || (this.filter.verdict === "unknown" && e.damaged);
+    const orders = { longest: (a, b) => b.rows - a.rows, shortest: (a, b) => a.rows - b.rows, flaws: (a, b) => b.total - a.total };
+    const shown = this.episodes.filter((e) => isWanted(e) && fits(e) && words.every((word) => e.text.includes(word)));
+    if (orders[order]) shown.sort(orders[order]);
+    this.shown = shown.map((episode) => episode.id);
+    this.list.replaceChildren(...this.shown.map((id) => this.items.get(id)));
+    for (const button of this.buttons) button.setAttribute("aria-pressed", String(button.dataset.verdict === this.filter.verdict));
+    const wins = shown.filter((e) => e.success === true).length;
+    const judged = shown.filter((e) => e.success !== null).length;
+    document.getElementById("shown").textContent = `${shown.length} of ${this.episodes.length} shown` + (judged ? `, ${wins} of ${judged} succeeded` : "");
+    document.body.dataset.shown = String(shown.length);
+  }
+
+  // Mark which episodes are open.
+  mark(id, other) {
+    for (const [name, item] of this.items) {
+      item.toggleAttribute("aria-current", name === id);
+      item.classList.toggle("other", name === other);
+    }
+    this.items.get(id)?.scrollIntoView({ block: "nearest" });
+  }
+
+  // Return the id that is `by` places further in the list as it is shown.
+  next(id, by) {
+    const place = this.shown.indexOf(id);
+    return this.shown[place < 0 ? 0 : Math.max(0, Math.min(this.shown.length - 1, place + by))];
+  }
+}
