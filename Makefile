@@ -1,6 +1,8 @@
 # make demo          build, install into .venv, collect episodes of Pick-Cuboid with the scripted FR3, and say where the report is
 # make test          build, install, run the tests of C++ and Python
-# make test-extras   the tests that need torch, Stable-Baselines3 or mujoco-menagerie
+# make test-extras   the tests that need torch, Stable-Baselines3, mujoco-menagerie or a browser
+# make test-interop  open our exports with the readers of LeRobot and others; each gets an environment of its own (first time:
+#                    about 4 GB and 10 minutes)
 # make check         format, lint, types, import layers, stubs
 # make bench         every benchmark: one line of JSON each
 # make format        format Python and C++;   make stubs   write the stubs of the extension anew
@@ -28,7 +30,7 @@ CXX_FILES = $(shell find core tests -name '*.cpp' -o -name '*.hpp')
 STUB := src/rcs/_core.pyi
 STUBGEN = $(BIN)/python -m nanobind.stubgen --quiet --module rcs._core --output-file
 
-.PHONY: help build gl demo test test-cpp test-extras check bench format stubs clean
+.PHONY: help build gl demo test test-cpp test-extras test-interop check bench format stubs clean
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' Makefile
@@ -90,8 +92,39 @@ $(VENV)/.stamp-extras: $(VENV)/.stamp-built
 	@touch $@
 
 test-extras: $(VENV)/.stamp-extras gl
+	@tools/system_packages browser
 	@echo "==> Testing what needs extras"
-	@$(BIN)/python -m pytest -m extras --durations=10
+	@$(BIN)/python -m pytest -m "extras or browser" --durations=10
+
+# A line per reader: its environment, the program that reads, what it reads. Left where they are: environments, data.
+INTEROP := build/interop
+READERS := \
+  lerobot-0.4.4:read_lerobot_v3.py:lerobot-v3 \
+  lerobot-0.4.4:read_lerobot_v3.py:lerobot-v3-av1 \
+  lerobot-0.3.3:read_lerobot_v21.py:lerobot-v2.1 \
+  lerobot-0.3.3:read_lerobot_v21.py:gr00t \
+  tfds:read_rlds.py:rlds \
+  tfds:read_rlds.py:varied/rlds \
+  robomimic:read_robomimic.py:robomimic \
+  robomimic:read_robomimic.py:varied/robomimic
+
+$(INTEROP)/%/.stamp: tests/interop/requirements-%.txt
+	@echo "==> Making $(INTEROP)/$*"
+	@tools/reader_environment $(BIN)/python $*
+
+test-interop: build gl $(foreach r,$(READERS),$(INTEROP)/$(firstword $(subst :, ,$(r)))/.stamp)
+	@echo "==> Collecting and exporting"
+	@mkdir -p $(INTEROP)/data && $(BIN)/python tests/interop/make_exports.py $(INTEROP)/data \
+	  $(filter-out varied/%,$(sort $(foreach r,$(READERS),$(lastword $(subst :, ,$(r))))))
+	@$(BIN)/python tests/interop/make_varied.py $(INTEROP)/data/varied
+	@set -e; for reader in $(READERS); do \
+	  name=$${reader%%:*}; rest=$${reader#*:}; program=$${rest%%:*}; format=$${rest#*:}; \
+	  echo "==> Reading $$format with $$name"; \
+	  export=$(INTEROP)/data/$$format; \
+	  $(INTEROP)/$$name/bin/python tests/interop/$$program $$export $$(dirname $$export)/expected \
+	    >$$export.log 2>&1 || { cat $$export.log; exit 1; }; \
+	  tail -n 1 $$export.log; \
+	done
 
 # --- Checks ----------------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,55 @@
+"""`rcs data import`: make a dataset of one in another format."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.progress import Progress
+
+from rcs.data.convert.formats import import_format
+from rcs.data.convert.options import ImportOptions
+
+
+@dataclass(kw_only=True)
+class ImportCommand:
+    """Make a dataset of one in another format, so that it can be checked, edited and mixed."""
+
+    source: tyro.conf.Positional[Path]
+    """File or folder to read."""
+    out: Path
+    """Folder of the dataset to make; nothing may be there yet."""
+    format: str = "auto"
+    """lerobot or robomimic; default: what it looks like."""
+    jpeg_quality: int = 95
+    """1 to 100."""
+    lossless: bool = False
+    """Keep colour images without loss instead."""
+    instruction: str | None = None
+    """What the robot was asked to do, where the source does not say so."""
+    fps: float | None = None
+    """Steps per second [Hz], where the source does not say so."""
+
+    def run(self) -> int:
+        """Import and print what was made."""
+        console = Console(soft_wrap=True)
+        read = import_format(self.format, self.source)
+        with Progress(console=console, transient=True) as progress:
+            bar = progress.add_task("Importing", total=None)
+            options = ImportOptions(
+                jpeg_quality=self.jpeg_quality,
+                lossless=self.lossless,
+                instruction=self.instruction,
+                fps=self.fps,
+                on_progress=lambda done, total: progress.update(bar, completed=done, total=total or None),
+            )
+            dataset = read(self.source, self.out, options)
+        rows = sum(episode.length for episode in dataset.episodes)
+        console.print(f"{len(dataset)} episodes, {rows} rows: {dataset.path}", highlight=False, markup=False)
+        imported: dict[str, Any] = dataset.info.setup.get("imported", {})
+        for name, reason in imported.get("left_out", {}).items():
+            console.print(f"Note: {name} was left out: {reason}.", highlight=False, markup=False)
+        return 0

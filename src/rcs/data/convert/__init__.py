@@ -1,0 +1,1 @@
+"""Datasets as other programs have them: export to their layouts, and import from them."""

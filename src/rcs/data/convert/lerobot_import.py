@@ -1,0 +1,258 @@
+"""Makes a dataset of a LeRobotDataset, ours or anyone's, v2.0, v2.1 or v3.0.
+
+T frames become T + 1 rows: row i has what was seen in frame i, row i + 1 what was done in it. What was seen after the
+last frame LeRobot does not keep. An export of ours has it beside the frames, and every row comes back. Of other
+datasets row T repeats the observation of row T - 1, and the episode's outcome says so: `imported.last_observation` is
+"repeated".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from rcs.data.codec import decode_frame
+from rcs.data.content import flat_numbers
+from rcs.data.convert.calibration import CALIBRATION_FILE, read_episode_calibration
+from rcs.data.convert.lerobot import depth_path
+from rcs.data.convert.lerobot_layout import LAST_ROWS_FILE, PROVENANCE_FILE, RCS_FILE, SUCCESS
+from rcs.data.convert.lerobot_mapping import FeatureMapping, feature_mapping
+from rcs.data.convert.lerobot_source import LeRobotSource, SourceEpisode, read_json, read_json_lines
+from rcs.data.convert.options import ImportOptions, stored_as
+from rcs.data.convert.output import new_output
+from rcs.data.convert.video import VideoReader, decode_depth_video
+from rcs.data.feature import Feature
+from rcs.data.info import DatasetInfo
+from rcs.data.layout import check_episode_id
+from rcs.data.reader import Dataset
+from rcs.data.writer import DatasetWriter
+from rcs.errors import CorruptEpisode, InvalidSetup
+
+# LeRobot's own tolerance between a stamp and frame / fps is 1e-4 s.
+_ON_GRID_S = 1e-4
+
+
+def is_lerobot(source: Path) -> bool:
+    """Return whether a folder looks like a LeRobotDataset."""
+    return (source / "meta" / "info.json").is_file()
+
+
+def import_lerobot(source: str | Path, out: str | Path, options: ImportOptions | None = None) -> Dataset:
+    """Make a dataset of a LeRobotDataset; it is there whole or not at all.
+
+    Numbers come back as they are in the source, which are float32 for vectors of ours. Images are compressed once more.
+    Success is known only where the source has `next.success`, or is an export of ours.
+
+    Args:
+        source: The folder of the LeRobotDataset.
+        out: The folder to make.
+        options: How images are stored.
+
+    Raises:
+        DatasetError: There is no such dataset, something is at `out`, or the disk fails.
+        CorruptEpisode: The source is damaged.
+        InvalidSetup: The source has nothing that could be imported.
+    """
+    options = options or ImportOptions()
+    given = LeRobotSource(Path(source))
+    ours = read_json(given.root / RCS_FILE) if (given.root / RCS_FILE).is_file() else None
+    mapping = feature_mapping(given, ours, keeps_timestamp=not _is_on_grid(given))
+    beside = _Beside.of(given, ours, mapping)
+    with new_output(out) as folder:
+        readers: dict[str, VideoReader] = {}
+        done = 0
+        try:
+            with DatasetWriter.open(folder, _info(given, ours, mapping, options)) as writer:
+                for episode in given.episodes():
+                    _import(episode, writer, given, mapping, beside, readers, options)
+                    done += len(episode.table)
+                    if options.on_progress:
+                        options.on_progress(done, given.frames)
+        finally:
+            for reader in readers.values():
+                reader.close()
+    return Dataset.open(out)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Beside:
+    """What an export of ours has beside LeRobot's own files; empty for other datasets."""
+
+    root: Path
+    provenance: dict[int, dict[str, Any]]
+    calibration: dict[int, dict[str, Any]]
+    has_last_rows: bool
+
+    @classmethod
+    def of(cls, source: LeRobotSource, ours: Mapping[str, Any] | None, mapping: FeatureMapping) -> _Beside:
+        provenance: dict[int, dict[str, Any]] = {}
+        calibration: dict[int, dict[str, Any]] = {}
+        if ours is not None and (source.root / PROVENANCE_FILE).is_file():
+            provenance = {row["episode_index"]: row for row in read_json_lines(source.root / PROVENANCE_FILE)}
+        # Someone may have taken episodes out or put some in since; then nothing beside them can be trusted.
+        if {index: row["rows"] - 1 for index, row in provenance.items()} != source.lengths:
+            if mapping.depths or mapping.matrices:
+                raise CorruptEpisode(
+                    f"{source.root} was exported by this library and changed since: {PROVENANCE_FILE} has other "
+                    f"episodes than LeRobot's files. Remove {RCS_FILE} to import it as any other LeRobot dataset."
+                )
+            return cls(root=source.root, provenance={}, calibration={}, has_last_rows=False)
+        if mapping.matrices:
+            entries = read_json(source.root / CALIBRATION_FILE).get("episodes", ())
+            calibration = {entry["episode_index"]: entry for entry in entries}
+        has_last_rows = (source.root / LAST_ROWS_FILE).is_file()
+        return cls(root=source.root, provenance=provenance, calibration=calibration, has_last_rows=has_last_rows)
+
+    def last_row(self, index: int, features: tuple[Feature, ...]) -> dict[str, Any]:
+        """Return the last observation of an episode by key; empty where it was not kept."""
+        if not self.has_last_rows:
+            return {}
+        path = self.root / LAST_ROWS_FILE
+        try:
+            with pq.ParquetFile(path) as file:
+                table = file.read_row_group(index)
+        except (pa.ArrowException, OSError) as err:
+            raise CorruptEpisode(f"{path} does not read: {err}.") from err
+        row: dict[str, Any] = {}
+        for feature in features:
+            if feature.key in table.column_names:
+                column = table.column(feature.key)
+                row[feature.key] = (
+                    decode_frame(feature, column[0].as_py())
+                    if feature.is_image
+                    else flat_numbers(column).reshape(1, *feature.shape)[0]
+                )
+        return row
+
+
+def _import(
+    episode: SourceEpisode,
+    writer: DatasetWriter,
+    source: LeRobotSource,
+    mapping: FeatureMapping,
+    beside: _Beside,
+    readers: dict[str, VideoReader],
+    options: ImportOptions,
+) -> None:
+    steps = len(episode.table)
+    seen, done = _numbers(episode, mapping)
+    if mapping.matrices:
+        entry = beside.calibration.get(episode.index, {})
+        seen |= read_episode_calibration(beside.root, entry, mapping.matrices, steps)
+    images: dict[str, Iterator[NDArray[Any]]] = {
+        feature.key: episode.images(name, feature.shape, readers, source.fps)
+        for name, feature in mapping.cameras.items()
+    }
+    for camera, feature in mapping.depths.items():
+        images[feature.key] = decode_depth_video(beside.root / depth_path(camera, episode.index))
+    last = beside.last_row(episode.index, mapping.features)
+    came = beside.provenance.get(episode.index, {})
+    instruction = came.get("instruction") or " ".join(episode.tasks[:1]) or options.instruction
+    current: dict[str, Any] = {}
+    with writer.episode(_name(episode, came), seed=came.get("seed"), instruction=instruction) as taken:
+        for row in range(steps + 1):
+            values = {key: column[row - 1] for key, column in done.items()} if row else {}
+            if row < steps:
+                current = {key: column[row] for key, column in seen.items()}
+                current |= {key: _next(frames, key, episode) for key, frames in images.items()}
+                taken.add(_timed(values | current))
+            else:
+                # A time that was not measured is not stamped.
+                repeated = {key: None if key.startswith("time/") else value for key, value in current.items()}
+                taken.add(_timed(values | repeated | last))
+        about = {
+            "episode": episode.index,
+            "tasks": list(episode.tasks),
+            "last_observation": "kept" if last else "repeated",
+            **({"provenance": came} if came else {}),
+        }
+        taken.finish(_success(episode, came), {**came.get("outcome", {}), "imported": about})
+
+
+def _numbers(episode: SourceEpisode, mapping: FeatureMapping) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the columns of numbers by feature: of what was seen, and of what was done then."""
+    seen: dict[str, Any] = {}
+    done: dict[str, Any] = {}
+    for column in mapping.columns:
+        numbers = episode.numbers(column.name, (column.parts.size,))
+        for feature in column.parts.features:
+            part = numbers[:, column.parts.slices[feature.key]].reshape(-1, *feature.shape)
+            (done if column.is_after else seen)[feature.key] = part.astype(feature.dtype, copy=False)
+    return seen, done
+
+
+def _timed(row: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: None if key.startswith("time/") and value is not None and not math.isfinite(value) else value
+        for key, value in row.items()
+    }
+
+
+def _next(frames: Iterator[NDArray[Any]], key: str, episode: SourceEpisode) -> NDArray[Any]:
+    frame = next(frames, None)
+    if frame is None:
+        raise CorruptEpisode(f"Episode {episode.index} has fewer images of {key!r} than rows.")
+    return frame
+
+
+def _name(episode: SourceEpisode, came: Mapping[str, Any]) -> str:
+    name = str(came.get("episode", f"{episode.index:06d}"))
+    check_episode_id(name)
+    return name
+
+
+def _success(episode: SourceEpisode, came: Mapping[str, Any]) -> bool | None:
+    if came:
+        return came["success"]
+    if SUCCESS in episode.table.column_names:
+        return bool(np.any(episode.numbers(SUCCESS, (1,))))
+    return None
+
+
+def _info(
+    source: LeRobotSource, ours: Mapping[str, Any] | None, mapping: FeatureMapping, options: ImportOptions
+) -> DatasetInfo:
+    if not mapping.features:
+        raise InvalidSetup(f"{source.root} has no column that could be imported: {mapping.left_out}.")
+    imported: dict[str, Any] = {
+        "format": f"LeRobot {source.version}",
+        "robot_type": source.info.get("robot_type"),
+        "names": {name: about.get("names") for name, about in source.features.items()},
+        "left_out": mapping.left_out,
+    }
+    own = ours or {}
+    if own:
+        imported |= {"dataset": own["dataset"], "setup": own["setup"]}
+    words = chain([own.get("instruction"), options.instruction], source.tasks.values())
+    return DatasetInfo(
+        fps=float(own.get("fps", source.fps)),
+        features=tuple(stored_as(feature, options) for feature in mapping.features),
+        setup={"imported": imported},
+        instruction=next((text for text in words if text), ""),
+        jpeg_quality=options.jpeg_quality,
+    )
+
+
+def _is_on_grid(source: LeRobotSource) -> bool:
+    """Return whether all stamps are the number of the frame by the rate, and so say nothing."""
+    if "timestamp" not in source.features or "frame_index" not in source.features:
+        return True
+    for path in sorted((source.root / "data").glob("*/*.parquet")):
+        try:
+            with pq.ParquetFile(path) as file:
+                table = file.read(columns=["timestamp", "frame_index"])
+        except (pa.ArrowException, OSError) as err:
+            raise CorruptEpisode(f"{path} does not read: {err}.") from err
+        off = table.column("timestamp").to_numpy() - table.column("frame_index").to_numpy() / source.fps
+        if len(off) and float(np.abs(off).max()) > _ON_GRID_S:
+            return False
+    return True

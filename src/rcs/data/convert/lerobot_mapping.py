@@ -1,0 +1,137 @@
+"""Which features the columns of a LeRobotDataset become.
+
+An export of ours says so itself in `meta/rcs.json`, and its features come back under their names. Of other datasets
+
+- `observation.state` becomes `observation/state`, and so on for all that begins with "observation";
+- `action` becomes `action/action`, and so on for all that begins with "action";
+- `next.reward` becomes `reward`;
+- a video or image becomes `observation/frames/<camera>/rgb`, where <camera> is its name without "observation.images.";
+- all other columns of numbers become `extra/<name>`: `next.done` too, for it does not tell a task that ended from a
+  recording that was stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rcs.data.convert.lerobot_layout import DONE, INDICES, REWARD, SUCCESS, Column
+from rcs.data.convert.lerobot_source import LeRobotSource
+from rcs.data.feature import DTYPES, Feature
+from rcs.data.trajectory import VectorLayout
+
+Matrices = dict[str, dict[str, Feature]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeatureMapping:
+    """What becomes of which column."""
+
+    columns: tuple[Column, ...]
+    """Columns of numbers."""
+    cameras: dict[str, Feature]
+    """Columns of images."""
+    depths: dict[str, Feature]
+    """Cameras whose depth images are beside the export, which is one of ours."""
+    matrices: Matrices
+    """Camera matrices beside the export, which is one of ours."""
+    features: tuple[Feature, ...]
+    """All features, in the order of the dataset that is made."""
+    left_out: dict[str, str]
+    """Columns that become nothing, and why."""
+
+
+def feature_mapping(source: LeRobotSource, ours: Mapping[str, Any] | None, *, keeps_timestamp: bool) -> FeatureMapping:
+    """Choose the features.
+
+    Args:
+        source: The LeRobot dataset.
+        ours: What `meta/rcs.json` says; None if there is no such file.
+        keeps_timestamp: Whether `timestamp` is not just the number of the frame by the rate.
+    """
+    columns, cameras, depths, matrices = _own(source, ours or {})
+    known = {*(column.name for column in columns), *cameras, *({DONE, SUCCESS} if ours else ())}
+    left_out: dict[str, str] = {}
+    for name, about in source.features.items():
+        if name in known or (name in INDICES and not (name == "timestamp" and keeps_timestamp)):
+            continue
+        dtype = str(about["dtype"])
+        shape = tuple(int(n) for n in about["shape"])
+        info = about.get("info") or about.get("video_info") or {}
+        if dtype in ("video", "image"):
+            height, width, channels = _sizes(shape, about.get("names"))
+            if info.get("video.is_depth_map") or info.get("is_depth_map") or channels != 3:
+                left_out[name] = "its images are not in colour"
+                continue
+            key = f"observation/frames/{camera_name(name)}/rgb"
+            cameras[name] = Feature(key=key, shape=(height, width, 3), dtype="uint8", encoding="jpeg")
+        elif name == "timestamp":
+            columns.append(_single(name, Feature(key="time/timestamp", shape=(), dtype="float64", unit="s")))
+        elif dtype not in DTYPES and dtype != "float16":
+            left_out[name] = f"{dtype} is no number"
+        else:
+            columns.append(_single(name, _feature(name, shape, "float32" if dtype == "float16" else dtype)))
+    parts = [f for column in columns for f in column.parts.features]
+    parts += [*cameras.values(), *depths.values(), *(f for m in matrices.values() for f in m.values())]
+    order = list((ours or {}).get("order", ()))
+    features = sorted(parts, key=lambda f: order.index(f.key) if f.key in order else len(order))
+    return FeatureMapping(
+        columns=tuple(columns),
+        cameras=cameras,
+        depths=depths,
+        matrices=matrices,
+        features=tuple(features),
+        left_out=left_out,
+    )
+
+
+def camera_name(column: str) -> str:
+    """Return the camera of a column: "wrist" of "observation.images.wrist", "image" of "observation.image"."""
+    for prefix in ("observation.images.", "observation."):
+        if column.startswith(prefix):
+            return column.removeprefix(prefix)
+    return column
+
+
+def _own(
+    source: LeRobotSource, ours: Mapping[str, Any]
+) -> tuple[list[Column], dict[str, Feature], dict[str, Feature], Matrices]:
+    columns = [
+        Column(
+            name=column["name"],
+            dtype=str(source.features[column["name"]]["dtype"]),
+            parts=VectorLayout(features=tuple(Feature.from_json(f) for f in column["features"])),
+        )
+        for column in ours.get("columns", ())
+        if column["name"] in source.features
+    ]
+    cameras = {n: Feature.from_json(f) for n, f in ours.get("cameras", {}).items() if n in source.features}
+    depths = {name: Feature.from_json(f) for name, f in ours.get("depths", {}).items()}
+    matrices = {
+        camera: {name: Feature.from_json(f) for name, f in known.items()}
+        for camera, known in ours.get("calibration", {}).items()
+    }
+    return columns, cameras, depths, matrices
+
+
+def _feature(name: str, shape: tuple[int, ...], dtype: str) -> Feature:
+    if name == REWARD and shape == (1,):
+        return Feature(key="reward", shape=(), dtype=dtype)
+    for prefix in ("observation", "action"):
+        if name.startswith(prefix):
+            rest = name.removeprefix(prefix).strip(".").replace(".", "/").replace("//", "/")
+            return Feature(key=f"{prefix}/{rest or prefix}", shape=shape, dtype=dtype)
+    return Feature(key=f"extra/{name.replace('/', '.')}", shape=() if shape == (1,) else shape, dtype=dtype)
+
+
+def _single(name: str, feature: Feature) -> Column:
+    return Column(name=name, dtype=feature.dtype, parts=VectorLayout(features=(feature,)))
+
+
+def _sizes(shape: tuple[int, ...], names: Any) -> tuple[int, int, int]:
+    # Old datasets have (channels, height, width), and some say "channel".
+    first = str(names[0]) if isinstance(names, list) and names else ""
+    if first.startswith("channel") or (not first and shape[0] in (1, 3) and shape[-1] not in (1, 3)):
+        return shape[1], shape[2], shape[0]
+    return shape[0], shape[1], shape[2]

@@ -1,0 +1,222 @@
+"""What is in an HDF5 file for robomimic, and which features it becomes.
+
+An export of ours says so itself. Of others' files `obs/<name>` becomes `observation/<name>`, images
+`observation/frames/<camera>/rgb` or, of uint16, `.../depth`; `actions` become `action/action`, `rewards` `reward`,
+`dones` `terminated`, `states` `simulation/states`; what else is there per step is kept as `imported/<name>`. Whether an
+episode succeeded is known only where the file has a mask "success" or "failure".
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from rcs.data.convert.options import ImportOptions, stored_as
+from rcs.data.convert.robomimic import PROVENANCE, RCS
+from rcs.data.feature import Feature
+from rcs.data.info import DatasetInfo
+from rcs.errors import InvalidSetup
+
+_KNOWN = ("obs", "next_obs", "rewards", "dones", "states", RCS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """Where in an episode of the file a feature is."""
+
+    feature: Feature
+    """The feature that it becomes."""
+    path: str
+    """The array with its rows."""
+    after: str | None = None
+    """The one with what was seen after each step, if there is one."""
+    is_whole: bool = False
+    """Whether there is a row for the reset and one after each step, as we write them."""
+
+    @property
+    def is_done(self) -> bool:
+        """Whether a row tells what a step did, not what was seen before."""
+        return self.feature.is_unknown_at_reset or self.feature.key == "terminated"
+
+    @property
+    def is_repeated(self) -> bool:
+        """Whether nothing in the file is for the last row."""
+        return not (self.is_whole or self.is_done or self.after)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourcePlan:
+    """How a file becomes a dataset."""
+
+    info: DatasetInfo
+    """What the episodes share."""
+    columns: tuple[Column, ...]
+    """A column per feature, in their order."""
+    states: str | None = None
+    """The array with the simulation's state, where it is of ours."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoAbout:
+    """What of an episode is not in its rows."""
+
+    id: str
+    """Its id in the dataset."""
+    instruction: str
+    """What the robot was asked to do."""
+    seed: int | None = None
+    """The seed it was reset with."""
+    success: bool | None = None
+    """Whether it succeeded."""
+    outcome: dict[str, Any] = field(default_factory=dict[str, Any])
+    """What else is known of how it went."""
+    provenance: dict[str, Any] | None = None
+    """Where it came from, if it was exported by us."""
+
+
+def demo_names(file: Any) -> list[str]:
+    """Return the episodes of a file, "demo_10" behind "demo_9".
+
+    Raises:
+        InvalidSetup: There are none.
+    """
+    names = list(file["data"]) if "data" in file else []
+    if not names:
+        raise InvalidSetup(f"{file.filename} is no file for robomimic: it has no episodes in a group 'data'.")
+    return sorted(names, key=lambda name: (int((re.findall(r"\d+$", name) or ["0"])[0]), name))
+
+
+def source_plan(file: Any, options: ImportOptions) -> SourcePlan:
+    """Return how a file becomes a dataset.
+
+    Args:
+        file: The open file.
+        options: How images are stored, and what the file may not say.
+
+    Raises:
+        InvalidSetup: It is no file for robomimic, or does not say its rate, and the options do not either.
+    """
+    first = file["data"][demo_names(file)[0]]
+    return _own_plan(file, options) if RCS in file["data"].attrs else _foreign_plan(file, first, options)
+
+
+def demo_about(file: Any, name: str, index: int, plan: SourcePlan) -> DemoAbout:
+    """Return what of an episode is not in its rows.
+
+    Args:
+        file: The open file.
+        name: The episode's name there.
+        index: Its number, for an id if it has none.
+        plan: For the instruction, if it has none.
+    """
+    demo = file["data"][name]
+    words = plan.info.instruction
+    if PROVENANCE in demo.attrs:
+        came = json.loads(demo.attrs[PROVENANCE])
+        return DemoAbout(
+            id=came["episode"],
+            instruction=came.get("instruction", words),
+            seed=came.get("seed"),
+            success=came.get("success"),
+            outcome=came.get("outcome") or {},
+            provenance=came,
+        )
+    success = None
+    for mask, value in (("success", True), ("successful", True), ("failure", False)):
+        if f"mask/{mask}" in file and name.encode() in file[f"mask/{mask}"][()]:
+            success = value
+    return DemoAbout(id=f"{index:06d}", instruction=_instruction(file["data"], demo) or words, success=success)
+
+
+def _own_plan(file: Any, options: ImportOptions) -> SourcePlan:
+    about = json.loads(file["data"].attrs[RCS])
+    info = DatasetInfo.from_json(about["info"])
+    features = tuple(stored_as(feature, options) for feature in info.features)
+    info = replace(info, features=features, jpeg_quality=options.jpeg_quality)
+    names = {key: name for name, key in about["observations"].items()}
+    columns = (
+        Column(feature=f, path=f"obs/{names[f.key]}", after=f"next_obs/{names[f.key]}")
+        if f.key in names
+        else Column(feature=f, path=f"{RCS}/{f.key}", is_whole=True)
+        for f in features
+    )
+    return SourcePlan(info=info, columns=tuple(columns), states="states" if info.sim_state_size else None)
+
+
+def _foreign_plan(file: Any, demo: Any, options: ImportOptions) -> SourcePlan:
+    data = file["data"]
+    environment = _json_attribute(data, "env_args")
+    fps = (environment.get("env_kwargs") or {}).get("control_freq") or options.fps
+    if not fps:
+        raise InvalidSetup(f"{file.filename} does not say how many steps a second has; give fps.")
+    arrays = {f"obs/{name}": values for name, values in demo.get("obs", {}).items()}
+    arrays |= {name: values for name, values in demo.items() if name not in _KNOWN}
+    left_out = {path: "it is no array of numbers" for path, values in arrays.items() if not _is_numeric(values)}
+    columns: list[Column] = []
+    for path, values in arrays.items():
+        if path in left_out:
+            continue
+        folder, _, name = path.rpartition("/")
+        if folder:
+            after = f"next_obs/{name}" if f"next_obs/{name}" in demo else None
+            columns.append(Column(feature=_observation(name, values, options), path=path, after=after))
+        elif name.startswith("action"):
+            columns.append(
+                Column(feature=_feature(f"action/{'action' if name == 'actions' else name}", values), path=path)
+            )
+        else:
+            columns.append(Column(feature=_feature(f"imported/{name}", values), path=path))
+    if "rewards" in demo:
+        columns.append(Column(feature=Feature(key="reward", shape=(), dtype="float64"), path="rewards"))
+    if "dones" in demo:
+        columns.append(Column(feature=Feature(key="terminated", shape=(), dtype="bool"), path="dones"))
+    if "states" in demo and demo["states"].size:
+        columns.append(Column(feature=_feature("simulation/states", demo["states"]), path="states"))
+    info = DatasetInfo(
+        fps=float(fps),
+        features=tuple(column.feature for column in columns),
+        setup={"imported": {"format": "robomimic", "env_args": environment, "left_out": left_out}},
+        instruction=_instruction(data, demo) or options.instruction or str(environment.get("env_name", "")),
+        jpeg_quality=options.jpeg_quality,
+    )
+    return SourcePlan(info=info, columns=tuple(columns))
+
+
+def _observation(name: str, values: Any, options: ImportOptions) -> Feature:
+    shape = values.shape[1:]
+    if values.dtype == np.uint8 and len(shape) == 3 and shape[2] == 3:
+        key = f"observation/frames/{name.removesuffix('_image').removesuffix('_rgb')}/rgb"
+        return stored_as(Feature(key=key, shape=shape, dtype="uint8", encoding="jpeg"), options)
+    if values.dtype == np.uint16 and (len(shape) == 2 or (len(shape) == 3 and shape[2] == 1)):
+        key = f"observation/frames/{name.removesuffix('_depth')}/depth"
+        return Feature(key=key, shape=shape[:2], dtype="uint16", encoding="depth")
+    return _feature(f"observation/{name}", values)
+
+
+def _feature(key: str, values: Any) -> Feature:
+    dtype = "float32" if values.dtype == np.float16 else values.dtype.newbyteorder("=").name
+    return Feature(key=key, shape=values.shape[1:], dtype=dtype)
+
+
+def _is_numeric(values: Any) -> bool:
+    return hasattr(values, "shape") and values.ndim > 0 and values.dtype.kind in "fiub"
+
+
+def _instruction(data: Any, demo: Any) -> str | None:
+    """Return what the robot was asked to do: RoboCasa and LIBERO say so, each in its own place."""
+    words = _json_attribute(demo, "ep_meta").get("lang")
+    words = words or _json_attribute(data, "problem_info").get("language_instruction")
+    return str(words) if words else None
+
+
+def _json_attribute(group: Any, name: str) -> Mapping[str, Any]:
+    try:
+        values = json.loads(group.attrs.get(name, "{}"))
+    except ValueError:
+        return {}
+    return values if isinstance(values, dict) else {}
