@@ -91,3 +91,13 @@ def test_numbers_of_the_right_kind_need_no_array(buffer: RowBuffer, make_rows: M
     buffer.add(row, np.zeros(STATE))
     batch = buffer.take()
     assert [batch.column(key)[0].as_py() for key in ("reward", "terminated", "time/monotonic")] == [1.0, True, 2.0]
+
+
+def test_an_image_may_come_as_the_bytes_of_another_recording(buffer: RowBuffer, make_rows: MakeRows) -> None:
+    row, key = make_rows(2, images=True)[1], "observation/frames/wrist/rgb"
+    buffer.add(row, np.zeros(STATE))
+    stored = buffer.take().column(key)[0].as_py()
+    buffer.add({**row, key: stored}, np.zeros(STATE))
+    assert buffer.take().column(key)[0].as_py() == stored
+    with pytest.raises(InvalidSetup, match="observation/joints"):
+        buffer.add({**row, "observation/joints": b"\0" * 24}, np.zeros(STATE))

@@ -19,8 +19,9 @@ from rcs.errors import InvalidSetup
 SIM_STATE = "sim_state"
 """The column of the simulation's state, beside the features while an episode is open."""
 
-Value = NDArray[Any] | np.generic | float | bool | None
-"""What a row may have under a key; None only where nothing was measured, or for an image where there is no new one."""
+Value = NDArray[Any] | np.generic | float | bool | bytes | None
+"""What a row may have under a key; None only where nothing was measured, or for an image where there is no new one. An
+image may also be the bytes of another recording with the same feature, as stored there."""
 
 _CAPACITY = 64
 
@@ -117,7 +118,9 @@ class RowBuffer:
         for feature in self._info.features:
             value: Any = row.get(feature.key)
             if feature.is_image:
-                images[feature.key] = None if value is None else encode_frame(feature, value, self._info)
+                if value is not None and not isinstance(value, bytes):
+                    value = encode_frame(feature, value, self._info)
+                images[feature.key] = value
             elif value is not None:
                 self._numbers[feature.key][i] = value
             elif feature.is_time:
@@ -205,6 +208,8 @@ def _check_value(feature: Feature, value: Value, is_first: bool) -> None:
             f"{feature.key!r} is {_form(value)} in the first row; it must be None or left out, "
             "for the first row is the reset observation and no action came before it."
         )
+    if feature.is_image and isinstance(value, bytes):
+        return
     if isinstance(value, np.ndarray):
         if value.shape != feature.shape or value.dtype != feature.dtype:
             raise InvalidSetup(f"{feature.key!r} is {_form(value)}; expected is {feature.shape} {feature.dtype}.")

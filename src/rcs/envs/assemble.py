@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,17 +49,20 @@ class Parts:
     task: Task
 
 
-def assemble(parts: Parts, *, has_picture: bool = False, is_blind: bool = False) -> Env:
+def assemble(
+    parts: Parts, *, has_picture: bool = False, is_blind: bool = False, drawn: Sequence[str] | None = None
+) -> Env:
     """Put one simulated environment together.
 
     Args:
         parts: What it is made of.
         has_picture: Whether `render` draws.
         is_blind: Leave the cameras in the scene, whose state they are part of, but observe no frames.
+        drawn: Names of the cameras to observe, in this order; the others stay in the scene. None for all.
     """
     setup = parts.setup
     world = World(compose(parts).compile(), frequency=setup.frequency, mode=setup.mode)
-    scenario, stack = _populate(parts, world, is_blind=is_blind)
+    scenario, stack = _populate(parts, world, is_blind=is_blind, drawn=drawn)
     return Env(
         stack,
         SimClock(world),
@@ -100,15 +104,19 @@ def compose(parts: Parts) -> Scene:
     return scene
 
 
-def _populate(parts: Parts, world: World, *, is_blind: bool = False) -> tuple[Scenario, Stack | StackGroup]:
+def _populate(
+    parts: Parts, world: World, *, is_blind: bool = False, drawn: Sequence[str] | None = None
+) -> tuple[Scenario, Stack | StackGroup]:
     setup = parts.setup
     robots = [SimRobot(world, placement) for placement in parts.robots]
     if setup.mode == "sync":
         for robot in robots:
             robot.wait_for_arrival()
-    clock = _frame_clock(parts, world)
+    by_name = {camera.name: camera for camera in parts.cameras}
+    cameras = list(parts.cameras) if drawn is None else [by_name[name] for name in drawn]
+    clock = _frame_clock(setup, cameras, world)
     scenario = Scenario(world, robots, parts.task, _randomiser(parts, world), clock)
-    shared = [] if is_blind else _sensors_of(parts, world, robots, clock)
+    shared = [] if is_blind else _sensors_of(parts, cameras, world, robots, clock)
     if len(robots) == 1:
         stack = Stack([*_ports_of(robots[0]), *shared], layers_of(setup, robots[0].placement), world.leading)
         return scenario, stack
@@ -119,23 +127,22 @@ def _populate(parts: Parts, world: World, *, is_blind: bool = False) -> tuple[Sc
     return scenario, StackGroup(stacks, Stack(shared, [], world.leading))
 
 
-def _frame_clock(parts: Parts, world: World) -> FrameClock:
+def _frame_clock(setup: Setup, cameras: Sequence[CameraPlacement], world: World) -> FrameClock:
     """Return the clock that says when each camera has a new frame."""
-    setup = parts.setup
-    rates = {
-        camera.name: FrameRate.of(camera.camera, setup.size, setup.fps_of(camera.name)) for camera in parts.cameras
-    }
+    rates = {camera.name: FrameRate.of(camera.camera, setup.size, setup.fps_of(camera.name)) for camera in cameras}
     return FrameClock(world, rates)
 
 
-def _sensors_of(parts: Parts, world: World, robots: list[SimRobot], clock: FrameClock) -> list[Port]:
+def _sensors_of(
+    parts: Parts, observed: list[CameraPlacement], world: World, robots: list[SimRobot], clock: FrameClock
+) -> list[Port]:
     """Return the port of everything that gives frames, or none."""
     setup = parts.setup
     port: SimCameraPort | None = None
-    if parts.cameras:
+    if observed:
         cameras = SimCameras(
             world,
-            list(parts.cameras),
+            observed,
             size=setup.size,
             has_depth=setup.depth,
             quality=setup.quality,

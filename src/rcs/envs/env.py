@@ -8,6 +8,7 @@ from typing import Any, SupportsFloat
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from rcs._core import StepEnd
 from rcs.envs.clock import Clock
@@ -17,6 +18,7 @@ from rcs.envs.observers import Observer, Transition
 from rcs.envs.scenario import Scenario
 from rcs.envs.spaces import Observation
 from rcs.envs.stack import Stack
+from rcs.envs.start import Start, check_start
 from rcs.errors import Diverged, InvalidAction, InvalidSetup, WrongOrder
 from rcs.sim.picture import Picture
 
@@ -98,15 +100,17 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         Args:
             seed: Same seed, same episode, and the same episodes after it. Without one, the next episode of the last
                 seed.
-            options: `state` starts the episode in a simulation state of `env.scenario.world.states()`.
+            options: `state` starts the episode in a simulation state of `env.scenario.world.states()`. `robot` starts
+                it with `joints`, and `gripper` or `hand`, as an observation has them, and `objects` with objects at
+                poses (7,) in the base frame (of several robots: the scene), as `env.scenario.object_poses()` has them.
 
         Raises:
             WrongOrder: The environment is closed.
-            InvalidSetup: A seed out of range, an unknown option, or a state of the wrong size.
+            InvalidSetup: A seed out of range, an unknown option, or a start that makes no sense.
         """
         if not self._is_open:
             raise WrongOrder("reset was called on a closed environment; make a new one.")
-        state = self._check_options(options)
+        state, start = self._check_options(options)
         if seed is not None and not 0 <= seed < SEED_LIMIT:
             raise InvalidSetup(f"The seed is {seed}; valid is 0 to 2**63 - 1.")
         super().reset(seed=seed)
@@ -122,6 +126,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             if state is not None:
                 self._scenario.world.core.set_state(state)
                 self._scenario.world.refresh()
+            if start is not None:
+                self._scenario.start_at(start)
             info.update(_plain(self._scenario.describe()))
         for port in self._stack.ports:
             port.open()
@@ -229,18 +235,22 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             return "step was called before the first reset; call reset."
         return "step was called after the end of the episode; call reset."
 
-    def _check_options(self, options: Mapping[str, Any] | None) -> Any:
+    def _check_options(self, options: Mapping[str, Any] | None) -> tuple[NDArray[np.float64] | None, Start | None]:
         given = dict(options or {})
-        state = given.pop("state", None)
+        state, robot, objects = (given.pop(name, None) for name in ("state", "robot", "objects"))
         if given:
-            raise InvalidSetup(f"Unknown reset options {sorted(given)}; valid: 'state'.")
+            raise InvalidSetup(f"Unknown reset options {sorted(given)}; valid: 'state', 'robot', 'objects'.")
+        if robot is not None or objects is not None:
+            if state is not None:
+                raise InvalidSetup("The reset option 'state' says all; give it without 'robot' and 'objects'.")
+            return None, check_start(self.scenario.robots, self.scenario.task.object_poses(), robot, objects)
         if state is None:
-            return None
+            return None, None
         size = self.scenario.world.core.state_size
         array = np.asarray(state, np.float64)
         if array.shape != (size,) or not np.isfinite(array).all():
             raise InvalidSetup(f"The option 'state' has shape {array.shape}; valid are {size} finite numbers.")
-        return array
+        return array, None
 
     def __str__(self) -> str:
         """Return the environment, its task and its stack, part by part."""

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
 from rcs.envs.randomiser import Randomiser
+from rcs.envs.spaces import GRIPPER, HAND, JOINTS
+from rcs.envs.start import Start, in_frame_of
 from rcs.envs.task import Outcome, Task
 from rcs.sim.frame_clock import FrameClock
 from rcs.sim.robot import SimRobot
@@ -37,7 +39,7 @@ class Scenario:
             frame_clock: That of the cameras, which the episode's random numbers reach here; None without cameras.
         """
         self.world = world
-        self._randomiser = randomiser
+        self._randomisers = [] if randomiser is None else [randomiser]
         self._frame_clock = frame_clock
         self.robots = robots
         self.task = task
@@ -47,6 +49,10 @@ class Scenario:
         world.core.keep_initial_state()
         world.refresh()
 
+    def add_randomiser(self, randomiser: Randomiser) -> None:
+        """Have more vary, over what varies already; made for this world before the first episode begins."""
+        self._randomisers.append(randomiser)
+
     def begin(self, draws: Draws, copies: Copies = None) -> None:
         """Start episodes: all robots at home, the task's objects where it puts them, all else as it is drawn.
 
@@ -55,13 +61,35 @@ class Scenario:
             copies: Which copies; None for all.
         """
         where: Where = ... if copies is None else copies
-        if self._randomiser is not None:
-            self._randomiser.begin(draws, copies)
+        for randomiser in self._randomisers:
+            randomiser.begin(draws, copies)
         if self._frame_clock is not None:
             self._frame_clock.begin(draws.branch("frames").bits(), copies)
         self.world.reset(copies)
         self.task.reset(draws, where)
         self.world.refresh(copies)
+
+    def start_at(self, start: Start) -> None:
+        """Put robots and objects somewhere else, right after `begin`; for a world of one copy.
+
+        Args:
+            start: Where to.
+        """
+        for robot in self.robots:
+            state = start.robots.get(robot.placement.name)
+            if state is not None:
+                robot.put(state[JOINTS], state.get(GRIPPER), state.get(HAND))
+        if start.objects:
+            self.task.place(start.objects, ...)
+        self.world.refresh()
+
+    def object_poses(self) -> dict[str, NDArray[np.float64]]:
+        """Return where the task's objects are by name, (*leading, 7) [m], xyzw.
+
+        Poses are in the base frame of the robot; with several robots, in the scene. Recordings have those of the start
+        in `outcome["objects"]`.
+        """
+        return in_frame_of(self.robots, self.task.object_poses())
 
     def evaluate(self) -> Outcome:
         """Judge the present state."""
@@ -70,12 +98,12 @@ class Scenario:
     @property
     def randomisation(self) -> dict[str, NDArray[np.float64]]:
         """What was drawn for the present episodes, by field of `Randomisation`, (*leading, ...)."""
-        return {} if self._randomiser is None else dict(self._randomiser.values)
+        return {field: drawn for randomiser in self._randomisers for field, drawn in randomiser.values.items()}
 
     def describe(self) -> dict[str, Any]:
         """Return the info of the first observation of an episode."""
         told: dict[str, Any] = dict(self.task.describe())
-        if self._randomiser is not None:
+        if self._randomisers:
             told["randomisation"] = self.randomisation
         return told
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -75,3 +76,16 @@ class Task(ABC):
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return the info of the first observation of an episode, of all copies."""
         return {}
+
+    def object_poses(self) -> dict[str, NDArray[np.float64]]:
+        """Return where the objects that the task is about are: poses in the scene by name, (*leading, 7) [m], xyzw."""
+        return {}
+
+    def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
+        """Put objects somewhere by writing the state, at rest; only called after `reset` and before the first step.
+
+        Args:
+            poses: Poses in the scene by names of `object_poses`, of exactly these copies, (*leading, 7) [m], xyzw.
+            where: Which copies; `...` for all, or for the only one.
+        """
+        raise NotImplementedError(f"{type(self).__name__} tells where its objects are but cannot place them.")

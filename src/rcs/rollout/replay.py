@@ -17,9 +17,10 @@ from rcs.data import Dataset, EpisodeRecord
 from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import ACTION
-from rcs.envs.setup import Setup
-from rcs.errors import InvalidSetup
+from rcs.rollout.look import physics_of, require_rate, require_states, setup_of
 from rcs.setups.make import resolve
+
+__all__ = ["ReplayResult", "physics_of", "replay", "replay_episode", "setup_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,15 +38,6 @@ class ReplayResult:
         return self.first_difference is None
 
 
-def setup_of(dataset: Dataset) -> Setup:
-    """Return the setup that a dataset was recorded with.
-
-    Raises:
-        InvalidSetup: The dataset has none, or one of another version.
-    """
-    return Setup.from_json({key: value for key, value in dataset.info.setup.items() if key != "collection"})
-
-
 def replay(path: str | Path) -> Iterator[ReplayResult]:
     """Play every episode's actions from its first state, without cameras, and compare all states.
 
@@ -57,10 +49,10 @@ def replay(path: str | Path) -> Iterator[ReplayResult]:
         DatasetError, CorruptEpisode: The dataset cannot be read.
     """
     dataset = Dataset.open(path)
-    if dataset.info.sim_state_size is None:
-        raise InvalidSetup(f"The dataset in {path} has no simulation states; only simulated episodes can be replayed.")
+    require_states(dataset)
+    require_rate(dataset)
     # Cameras look and change nothing; without their frames a replay is ten times faster. Looks change nothing either.
-    env = assemble(resolve(dataclasses.replace(setup_of(dataset), assets="builtin")), is_blind=True)
+    env = assemble(resolve(dataclasses.replace(physics_of(dataset), assets="builtin")), is_blind=True)
     try:
         for episode in dataset.episodes:
             yield replay_episode(env, episode)
@@ -71,7 +63,7 @@ def replay(path: str | Path) -> Iterator[ReplayResult]:
 def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
     """Play one episode's actions from its first state and compare all states."""
     states = episode.sim_state()
-    agent = Replay(_actions(episode, ACTION, env.stack.action_space))
+    agent = Replay(recorded(episode, ACTION, env.stack.action_space))
     observation, info = env.reset(seed=episode.seed, options={"state": states[0]})
     agent.reset(observation, info)
     world = env.scenario.world
@@ -85,10 +77,15 @@ def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
     return ReplayResult(episode_id=episode.id, steps=len(states) - 1, first_difference=first_difference)
 
 
-def _actions(episode: EpisodeRecord, prefix: str, space: spaces.Dict) -> dict[str, Any]:
-    """Read the actions of all steps, nested as the action space is."""
+def recorded(episode: EpisodeRecord, prefix: str, space: spaces.Dict) -> dict[str, Any]:
+    """Read what was recorded of all steps under a prefix such as `action`, nested as a space is: (steps, ...) each.
+
+    Raises:
+        InvalidSetup: The dataset has other features.
+        CorruptEpisode: The episode is damaged.
+    """
     return {
-        key: _actions(episode, f"{prefix}/{key}", inner)
+        key: recorded(episode, f"{prefix}/{key}", inner)
         if isinstance(inner, spaces.Dict)
         else episode.column(f"{prefix}/{key}")[1:]
         for key, inner in space.spaces.items()

@@ -129,6 +129,34 @@ class SimRobot:
             self.command_hand(np.array(self.hand.open_pose))
             self.world.qpos[..., self.layout.hand_qpos] = self.world.ctrl[..., self.layout.hand_ctrl]
 
+    def put(
+        self,
+        joints: NDArray[np.float64],
+        opening: NDArray[np.floating] | None = None,
+        hand: NDArray[np.floating] | None = None,
+    ) -> None:
+        """Put every copy somewhere, at rest and with its targets there, by writing the state (no motion).
+
+        Args:
+            joints: Joint positions [rad], (*leading, dof).
+            opening: Of the gripper, 0 closed … 1 open, (*leading, 1); None leaves it as it is.
+            hand: Joints of the hand, normalised to 0 … 1, (*leading, n); None leaves them as they are.
+
+        Raises:
+            InvalidSetup: An opening without a gripper, or joints of a hand without one.
+        """
+        self.world.qpos[..., self.layout.qpos] = joints
+        self.world.qvel[..., self.layout.qvel] = 0.0
+        self.command_joints(joints)
+        if opening is not None:
+            closed, opened = np.array(self.gripper.joint_closed), np.array(self.gripper.joint_open)
+            self.world.qpos[..., self.layout.finger_qpos] = closed + opening * (opened - closed)
+            self.world.qvel[..., self.layout.finger_qvel] = 0.0
+            self.command_opening(opening)
+        if hand is not None:
+            self.command_hand(hand)
+            self.world.qpos[..., self.layout.hand_qpos] = self.world.ctrl[..., self.layout.hand_ctrl]
+
     def wait_for_arrival(self) -> None:
         """Make synchronous steps of the world wait until the arm has arrived and the fingers are at rest."""
         core = self.world.core
@@ -137,6 +165,16 @@ class SimRobot:
         fingers = self.layout.finger_joint_ids or self.layout.hand_joint_ids
         if fingers:
             core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, REST_TIME, self.world.copies))
+
+    @property
+    def servo_lag(self) -> NDArray[np.float64]:
+        """By how much each joint lags behind a target that moves evenly [s], (dof,).
+
+        A servo's force `gain * target - stiffness * q - damping * v` is then at balance with the joint's own damping.
+        """
+        model, ids = self.world.model, self.layout
+        damping = model.dof_damping[model.jnt_dofadr[ids.joint_ids]] - model.actuator_biasprm[ids.actuator_ids, 2]
+        return damping / -model.actuator_biasprm[ids.actuator_ids, 1]
 
     def arm(self, copy: int = 0) -> SimArm:
         """Return the arm of one copy as a device, closed."""

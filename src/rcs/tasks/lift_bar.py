@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -15,6 +16,7 @@ from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
+from rcs.spatial import xyzw_to_wxyz
 
 EDGES = (0.035, 0.50, 0.05)
 """Edges of the bar along its x, y, z [m]: too long and too heavy at one end for one hand."""
@@ -108,17 +110,30 @@ class LiftBar(Task):
         self._measure()
         half, center = np.array(self.area.size) / 2, np.array(self.area.center)
         place = draws.uniform(np.append(center - half, -MAX_YAW), np.append(center + half, MAX_YAW))
-        rows = self._world.qpos[where] if self._world.leading else self._world.qpos
-        rows[..., self._translation][..., :2] = place[..., :2]
-        rows[..., self._translation][..., 2] = self._rest_height[where]
-        rows[..., self._quaternion] = 0.0
-        rows[..., self._quaternion][..., 0] = np.cos(place[..., 2] / 2)
-        rows[..., self._quaternion][..., 3] = np.sin(place[..., 2] / 2)
+        pose = np.zeros((*draws.leading, 7))
+        pose[..., :2] = place[..., :2]
+        pose[..., 2] = self._rest_height[where]
+        pose[..., 5] = np.sin(place[..., 2] / 2)
+        pose[..., 6] = np.cos(place[..., 2] / 2)
+        self.place({BAR: pose}, where)
         if self._world.leading:
-            self._world.qpos[where] = rows
             self._steps_held[where] = 0
         else:
             self._steps_held = np.zeros((), np.int64)
+
+    def object_poses(self) -> dict[str, NDArray[np.float64]]:
+        """Return where the bar is: its middle, in the scene."""
+        return {BAR: self._world.poses[..., self._pose, :].copy()}
+
+    def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
+        """Put the bar somewhere."""
+        if BAR not in poses:
+            return
+        rows = self._world.qpos[where] if self._world.leading else self._world.qpos
+        rows[..., self._translation] = poses[BAR][..., :3]
+        rows[..., self._quaternion] = xyzw_to_wxyz(poses[BAR][..., 3:])
+        if self._world.leading:
+            self._world.qpos[where] = rows
 
     def evaluate(self) -> Outcome:
         """Judge height, level and grasps, and for how long."""

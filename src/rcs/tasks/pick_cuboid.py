@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -15,6 +16,7 @@ from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
+from rcs.spatial import xyzw_to_wxyz
 
 SIZE = (0.064, 0.032, 0.0576)
 """Edges of the 3D-printed cuboid along its x, y, z [m] (the paper's)."""
@@ -104,21 +106,33 @@ class PickCuboid(Task):
         half = np.array([*self.area.size]) / 2
         center = np.array(self.area.center)
         place = draws.uniform(np.append(center - half, -np.pi), np.append(center + half, np.pi))
-        translation = np.empty((*draws.leading, 3))
-        translation[..., :2] = place[..., :2]
-        translation[..., 2] = self._rest_height[where]
-        quaternion = np.zeros((*draws.leading, 4))  # wxyz, as MuJoCo's state has it
-        quaternion[..., 0] = np.cos(place[..., 2] / 2)
-        quaternion[..., 3] = np.sin(place[..., 2] / 2)
+        pose = np.zeros((*draws.leading, 7))
+        pose[..., :2] = place[..., :2]
+        pose[..., 2] = self._rest_height[where]
+        pose[..., 5] = np.sin(place[..., 2] / 2)
+        pose[..., 6] = np.cos(place[..., 2] / 2)
+        self.place({CUBOID: pose}, where)
+        if self._world.leading:
+            self._steps_held[where] = 0
+        else:
+            self._steps_held = np.zeros((), np.int64)
+
+    def object_poses(self) -> dict[str, NDArray[np.float64]]:
+        """Return where the cuboid is: its middle, in the scene."""
+        return {CUBOID: self._world.poses[..., self._in_scene, :].copy()}
+
+    def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
+        """Put the cuboid somewhere."""
+        if CUBOID not in poses:
+            return
+        translation, quaternion = poses[CUBOID][..., :3], xyzw_to_wxyz(poses[CUBOID][..., 3:])
         qpos = self._world.qpos
         if self._world.leading:
             qpos[where, self._translation] = translation
             qpos[where, self._quaternion] = quaternion
-            self._steps_held[where] = 0
         else:
             qpos[self._translation] = translation
             qpos[self._quaternion] = quaternion
-            self._steps_held = np.zeros((), np.int64)
 
     def evaluate(self) -> Outcome:
         """Judge height, grasp and how long the cuboid was held."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -128,22 +129,44 @@ class PickToy(Task):
         lying = self._measure(where)
         half, center = np.array(self.area.size) / 2, np.array(self.area.center)
         place = draws.uniform(np.append(center - half, -np.pi), np.append(center + half, np.pi))
-        cos, sin = np.cos(place[..., 2:]), np.sin(place[..., 2:])
+        self._lay(lying, place[..., :2], place[..., 2:], where)
+        if self._world.leading:
+            self._steps_held[where] = 0
+        else:
+            self._steps_held = np.zeros((), np.int64)
+
+    def object_poses(self) -> dict[str, NDArray[np.float64]]:
+        """Return where the toy is: its centre and yaw, in the scene."""
+        return {TOY: self._pose(self._present_nodes())}
+
+    def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
+        """Lay the toy down somewhere in the shape in which it lies; of its turn only the yaw counts."""
+        if TOY not in poses:
+            return
+        pose = poses[TOY]
+        lying = self._measure(where).copy()
+        lying[..., 2] += (pose[..., 2] - self._rest_height[where])[..., None]
+        x, y, z, w = (pose[..., i : i + 1] for i in range(3, 7))
+        self._lay(lying, pose[..., :2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)), where)
+
+    def _lay(
+        self, lying: NDArray[np.float64], center: NDArray[np.float64], yaw: NDArray[np.float64], where: Where
+    ) -> None:
+        """Write lying nodes (..., nodes, 3) with their middle over a place (..., 2), turned by a yaw (..., 1)."""
+        cos, sin = np.cos(yaw), np.sin(yaw)
         x, y = lying[..., 0], lying[..., 1]
         nodes = np.empty_like(lying)
-        nodes[..., 0] = place[..., 0:1] + cos * x - sin * y
-        nodes[..., 1] = place[..., 1:2] + sin * x + cos * y
+        nodes[..., 0] = center[..., 0:1] + cos * x - sin * y
+        nodes[..., 1] = center[..., 1:2] + sin * x + cos * y
         nodes[..., 2] = lying[..., 2]
-        values = (nodes - self._center - self._nodes[where]).reshape(*draws.leading, -1)
+        values = (nodes - self._center - self._nodes[where]).reshape(*yaw.shape[:-1], -1)
         if self._world.leading:
             # Two steps: one index with copies and joints would pair them.
             rows = self._world.qpos[where]
             rows[..., self._qpos] = values
             self._world.qpos[where] = rows
-            self._steps_held[where] = 0
         else:
             self._world.qpos[self._qpos] = values
-            self._steps_held = np.zeros((), np.int64)
 
     def evaluate(self) -> Outcome:
         """Judge height, grasp and how long the toy was held at home."""

@@ -54,7 +54,7 @@ def transition(i: int, captured: float, *, time: float | None = None, is_first: 
 
 def env() -> Any:
     world = SimpleNamespace(time=0.0, states=lambda: None)
-    return SimpleNamespace(scenario=SimpleNamespace(world=world))
+    return SimpleNamespace(scenario=SimpleNamespace(world=world, object_poses=dict))
 
 
 @pytest.fixture(params=[False, True], ids=["here", "background"])
@@ -126,3 +126,17 @@ def test_a_camera_on_the_table_has_its_matrices_once_one_on_the_wrist_in_every_r
     assert nulls["observation/frames/wrist/intrinsics"] == 5
     assert nulls["observation/frames/wrist/extrinsics"] < 5
     setup_env.close()
+
+
+def test_where_the_objects_were_at_the_start_is_kept_with_the_episode(tmp_path: Path) -> None:
+    setup_env = rcs.make("PickCuboid", robot="fr3")
+    with DatasetWriter.open(tmp_path, dataset_info(setup_env, rcs.Setup())) as writer:
+        recorder = Recorder(setup_env, writer)
+        setup_env.add_observer(recorder)
+        recorder.name_next("a")
+        _, info = setup_env.reset(seed=1)
+        for _ in range(3):
+            setup_env.step(setup_env.action_space.sample())
+        episode = recorder.finish(None, {"failure": "slip"})
+    assert episode.outcome["failure"] == "slip"
+    np.testing.assert_array_equal(episode.outcome["objects"]["cuboid"], info["cuboid"])

@@ -1,39 +1,262 @@
-"""`rcs data replay`: play recorded episodes again and compare."""
+"""`rcs data replay`: recorded episodes once more, in simulation: compared, drawn anew, executed again, or followed."""
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import time
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Literal
 
+import numpy as np
 import tyro
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
+from rich.table import Table
 
 from rcs.data import Dataset
+from rcs.envs.setup import Relative
+from rcs.envs.spaces import Control
+from rcs.errors import InvalidSetup
+from rcs.rollout.divergence import Tolerance
+from rcs.rollout.look import Look
+from rcs.rollout.real_to_sim import Keep, RealToSim, RealToSimResult, real_to_sim
+from rcs.rollout.recorded_motion import GripperFrom
+from rcs.rollout.reexecute import Reexecution, ReexecutionResult, reexecute
 from rcs.rollout.replay import replay
+from rcs.rollout.rerender import Rerendering, rerender
+
+Mode = Literal["check", "render", "actions", "states"]
+
+ONLY_FOR: dict[str, tuple[Mode, ...]] = {
+    "out": ("render", "actions", "states"),
+    "workers": ("render", "actions", "states"),
+    "look": ("render", "actions", "states"),
+    "control": ("actions",),
+    "relative": ("actions",),
+    "tolerance": ("actions",),
+    "grace": ("actions", "states"),
+    "task": ("states",),
+    "robot": ("states",),
+    "frequency": ("states",),
+    "objects": ("states",),
+    "state": ("states",),
+    "lookahead": ("states",),
+    "gripper": ("states",),
+    "keep": ("states",),
+}
+"""Modes in which an option has a meaning; in others it is refused."""
+WIDTH = 116
+"""What the widest table needs [columns]."""
 
 
 @dataclass(kw_only=True)
 class ReplayCommand:
-    """Replay every episode in simulation and compare all states bit for bit. Exit code 1 when one differs."""
+    """Replay every episode in simulation.
+
+    `check` plays the recorded actions and compares all states bit for bit; exit code 1 when one differs. The other
+    modes make a new dataset: `render` restores the recorded states and draws them anew, `actions` executes the recorded
+    actions again, if wanted in another control mode, and measures the divergence, `states` has a simulated robot follow
+    the recorded one, real or not, and keeps what succeeds.
+    """
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
+    mode: Mode = "check"
+    """What to do."""
+    out: Path | None = None
+    """Folder of the new dataset; for all modes but `check`."""
+    workers: int = 0
+    """Processes; 0 for one per CPU core."""
+    json: bool = False
+    """Print JSON instead of a table."""
+    control: Control | None = None
+    """actions: what they shall say of the arm; None for as recorded."""
+    relative: Relative | None = None
+    """actions: what they shall be added to; None for nothing when `control` is given, and otherwise for as recorded."""
+    grace: float = 1.0
+    """actions, states: for how long the end is held when the task is not done yet [s]."""
+    task: str | None = None
+    """states: the task that judges; None for that of the dataset's setup."""
+    robot: str | None = None
+    """states: the robot; None for that of the dataset's setup."""
+    frequency: float | None = None
+    """states: control steps per second of the simulation [Hz]; None for that of the setup."""
+    objects: Path | None = None
+    """states: JSON file with the objects' poses, {episode: {name: [x, y, z, qx, qy, qz, qw]}} in the base frame; None
+    for those that were recorded in the outcome's `objects`."""
+    state: str | None = None
+    """states: feature with joints, then gripper or hand, such as `observation/state` in datasets of others; None for a
+    feature each."""
+    lookahead: float | None = None
+    """states: by how much targets run ahead of the recorded joints [s]; None for as much as simulated servos lag."""
+    gripper: GripperFrom | None = None
+    """states: have grippers open and close as the recorded opening does (`trend`), aim at that opening (`opening`), or
+    get the recorded command (`command`)."""
+    keep: Keep = "successes"
+    """states: which episodes the new dataset has."""
+    look: Look = field(default_factory=Look)
+    tolerance: Tolerance = field(default_factory=Tolerance)
 
     def run(self) -> int:
-        """Replay and print how many are equal."""
-        console = Console(soft_wrap=True)
-        total = len(Dataset.open(self.path))
-        start = time.perf_counter()
-        results = list(track(replay(self.path), "Replaying", total=total, console=console))
-        seconds = time.perf_counter() - start
-        different = [result for result in results if not result.is_equal]
-        for result in different:
-            console.print(f"episode {result.episode_id}: state {result.first_difference} differs", highlight=False)
-        steps = sum(result.steps for result in results)
-        equal = len(results) - len(different)
-        console.print(
-            f"{equal} of {len(results)} episodes bit-equal ({steps} steps in {seconds:.1f} s)", highlight=False
+        """Replay, tell how it went and return the exit code."""
+        self._check_options()
+        told = Console(soft_wrap=True)
+        started = time.perf_counter()
+        results = list(self._track(self._replay(), Console(stderr=True) if self.json else told))
+        seconds = time.perf_counter() - started
+        if self.json:
+            told.out(json.dumps(self._as_json(results, seconds), indent=1), highlight=False)
+        else:
+            self._tell(results, seconds, told)
+        return 1 if self.mode == "check" and not all(result.is_equal for result in results) else 0
+
+    def _check_options(self) -> None:
+        if self.mode != "check" and self.out is None:
+            raise InvalidSetup(f"--mode {self.mode} makes a dataset; say where with --out.")
+        defaults = ReplayCommand(path=self.path)
+        for name, modes in ONLY_FOR.items():
+            given, default = getattr(self, name), getattr(defaults, name)
+            if self.mode in modes or given == default:
+                continue
+            changed = [name]
+            if dataclasses.is_dataclass(given):
+                parts = [part.name for part in dataclasses.fields(given)]
+                changed = [part for part in parts if getattr(given, part) != getattr(default, part)]
+            options = ", ".join(f"--{option.replace('_', '-')}" for option in changed)
+            raise InvalidSetup(f"{options} has no meaning for --mode {self.mode}, only for {', '.join(modes)}.")
+
+    def _replay(self) -> Iterator[Any]:
+        if self.mode == "check" or self.out is None:
+            return replay(self.path)
+        if self.mode == "render":
+            return rerender(Rerendering(source=self.path, out=self.out, look=self.look, workers=self.workers))
+        if self.mode == "actions":
+            execution = Reexecution(
+                source=self.path,
+                out=self.out,
+                control=self.control,
+                relative=self.relative,
+                look=self.look,
+                tolerance=self.tolerance,
+                grace=self.grace,
+                workers=self.workers,
+            )
+            return reexecute(execution)
+        following = RealToSim(
+            source=self.path,
+            out=self.out,
+            task=self.task,
+            robot=self.robot,
+            frequency=self.frequency,
+            objects=self.objects,
+            state=self.state,
+            lookahead=self.lookahead,
+            gripper=self.gripper,
+            keep=self.keep,
+            grace=self.grace,
+            look=self.look,
+            workers=self.workers,
         )
-        return 1 if different else 0
+        return real_to_sim(following)
+
+    def _track(self, results: Iterator[Any], console: Console) -> Iterator[Any]:
+        total = len(Dataset.open(self.path))
+        return iter(track(results, "Replaying", total=total, console=console))
+
+    def _as_json(self, results: list[Any], seconds: float) -> dict[str, Any]:
+        values: dict[str, Any] = {"mode": self.mode, "dataset": str(self.path), "seconds": seconds}
+        if self.out is not None:
+            values["out"] = str(self.out)
+        ordered = sorted(results, key=lambda result: result.episode_id)
+        if self.mode == "check":
+            values["equal"] = sum(result.is_equal for result in ordered)
+        elif self.mode != "render":
+            values["successes"] = sum(result.success for result in ordered)
+        if self.mode == "actions":
+            return {**values, "episodes": [result.to_json(with_rows=True) for result in ordered]}
+        if self.mode == "states":
+            return {**values, "episodes": [result.to_json() for result in ordered]}
+        return {**values, "episodes": [dataclasses.asdict(result) for result in ordered]}
+
+    def _tell(self, results: list[Any], seconds: float, console: Console) -> None:
+        ordered = sorted(results, key=lambda result: result.episode_id)
+        if self.mode == "check":
+            for result in ordered:
+                if not result.is_equal:
+                    console.print(
+                        f"episode {result.episode_id}: state {result.first_difference} differs", highlight=False
+                    )
+            steps, equal = sum(result.steps for result in ordered), sum(result.is_equal for result in ordered)
+            told = f"{equal} of {len(ordered)} episodes bit-equal ({steps} steps in {seconds:.1f} s)"
+        elif self.mode == "render":
+            rows = sum(result.rows for result in ordered)
+            told = f"{len(ordered)} episodes drawn anew ({rows} rows in {seconds:.1f} s, {rows / seconds:.0f}/s)"
+        elif self.mode == "actions":
+            _print_wide(divergence_table(ordered), console)
+            good = sum(result.success for result in ordered)
+            within = sum(result.first_beyond is None for result in ordered)
+            before = sum(result.recorded_success is True for result in ordered)
+            told = f"{good} of {len(ordered)} succeed ({before} as recorded), {within} stay within the tolerance"
+        else:
+            _print_wide(success_table(ordered), console)
+            told = _count(ordered)
+        console.print(told, highlight=False)
+        if self.out is not None:
+            console.print(f"Dataset: {self.out}", highlight=False)
+
+
+def _print_wide(table: Table, console: Console) -> None:
+    """Print a table in full, also where the terminal is narrow or there is none."""
+    Console(width=max(console.width, WIDTH), soft_wrap=True).print(table, highlight=False)
+
+
+def divergence_table(results: list[ReexecutionResult]) -> Table:
+    """Return a table with largest and median errors of every episode."""
+    table = Table("episode", "steps", "success", "joints [mrad]", "TCP [mm]", "TCP [mrad]", "object [mm]",
+                  "object [mrad]", "beyond tolerance", box=None, pad_edge=False)  # fmt: skip
+    for result in results:
+        first = result.first_beyond
+        cells = [
+            _largest_and_median(getattr(result.divergence, name))
+            for name in ("joints", "position", "rotation", "object_position", "object_rotation")
+        ]
+        beyond = "never" if first is None else f"row {first[0]}: {first[1].replace('_', ' ')}"
+        verdict = _verdict(result.recorded_success, result.success)
+        table.add_row(result.episode_id, f"{result.steps}/{result.recorded_steps}", verdict, *cells, beyond)
+    table.caption = "max/median over the rows of an episode; steps: made/recorded; success: recorded → replayed"
+    return table
+
+
+def success_table(results: list[RealToSimResult]) -> Table:
+    """Return a table with how every episode went in simulation."""
+    table = Table("episode", "steps", "success", "joints [rad]", "problem", box=None, pad_edge=False)
+    for result in results:
+        error = "-" if result.joint_error is None else f"{result.joint_error[0]:.2g}/{result.joint_error[1]:.2g}"
+        verdict = _verdict(result.recorded_success, result.success)
+        table.add_row(result.episode_id, str(result.steps), verdict, error, result.problem or "")
+    table.caption = "joints: max/median distance from the recording; success: recorded → simulated"
+    return table
+
+
+def _count(results: list[RealToSimResult]) -> str:
+    good = sum(result.success for result in results)
+    real = [result for result in results if result.recorded_success]
+    told = f"{good} of {len(results)} succeed in simulation"
+    if 0 < len(real) < len(results):
+        told += f"; of {len(real)} recorded successes {sum(result.success for result in real)}"
+    problems = sum(result.problem is not None for result in results)
+    return told + (f"; {problems} could not be replayed" if problems else "")
+
+
+def _largest_and_median(values: NDArray[np.float64]) -> str:
+    """Return largest and median of what is in m or rad, in mm or mrad."""
+    return f"{1e3 * values.max():.2f}/{1e3 * np.median(values):.2f}" if len(values) else "-"
+
+
+def _verdict(before: bool | None, now: bool) -> str:
+    words = {True: "yes", False: "no", None: "?"}
+    return f"{words[before]} → {words[now]}"

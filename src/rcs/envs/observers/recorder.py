@@ -24,7 +24,9 @@ from rcs.errors import InvalidSetup, WrongOrder
 OBSERVATION, ACTION, EXECUTED = "observation", "action", "executed"
 TIME_MONOTONIC, TIME_PERIOD = "time/monotonic", "time/period"
 SIMULATED_TIME = "simulated_time"
-
+OBJECTS = "objects"
+"""Key of an outcome: where the task's objects were at the start, by name, translation [m] and quaternion xyzw in the
+base frame (of several robots: in the scene). Real recordings that have it can be replayed in simulation."""
 
 Colour = Literal["jpeg", "lossless"]
 
@@ -117,6 +119,8 @@ class Recorder(Observer):
                 None for never, as simulated frames are as old as their drawing takes.
         """
         self._world = env.scenario.world
+        self._scenario = env.scenario
+        self._objects: dict[str, Any] = {}
         self._writer = writer
         self._is_background = background
         self._stale_after = stale_after
@@ -180,6 +184,8 @@ class Recorder(Observer):
         episode = self._writer.episode(name, seed=seed, instruction=instruction)
         self._episode = BackgroundEpisode(episode, self._writer.info) if self._is_background else episode
         self._next = None
+        poses = self._scenario.object_poses()
+        self._objects = {OBJECTS: {name: pose.tolist() for name, pose in poses.items()}} if poses else {}
         self._last_time = first.time
         self._last_captures = {}
         self._add(first, period=None)
@@ -226,7 +232,8 @@ class Recorder(Observer):
 
         Args:
             success: Whether the task was done; None if that is not known.
-            outcome: What else is to be kept of how it went, as JSON values.
+            outcome: What else is to be kept of how it went, as JSON values; where the objects were at the start is
+                added as `objects`.
             instruction: What the robot was asked to do; None for what was said at the start.
 
         Raises:
@@ -234,7 +241,7 @@ class Recorder(Observer):
         """
         if self._episode is None:
             raise WrongOrder("There is no open episode to finish; reset the environment first.")
-        record = self._episode.finish(success, outcome, instruction=instruction)
+        record = self._episode.finish(success, {**self._objects, **(outcome or {})}, instruction=instruction)
         self._episode = None
         return record
 

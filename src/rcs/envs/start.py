@@ -1,0 +1,115 @@
+"""Where an episode starts when that is not left to the task: how the robots stand, and where the objects are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.envs import spaces as keys
+from rcs.errors import InvalidSetup
+from rcs.sim.robot import SimRobot
+from rcs.spatial import compose, inverse, normalize
+
+MINIMAL_NORM = 0.1
+"""A quaternion shorter than this has no direction that anybody meant."""
+
+MARGIN = 0.1
+"""How far out of bounds a start may be [rad, or of 1], to be put at them: what a measurement may be off."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """A checked start: what of it is empty is left to the robots' home and to the task."""
+
+    robots: dict[str, dict[str, NDArray[Any]]] = field(default_factory=dict[str, dict[str, NDArray[Any]]])
+    """For robots by name: `joints` [rad], and `gripper` or `hand`, as in an observation."""
+    objects: dict[str, NDArray[np.float64]] = field(default_factory=dict[str, NDArray[np.float64]])
+    """Poses of objects in the scene by name, (7,) [m], xyzw."""
+
+
+def check_start(robots: list[SimRobot], known: Mapping[str, Any], robot: Any, objects: Any) -> Start:
+    """Check where an episode is to start.
+
+    Args:
+        robots: Robots of the world.
+        known: The objects of its task, by name.
+        robot: `joints`, and `gripper` or `hand`, as an observation has them: with several robots, one level down under
+            the robots' names. None for home.
+        objects: Poses by name, (7,) [m], xyzw, in the base frame; with several robots, in the scene. None for where
+            the task puts them.
+
+    Raises:
+        InvalidSetup: A name or key is unknown, or a value has a wrong shape, is not finite or is out of its bounds.
+    """
+    given: Any = {} if robot is None else robot if len(robots) > 1 else {robots[0].placement.name: robot}
+    if not isinstance(given, Mapping) or not given.keys() <= {other.placement.name for other in robots}:
+        names = [other.placement.name for other in robots]
+        raise InvalidSetup(f"The option 'robot' is {_form(robot)}; valid is a mapping for robots among {names}.")
+    states = {
+        one.placement.name: _check_robot(one, given[one.placement.name])
+        for one in robots
+        if one.placement.name in given
+    }
+    if objects is not None and (not isinstance(objects, Mapping) or not objects.keys() <= known.keys()):
+        raise InvalidSetup(f"The option 'objects' is {_form(objects)}; valid are poses of {sorted(known)}.")
+    base = base_in_scene(robots)
+    poses = {name: compose(base, _check_pose(name, pose)) for name, pose in (objects or {}).items()}
+    return Start(robots=states, objects=poses)
+
+
+def base_in_scene(robots: list[SimRobot]) -> NDArray[np.float64]:
+    """Return the frame in which objects are told, (7,): the robot's base, or of several robots the scene itself."""
+    pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    if len(robots) == 1:
+        base = robots[0].placement.base_in_scene
+        pose[:3], pose[3:] = base.translation, base.quaternion
+    return pose
+
+
+def in_frame_of(robots: list[SimRobot], poses: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """Return poses in the scene as they are told to people: in the base frame, or of several robots in the scene."""
+    if len(robots) != 1:
+        return dict(poses)
+    scene_in_base = inverse(base_in_scene(robots))
+    return {name: compose(scene_in_base, pose) for name, pose in poses.items()}
+
+
+def _check_robot(robot: SimRobot, given: Any) -> dict[str, NDArray[Any]]:
+    arm, placement = robot.placement.arm, robot.placement
+    boxes = {keys.JOINTS: keys.joints_space(arm.joint_lower, arm.joint_upper)}
+    if placement.gripper is not None:
+        boxes[keys.GRIPPER] = keys.normalised_space(1)
+    if placement.hand is not None:
+        boxes[keys.HAND] = keys.normalised_space(len(placement.hand.joints))
+    if not isinstance(given, Mapping) or keys.JOINTS not in given or not given.keys() <= boxes.keys():
+        raise InvalidSetup(
+            f"The option 'robot' of {placement.name!r} is {_form(given)}; valid are 'joints' and of {sorted(boxes)}."
+        )
+    checked: dict[str, NDArray[Any]] = {}
+    for key, value in given.items():
+        box = boxes[key]
+        array = np.asarray(value, np.float64)
+        if array.shape != box.shape or not np.isfinite(array).all():
+            raise InvalidSetup(f"The start's {key!r} has shape {array.shape}; valid are {box.shape} finite numbers.")
+        # A joint is measured a little outside of its limits at times; it starts inside.
+        checked[key] = np.clip(array, box.low, box.high).astype(box.dtype)
+        if (np.abs(checked[key] - array) > MARGIN).any():
+            raise InvalidSetup(f"The start's {key!r} is {array}; valid is {box.low} to {box.high}.")
+    return checked
+
+
+def _check_pose(name: str, pose: Any) -> NDArray[np.float64]:
+    array = np.asarray(pose, np.float64)
+    if array.shape != (7,) or not np.isfinite(array).all() or np.linalg.norm(array[3:]) < MINIMAL_NORM:
+        raise InvalidSetup(
+            f"The pose of {name!r} is {pose!r}; valid are 7 numbers: translation [m] and quaternion xyzw."
+        )
+    return normalize(array)
+
+
+def _form(given: Any) -> str:
+    return f"a mapping with {sorted(map(str, given))}" if isinstance(given, Mapping) else repr(given)

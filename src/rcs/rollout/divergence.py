@@ -1,0 +1,120 @@
+"""Where and by how much a replayed episode leaves the recorded one."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.errors import InvalidSetup
+from rcs.spatial import distance
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerance:
+    """Errors beyond these count as a divergence."""
+
+    max_joint_error: float = 0.02
+    """Of any joint [rad]."""
+    max_position_error: float = 0.005
+    """Of the TCP [m]."""
+    max_rotation_error: float = 0.05
+    """Of the TCP [rad]."""
+    max_object_position_error: float = 0.01
+    """Of any object of the task [m]."""
+    max_object_rotation_error: float = 0.1
+    """Of any object of the task [rad]."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InvalidSetup: One is negative or not a number.
+        """
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if not value >= 0:
+                raise InvalidSetup(f"{field.name} is {value}; valid is 0 and more.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trace:
+    """What an episode did, row by row."""
+
+    joints: Values
+    """Joints of all robots, (rows, n) [rad]."""
+    tcps: Values
+    """TCP poses of all robots, (rows, robots, 7) [m], xyzw."""
+    objects: Values
+    """Poses of all objects, (rows, objects, 7) [m], xyzw."""
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.joints)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Divergence:
+    """Errors per row, from the first; of several joints, robots or objects the largest."""
+
+    joints: Values
+    """[rad], (rows,)."""
+    position: Values
+    """Of the TCP [m], (rows,)."""
+    rotation: Values
+    """Of the TCP [rad], (rows,)."""
+    object_position: Values
+    """[m], (rows,); empty where the task has no objects."""
+    object_rotation: Values
+    """[rad], (rows,); empty where the task has no objects."""
+
+    @staticmethod
+    def between(recorded: Trace, replayed: Trace) -> Divergence:
+        """Compare two episodes as far as both go."""
+        rows = min(len(recorded), len(replayed))
+        tcps = distance(recorded.tcps[:rows], replayed.tcps[:rows]).max(axis=1)
+        objects = np.empty((0, 2))
+        if recorded.objects.shape[1]:
+            objects = distance(recorded.objects[:rows], replayed.objects[:rows]).max(axis=1)
+        return Divergence(
+            joints=np.abs(recorded.joints[:rows] - replayed.joints[:rows]).max(axis=1),
+            position=tcps[:, 0],
+            rotation=tcps[:, 1],
+            object_position=objects[:, 0],
+            object_rotation=objects[:, 1],
+        )
+
+    def first_beyond(self, tolerance: Tolerance) -> tuple[int, str] | None:
+        """Return the first row with an error beyond the tolerance and which error it is; None if there is none."""
+        limits = {
+            "joints": tolerance.max_joint_error,
+            "position": tolerance.max_position_error,
+            "rotation": tolerance.max_rotation_error,
+            "object_position": tolerance.max_object_position_error,
+            "object_rotation": tolerance.max_object_rotation_error,
+        }
+        found: list[tuple[int, str]] = []
+        for name, limit in limits.items():
+            beyond = np.flatnonzero(getattr(self, name) > limit)
+            if len(beyond):
+                found.append((int(beyond[0]), name))
+        return min(found, key=lambda row: row[0], default=None)
+
+    def summary(self) -> dict[str, dict[str, float] | None]:
+        """Return largest and median error of each kind as JSON values; None where there is nothing to measure."""
+        found: dict[str, dict[str, float] | None] = {}
+        for field in dataclasses.fields(self):
+            values: Values = getattr(self, field.name)
+            found[field.name] = (
+                {"max": float(values.max()), "median": float(np.median(values))} if len(values) else None
+            )
+        return found
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all errors by row as JSON values."""
+        return {field.name: getattr(self, field.name).tolist() for field in dataclasses.fields(self)}

@@ -1,0 +1,242 @@
+"""How the frames of a replay look: what is asked for, over what was recorded."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from rcs.data import Dataset, DatasetInfo
+from rcs.data.edit.combine import MERGED
+from rcs.envs.assemble import Parts, assemble
+from rcs.envs.draws import Draws
+from rcs.envs.env import Env
+from rcs.envs.observers.recorder import dataset_info
+from rcs.envs.randomiser import Randomiser
+from rcs.envs.setup import Setup
+from rcs.errors import InvalidSetup
+from rcs.setups.make import resolve
+from rcs.sim.camera import Quality
+from rcs.sim.detail import Assets
+from rcs.sim.randomisation import Randomisation
+from rcs.sim.world import Copies
+
+NONE = "none"
+"""The name of no camera."""
+LOOKS = (
+    "light_intensity", "light_direction", "light_position", "table_colour", "object_colour", "room_colour", "textures",
+    "camera_translation", "camera_rotation", "field_of_view",
+)  # fmt: skip
+"""Fields of a randomisation that change pictures and nothing else."""
+RECORDED = "recorded"
+"""Key in a dataset's setup: the setup that the states came from, where frames were drawn anew with another one."""
+EXTRAS = ("collection", MERGED, RECORDED)
+"""Keys in a dataset's setup that are not fields of `Setup`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """How frames are drawn; None for as they were recorded."""
+
+    cameras: tuple[str, ...] | None = None
+    """Cameras to draw; `none` for none."""
+    size: int | None = None
+    """Width and height of every frame [px]."""
+    fps: float | None = None
+    """Frames per second of all cameras; one that is slower than the recording gives its last frame again."""
+    depth: bool | None = None
+    """Whether frames carry depth."""
+    quality: Quality | None = None
+    """`full` draws shadows, reflections and smooth edges."""
+    assets: Assets | None = None
+    """Robots of primitives (`builtin`) or with the meshes of MuJoCo Menagerie."""
+    camera_noise: bool | None = None
+    """Whether frames have the noise of real cameras."""
+    calibration: str | None = None
+    """Calibration file with poses and fields of view of cameras."""
+    randomise: bool = False
+    """Draw lights, colours, textures and camera poses anew for every episode."""
+    looks_seed: int = 0
+    """Same seed, same looks: several seeds make several variants of a dataset."""
+    jpeg_quality: int | None = None
+    """Of colour frames, 1 to 100."""
+
+    def apply(self, setup: Setup) -> Setup:
+        """Return a setup with this look.
+
+        Raises:
+            InvalidSetup: Something that makes no sense.
+        """
+        changes: dict[str, Any] = {
+            name: getattr(self, name)
+            for name in ("size", "fps", "depth", "quality", "assets", "camera_noise", "calibration")
+            if getattr(self, name) is not None
+        }
+        if "size" in changes:
+            changes["size"] = (self.size, self.size)
+            changes["camera_mode"] = None
+        if self.cameras is not None:
+            changes["cameras"] = () if self.cameras in ((), (NONE,)) else self.cameras
+            if isinstance(setup.fps, tuple) and self.fps is None:
+                changes["fps"] = {name: rate for name, rate in setup.fps if name in changes["cameras"]} or None
+        if self.randomise:
+            before, default = setup.randomisation or Randomisation.off(), Randomisation()
+            changes["randomisation"] = replace(before, **{name: getattr(default, name) for name in LOOKS})
+        return replace(setup, **changes)
+
+    @property
+    def is_as_recorded(self) -> bool:
+        """Whether nothing is asked for."""
+        return all(getattr(self, field.name) == field.default for field in fields(self))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """An environment with the scene that was recorded in, and frames of any of its cameras or of new ones.
+
+    Cameras have a mass and housings that collide and are seen. What was recorded in a scene is therefore replayed in a
+    scene with all its cameras, whichever of them are drawn.
+    """
+
+    setup: Setup
+    """What is observed."""
+    mounted: tuple[str, ...]
+    """All cameras of the scene."""
+    looks: Look
+    """How frames are drawn."""
+
+    @staticmethod
+    def of(physics: Setup, setup: Setup, look: Look) -> Stage:
+        """Return the stage for a look at something recorded.
+
+        Args:
+            physics: The setup of the recording's states.
+            setup: The setup of its frames, with whatever is to be different.
+            look: What is asked for of the frames.
+        """
+        seen = look.apply(setup)
+        return Stage(setup=seen, mounted=tuple(dict.fromkeys((*physics.cameras, *seen.cameras))), looks=look)
+
+    @property
+    def scene(self) -> Setup:
+        """The setup of the whole scene."""
+        return replace(self.setup, cameras=self.mounted)
+
+    def env(self) -> tuple[Env, NewLooks | None]:
+        """Make the environment, and what draws the looks of its episodes anew; None when they are as recorded."""
+        parts = resolve(self.scene)
+        env = assemble(parts, drawn=self.setup.cameras)
+        if not self.looks.randomise:
+            return env, None
+        looks = NewLooks(env, parts, self.looks.looks_seed)
+        env.scenario.add_randomiser(looks)
+        return env, looks
+
+    def info(self, env: Env, recorded: DatasetInfo, physics: Setup | None = None) -> DatasetInfo:
+        """Return what a dataset of this stage has in common, made from another one.
+
+        Args:
+            env: The environment.
+            recorded: What the other has.
+            physics: The setup that its states come from; None when they come from this stage.
+        """
+        is_lossless = any(feature.encoding == "lossless" for feature in recorded.features)
+        info = dataset_info(
+            env,
+            self.setup,
+            colour="lossless" if is_lossless else "jpeg",
+            jpeg_quality=self.looks.jpeg_quality or recorded.jpeg_quality,
+        )
+        described = {"setup": self.described(physics), "instruction": recorded.instruction or info.instruction}
+        return replace(info, jpeg_subsampling=recorded.jpeg_subsampling, **described)
+
+    def described(self, physics: Setup | None = None) -> dict[str, Any]:
+        """Return what a dataset keeps as its setup.
+
+        Args:
+            physics: The setup that its states come from; None when they come from this stage.
+        """
+        described = self.setup.to_json()
+        origin = self.scene if physics is None else physics
+        return described if origin == self.setup else {**described, RECORDED: origin.to_json()}
+
+
+class NewLooks(Randomiser):
+    """Draws the looks of episodes from a seed of its own and the episodes' names, whatever seed they are reset with."""
+
+    def __init__(self, env: Env, parts: Parts, seed: int) -> None:
+        """Take the nominal looks of an environment that was not reset yet."""
+        ranges = parts.setup.randomisation
+        assert ranges is not None
+        looks = Randomisation.off(**{name: getattr(ranges, name) for name in LOOKS})
+        super().__init__(
+            env.scenario.world, looks, objects=parts.task.objects(), robots=parts.robots, cameras=parts.cameras
+        )
+        self._seed = seed
+        self.episode_id = ""
+        """The episode that begins next."""
+
+    def begin(self, draws: Draws, copies: Copies = None) -> None:
+        """Draw and write the looks of an episode."""
+        super().begin(Draws(self._seed, zlib.crc32(self.episode_id.encode())), copies)
+
+
+def varied(env: Env) -> dict[str, Any]:
+    """Return what an outcome keeps of what was drawn for the present episode."""
+    drawn = {field: values.tolist() for field, values in env.scenario.randomisation.items()}
+    return {"randomisation": drawn} if drawn else {}
+
+
+def setup_of(dataset: Dataset) -> Setup:
+    """Return the setup of a dataset's observations: an environment of it gives frames like the recorded ones.
+
+    Raises:
+        InvalidSetup: The dataset has none, or one of another version, or was merged from datasets of several.
+    """
+    setup = dataset.info.setup
+    for name, part in setup.get(MERGED, {}).items():
+        different = [key for key in part["setup"] if key not in setup and key != "collection"]
+        if different:
+            raise InvalidSetup(
+                f"{dataset.path} was merged from datasets whose setups differ in {', '.join(different)} ({name} is one "
+                "of them). Split it and replay each part."
+            )
+    return Setup.from_json({key: value for key, value in setup.items() if key not in EXTRAS})
+
+
+def physics_of(dataset: Dataset) -> Setup:
+    """Return the setup that a dataset's states came from; differs from `setup_of` where frames were drawn anew.
+
+    Raises:
+        InvalidSetup: The dataset has none, or one of another version.
+    """
+    recorded = dataset.info.setup.get(RECORDED)
+    return setup_of(dataset) if recorded is None else Setup.from_json(recorded)
+
+
+def require_rate(dataset: Dataset) -> None:
+    """Check that a dataset has a row for every control step, so that its actions can be executed.
+
+    Raises:
+        InvalidSetup: It has another rate than it was recorded at.
+    """
+    recorded = physics_of(dataset).frequency
+    if dataset.info.fps != recorded:
+        raise InvalidSetup(
+            f"The dataset in {dataset.path} was recorded at {recorded:g} Hz and now has {dataset.info.fps:g} rows per "
+            "second; its actions cannot be executed step by step. Replay it by `--mode states`, or replay what it was "
+            "made from."
+        )
+
+
+def require_states(dataset: Dataset) -> None:
+    """Check that a dataset has states of a simulation.
+
+    Raises:
+        InvalidSetup: It has none.
+    """
+    if dataset.info.sim_state_size is None:
+        raise InvalidSetup(
+            f"The dataset in {dataset.path} has no simulation states; only simulated episodes can be replayed so. "
+            "For recordings of real robots there is `--mode states`."
+        )

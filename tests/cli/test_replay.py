@@ -1,0 +1,102 @@
+"""`rcs data replay` in its four modes: what it prints, what it leaves, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from rcs.cli.main import main
+from rcs.data import Dataset
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+    with pytest.raises(SystemExit) as stopped:
+        main(["data", "replay", *arguments])
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out + captured.err
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("replay") / "dataset"
+    with pytest.raises(SystemExit) as stopped:
+        main(["collect", "PickCuboid", "--episodes", "2", "--cameras", "none", "--workers", "1", "--out", str(out)])
+    assert stopped.value.code == 0
+    return out
+
+
+@pytest.mark.gl
+def test_render_makes_a_dataset_with_frames(capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path) -> None:
+    options = ["--mode", "render", "--out", str(tmp_path / "new"), "--cameras", "wrist", "side", "--size", "32"]
+    code, told = call(capsys, str(dataset), *options, "--workers", "1")
+    assert code == 0
+    assert "2 episodes drawn anew" in told
+    keys = [feature.key for feature in Dataset.open(tmp_path / "new").info.features]
+    assert "observation/frames/wrist/rgb" in keys
+    assert "observation/frames/side/rgb" in keys
+
+
+def test_actions_tells_where_it_diverges(capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path) -> None:
+    options = ["--mode", "actions", "--control", "tquat", "--workers", "1"]
+    tight = ["--max-joint-error", "1e-6"]
+    code, told = call(capsys, str(dataset), *options, "--out", str(tmp_path / "new"), *tight)
+    assert code == 0
+    assert "2 of 2 succeed (2 as recorded), 0 stay within the tolerance" in told
+    assert "joints" in told
+    assert all("…" not in line for line in told.splitlines()), "nothing is cut off"
+    assert len(Dataset.open(tmp_path / "new")) == 2
+
+
+def test_states_counts_what_succeeds_in_simulation(
+    capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path
+) -> None:
+    code, told = call(
+        capsys, str(dataset), "--mode", "states", "--out", str(tmp_path / "new"), "--workers", "1", "--keep", "all"
+    )
+    assert code == 0
+    assert "2 of 2 succeed in simulation" in told
+    assert len(Dataset.open(tmp_path / "new")) == 2
+
+
+@pytest.mark.parametrize("mode", ["check", "actions", "states"])
+def test_json_is_json_and_nothing_else(
+    capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path, mode: str
+) -> None:
+    out = [] if mode == "check" else ["--out", str(tmp_path / "new"), "--workers", "1"]
+    with pytest.raises(SystemExit):
+        main(["data", "replay", str(dataset), "--mode", mode, "--json", *out])
+    told = json.loads(capsys.readouterr().out)
+    assert told["mode"] == mode
+    assert len(told["episodes"]) == 2
+    if mode == "actions":
+        rows = told["episodes"][0]["rows"]["joints"]
+        assert len(rows) == told["episodes"][0]["recorded_steps"] + 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--mode", "render"], "--out"),
+        (["--quality", "full"], "--quality has no meaning for --mode check"),
+        (["--mode", "states", "--out", "x", "--control", "tquat"], "--control has no meaning for --mode states"),
+        (["--mode", "render", "--out", "x", "--cameras", "wirst"], "Did you mean 'wrist'"),
+        (["--mode", "states", "--out", "x", "--task", "PickCubiod"], "Did you mean 'PickCuboid'"),
+        (["--mode", "states", "--out", "x", "--objects", "nowhere.json"], "nowhere.json"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_and_leaves_nothing(
+    capsys: pytest.CaptureFixture[str],
+    dataset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, told = call(capsys, str(dataset), *arguments)
+    assert code == 1
+    assert words in told.replace("\n", " ")
+    assert "Traceback" not in told
+    assert list(tmp_path.iterdir()) == []
