@@ -50,3 +50,21 @@ def test_an_image_of_another_shape_is_refused() -> None:
         decode_jpeg(encode_jpeg(np.zeros((8, 8, 3), np.uint8), 95, "444"), (8, 16, 3))
     with pytest.raises(CorruptEpisode):
         decode_depth(encode_depth(np.zeros((8, 8), np.uint16)), (8, 16))
+
+
+@pytest.mark.parametrize("size", [(16, 24), (15, 23), (224, 224), (1, 1)])
+def test_where_a_jpeg_is_decoded_to_changes_nothing(size: tuple[int, int]) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
+    data = encode_jpeg(image, 90, "420")
+    own = decode_jpeg(data, image.shape)
+    assert own.flags.c_contiguous
+    assert own.ctypes.data % 32 == 16
+    for start in range(0, 64, 8):
+        memory = np.zeros(image.nbytes + 128, np.uint8)
+        out = memory[start : start + image.nbytes].reshape(image.shape)
+        assert decode_jpeg(data, image.shape, out).ctypes.data == out.ctypes.data
+        np.testing.assert_array_equal(out, own)
+        assert not memory[start + image.nbytes :].any()  # nothing beyond it
+    for other in ((size[0] + 1, size[1], 3), (size[0], size[1] + 1, 3), (1000, 1000, 3)):
+        with pytest.raises(CorruptEpisode):
+            decode_jpeg(data, other)

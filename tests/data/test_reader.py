@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rcs.data import SCHEMA_VERSION, Dataset
+from rcs.data import SCHEMA_VERSION, Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs.data.durable import sealed, unsealed
 from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
 
@@ -82,3 +82,35 @@ def test_the_files_are_plain_json(dataset: Path) -> None:
     about = json.loads((dataset / "episodes/000001/episode.json").read_text())
     assert about["seed"] == 1
     assert set(about["sha256"]) == {"steps.parquet", "sim_state.parquet"}
+
+
+def test_a_table_of_all_episodes_has_every_value_at_its_place(dataset: Path) -> None:
+    found = Dataset.open(dataset)
+    table = found.to_arrow()
+    assert table.column_names[:3] == ["episode", "row", "observation/joints"]
+    assert not any("frames" in name and "time" not in name for name in table.column_names)
+    assert table.num_rows == sum(episode.length for episode in found.episodes)
+    joints = np.array(table.column("observation/joints").to_pylist())
+    np.testing.assert_array_equal(joints, np.concatenate([e.column("observation/joints") for e in found.episodes]))
+    places = list(zip(table.column("episode").to_pylist(), table.column("row").to_pylist(), strict=True))
+    assert places == [(episode.id, row) for episode in found.episodes for row in range(episode.length)]
+    rewards = found.to_arrow(["reward"]).column("reward").to_pylist()
+    assert [reward is None for reward in rewards] == [row == 0 for _, row in places]
+    with pytest.raises(InvalidSetup, match="images go into no table"):
+        found.to_arrow(["observation/frames/wrist/rgb"])
+
+
+def test_a_table_has_held_values_in_every_row(tmp_path: Path) -> None:
+    matrix = Feature(key="observation/matrix", shape=(2, 2), dtype="float64", encoding="held")
+    info = DatasetInfo(fps=10.0, features=(matrix,), setup={}, instruction="")
+    with DatasetWriter.open(tmp_path / "dataset", info) as writer:
+        assert Dataset.open(tmp_path / "dataset").to_arrow().column_names == ["episode", "row", matrix.key]
+        for name, values in (("a", [1, 1, 1, 2]), ("b", [2, 3, 3])):
+            with writer.episode(name, seed=0) as episode:
+                for value in values:
+                    episode.add({matrix.key: np.full((2, 2), float(value))})
+                episode.finish(None)
+    found = Dataset.open(tmp_path / "dataset")
+    assert found.episodes[0].steps().column(matrix.key).null_count == 2
+    held = [value[3] for value in found.to_arrow().column(matrix.key).to_pylist()]
+    assert held == [1, 1, 1, 2, 2, 3, 3]

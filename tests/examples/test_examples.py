@@ -8,15 +8,22 @@ from pathlib import Path
 
 import pytest
 
+import rcs
 from rcs.devices import lookup
+from rcs.rollout.collect import Collection, Progress, collect
 from rcs.setups.lab import lab_of
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 MOST_LINES_IN_README = 12
+NEED_EXTRAS = ("07_train_on_it",)
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def to_run(path: Path) -> object:
+    return pytest.param(path, marks=pytest.mark.extras if path.stem in NEED_EXTRAS else (), id=path.stem)
+
+
+@pytest.mark.parametrize("path", [to_run(path) for path in EXAMPLES])
 def test_an_example_runs_and_tells_what_it_did(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(path), run_name="__main__")
     assert capsys.readouterr().out.strip()
@@ -51,3 +58,24 @@ def test_the_first_program_of_the_readme_runs_and_moves_the_arm(tmp_path: Path) 
     path.write_text(program)
     names = runpy.run_path(str(path))
     assert names["observation"]["tquat"][2] < names["start"]["tquat"][2] - 0.05  # lower than at the start [m]
+
+
+@pytest.mark.extras
+@pytest.mark.gl
+def test_the_program_of_the_documents_that_trains_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    section = (ROOT / "docs" / "data.md").read_text().partition("## Train on it")[2]
+    program = re.findall(r"```python\n(.*?)```", section, re.DOTALL)[0]
+    setup = rcs.Setup(task="PickCuboid", robot="fr3", cameras=("wrist", "side"))
+    for _ in collect(Collection(setup=setup, out=tmp_path / "datasets" / "pick", episodes=1), Progress()):
+        pass
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "program.py"
+    path.write_text(program)
+    batch = runpy.run_path(str(path))["batch"]
+    promised = re.findall(r"batch(\[.*\])\s+# \((.*?)\)", program)
+    assert len(promised) == 4
+    for keys, shape in promised:
+        found = batch
+        for key in re.findall(r"\w+", keys):
+            found = found[key]
+        assert ", ".join(map(str, found.shape)) == shape

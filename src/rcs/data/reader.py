@@ -271,6 +271,38 @@ class Dataset:
             total.update(f"{episode.id} {episode.content_hash}\n".encode())
         return total.hexdigest()
 
+    def to_arrow(self, keys: list[str] | None = None) -> pa.Table:
+        """Return the numbers of all episodes as one table, with the columns "episode" (id) and "row" in front.
+
+        Held values are in every row. A row without a value, as the action of the first, has a null.
+
+        Args:
+            keys: The columns to read; None for all but images.
+
+        Raises:
+            InvalidSetup: There is no such feature, or it is an image.
+            CorruptEpisode: An episode is damaged.
+        """
+        features = [f for f in self.info.features if not f.is_image] if keys is None else map(self.info.feature, keys)
+        chosen = {feature.key: feature for feature in features}
+        images = [key for key, feature in chosen.items() if feature.is_image]
+        if images:
+            raise InvalidSetup(
+                f"{', '.join(images)}: images go into no table; read them with `FrameAccess` or `frames`."
+            )
+        fields = [pa.field("episode", pa.string()), pa.field("row", pa.int64())]
+        tables = [pa.schema([*fields, *(feature.arrow_field for feature in chosen.values())]).empty_table()]
+        for episode in self.episodes:
+            rows = episode.steps(list(chosen))
+            columns = [rows.column(key) for key in chosen]
+            whole = [
+                c.take(pa.array(_last_valid(c))) if chosen[k].can_be_held else c
+                for k, c in zip(chosen, columns, strict=True)
+            ]
+            place = [pa.array([episode.id] * len(rows), pa.string()), pa.array(range(len(rows)), pa.int64())]
+            tables.append(pa.Table.from_arrays([*place, *whole], schema=tables[0].schema))
+        return pa.concat_tables(tables)
+
     def __len__(self) -> int:
         """Return how many complete episodes there are."""
         return len(self.episodes)

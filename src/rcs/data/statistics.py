@@ -1,0 +1,197 @@
+"""Statistics of vectors, for normalising: read as a stream, in memory that does not grow with the data."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.errors import InvalidSetup
+
+Normalisation = Literal["mean_std", "min_max", "quantiles"]
+
+# So many different numbers of each column are counted apart; where there are more, neighbours are counted together.
+_BINS = 16384
+# The finest bin is 2^-80 wide. From there widths double, so that a number falls into bins within bins.
+_FINEST = -80
+_ARRAYS = ("mean", "std", "min", "max", "q01", "q99")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statistics:
+    """How the numbers of a vector are distributed; arrays have shape (size,)."""
+
+    count: int
+    """Vectors seen."""
+    mean: NDArray[np.float64]
+    """The mean."""
+    std: NDArray[np.float64]
+    """The standard deviation of the whole, divided by the count."""
+    min: NDArray[np.float64]
+    """The smallest."""
+    max: NDArray[np.float64]
+    """The largest."""
+    q01: NDArray[np.float64]
+    """What 1 % are smaller than."""
+    q99: NDArray[np.float64]
+    """What 99 % are smaller than."""
+
+    def normalise(self, values: NDArray[Any], by: Normalisation = "mean_std") -> NDArray[Any]:
+        """Return vectors with numbers of about one size; a number that is always the same becomes 0.
+
+        Args:
+            values: Shape (..., size).
+            by: "mean_std" to mean 0 and standard deviation 1; "min_max" from -1 to 1; "quantiles" so that 98 % lie
+                from -1 to 1.
+
+        Raises:
+            InvalidSetup: There is no such normalisation.
+        """
+        centre, reach = self._span(by)
+        return (values - centre) / reach
+
+    def denormalise(self, values: NDArray[Any], by: Normalisation = "mean_std") -> NDArray[Any]:
+        """Return what `normalise` was given.
+
+        Args:
+            values: Shape (..., size).
+            by: As it was given to `normalise`.
+
+        Raises:
+            InvalidSetup: There is no such normalisation.
+        """
+        centre, reach = self._span(by)
+        return values * reach + centre
+
+    def _span(self, by: Normalisation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        if by not in get_args(Normalisation):
+            raise InvalidSetup(f"There is no normalisation {by!r}; valid are {', '.join(get_args(Normalisation))}.")
+        if by == "mean_std":
+            centre, reach = self.mean, self.std
+        else:
+            low, high = (self.min, self.max) if by == "min_max" else (self.q01, self.q99)
+            centre, reach = (low + high) / 2, (high - low) / 2
+        # Rounding leaves a constant a tiny spread, and dividing by that would make noise of it.
+        is_constant = reach <= 1e-9 * np.maximum(np.abs(self.min), np.abs(self.max))
+        return centre, np.where(is_constant, 1.0, reach)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields as JSON values."""
+        return {"count": self.count, **{name: getattr(self, name).tolist() for name in _ARRAYS}}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Statistics:
+        """Build statistics from what `to_json` returned.
+
+        Raises:
+            InvalidSetup: A field is missing or is not numbers.
+        """
+        try:
+            arrays = {name: np.array(values[name], np.float64) for name in _ARRAYS}
+            return cls(count=int(values["count"]), **arrays)
+        except (KeyError, TypeError, ValueError) as err:
+            raise InvalidSetup(f"Not statistics: {json.dumps(dict(values), default=str)[:200]}.") from err
+
+
+class RunningStatistics:
+    """Collects statistics of vectors that come in pieces; how they were cut changes no more than rounding.
+
+    Mean and deviation: T. F. Chan, G. H. Golub, R. J. LeVeque, "Updating formulae and a pairwise algorithm for
+    computing sample variances", 1979. Quantiles: numbers are counted in bins, the narrowest whose width is a power of
+    two and of which no more than 16384 have something in them. A quantile is off by no more than one bin, 1/8000 of the
+    range or less if the range is filled evenly, and exact while there are no more than 16384 different numbers.
+    """
+
+    def __init__(self, size: int) -> None:
+        """Start with nothing.
+
+        Args:
+            size: Numbers in a vector.
+        """
+        self.count = 0
+        self._mean = np.zeros(size)
+        self._square = np.zeros(size)
+        self._low = np.full(size, np.inf)
+        self._high = np.full(size, -np.inf)
+        self._bins = [_Bins() for _ in range(size)]
+
+    def add(self, values: NDArray[Any]) -> None:
+        """Take the next vectors, shape (rows, size).
+
+        Raises:
+            InvalidSetup: The shape is another, or a number is not finite.
+        """
+        numbers = np.asarray(values, np.float64)
+        if numbers.ndim != 2 or numbers.shape[1] != len(self._mean):
+            raise InvalidSetup(f"Vectors have shape {numbers.shape}; expected is (rows, {len(self._mean)}).")
+        if not np.isfinite(numbers).all():
+            row, column = np.argwhere(~np.isfinite(numbers))[0]
+            raise InvalidSetup(f"Number {column} of vector {row} is {numbers[row, column]}; all must be finite.")
+        if not len(numbers):
+            return
+        mean = numbers.mean(axis=0)
+        apart, count = mean - self._mean, self.count + len(numbers)
+        self._square += ((numbers - mean) ** 2).sum(axis=0) + apart**2 * self.count * len(numbers) / count
+        self._mean += apart * len(numbers) / count
+        self._low = np.minimum(self._low, numbers.min(axis=0))
+        self._high = np.maximum(self._high, numbers.max(axis=0))
+        self.count = count
+        for bins, column in zip(self._bins, numbers.T, strict=True):
+            bins.add(column)
+
+    def result(self) -> Statistics:
+        """Return the statistics of what came so far.
+
+        Raises:
+            InvalidSetup: Nothing came.
+        """
+        if not self.count:
+            raise InvalidSetup("There are no vectors to take statistics of.")
+        low, high = self._low, self._high
+        q01, q99 = (np.array([bins.quantile(share) for bins in self._bins]) for share in (0.01, 0.99))
+        return Statistics(
+            count=self.count,
+            mean=self._mean.copy(),
+            std=np.sqrt(self._square / self.count),
+            min=low.copy(),
+            max=high.copy(),
+            q01=np.clip(q01, low, high),
+            q99=np.clip(q99, low, high),
+        )
+
+
+class _Bins:
+    """How often numbers came, in bins [i * width, (i + 1) * width) of the least width that keeps them few."""
+
+    def __init__(self) -> None:
+        self._exponent = _FINEST
+        self._starts = np.empty(0)  # i of each bin; whole, sorted, and floats, which have them exactly however large
+        self._counts = np.empty(0, np.int64)
+
+    def add(self, numbers: NDArray[np.float64]) -> None:
+        starts = np.concatenate([self._starts, np.floor(np.ldexp(numbers, -self._exponent))])
+        counts = np.concatenate([self._counts, np.ones(len(numbers), np.int64)])
+        order = np.argsort(starts, kind="stable")
+        starts, counts = starts[order], counts[order]
+        is_first = np.append(True, starts[1:] != starts[:-1])
+        while np.count_nonzero(is_first) > _BINS:
+            self._exponent += 1
+            starts = np.floor(starts / 2)
+            is_first = np.append(True, starts[1:] != starts[:-1])
+        first = np.flatnonzero(is_first)
+        self._starts, self._counts = starts[first], np.add.reduceat(counts, first)
+
+    def quantile(self, share: float) -> float:
+        place = share * (self._counts.sum() - 1)
+        summed = np.cumsum(self._counts)
+        # Between two numbers in proportion, as numpy's `quantile` does.
+        low, high = (
+            self._starts[np.searchsorted(summed, at, side="right")] for at in (np.floor(place), np.ceil(place))
+        )
+        start = low + (high - low) * (place - np.floor(place))
+        # The middle of the bin; of the finest it is the number itself.
+        return float(np.ldexp(start + (0.5 if self._exponent > _FINEST else 0.0), self._exponent))
