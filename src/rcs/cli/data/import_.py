@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +24,7 @@ class ImportCommand:
     """Folder of the dataset to make; nothing may be there yet."""
     format: str = "auto"
     """lerobot or robomimic; default: what it looks like."""
-    jpeg_quality: int = 95
-    """1 to 100."""
-    lossless: bool = False
-    """Keep colour images without loss instead."""
-    instruction: str | None = None
-    """What the robot was asked to do, where the source does not say so."""
-    fps: float | None = None
-    """Steps per second [Hz], where the source does not say so."""
+    more: tyro.conf.SuppressFixed[ImportOptions] = field(default_factory=ImportOptions)
 
     def run(self) -> int:
         """Import and print what was made."""
@@ -39,11 +32,8 @@ class ImportCommand:
         read = import_format(self.format, self.source)
         with Progress(console=console, transient=True) as progress:
             bar = progress.add_task("Importing", total=None)
-            options = ImportOptions(
-                jpeg_quality=self.jpeg_quality,
-                lossless=self.lossless,
-                instruction=self.instruction,
-                fps=self.fps,
+            options = replace(
+                self.more,
                 on_progress=lambda done, total: progress.update(bar, completed=done, total=total or None),
             )
             dataset = read(self.source, self.out, options)

@@ -35,7 +35,7 @@ class ExportOptions:
     extra: tuple[str, ...] = ()
     """More features of numbers, each kept as a column of its own."""
     cameras: tuple[str, ...] | None = None
-    """Cameras; None for all. An empty tuple leaves all images out."""
+    """Cameras; None for all. An empty tuple leaves all images out, as does "none" on the command line."""
     robot_type: str | None = None
     """What the format calls the robot; None for the name in the setup."""
     fps: int | None = None
