@@ -1,11 +1,17 @@
-"""Kill collections at random moments with SIGKILL and see what is left.
+"""Kill recordings and edits at random moments with SIGKILL and see what is left.
 
-Half of the trials kill the whole process tree of `rcs collect` with two workers. The other half kill a collection in
-one process that notes, in memory shared with this program, how many rows it has recorded: there the loss is exact.
-After every kill the finished episodes are checked by hash and `recover` brings back the open ones.
+A third of the trials each kills
 
-Prints one JSON object: `trials`, `damaged` (finished episodes that are not as they were written), `lost_rows_max` and
-`lost_s_max` (of the open episode).
+- a collection in one process that notes, in memory shared with this program, how many rows it has recorded: there the
+  loss is exact;
+- the whole process tree of `rcs collect` with two workers;
+- a program that deletes, trims, merges and undoes without end.
+
+After every kill the finished episodes are checked by hash and `recover` brings back the open ones; after an edit the
+dataset must be as it was before or after it, and undo must lead back to what was recorded.
+
+Prints one JSON object. `lossless` counts the kills after which no finished episode was missing or changed, no edit was
+half done and the check passed; `lost_rows_max` and `lost_s_max` are what the open episode lost.
 """
 
 from __future__ import annotations
@@ -14,21 +20,22 @@ import json
 import mmap
 import os
 import random
+import shutil
 import signal
 import struct
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import tyro
 from rich.console import Console
 from rich.progress import track
 
-from rcs.data import Dataset, check, recover
+from rcs.data import Dataset, check, edit, recover
 from rcs.envs.observers import Observer, Transition
 from rcs.envs.setup import Setup
 from rcs.rollout.collect import Collection, Progress, collect
@@ -51,6 +58,30 @@ class Options:
     """Record two cameras."""
     child: str = ""
     """Used by the program itself: collect into this folder and count rows."""
+    editor: str = ""
+    """Used by the program itself: edit the dataset in this folder."""
+
+
+@dataclass
+class Totals:
+    """What was seen in all trials."""
+
+    lossless: dict[str, int] = field(default_factory=lambda: {"record": 0, "workers": 0, "edit": 0})
+    """Kills after which nothing was lost but the end of the open episode, by kind."""
+    kills: dict[str, int] = field(default_factory=lambda: {"record": 0, "workers": 0, "edit": 0})
+    """All kills."""
+    finished: int = 0
+    """Episodes that were finished when the kill came."""
+    damaged: int = 0
+    """Of those, the ones that were not as they were written, or not there."""
+    recovered: int = 0
+    """Open episodes that came back."""
+    failed_checks: int = 0
+    """Datasets that did not pass the check after `recover`."""
+    half_edits: int = 0
+    """Datasets that were neither as before the edit nor as after it, or whose edit could not be undone."""
+    lost: list[int] = field(default_factory=list[int])
+    """Rows that open episodes lost, where that is exact."""
 
 
 class RowCounter(Observer):
@@ -88,35 +119,59 @@ def collect_and_count(folder: Path, setup: Setup) -> None:
         pass
 
 
+def edit_without_end(folder: Path) -> None:
+    """Delete, undo, trim, undo, merge, and so on, until killed."""
+    ids = [episode.id for episode in Dataset.open(folder).episodes]
+    folder.with_suffix(".ready").touch()
+    while True:
+        edit.delete(folder, ids[:2])
+        edit.undo(folder)
+        edit.trim(folder, ids[0], first=3, last=20)
+        edit.undo(folder)
+        merged = folder.with_suffix(".merged")
+        shutil.rmtree(merged, ignore_errors=True)
+        edit.merge([folder, folder], merged)
+
+
 def main(options: Options) -> None:
     """Kill, look, print."""
     setup = Setup(cameras=("wrist", "side") if options.cameras else ())
     if options.child:
         collect_and_count(Path(options.child), setup)
         return
+    if options.editor:
+        edit_without_end(Path(options.editor))
+        return
     rng = random.Random(options.seed)
-    totals: dict[str, Any] = {
-        "finished": 0,
-        "damaged": 0,
-        "recovered": 0,
-        "lost": [],
-        "unreadable": 0,
-        "failed_checks": 0,
-    }
+    totals = Totals()
     with tempfile.TemporaryDirectory(prefix="rcs-kill-") as root:
+        source = Path(root) / "source"
+        list(collect(Collection(setup=setup, out=source, episodes=4), Progress()))
         for trial in track(range(options.trials), "Killing", console=Console(stderr=True)):
-            one_trial(Path(root) / f"trial {trial}", rng, options.cameras, trial % 2 == 0, totals)
-    lost = max(totals["lost"], default=0)
+            folder = Path(root) / f"trial {trial}"
+            kind = ("record", "workers", "edit")[trial % 3]
+            if kind == "edit":
+                is_lossless = kill_edits(folder, source, rng, totals)
+            else:
+                is_lossless = kill_recording(folder, rng, options.cameras, kind == "record", totals)
+            totals.kills[kind] += 1
+            totals.lossless[kind] += is_lossless
+            for left in Path(root).glob(f"trial {trial}*"):
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
+    lost = max(totals.lost, default=0)
     print(
         json.dumps(
             {
                 "benchmark": "kill",
                 "trials": options.trials,
-                "finished_episodes": totals["finished"],
-                "damaged": totals["damaged"],
-                "recovered_episodes": totals["recovered"],
-                "checks_failed_after_recover": totals["failed_checks"],
-                "exact_losses": len(totals["lost"]),
+                "lossless": sum(totals.lossless.values()),
+                "lossless_by_kind": {kind: f"{totals.lossless[kind]} of {totals.kills[kind]}" for kind in totals.kills},
+                "finished_episodes": totals.finished,
+                "damaged": totals.damaged,
+                "half_edits": totals.half_edits,
+                "recovered_episodes": totals.recovered,
+                "checks_failed_after_recover": totals.failed_checks,
+                "exact_losses": len(totals.lost),
                 "lost_rows_max": lost,
                 "lost_s_max": round(lost / FPS, 3),
             }
@@ -124,8 +179,23 @@ def main(options: Options) -> None:
     )
 
 
-def one_trial(folder: Path, rng: random.Random, has_cameras: bool, is_counted: bool, totals: dict[str, Any]) -> None:
-    """Start a collection, kill it at a random moment, look at what is left."""
+def kill_after(command: list[str], is_under_way: Callable[[], bool], seconds: float) -> None:
+    """Start a program, wait until it is at work and a while longer, and kill it with all its children."""
+    process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    deadline = time.monotonic() + 60
+    while not is_under_way():
+        assert process.poll() is None, process.stderr.read().decode() if process.stderr else ""
+        assert time.monotonic() < deadline, f"{command} did not start"
+        time.sleep(0.01)
+    time.sleep(seconds)
+    assert process.poll() is None, process.stderr.read().decode() if process.stderr else ""
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    time.sleep(0.05)  # workers die with their parent, but not in the same instant
+
+
+def kill_recording(folder: Path, rng: random.Random, has_cameras: bool, is_counted: bool, totals: Totals) -> bool:
+    """Kill a collection, look at what is left, and return whether all that was finished is there as it was."""
     counter = folder.with_suffix(".rows")
     counter.write_bytes(COUNTER.pack(-1, 0))
     cameras = ["wrist", "side"] if has_cameras else ["none"]
@@ -134,30 +204,50 @@ def one_trial(folder: Path, rng: random.Random, has_cameras: bool, is_counted: b
     else:
         arguments = ["collect", "PickCuboid", "--episodes", "10000", "--workers", "2", "--out", str(folder)]
         command = [sys.executable, "-c", "from rcs.cli.main import main; main()", *arguments, "--cameras", *cameras]
-    process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    deadline = time.monotonic() + 60
-    while not any((folder / "episodes").glob("*")):  # it collects
-        assert process.poll() is None, process.stderr.read().decode() if process.stderr else ""
-        assert time.monotonic() < deadline, "the collection did not start"
-        time.sleep(0.01)
-    time.sleep(rng.uniform(0.0, 1.5))
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    time.sleep(0.05)  # workers die with their parent, but not in the same instant
+    kill_after(command, lambda: any((folder / "episodes").glob("*")), rng.uniform(0.0, 1.5))
     episode, rows = COUNTER.unpack(counter.read_bytes())
     finished = {record.id for record in Dataset.open(folder).episodes}
-    before = check(folder)
-    totals["finished"] += len(finished)
-    totals["damaged"] += len({finding.episode for finding in before.findings} & finished)
+    # The first episode was made before counting began, so the counter is one behind.
+    expected = {f"{number:06d}" for number in range(episode + 1)} if is_counted else set[str]()
+    damaged = {finding.episode for finding in check(folder).damage} & finished | (expected - finished)
+    totals.finished += len(finished | expected)
+    totals.damaged += len(damaged)
     recover(folder)
     after = Dataset.open(folder)
-    totals["recovered"] += len(after) - len(finished)
-    totals["failed_checks"] += not check(folder).is_ok
+    totals.recovered += len(after) - len(finished)
+    is_ok = check(folder).is_ok
+    totals.failed_checks += not is_ok
     if is_counted and episode >= 0:
-        # The first episode was made before counting began, so the counter is one behind.
-        name = f"{episode + 1:06d}"
-        kept = {record.id: record.length for record in after.episodes}.get(name, 0)
-        totals["lost"].append(max(rows - kept, 0))
+        kept = {record.id: record.length for record in after.episodes}.get(f"{episode + 1:06d}", 0)
+        totals.lost.append(max(rows - kept, 0))
+    return is_ok and not damaged
+
+
+def kill_edits(folder: Path, source: Path, rng: random.Random, totals: Totals) -> bool:
+    """Kill a program that edits, look at what is left, and return whether each edit is there or not, and whole."""
+    shutil.copytree(source, folder)
+    recorded = Dataset.open(source)
+    ids = [episode.id for episode in recorded.episodes]
+    command = [sys.executable, __file__, "--editor", str(folder)]
+    kill_after(command, folder.with_suffix(".ready").exists, rng.uniform(0.0, 0.5))
+    after = Dataset.open(folder)
+    found = [(episode.id, episode.length) for episode in after.episodes]
+    whole = [(episode.id, episode.length) for episode in recorded.episodes]
+    is_edit = found in (whole, whole[2:], [(ids[0], 18), *whole[1:]])
+    damaged = {finding.episode for finding in check(folder).damage}
+    merged = folder.with_suffix(".merged")
+    if (merged / "dataset.json").exists():
+        is_edit &= len(Dataset.open(merged)) == 2 * len(ids) and check(merged).is_ok
+    recover(folder)
+    is_ok = check(folder).is_ok
+    if Dataset.open(folder).digest() != recorded.digest():
+        edit.undo(folder)
+    is_edit &= Dataset.open(folder).digest() == recorded.digest()
+    totals.finished += len(ids)
+    totals.damaged += len(damaged)
+    totals.failed_checks += not is_ok
+    totals.half_edits += not is_edit
+    return is_ok and is_edit and not damaged
 
 
 if __name__ == "__main__":

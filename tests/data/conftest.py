@@ -76,7 +76,7 @@ def _rows(length: int, *, images: bool = False, seed: int = 0) -> list[Row]:
         if i:
             row |= {"action/joints": rng.normal(size=3), "action/index": np.array([i, -i], np.int32), "reward": i / 2}
         if images:
-            row["observation/frames/wrist/rgb"] = np.full((16, 24, 3), 7 * i % 256, np.uint8)
+            row["observation/frames/wrist/rgb"] = np.full((16, 24, 3), (40 + 7 * i) % 256, np.uint8)
             row["observation/frames/wrist/depth"] = rng.integers(0, 65536, (8, 10), np.uint16)
         rows.append(row)
     return rows

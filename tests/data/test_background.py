@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rcs.data import Dataset, DatasetInfo, DatasetWriter, EpisodeWriter, Feature, steps_equal
+from rcs.data import Dataset, DatasetInfo, DatasetWriter, EpisodeWriter, Feature, recover, steps_equal
 from rcs.data.background import BackgroundEpisode
 from rcs.data.flags import FrameFlag
 from rcs.errors import DatasetError, InvalidSetup
@@ -163,6 +163,18 @@ def test_a_discarded_episode_leaves_no_byte_and_no_thread(tmp_path: Path) -> Non
         episode.discard()
         assert not list((tmp_path / "episodes").iterdir())
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("write episode")]
+
+
+def test_closing_the_dataset_writes_what_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gate = Gate(monkeypatch)
+    with DatasetWriter.open(tmp_path, INFO) as writer:
+        episode = start(writer)
+        for row in rows(200):
+            episode.add(row)
+        threading.Timer(0.05, gate.open.set).start()
+    assert episode.state == "aborted"
+    assert recover(tmp_path).recovered == ("a",)
+    assert Dataset.open(tmp_path)["a"].length == 200
 
 
 def test_left_without_finish_the_rows_can_be_recovered(tmp_path: Path) -> None:

@@ -160,7 +160,7 @@ class CollectCommand:
 
 @contextmanager
 def _interruptible(progress: CollectionProgress, console: Console) -> Generator[None]:
-    """Let the first Ctrl-C end the collection after the episodes at work, and the second at once."""
+    """Let the first Ctrl-C end the collection after the episodes at work; the second, or SIGTERM, at once."""
 
     def on_interrupt(number: int, frame: object) -> None:
         if progress.is_interrupted:
@@ -168,11 +168,18 @@ def _interruptible(progress: CollectionProgress, console: Console) -> Generator[
         progress.is_interrupted = True
         console.print("Ending after the episodes at work; Ctrl-C again ends at once.")
 
-    before = signal.signal(signal.SIGINT, on_interrupt)
+    def on_termination(number: int, frame: object) -> None:
+        raise KeyboardInterrupt  # who sends it will not wait for long: close what is open, and end
+
+    before = {
+        signal.SIGINT: signal.signal(signal.SIGINT, on_interrupt),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, on_termination),
+    }
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _summarise(collection: Collection, progress: CollectionProgress, console: Console) -> None:

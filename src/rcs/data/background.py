@@ -56,6 +56,7 @@ class BackgroundEpisode:
         self._most_bytes = 0
         self._thread = threading.Thread(target=self._write, name=f"write episode {episode.id}", daemon=True)
         self._thread.start()
+        episode.end = self.abort  # not beside the thread: first it writes what waits
 
     @property
     def state(self) -> State:

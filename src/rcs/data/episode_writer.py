@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -54,6 +54,8 @@ class EpisodeWriter:
         check_episode_id(episode_id)
         self.id = episode_id
         self.state: State = "open"
+        self.end: Callable[[str], object] = self.abort
+        """What ends it, for a reason, when its dataset is closed; a thread that adds rows puts its own end here."""
         self._base = base
         self._info = info
         self._folder = open_folder(base, episode_id)

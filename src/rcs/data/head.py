@@ -80,7 +80,7 @@ class Head:
 
 
 def read_head(root: Path) -> Head:
-    """Read `dataset.json`, or its copy when it is damaged.
+    """Read `dataset.json`, or its copy when it is damaged or gone.
 
     Args:
         root: The dataset's folder.
@@ -91,13 +91,20 @@ def read_head(root: Path) -> Head:
     """
     try:
         return read_head_file(root / DATASET_FILE)
-    except CorruptEpisode as err:
+    except (CorruptEpisode, DatasetError) as err:
+        if (root / DATASET_FILE).exists() and not isinstance(err, CorruptEpisode):
+            raise  # a layout that is newer, or a disk that fails
         try:
             head = read_head_file(root / COPY_FILE)
         except (CorruptEpisode, DatasetError):
             raise err from None
         _log.warning("%s; read from %s, its copy. `rcs data check --repair` mends it.", err, COPY_FILE)
         return head
+
+
+def has_head(root: Path) -> bool:
+    """Return whether there is a dataset in a folder: `dataset.json`, or at least its copy."""
+    return (root / DATASET_FILE).exists() or (root / COPY_FILE).exists()
 
 
 def read_head_file(path: Path) -> Head:

@@ -25,6 +25,8 @@ ABORTED_FILE = "aborted.json"
 
 EPISODES_FOLDER = "episodes"
 GENERATIONS_FOLDER = "generations"
+QUARANTINE_FOLDER = "quarantine"
+"""What a repair found damaged, as it was; nothing reads it."""
 _OPEN = ".open-"
 _DISCARDED = ".discarded-"
 

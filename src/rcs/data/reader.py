@@ -32,6 +32,9 @@ from rcs.errors import CorruptEpisode, InvalidSetup
 
 _FRAMES_AT_A_TIME = 32
 
+UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError)
+"""What reading a damaged Parquet file raises; the last where the name of a column is damaged."""
+
 
 class EpisodeRecord:
     """One complete episode; nothing is read before it is asked for.
@@ -206,7 +209,7 @@ class EpisodeRecord:
                     for image in batch.column(0).to_pylist():
                         last = image or last or blank_frame(feature, self.info)
                         yield last
-        except (pa.ArrowException, OSError) as err:
+        except UNREADABLE as err:
             raise CorruptEpisode(f"{path} does not read: {err}.") from err
 
     def sim_state(self) -> NDArray[np.float64]:
@@ -227,7 +230,7 @@ class EpisodeRecord:
             # Not `read_table`: that takes a folder named "seed=3" for a partition and adds a column.
             with pq.ParquetFile(path, memory_map=True, page_checksum_verification=True) as file:
                 return file.read(columns=columns, use_threads=False)
-        except (pa.ArrowException, OSError) as err:
+        except UNREADABLE as err:
             raise CorruptEpisode(f"{path} does not read: {err}.") from err
 
 

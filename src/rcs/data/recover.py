@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rcs.data.compact import compact, publish
-from rcs.data.durable import disk_errors, remove_folder, unsealed
-from rcs.data.head import Head, read_head
+from rcs.data.durable import disk_errors, remove_folder, sync_folder, unsealed, write_file
+from rcs.data.head import Head, read_head, read_head_file
 from rcs.data.info import DatasetInfo
 from rcs.data.layout import (
     ABORTED_FILE,
@@ -90,6 +90,7 @@ def settle_leftovers(root: Path, head: Head, leftovers: Leftovers) -> RecoverRep
             shutil.rmtree(folder)
         for name in (DATASET_FILE, COPY_FILE):
             (root / f"{name}.tmp").unlink(missing_ok=True)
+        _renew_copy(root)
     done: dict[str, list[str]] = {"recovered": [], "published": [], "removed": []}
     failed: list[tuple[str, str]] = []
     for episode_id in open_ids(base):
@@ -98,6 +99,21 @@ def settle_leftovers(root: Path, head: Head, leftovers: Leftovers) -> RecoverRep
         except CorruptEpisode as err:
             failed.append((episode_id, str(err)))
     return RecoverReport(**{name: tuple(ids) for name, ids in done.items()}, failed=tuple(failed))
+
+
+def _renew_copy(root: Path) -> None:
+    """Make the copy of `dataset.json` what that says, as a kill between the two did not.
+
+    An old copy, read in the place of a damaged `dataset.json`, would take the newest generation for rubbish.
+    """
+    try:
+        read_head_file(root / DATASET_FILE)
+    except (CorruptEpisode, DatasetError):
+        return  # the copy is what is left
+    data = (root / DATASET_FILE).read_bytes()
+    if not (root / COPY_FILE).exists() or (root / COPY_FILE).read_bytes() != data:
+        write_file(root / COPY_FILE, data)
+        sync_folder(root)
 
 
 def unreachable_generations(root: Path, head: Head) -> list[Path]:

@@ -8,7 +8,7 @@ from typing import Self
 
 from rcs.data.durable import disk_errors, remove_folder, sync_folder
 from rcs.data.episode_writer import EpisodeWriter
-from rcs.data.head import Head, read_head, write_head
+from rcs.data.head import Head, has_head, read_head, write_head
 from rcs.data.info import SCHEMA_VERSION, DatasetInfo, differences
 from rcs.data.layout import (
     COPY_FILE,
@@ -72,13 +72,12 @@ class DatasetWriter:
         root = Path(path)
         with disk_errors("make the dataset", root):
             root.mkdir(parents=True, exist_ok=True)
-            exists = (root / DATASET_FILE).exists()
-            if not exists:
+            if not has_head(root):
                 _refuse_strangers(root)
         lock = DatasetLock.writer(root)
         try:
             with disk_errors("make the dataset", root):
-                if (root / DATASET_FILE).exists():
+                if has_head(root):
                     head = read_head(root)
                     _refuse_other_info(root, head, info, resume)
                     if head.info.schema_version < SCHEMA_VERSION:
@@ -174,7 +173,7 @@ class DatasetWriter:
         try:
             for episode in self._open:
                 if episode.state == "open":
-                    episode.abort("its dataset was closed")
+                    episode.end("its dataset was closed")
         finally:
             self._lock.release()
 

@@ -203,8 +203,13 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
                 time=time.perf_counter(),
                 capture_times=self._stack.capture_times(),
             )
-            for observer in self._observers:
-                observer.on_step(transition)
+            try:
+                for observer in self._observers:
+                    observer.on_step(transition)
+            except BaseException:
+                # A full disk, a camera that hangs: what goes wrong beside a robot must not leave it moving unwatched.
+                self._stack.hold()
+                raise
         return observation, reward, terminated, truncated, info
 
     def render(self) -> Any:

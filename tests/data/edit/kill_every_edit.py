@@ -1,7 +1,7 @@
 """A program that edits, and is killed before every single call that changes the disk, once each.
 
-Run as `kill_every_edit.py SOURCE FOLDER EDIT`: for n = 0, 1, 2 … a copy of the dataset in SOURCE is edited in FOLDER/n
-by a child that dies just before its n-th call, until one lives to the end.
+Run as `kill_every_edit.py SOURCE FOLDER EDIT [STRIDE]`: for n = 0, 1, 2 …, or every STRIDE-th of them, a copy of the
+dataset in SOURCE is edited in FOLDER/n by a child that dies just before its n-th call, until one lives to the end.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 from rcs.data import edit
+from rcs.data.check.repair import repair
 
 
 def sibling(path: Path) -> ModuleType:
@@ -26,11 +27,11 @@ def sibling(path: Path) -> ModuleType:
     return module
 
 
-def main(source: Path, folder: Path, name: str) -> None:
+def main(source: Path, folder: Path, name: str, stride: int = 1) -> None:
     """Kill one child after the other, until one is done before its time."""
     killing = sibling(Path(__file__).parent.parent / "kill_every_call.py")
     killing.CALLS = (*killing.CALLS, "link")
-    for n in range(1000):
+    for n in range(0, 1000, stride):
         path = folder / str(n)
         shutil.copytree(source, path)
         child = os.fork()
@@ -44,6 +45,8 @@ def main(source: Path, folder: Path, name: str) -> None:
                 edit.relabel(path, "push")
             elif name == "undo":
                 edit.undo(path)
+            elif name == "repair":
+                repair(path)
             elif name == "merge":
                 edit.merge([path, source], folder / f"{n}-merged")
             os._exit(0)
@@ -55,4 +58,4 @@ def main(source: Path, folder: Path, name: str) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3])
+    main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3], *map(int, sys.argv[4:]))

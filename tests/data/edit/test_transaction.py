@@ -176,5 +176,4 @@ def test_a_flipped_bit_in_dataset_json_is_survived_by_its_copy(dataset: Path, ca
     path.write_bytes(bytes(data))
     assert state(dataset) == before
     assert "dataset.copy.json" in caplog.text
-    findings = check(dataset).findings
-    assert [finding.file for finding in findings] == ["dataset.json"]
+    assert [finding.file for finding in check(dataset).damage] == ["dataset.json"]

@@ -1,27 +1,86 @@
-"""`rcs data check`: look for damage."""
+"""`rcs data check`: say what is wrong with a dataset, and mend what can be mended."""
 
 from __future__ import annotations
 
+import json as json_
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+from rich.text import Text
 
-from rcs.data import check
+from rcs.data import CheckReport, check
+from rcs.data.check.dataset import OnProgress
+from rcs.data.check.repair import RepairReport, repair
+
+# Where a table goes into a file or a pipe: wide enough that no line is folded.
+_WIDE = 1000
+_STYLES = {"damage": "bold red", "warning": "yellow"}
 
 
 @dataclass(kw_only=True)
 class CheckCommand:
-    """Check a dataset: hashes, counts, every frame. Exit code 1 when something is wrong."""
+    """Check a dataset: bytes, images, times, motion, labels. Exit code 1 when something is damaged.
+
+    Damage is what is not as it was written. Warnings are about what makes doubtful training data: gaps, frozen or black
+    images, jumps, joints beyond their limits, missing verdicts.
+    """
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
     fast: bool = False
-    """Do not decode the frames."""
+    """Do not decode the frames; every byte is still checked."""
+    strict: bool = False
+    """Exit code 1 for warnings, too."""
+    repair: bool = False
+    """Mend what can be mended first. What was damaged goes to the folder `quarantine`, and `undo` takes it back."""
+    json: bool = False
+    """Print one JSON document instead of a table."""
 
     def run(self) -> int:
-        """Check and print the findings."""
-        report = check(self.path, decode_frames=not self.fast)
-        Console(soft_wrap=True).print(str(report), highlight=False, markup=False)
-        return 0 if report.is_ok else 1
+        """Check, after a repair if asked, and print the findings."""
+        mended: RepairReport | None = None
+        if self.repair:
+            with _progress("Looking for damage") as on_progress:
+                mended = repair(self.path, decode_frames=not self.fast, on_progress=on_progress)
+        with _progress("Checking") as on_progress:
+            report = check(self.path, decode_frames=not self.fast, on_progress=on_progress)
+        if self.json:
+            print(json_.dumps(_document(report, mended), indent=1, ensure_ascii=False))
+        else:
+            _show(report, mended)
+        return 1 if report.damage or (self.strict and report.warnings) else 0
+
+
+def _document(report: CheckReport, mended: RepairReport | None) -> dict[str, object]:
+    return {**report.to_json(), "repair": None if mended is None else mended.to_json()}
+
+
+def _show(report: CheckReport, mended: RepairReport | None) -> None:
+    console = Console(soft_wrap=True)
+    if not console.is_terminal:
+        console = Console(width=_WIDE, soft_wrap=True)
+    if mended is not None:
+        console.print(str(mended), highlight=False, markup=False)
+    if report.findings:
+        table = Table("", "episode", "file", "rows", "what", box=None, pad_edge=False)
+        for finding in report.findings:
+            kind = Text(finding.severity, _STYLES[finding.severity])
+            place = "" if finding.rows is None else "-".join(str(row) for row in sorted(set(finding.rows)))
+            table.add_row(kind, *map(Text, (finding.episode or "", finding.file, place, finding.message)))
+        console.print(table)
+    for note in report.notes:
+        console.print(f"note: {note}", highlight=False, markup=False)
+    console.print(report.summary, highlight=False, markup=False)
+
+
+@contextmanager
+def _progress(doing: str) -> Generator[OnProgress]:
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(doing, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

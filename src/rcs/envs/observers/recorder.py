@@ -19,7 +19,7 @@ from rcs.envs import spaces as keys
 from rcs.envs.env import Env
 from rcs.envs.observers.observer import Observer, Transition
 from rcs.envs.setup import Setup
-from rcs.errors import InvalidSetup, WrongOrder
+from rcs.errors import DeviceFault, InvalidSetup, WrongOrder
 
 OBSERVATION, ACTION, EXECUTED = "observation", "action", "executed"
 TIME_MONOTONIC, TIME_PERIOD = "time/monotonic", "time/period"
@@ -106,7 +106,13 @@ class Recorder(Observer):
     """
 
     def __init__(
-        self, env: Env, writer: DatasetWriter, *, background: bool = False, stale_after: float | None = None
+        self,
+        env: Env,
+        writer: DatasetWriter,
+        *,
+        background: bool = False,
+        stale_after: float | None = None,
+        abort_after: float | None = None,
     ) -> None:
         """Record into a dataset.
 
@@ -117,6 +123,8 @@ class Recorder(Observer):
                 writer that is too slow leaves out images, flagged and counted; otherwise the loop waits for it.
             stale_after: Age [s] of a frame, from capture to the end of the step, from which it is flagged as stale;
                 None for never, as simulated frames are as old as their drawing takes.
+            abort_after: Age [s] of a frame from which the episode is given up: its rows are kept for `recover`, and the
+                step raises. None for never.
         """
         self._world = env.scenario.world
         self._scenario = env.scenario
@@ -124,6 +132,7 @@ class Recorder(Observer):
         self._writer = writer
         self._is_background = background
         self._stale_after = stale_after
+        self._abort_after = abort_after
         self._episode: EpisodeWriter | BackgroundEpisode | None = None
         self._next: tuple[str, str | None] | None = None
         self._starts_at_reset = True
@@ -163,12 +172,18 @@ class Recorder(Observer):
 
     def on_reset(self, first: Transition, seed: int | None) -> None:
         """Begin an episode with its first observation."""
-        self.discard()
+        self._let_go()
         if self._next is not None:
             self._begin(first, seed)
 
     def on_step(self, transition: Transition) -> None:
-        """Record a step."""
+        """Record a step.
+
+        Raises:
+            DeviceFault: A camera has given nothing new for `abort_after`; the episode is aborted.
+            InvalidSetup: A value is not what the dataset has; the row is not recorded, and the episode stays open.
+            DatasetError: The disk is full or fails; the episode is aborted.
+        """
         if self._episode is None:
             if self._next is not None and not self._starts_at_reset:
                 # What was seen after this step is where the episode starts; what led there is not part of it.
@@ -216,6 +231,17 @@ class Recorder(Observer):
             key.removeprefix(f"{keys.FRAMES}/"): captured for key, captured in transition.capture_times.items()
         }
         self._episode.add(row, self._world.states())
+        self._abort_if_late(transition)
+
+    def _abort_if_late(self, transition: Transition) -> None:
+        for key, captured in transition.capture_times.items():
+            age = transition.time - captured
+            if self._episode is not None and self._abort_after is not None and age > self._abort_after:
+                camera = key.removeprefix(f"{keys.FRAMES}/")
+                reason = f"Camera {camera!r} has given nothing new for {age:.2f} s."
+                self._episode.abort(reason)
+                self._episode = None
+                raise DeviceFault(f"{reason} The episode is aborted; `rcs data recover` keeps its rows.")
 
     def _flags(self, camera: str, captured: float, now: float) -> int:
         flags = FrameFlag(0)
@@ -253,6 +279,12 @@ class Recorder(Observer):
 
     def close(self) -> None:
         """Drop what is open."""
+        self._let_go()
+
+    def _let_go(self) -> None:
+        """Drop the open episode; the rows of one that a failing disk has aborted stay for `recover`."""
+        if self._episode is not None and self._episode.state == "aborted":
+            self._episode = None
         self.discard()
 
 

@@ -24,9 +24,9 @@ FILES = ("steps.parquet", "sim_state.parquet", "episode.json")
 
 def test_a_whole_dataset_has_no_findings(dataset: Path) -> None:
     report = check(dataset)
-    assert report.is_ok
+    assert not report.findings, str(report)
     assert (report.episodes, report.rows, report.frames) == (3, 21, 42)
-    assert str(report) == "3 episodes, 21 rows, 42 images checked: all as it was written"
+    assert report.summary == "3 episodes, 21 rows, 42 images checked: all as it was written"
     assert check(dataset, decode_frames=False).frames == 0
 
 
@@ -62,7 +62,7 @@ def test_a_broken_image_is_located_by_row(dataset: Path) -> None:
     (finding,) = check(dataset).findings
     assert finding.rows == (4, 4)
     assert "observation/frames/wrist/rgb" in finding.message
-    assert str(finding).startswith("episodes/000001/steps.parquet, row 4: ")
+    assert str(finding).startswith("damage: episodes/000001/steps.parquet, row 4: ")
 
 
 def test_files_of_another_episode_are_found(dataset: Path) -> None:
@@ -81,7 +81,8 @@ def test_values_that_are_not_finite_are_located(tmp_path: Path, make_info: MakeI
             episode.add(row, np.zeros(STATE))
         episode.finish(True)
     (finding,) = check(tmp_path).findings
-    assert (finding.rows, finding.message) == ((3, 5), "'observation/joints' is not finite in 2 rows")
+    assert (finding.severity, finding.kind, finding.rows) == ("warning", "not_finite", (3, 5))
+    assert finding.message == "'observation/joints' is not finite in 2 rows"
 
 
 def test_loose_ends_are_found_unless_a_writer_is_at_them(
@@ -89,15 +90,11 @@ def test_loose_ends_are_found_unless_a_writer_is_at_them(
 ) -> None:
     with DatasetWriter.open(dataset, make_info(images=True), resume=True) as writer:
         writer.episode("late", seed=0).add(make_rows(1, images=True)[0], np.zeros(STATE))
-        assert check(dataset).is_ok
+        assert not check(dataset).findings
     new_trash_folder(dataset, "gone").mkdir()
     (dataset / "episodes/empty").mkdir()
-    messages = {finding.message for finding in check(dataset).findings}
-    assert messages == {
-        "open, and its writer is gone; run recover",
-        "left of a discard; run recover",
-        "missing, so the episode is not read",
-    }
+    found = {(finding.severity, finding.kind, finding.episode) for finding in check(dataset).findings}
+    assert found == {("warning", "left_open", "late"), ("warning", "left_over", None), ("damage", "missing", "empty")}
     assert open_folder(dataset, "late").exists(), "a check changes nothing"
 
 

@@ -1,0 +1,246 @@
+"""Finds the one byte that changed in a file, and puts it back; nothing is guessed, for a hash says when it is right.
+
+A page of a Parquet file has a CRC-32. The difference between it and the CRC of what is there depends on which byte
+changed and how, so running the CRC's register backwards over the page gives the place. Parts without one, descriptions
+and the heads of pages and files, are small enough to try every bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rcs.data.durable import unsealed
+from rcs.errors import CorruptEpisode
+
+# More than this is not tried bit by bit: each of 8 bits of 8192 bytes is a second or two.
+_MOST_BYTES = 8192
+# How many bytes are hashed at most for one file: some seconds.
+_MOST_HASHED = 4 << 30
+_MAGIC = 4
+_TAIL = 8
+# Longer than the head of any page here, which has no statistics.
+_PAGE_HEAD = 48
+# Numbers of fields in `parquet.thrift` of Apache Parquet: of the footer, a row group, a column in it, its description,
+# and the head of a page.
+_GROUPS, _COLUMNS, _META, _SIZE, _START = 4, 1, 3, 7, 9
+_PAGE_SIZE, _PAGE_CRC = 3, 4
+_TRUE, _FALSE = 1, 2
+
+
+def mended_json(data: bytes, path: Path) -> dict[str, Any] | None:
+    """Return what sealed JSON said before one bit of it changed; None if that is not what happened.
+
+    Args:
+        data: The bytes of the file.
+        path: Where they came from.
+    """
+    if len(data) > _MOST_BYTES:
+        return None
+    for at in range(8 * len(data)):
+        try:
+            return unsealed(_changed(data, at // 8, 1 << at % 8), path)
+        except CorruptEpisode:
+            continue
+    return None
+
+
+def mended_parquet(data: bytes, sha256: str) -> bytes | None:
+    """Return a Parquet file as it was before one byte of a page, or one bit elsewhere, changed; None if it was more.
+
+    Args:
+        data: The bytes of the file.
+        sha256: What they should hash to.
+    """
+
+    def is_right(candidate: bytes) -> bool:
+        return hashlib.sha256(candidate).hexdigest() == sha256
+
+    footer = _footer_start(data)
+    heads: list[int] = []
+    for start, end in _chunks(data):
+        pages = list(_pages(data, start, end))
+        heads += [at for page in pages for at in range(page.head, page.start)]
+        broken = [page for page in pages if zlib.crc32(data[page.start : page.end]) != page.crc]
+        for page in broken:
+            for candidate in (*_with_right_page(data, page), *_with_right_head(data, page.head, end)):
+                if is_right(candidate):
+                    return candidate
+        read = pages[-1].end if pages else start
+        if read != end:  # the head that comes next is damaged
+            for candidate in _with_right_head(data, read, end):
+                if is_right(candidate):
+                    return candidate
+    tail = max(len(data) - _TAIL, 0)
+    # The length of the footer first: where it is wrong, the footer is not where it says.
+    places = [*range(tail, len(data)), *range(min(footer, tail), tail)]
+    return _try_bits(data, sha256, [*places, *sorted({*range(min(_MAGIC, len(data))), *heads}, reverse=True)])
+
+
+@dataclass(frozen=True)
+class _Page:
+    """Where a page's head, its data and what follows begin, and the CRC of the data."""
+
+    head: int
+    start: int
+    end: int
+    crc: int
+
+
+def _chunks(data: bytes) -> list[tuple[int, int]]:
+    """Return where the columns of each row group start and end, as far as the footer says so; nothing if it does not.
+
+    The footer is read here and not by Arrow, which ends the process where some of its fields contradict each other.
+    """
+    try:
+        footer, _ = _thrift_struct(data, len(data) - _TAIL - int.from_bytes(data[-_TAIL:-_MAGIC], "little"))
+        columns = [column[_META] for group in footer[_GROUPS] for column in group[_COLUMNS]]
+        places = [(column[_START], column[_START] + column[_SIZE]) for column in columns]
+    except (IndexError, KeyError, TypeError, ValueError, RecursionError):
+        return []
+    return [(start, end) for start, end in places if 0 <= start <= end <= len(data)]
+
+
+def _pages(data: bytes | bytearray, start: int, end: int) -> Iterator[_Page]:
+    """Yield the pages between two places, up to the first whose head does not read."""
+    while start < end:
+        try:
+            fields, after = _thrift_struct(data, start)
+            page = _Page(head=start, start=after, end=after + fields[_PAGE_SIZE], crc=fields[_PAGE_CRC] & 0xFFFFFFFF)
+        except (IndexError, KeyError, TypeError, ValueError, RecursionError):
+            return
+        if not after <= page.end <= end:
+            return
+        yield page
+        start = page.end
+
+
+def _thrift_struct(data: bytes | bytearray, at: int) -> tuple[dict[int, Any], int]:
+    """Read a struct of Thrift's compact protocol: its fields by their numbers, and where it ends.
+
+    Source: the specification of the compact protocol in the documentation of Apache Thrift.
+
+    Raises:
+        ValueError: This is no such struct.
+        IndexError: It goes on after the end of the data.
+    """
+    fields: dict[int, Any] = {}
+    number = 0
+    if at < 0:
+        raise ValueError("a struct cannot begin before the file")
+    while head := data[at]:
+        at += 1
+        if head >> 4:
+            number += head >> 4
+        else:
+            folded, at = _varint(data, at)
+            number = _unfolded(folded)
+        kind = head & 0xF
+        # Of a field, unlike of what is in a list, a truth value is its type.
+        fields[number], at = (kind == _TRUE, at) if kind in (_TRUE, _FALSE) else _thrift_value(data, at, kind)
+    return fields, at + 1
+
+
+def _thrift_value(data: bytes | bytearray, at: int, kind: int) -> tuple[Any, int]:
+    match kind:
+        case 1 | 2 | 3:
+            return data[at], at + 1
+        case 4 | 5 | 6:
+            folded, at = _varint(data, at)
+            return _unfolded(folded), at
+        case 7:
+            return None, at + 8
+        case 8:
+            size, at = _varint(data, at)
+            return data[at : at + size], at + size
+        case 9 | 10:
+            head, at = data[at], at + 1
+            size, at = (head >> 4, at) if head >> 4 < 15 else _varint(data, at)
+            values: list[Any] = []
+            for _ in range(size):
+                value, at = _thrift_value(data, at, head & 0xF)
+                values.append(value)
+            return values, at
+        case 12:
+            return _thrift_struct(data, at)
+        case other:
+            raise ValueError(f"nothing here has the type {other}")
+
+
+def _varint(data: bytes | bytearray, at: int) -> tuple[int, int]:
+    value = shift = 0
+    while True:
+        byte = data[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        shift += 7
+        if byte < 0x80:
+            return value, at
+        if shift > 63:
+            raise ValueError("a number of more than 64 bits")
+
+
+def _unfolded(value: int) -> int:
+    return (value >> 1) ^ -(value & 1)
+
+
+def _with_right_page(data: bytes, page: _Page) -> Iterator[bytes]:
+    """Yield the file with one byte of a page changed so that its CRC is right, for each byte that could be."""
+    register = zlib.crc32(data[page.start : page.end]) ^ page.crc
+    # What one byte makes of an empty register: zlib's CRC without its first and last inversion.
+    table = [zlib.crc32(bytes([byte])) ^ zlib.crc32(b"\0") for byte in range(256)]
+    of_last_byte = {value: byte for byte, value in enumerate(table) if byte}
+    by_top = {value >> 24: byte for byte, value in enumerate(table)}
+    for at in range(page.end - 1, page.start - 1, -1):
+        if register in of_last_byte:
+            yield _changed(data, at, of_last_byte[register])
+        byte = by_top[register >> 24]
+        register = ((register ^ table[byte]) << 8 | byte) & 0xFFFFFFFF
+
+
+def _with_right_head(data: bytes, start: int, end: int) -> Iterator[bytes]:
+    """Yield the file with one bit of the page head at `start` changed so that pages follow each other up to `end`."""
+    tried = bytearray(data)
+    for at in range(start, min(start + _PAGE_HEAD, end)):
+        for bit in range(8):
+            tried[at] ^= 1 << bit
+            pages = list(_pages(tried, start, end))
+            if pages and pages[-1].end == end and zlib.crc32(tried[pages[0].start : pages[0].end]) == pages[0].crc:
+                yield bytes(tried)
+            tried[at] ^= 1 << bit
+
+
+def _footer_start(data: bytes) -> int:
+    """Return where the footer begins, as far as its length says something sensible."""
+    length = int.from_bytes(data[-_TAIL:-_MAGIC], "little")
+    return max(len(data) - _TAIL - min(length, 8 * _MOST_BYTES), 0)
+
+
+def _try_bits(data: bytes, sha256: str, places: list[int]) -> bytes | None:
+    """Change each bit in some places, one at a time, until the hash is right."""
+    hashed = 0
+    start, prefix = -1, hashlib.sha256()
+    for place in places:
+        hashed += 8 * (len(data) - place)
+        if hashed > _MOST_HASHED:
+            return None
+        if place < start or start < 0:
+            start, prefix = 0, hashlib.sha256()
+        prefix.update(data[start:place])
+        start = place
+        rest = data[place + 1 :]
+        for bit in range(8):
+            whole = prefix.copy()
+            whole.update(bytes([data[place] ^ 1 << bit]))
+            whole.update(rest)
+            if whole.hexdigest() == sha256:
+                return _changed(data, place, 1 << bit)
+    return None
+
+
+def _changed(data: bytes, at: int, bits: int) -> bytes:
+    return data[:at] + bytes([data[at] ^ bits]) + data[at + 1 :]

@@ -1,0 +1,237 @@
+"""The files of an episode: whether they are what was written, to the last byte, and whether every image decodes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from rcs.data.check.descriptions import is_as_written
+from rcs.data.check.episode_rows import EpisodePlace, EpisodeRows
+from rcs.data.check.report import Finding, counted
+from rcs.data.codec import decode_frame
+from rcs.data.content import ContentHash, flat_numbers
+from rcs.data.durable import unsealed
+from rcs.data.info import DatasetInfo, refuse_newer_schema
+from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
+from rcs.data.quality import QualityMeter
+from rcs.data.reader import UNREADABLE
+from rcs.data.rows import sim_state_schema, steps_schema
+from rcs.errors import CorruptEpisode, DatasetError
+
+# An image none of whose values is above this shows nothing; JPEG turns 0 into up to 2.
+_BLACK = 8
+
+
+class EpisodeBytes:
+    """Checks the files of one episode and keeps what the other checks need of its rows.
+
+    The files are read, not mapped: a sector that does not read is then an error that can be told, and not a signal that
+    ends the process.
+    """
+
+    def __init__(self, place: EpisodePlace, info: DatasetInfo, *, decode_frames: bool) -> None:
+        """Look at nothing yet.
+
+        Args:
+            place: Where the episode is.
+            info: What the dataset's episodes share.
+            decode_frames: Whether each image is decoded.
+        """
+        self._place = place
+        self._info = info
+        self._decode_frames = decode_frames
+        self.rows = EpisodeRows(info)
+        self.frames = 0
+        """Images that were decoded."""
+        self.quality: dict[str, Any] = {}
+        """What the quality report would be today."""
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield all damage; and numbers that are not finite, as warnings."""
+        try:
+            about = read_description(self._place.folder)
+        except OSError as err:
+            kind = "newer_layout" if isinstance(err, DatasetError) else "unreadable"
+            yield self._damage(kind, f"{err.strerror or err}" if kind == "unreadable" else str(err), EPISODE_FILE)
+            return
+        except CorruptEpisode as err:
+            yield self._damage("altered", str(err), EPISODE_FILE)
+            return
+        path = self._place.folder / EPISODE_FILE
+        if not is_as_written(path.read_bytes(), about):
+            yield self._damage("altered", "reads, but its bytes are not those that were written", EPISODE_FILE)
+        if not isinstance(about.get("sha256"), dict) or not isinstance(about.get("length"), int):
+            yield self._damage("incomplete", "has no hashes or no length", EPISODE_FILE)
+            return
+        self.rows.about = about
+        for name, schema in schemas_of(self._info).items():
+            yield from self._check_file(name, schema)
+
+    def _check_file(self, name: str, schema: pa.Schema) -> Iterator[Finding]:
+        path = self._place.folder / name
+        if not path.exists():
+            yield self._damage("missing", "missing", name)
+            return
+        try:
+            is_altered = sha256_of(path) != self.rows.about["sha256"].get(name)
+        except OSError as err:
+            yield self._damage("unreadable", f"does not read: {err.strerror or err}", name)
+            return
+        if not is_altered:
+            yield from self._check_parquet(name, schema)
+            return
+        try:
+            found = list(self._check_parquet(name, schema))
+        except (ValueError, IndexError) as err:  # a footer that contradicts the rest
+            found = [self._damage("unreadable", f"does not read: {err}", name)]
+        if not any(finding.severity == "damage" for finding in found):
+            found.append(self._damage("altered", "its SHA-256 is not the one that was written", name))
+        yield from found
+
+    def _check_parquet(self, name: str, schema: pa.Schema) -> Iterator[Finding]:
+        path = self._place.folder / name
+        try:
+            file = pq.ParquetFile(path, page_checksum_verification=True)
+        except UNREADABLE as err:
+            yield self._damage("unreadable", f"its footer does not read: {err}", name)
+            return
+        with file:
+            if not file.schema_arrow.equals(schema):
+                yield self._damage("schema", "has other columns than dataset.json says", name)
+                return
+            length = self.rows.about["length"]
+            if file.metadata.num_rows != length:
+                message = f"has {file.metadata.num_rows} rows, and episode.json says {length}"
+                yield self._damage("row_count", message, name)
+            yield from self._check_groups(file, name, schema)
+
+    def _check_groups(self, file: pq.ParquetFile, name: str, schema: pa.Schema) -> Iterator[Finding]:
+        content, meter = (ContentHash(self._info), QualityMeter(self._info)) if name == STEPS_FILE else (None, None)
+        not_finite = _NotFinite()
+        is_whole = True
+        first = 0
+        for group in range(file.num_row_groups):
+            rows = file.metadata.row_group(group).num_rows
+            columns: list[pa.ChunkedArray] = []
+            for key in schema.names:
+                try:
+                    column = file.read_row_group(group, columns=[key], use_threads=False).column(0)
+                except UNREADABLE as err:
+                    is_whole = False
+                    start, end = self._locate(name, key, group) or (0, rows - 1)
+                    place = (first + start, first + end)
+                    yield self._damage("unreadable", f"{key!r} does not read: {err}", name, place)
+                    continue
+                columns.append(column)
+                if pa.types.is_binary(column.type):
+                    yield from self._check_images(key, column, first)
+                else:
+                    not_finite.add(key, column, first)
+            if is_whole and content is not None and meter is not None:
+                table = pa.Table.from_arrays(columns, schema=schema)
+                content.add(table)
+                meter.add(table)
+                self.rows.add(table)
+            first += rows
+        for key, (number, start, end) in not_finite.found.items():
+            message = f"{key!r} is not finite in {counted(number, 'row')}"
+            yield self._place.finding("warning", "not_finite", message, file=name, rows=(start, end))
+        if is_whole and content is not None and meter is not None:
+            self.quality = meter.report()
+            if content.hexdigest() != self.rows.about["content_hash"]:
+                yield self._damage("content", "its values are not those that were written", name)
+
+    def _check_images(self, key: str, column: pa.ChunkedArray, first: int) -> Iterator[Finding]:
+        feature, log = self._info.feature(key), self.rows.frames[key]
+        for row, image in enumerate(column):
+            data: bytes | None = image.as_py()
+            is_black = False
+            if data is not None and self._decode_frames:
+                try:
+                    is_black = int(decode_frame(feature, data).max()) <= (0 if feature.encoding == "depth" else _BLACK)
+                    self.frames += 1
+                except CorruptEpisode as err:
+                    place = (first + row, first + row)
+                    yield self._damage("image", f"{key!r}: {err}", STEPS_FILE, place)
+            log.is_new.append(data is not None)
+            log.is_same.append(data is not None and data == log.last)
+            log.is_black.append(is_black)
+            log.last = data or log.last
+
+    def _locate(self, name: str, key: str, group: int) -> tuple[int, int] | None:
+        """Return the first and last row of a group whose image is broken, if reading past the checksum shows them."""
+        try:
+            with pq.ParquetFile(self._place.folder / name) as file:
+                column = file.read_row_group(group, columns=[key], use_threads=False).column(0)
+        except UNREADABLE:
+            return None
+        if not pa.types.is_binary(column.type):
+            return None
+        images = (image.as_py() for image in column)
+        broken = [row for row, image in enumerate(images) if image is not None and not self._decodes(key, image)]
+        return (broken[0], broken[-1]) if broken else None
+
+    def _decodes(self, key: str, image: bytes) -> bool:
+        try:
+            decode_frame(self._info.feature(key), image)
+        except CorruptEpisode:
+            return False
+        return True
+
+    def _damage(self, kind: str, message: str, file: str, rows: tuple[int, int] | None = None) -> Finding:
+        return self._place.finding("damage", kind, message, file=file, rows=rows)
+
+
+class _NotFinite:
+    """Counts the rows of each column with a NaN or an infinity."""
+
+    def __init__(self) -> None:
+        self.found: dict[str, tuple[int, int, int]] = {}
+
+    def add(self, key: str, column: pa.ChunkedArray, first: int) -> None:
+        """Take the next rows of a column; `first` is the number of the first of them."""
+        numbers = flat_numbers(column).reshape(len(column), -1)
+        if numbers.dtype.kind != "f":
+            return
+        bad = np.flatnonzero(~np.isfinite(numbers).all(axis=1))
+        if len(bad):
+            number, start, _ = self.found.get(key, (0, first + int(bad[0]), 0))
+            self.found[key] = (number + len(bad), start, first + int(bad[-1]))
+
+
+def read_description(folder: Path) -> dict[str, Any]:
+    """Read an episode's `episode.json`.
+
+    Raises:
+        CorruptEpisode: It is not what was written.
+        DatasetError: Its layout is newer than this code.
+        OSError: It cannot be read.
+    """
+    path = folder / EPISODE_FILE
+    about = unsealed(path.read_bytes(), path)
+    refuse_newer_schema(about.get("schema_version"), f"episode, {folder},")
+    return about
+
+
+def schemas_of(info: DatasetInfo) -> dict[str, pa.Schema]:
+    """Return the schema of each Parquet file of an episode by its name."""
+    schemas = {STEPS_FILE: steps_schema(info)}
+    if info.sim_state_size is not None:
+        schemas[SIM_STATE_FILE] = sim_state_schema(info.sim_state_size)
+    return schemas
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,134 @@
+"""Checks a whole dataset: its description, every episode, and what lies beside them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rcs.data.check.arms import find_arms
+from rcs.data.check.bytes import EpisodeBytes
+from rcs.data.check.descriptions import check_head
+from rcs.data.check.episode_rows import EpisodePlace
+from rcs.data.check.generations import check_former, check_leftovers, known_damage
+from rcs.data.check.images import check_images
+from rcs.data.check.labels import check_labels, check_verdicts
+from rcs.data.check.motion import check_motion
+from rcs.data.check.report import CheckReport, Finding, counted
+from rcs.data.check.stored_quality import check_quality
+from rcs.data.check.times import check_times
+from rcs.data.head import Head
+from rcs.data.info import DatasetInfo
+from rcs.data.layout import complete_ids, episode_folder, generation_folder
+
+if TYPE_CHECKING:
+    from rcs.robots.description import ArmDescription
+
+OnProgress = Callable[[int, int], object]
+"""Called with the number of episodes done and of all."""
+
+
+def check(
+    path: str | Path,
+    *,
+    decode_frames: bool = True,
+    workers: int | None = None,
+    on_progress: OnProgress | None = None,
+) -> CheckReport:
+    """Check every episode of a dataset: against what was written, and for what makes doubtful training data.
+
+    Args:
+        path: The dataset's folder.
+        decode_frames: Whether each image is decoded too, which takes most of the time.
+        workers: Threads; None for one per core. Decoding and hashing do not hold the interpreter.
+        on_progress: Called with the number of episodes done and of all.
+
+    Raises:
+        DatasetError: There is no dataset, or its layout is newer than this code.
+    """
+    root = Path(path)
+    head, findings = check_head(root)
+    if head is None:
+        return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=tuple(findings))
+    findings += check_leftovers(root, head)
+    base = generation_folder(root, head.generation)
+    ids = complete_ids(base)
+    arms, notes = find_arms(head.info)
+    how = _How(info=head.info, arms=arms, is_resampled=_is_resampled(head), decode_frames=decode_frames)
+    done: list[_Checked] = []
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1, thread_name_prefix="check episodes") as pool:
+        places = [EpisodePlace(root, episode_folder(base, name)) for name in ids]
+        for checked in pool.map(lambda place: _check_episode(place, how), places):
+            done.append(checked)
+            if on_progress is not None:
+                on_progress(len(done), len(ids))
+    verdicts = {name: checked.success for name, checked in zip(ids, done, strict=True) if checked.has_verdict}
+    findings += check_verdicts(verdicts)
+    findings += [finding for checked in done for finding in checked.findings]
+    findings += check_former(root, head)
+    return CheckReport(
+        path=root,
+        episodes=len(ids),
+        rows=sum(checked.rows for checked in done),
+        frames=sum(checked.frames for checked in done),
+        findings=tuple(findings),
+        notes=(*notes, *_known(root, head)),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _How:
+    """What the check of every episode is given."""
+
+    info: DatasetInfo
+    arms: Mapping[str, ArmDescription]
+    is_resampled: bool
+    decode_frames: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Checked:
+    """What the check of one episode gives."""
+
+    rows: int
+    frames: int
+    findings: tuple[Finding, ...]
+    success: bool | None
+    has_verdict: bool
+
+
+def _check_episode(place: EpisodePlace, how: _How) -> _Checked:
+    bytes_ = EpisodeBytes(place, how.info, decode_frames=how.decode_frames)
+    findings = list(bytes_.findings())
+    about: dict[str, Any] = bytes_.rows.about
+    if not any(finding.severity == "damage" for finding in findings):  # of damaged rows nothing else is asked
+        rows = bytes_.rows
+        findings += check_labels(place, about)
+        findings += check_times(place, rows, is_resampled=how.is_resampled)
+        findings += check_images(place, rows)
+        findings += check_motion(place, rows, how.arms)
+        findings += check_quality(place, about, bytes_.quality)
+    return _Checked(
+        rows=int(about.get("length", 0)),
+        frames=bytes_.frames,
+        findings=tuple(findings),
+        success=about.get("success"),
+        has_verdict=bool(about),
+    )
+
+
+def _is_resampled(head: Head) -> bool:
+    was_edited = any(edit.command == "resample" for edit in head.history)
+    return was_edited or not {"mix", "merged", "imported"}.isdisjoint(head.info.setup)
+
+
+def _known(root: Path, head: Head) -> Iterator[str]:
+    count = sum((root / folder).exists() for folder in known_damage(head))
+    if count:
+        yield (
+            f"{counted(count, 'damaged folder')} of former generations known from a repair: an undo can bring the "
+            "damage back, and rcs data prune removes it."
+        )

@@ -1,0 +1,64 @@
+"""`dataset.json`, its copy and `episode.json`: whether they are, byte for byte, what was written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rcs.data.check.report import Finding
+from rcs.data.durable import sealed, unsealed
+from rcs.data.head import Head, read_head_file
+from rcs.data.layout import COPY_FILE, DATASET_FILE
+from rcs.data.lock import is_locked
+from rcs.errors import CorruptEpisode, DatasetError
+
+# From this layout on there is a copy of `dataset.json`.
+_FIRST_WITH_COPY = 2
+
+
+def is_as_written(data: bytes, values: dict[str, Any]) -> bool:
+    """Return whether sealed JSON has the very bytes that its values are written as.
+
+    A changed space or the E of an exponent leaves the values, and so their checksum, as they are.
+    """
+    return sealed(values) == data
+
+
+def check_head(root: Path) -> tuple[Head | None, list[Finding]]:
+    """Check `dataset.json` and its copy; return what they say, or None if neither can be read.
+
+    Args:
+        root: The dataset's folder.
+
+    Raises:
+        DatasetError: There is no dataset, or its layout is newer than this code.
+    """
+    if not (root / DATASET_FILE).exists() and not (root / COPY_FILE).exists():
+        raise DatasetError(f"There is no dataset in {root}: {DATASET_FILE} is missing.")
+    heads: dict[str, Head] = {}
+    findings: list[Finding] = []
+    for name in (DATASET_FILE, COPY_FILE):
+        if not (root / name).exists():
+            has_copy = name == DATASET_FILE or _is_copy_expected(heads.get(DATASET_FILE))
+            findings += [_finding(name, "missing", "missing; check with --repair makes it anew")] if has_copy else []
+            continue
+        try:
+            heads[name] = read_head_file(root / name)
+        except CorruptEpisode as err:
+            findings.append(_finding(name, "altered", str(err)))
+            continue
+        data = (root / name).read_bytes()
+        if not is_as_written(data, unsealed(data, root / name)):
+            findings.append(_finding(name, "altered", "reads, but its bytes are not those that were written"))
+    if len(heads) == 2 and heads[DATASET_FILE] != heads[COPY_FILE] and not is_locked(root):
+        message = f"older than {DATASET_FILE}: what wrote them was killed between the two; recover makes it anew"
+        findings.append(Finding(severity="warning", kind="stale_copy", episode=None, file=COPY_FILE, message=message))
+    return next(iter(heads.values()), None), findings
+
+
+def _is_copy_expected(head: Head | None) -> bool:
+    return head is None or head.info.schema_version >= _FIRST_WITH_COPY
+
+
+def _finding(name: str, kind: str, message: str) -> Finding:
+    return Finding(severity="damage", kind=kind, episode=None, file=name, message=message)

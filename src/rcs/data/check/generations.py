@@ -1,0 +1,126 @@
+"""What is in a dataset's folder beside the current episodes: former ones that undo brings back, and leftovers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rcs.data.check.bytes import read_description, sha256_of
+from rcs.data.check.descriptions import is_as_written
+from rcs.data.check.report import Finding, Severity
+from rcs.data.head import Head
+from rcs.data.layout import (
+    EPISODE_FILE,
+    complete_ids,
+    episode_folder,
+    episodes_folder,
+    generation_folder,
+    generations,
+    incomplete_ids,
+    open_folder,
+    open_ids,
+    trash_folders,
+)
+from rcs.data.lock import is_locked
+from rcs.data.recover import unreachable_generations
+from rcs.errors import CorruptEpisode
+
+REPAIR = "repair"
+"""The command of a repair in the history; its arguments name the damaged folders of former generations."""
+DAMAGED = "damaged"
+
+
+def check_leftovers(root: Path, head: Head) -> Iterator[Finding]:
+    """Yield what a killed writer or edit left, and what is missing as a whole.
+
+    Args:
+        root: The dataset's folder.
+        head: What `dataset.json` says.
+    """
+    base = generation_folder(root, head.generation)
+    if not episodes_folder(base).is_dir():
+        yield _finding(root, "damage", "missing", None, episodes_folder(base), "missing, with all episodes in it")
+    for episode_id in incomplete_ids(base):
+        file = episode_folder(base, episode_id) / EPISODE_FILE
+        message = "missing, so the episode is not read; --repair makes it anew from the rows"
+        yield _finding(root, "damage", "missing", episode_id, file, message)
+    if is_locked(root):
+        return  # open episodes are what a living writer is at
+    for episode_id in open_ids(base):
+        folder = open_folder(base, episode_id)
+        yield _finding(root, "warning", "left_open", episode_id, folder, "open, and its writer is gone; run recover")
+    for folder in trash_folders(base):
+        yield _finding(root, "warning", "left_over", None, folder, "left of a discard; run recover")
+    for folder in unreachable_generations(root, head):
+        yield _finding(root, "warning", "left_over", None, folder, "left of a killed edit; run recover")
+
+
+def check_former(root: Path, head: Head) -> Iterator[Finding]:
+    """Yield damage of episodes that are not current; what a repair has already listed is known and left out.
+
+    Files that a current episode has too, by a link, are checked there.
+
+    Args:
+        root: The dataset's folder.
+        head: What `dataset.json` says.
+    """
+    known = known_damage(head)
+    base = generation_folder(root, head.generation)
+    current = {file.stat().st_ino for file in episodes_folder(base).glob("*/*")}
+    for folder in former_folders(root, head):
+        if str(folder.relative_to(root)) in known:
+            continue
+        for file, message in _damage(folder, skip=current):
+            text = f"{message}; an undo back to it would bring back a damaged episode"
+            yield _finding(root, "damage", "former", folder.name, file, text)
+
+
+def damaged_former(root: Path, head: Head) -> list[str]:
+    """Return the damaged episode folders of former generations, relative to the dataset's; known ones too."""
+    folders = former_folders(root, head)
+    return [str(folder.relative_to(root)) for folder in folders if any(_damage(folder, skip=set()))]
+
+
+def known_damage(head: Head) -> set[str]:
+    """Return the episode folders that repairs have listed as damaged, relative to the dataset's folder."""
+    return {str(folder) for edit in head.history if edit.command == REPAIR for folder in edit.arguments[DAMAGED]}
+
+
+def former_folders(root: Path, head: Head) -> list[Path]:
+    """Return the episode folders of the generations that undo can bring back."""
+    rubbish = set(unreachable_generations(root, head))
+    bases = [generation_folder(root, number) for number in (0, *generations(root)) if number != head.generation]
+    return [
+        episode_folder(base, name)
+        for base in bases
+        if base not in rubbish
+        for name in sorted([*complete_ids(base), *incomplete_ids(base)])
+    ]
+
+
+def _damage(folder: Path, skip: set[int]) -> Iterator[tuple[Path, str]]:
+    """Yield the files of an episode that are not what was written, each with what is wrong with it."""
+    path = folder / EPISODE_FILE
+    try:
+        about: dict[str, Any] = read_description(folder)
+        if path.stat().st_ino not in skip and not is_as_written(path.read_bytes(), about):
+            yield path, "its bytes are not those that were written"
+        hashes: dict[str, str] = dict(about["sha256"])
+    except (CorruptEpisode, OSError, KeyError, TypeError) as err:
+        # One that a current episode shares is told there.
+        if not (path.exists() and path.stat().st_ino in skip):
+            yield path, f"does not read: {err}"
+        return
+    for name, expected in hashes.items():
+        file = folder / name
+        try:
+            if file.stat().st_ino not in skip and sha256_of(file) != expected:
+                yield file, "its SHA-256 is not the one that was written"
+        except OSError as err:
+            yield file, f"does not read: {err.strerror or err}"
+
+
+def _finding(root: Path, severity: Severity, kind: str, episode: str | None, path: Path, message: str) -> Finding:
+    file = str(path.relative_to(root))
+    return Finding(severity=severity, kind=kind, episode=episode, file=file, message=message)

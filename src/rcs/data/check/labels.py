@@ -1,0 +1,55 @@
+"""Labels: whether somebody said how each episode went and what the robot was asked to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from rcs.data.check.episode_rows import EpisodePlace
+from rcs.data.check.report import Finding, listed
+from rcs.data.layout import EPISODE_FILE, EPISODES_FOLDER
+
+# Fewer episodes than this can all have failed by chance.
+_FEW = 3
+
+
+def check_labels(place: EpisodePlace, about: dict[str, Any]) -> Iterator[Finding]:
+    """Yield what is wrong with the labels of one episode.
+
+    Args:
+        place: Where it is.
+        about: What its `episode.json` says.
+    """
+
+    def warning(kind: str, message: str) -> Finding:
+        return place.finding("warning", kind, message, file=EPISODE_FILE)
+
+    outcome: Any = about.get("outcome")
+    failure = outcome.get("failure") if isinstance(outcome, dict) else None
+    if about.get("success") is True and failure:
+        yield warning("contradiction", f"counts as a success, and its outcome says it failed: {failure!r}")
+    if not str(about.get("instruction") or "").strip():
+        yield warning("no_instruction", "nobody says what the robot was asked to do; rcs data relabel does")
+    if about.get("length") == 1:
+        yield warning("no_action", "has one row, so nothing was done in it")
+    if about.get("id", place.id) != place.id:
+        yield warning("wrong_id", f"calls itself {about['id']!r}, and its folder {place.id!r}")
+
+
+def check_verdicts(verdicts: dict[str, bool | None]) -> Iterator[Finding]:
+    """Yield what is wrong with the verdicts of all episodes together.
+
+    Args:
+        verdicts: `success` of each episode by its id.
+    """
+
+    def warning(kind: str, message: str) -> Finding:
+        return Finding(severity="warning", kind=kind, episode=None, file=EPISODES_FOLDER, message=message)
+
+    unknown = [name for name, success in verdicts.items() if success is None]
+    if unknown and len(unknown) == len(verdicts):
+        yield warning("no_verdict", "no episode has a verdict, success or not; a filter by success takes none")
+    elif unknown:
+        yield warning("no_verdict", f"{len(unknown)} of {len(verdicts)} episodes have no verdict: {listed(unknown)}")
+    if len(verdicts) >= _FEW and all(success is False for success in verdicts.values()):
+        yield warning("all_failed", f"all {len(verdicts)} episodes failed")

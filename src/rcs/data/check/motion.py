@@ -1,0 +1,77 @@
+"""Motion of an episode: joints beyond their limits, and jumps that no arm makes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.data.check.episode_rows import EpisodePlace, EpisodeRows
+from rcs.data.check.report import Finding, counted
+
+if TYPE_CHECKING:
+    from rcs.robots.description import ArmDescription
+
+# What a joint may be beyond its limit [rad]: limits of a simulation are springs, and encoders are calibrated.
+_BEYOND = 0.02
+# What a step may exceed the velocity limit by, and a rest [rad] for the noise of encoders and time stamps.
+_FASTER = 1.25
+_NOISE = 0.02
+# Of an arm whose limits are not known: a step this many times those around it, and faster than any arm [rad/s].
+_OUTLIER = 8.0
+_FASTEST = 6.5
+
+
+def check_motion(place: EpisodePlace, rows: EpisodeRows, arms: Mapping[str, ArmDescription]) -> Iterator[Finding]:
+    """Yield what is wrong with the motion of an episode.
+
+    Args:
+        place: Where it is.
+        rows: Its rows.
+        arms: The arm behind each column of joints, where it is known.
+    """
+    for key in rows.joints:
+        joints = rows.column(key)
+        if joints is None or joints.ndim != 2 or len(joints) < 2:
+            continue
+        joints = np.where(np.isfinite(joints), joints, np.nan)  # what is not finite has a finding of its own
+        arm = arms.get(key)
+        if arm is not None:
+            lower, upper = np.array(arm.joint_lower), np.array(arm.joint_upper)
+            beyond = np.nan_to_num(np.maximum(lower - joints, joints - upper))
+            outside = np.flatnonzero(beyond.max(axis=1) > _BEYOND)
+            if len(outside):
+                names = _joints(arm, beyond.max(axis=0) > _BEYOND)
+                message = f"{key!r}: {names} up to {beyond.max():.3f} rad beyond the limits of {arm.label}"
+                yield place.warning("joint_limit", f"{message}, in {counted(len(outside), 'row')}", outside)
+        jumps = _jumps(joints, rows.seconds_per_step(), arm)
+        touched = np.flatnonzero(jumps.any(axis=1)) + 1
+        if len(touched):
+            steps = _steps(joints)
+            by = f"faster than {arm.label} can" if arm is not None else "out of all proportion to the steps around it"
+            times = counted(len(touched), "step")
+            message = f"{key!r} jumps by up to {steps[jumps].max():.2f} rad in a step, {by}, in {times}"
+            yield place.warning("joint_jump", message, touched)
+
+
+def _jumps(joints: NDArray[np.float64], seconds: NDArray[np.float64], arm: ArmDescription | None) -> NDArray[np.bool_]:
+    """Return which steps of which joints are impossible, shape (length - 1, dof)."""
+    steps = _steps(joints)
+    if arm is not None:
+        return steps > _FASTER * np.array(arm.velocity_limit) * seconds[:, None] + _NOISE
+    # The median of the two steps before and after: a spike, there and back, does not hide itself.
+    # One that is not known counts as long, so that it makes no other one stand out.
+    known = np.where(np.isfinite(np.diff(joints, axis=0)), steps, np.inf)
+    padded = np.pad(known, ((2, 2), (0, 0)), mode="edge")
+    around = np.median([padded[i : i + len(steps)] for i in (0, 1, 3, 4)], axis=0)
+    return (steps > _OUTLIER * around) & (steps > _FASTEST * seconds[:, None] + _NOISE)
+
+
+def _steps(joints: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.nan_to_num(np.abs(np.diff(joints, axis=0)))
+
+
+def _joints(arm: ArmDescription, which: NDArray[np.bool_]) -> str:
+    return ", ".join(name for name, is_named in zip(arm.joints, which, strict=True) if is_named)

@@ -1,0 +1,258 @@
+"""What can still be read of a damaged episode: its rows up to the damage, and what its description said."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from rcs.data.check.bitrot import mended_json, mended_parquet
+from rcs.data.check.bytes import read_description, schemas_of, sha256_of
+from rcs.data.codec import decode_frame
+from rcs.data.content import ContentHash
+from rcs.data.info import DatasetInfo
+from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
+from rcs.data.reader import UNREADABLE
+from rcs.data.rows import SIM_STATE, sim_state_schema
+from rcs.errors import CorruptEpisode, DatasetError
+
+_ROWS_AT_A_TIME = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Salvage:
+    """What is left of an episode."""
+
+    about: dict[str, Any]
+    """What its `episode.json` is to say, but for what is found in the rows."""
+    rows: pa.Table
+    """Its rows up to the damage, with the columns of `stream_schema`; none if nothing reads."""
+    content_hash: str
+    """The hash of what these rows hold."""
+    is_exact: bool
+    """Whether these are all its rows, bit for bit; simulation states may be lost."""
+    is_whole: bool
+    """Whether not a bit of the episode is lost."""
+    said: str
+    """What was done, in words."""
+
+
+def salvage(folder: Path, info: DatasetInfo, *, others: Sequence[Path] = ()) -> Salvage:
+    """Read what can be read of an episode.
+
+    Args:
+        folder: The episode's folder.
+        info: What the dataset's episodes share.
+        others: Folders of the same episode in other generations, which may have a file as it was.
+
+    Raises:
+        DatasetError: It is no damage: its layout is newer than this code.
+    """
+    about, is_certain, said = _description(folder, others)
+    hashes: Any = about.get("sha256") if about is not None else None
+    files: dict[str, Path | pa.Buffer] = {}
+    for name in schemas_of(info):
+        expected = hashes.get(name) if isinstance(hashes, dict) else None
+        files[name], words = _as_it_was(folder / name, expected, [other / name for other in others])
+        said += words
+    try:
+        rows = _readable_rows(files[STEPS_FILE], info)
+    except (*UNREADABLE, ValueError, IndexError):  # a footer that contradicts the rest
+        rows = schemas_of(info)[STEPS_FILE].empty_table()
+    content = ContentHash(info)
+    content.add(rows)
+    is_exact = about is not None and content.hexdigest() == about.get("content_hash")
+    if about is None:
+        said.append("episode.json was made anew from the rows, without a verdict")
+        about = _rebuilt(folder, info)
+    elif not is_exact:
+        said.append(f"{rows.num_rows} of {about.get('length')} rows are kept, without a verdict")
+        about = {**about, "success": None, "outcome": _outcome(about, rows.num_rows)}
+    lost = 0
+    if info.sim_state_size is not None:
+        rows, lost = _with_states(rows, files[SIM_STATE_FILE], info.sim_state_size)
+        said += [f"{lost} of its simulation states do not read and are NaN"] if lost else []
+    return Salvage(
+        about=about,
+        rows=rows,
+        content_hash=content.hexdigest(),
+        is_exact=is_exact,
+        is_whole=is_certain and is_exact and not lost,
+        said="; ".join(said) or "its files were written anew with the same values",
+    )
+
+
+def _description(folder: Path, others: Sequence[Path]) -> tuple[dict[str, Any] | None, bool, list[str]]:
+    """Return what `episode.json` said, whether that is certain, and how it is known."""
+    path = folder / EPISODE_FILE
+    try:
+        return read_description(folder), True, []
+    except DatasetError:
+        raise
+    except CorruptEpisode:
+        about = mended_json(path.read_bytes(), path)
+        if about is not None:
+            return about, True, [f"the one bit of {EPISODE_FILE} that had changed was put back"]
+    except OSError:
+        pass  # it is gone; another generation may have it
+    for other in others:
+        try:
+            about = read_description(other)
+            if all(sha256_of(folder / name) == expected for name, expected in about["sha256"].items()):
+                # An edit in between may have changed the words in it, if not the rows.
+                return about, False, [f"{EPISODE_FILE} was taken from another generation"]
+        except (CorruptEpisode, OSError):
+            continue
+    return None, False, []
+
+
+def _as_it_was(path: Path, expected: Any, others: Sequence[Path]) -> tuple[Path | pa.Buffer, list[str]]:
+    """Return a file, or what it was if that is known, and how that is known; the file as it is if that is not known."""
+    if not isinstance(expected, str) or _hash_or_none(path) == expected:
+        return path, []
+    for other in others:
+        if _hash_or_none(other) == expected:
+            return other, [f"{path.name} was taken from another generation"]
+    try:
+        data = mended_parquet(path.read_bytes(), expected)
+    except OSError:
+        return path, []
+    if data is None:
+        return path, []
+    return pa.py_buffer(data), [f"the one byte of {path.name} that had changed was put back"]
+
+
+def _hash_or_none(path: Path) -> str | None:
+    try:
+        return sha256_of(path)
+    except OSError:
+        return None
+
+
+def _with_states(rows: pa.Table, source: Path | pa.Buffer, size: int) -> tuple[pa.Table, int]:
+    """Return the rows with their simulation states, and of how many these are lost and NaN."""
+    try:
+        states = _readable_states(source, size)[: rows.num_rows]
+    except (*UNREADABLE, ValueError, IndexError):
+        states = np.empty((0, size))
+    lost = rows.num_rows - len(states)
+    flat = pa.array(np.concatenate([states, np.full((lost, size), np.nan)]).reshape(-1))
+    field = sim_state_schema(size).field(SIM_STATE)
+    return rows.append_column(field, pa.FixedSizeListArray.from_arrays(flat, size)), lost
+
+
+def _rebuilt(folder: Path, info: DatasetInfo) -> dict[str, Any]:
+    """Return a description of which only the rows are known, and what the text of the old one still says."""
+    try:
+        text = (folder / EPISODE_FILE).read_bytes().decode(errors="replace")
+    except OSError:
+        text = ""
+    seed = re.search(r'^ "seed": (\d+),$', text, re.MULTILINE)
+    words = re.search(r'^ "instruction": ("(?:[^"\\]|\\.)*"),$', text, re.MULTILINE)
+    started = re.search(r'^ "started": "([0-9T:.+-]+)",$', text, re.MULTILINE)
+    found = {"seed": seed, "instruction": words, "started": started}
+    unverified = [name for name, match in found.items() if match is not None]
+    return {
+        "id": folder.name,
+        "seed": None if seed is None else int(seed[1]),
+        "success": None,
+        "outcome": {"repaired": True, **({"unverified": unverified} if unverified else {})},
+        "instruction": info.instruction if words is None else _text(words[1], info.instruction),
+        "started": None if started is None else started[1],
+        "ended": None,
+        "versions": {},
+        "quality": {},
+    }
+
+
+def _text(quoted: str, otherwise: str) -> str:
+    try:
+        return str(json.loads(quoted))
+    except ValueError:
+        return otherwise
+
+
+def _outcome(about: dict[str, Any], rows: int) -> dict[str, Any]:
+    former = {"rows": about.get("length"), "success": about.get("success"), "outcome": about.get("outcome")}
+    return {"repaired": True, "rows": rows, "former": former}
+
+
+def _readable_rows(source: Path | pa.Buffer, info: DatasetInfo) -> pa.Table:
+    """Return the rows before the first that does not read, or whose image does not decode."""
+    schema = schemas_of(info)[STEPS_FILE]
+    groups: list[pa.Table] = []
+    for group in _groups(source, schema):
+        columns = [_readable(source, group, key, info) for key in schema.names]
+        rows = min(len(column) for column in columns)
+        groups.append(pa.Table.from_arrays([column.slice(0, rows) for column in columns], schema=schema))
+        if rows < _length(source, group):
+            break
+    return pa.concat_tables(groups).combine_chunks() if groups else schema.empty_table()
+
+
+def _readable_states(source: Path | pa.Buffer, size: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    schema = sim_state_schema(size)
+    columns: list[np.ndarray[Any, np.dtype[np.float64]]] = [np.empty((0, size))]
+    for group in _groups(source, schema):
+        column = _prefix(source, group, SIM_STATE)
+        columns.append(column.combine_chunks().flatten().to_numpy().reshape(-1, size))
+        if len(column) < _length(source, group):
+            break
+    return np.concatenate(columns)
+
+
+def _groups(source: Path | pa.Buffer, schema: pa.Schema) -> range:
+    try:
+        with pq.ParquetFile(_opened(source)) as file:
+            return range(file.num_row_groups if file.schema_arrow.equals(schema) else 0)
+    except UNREADABLE:
+        return range(0)
+
+
+def _length(source: Path | pa.Buffer, group: int) -> int:
+    with pq.ParquetFile(_opened(source)) as file:
+        return file.metadata.row_group(group).num_rows
+
+
+def _readable(source: Path | pa.Buffer, group: int, key: str, info: DatasetInfo) -> pa.ChunkedArray:
+    """Return the values of a column in a row group, up to the damage."""
+    column = _prefix(source, group, key)
+    feature = info.feature(key)
+    if not feature.is_image:
+        return column
+    whole = len(column) == _length(source, group)
+    if not whole:
+        # Past a page's checksum: images before the first that does not decode. Without one that does not, any may be.
+        column = _prefix(source, group, key, verify=False)
+    for row, image in enumerate(column):
+        try:
+            if image.is_valid:
+                decode_frame(feature, image.as_py())
+        except CorruptEpisode:
+            # What ends just before a broken image may have been touched too.
+            return column.slice(0, row if whole else max(row - 1, 0))
+    return column if whole else column.slice(0, 0)
+
+
+def _prefix(source: Path | pa.Buffer, group: int, key: str, *, verify: bool = True) -> pa.ChunkedArray:
+    """Return the values of a column in a row group before the first page that does not read."""
+    batches: list[pa.Array] = []
+    with pq.ParquetFile(_opened(source), page_checksum_verification=verify) as file:
+        kind = file.schema_arrow.field(key).type
+        try:
+            pieces = file.iter_batches(_ROWS_AT_A_TIME, row_groups=[group], columns=[key], use_threads=False)
+            batches.extend(piece.column(0) for piece in pieces)  # up to the error
+        except UNREADABLE:
+            pass  # what came before it is what is asked for
+    return pa.chunked_array(batches, type=kind)
+
+
+def _opened(source: Path | pa.Buffer) -> Any:
+    return pa.BufferReader(source) if isinstance(source, pa.Buffer) else source

@@ -1,0 +1,41 @@
+"""The quality report of an episode: whether `episode.json` says what its rows say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from rcs.data.check.episode_rows import EpisodePlace
+from rcs.data.check.report import Finding, listed
+from rcs.data.layout import EPISODE_FILE
+
+
+def check_quality(place: EpisodePlace, about: dict[str, Any], found: dict[str, Any]) -> Iterator[Finding]:
+    """Yield a warning where the stored report says something else than the rows.
+
+    Entries that only one of them has are left out: other versions report other things.
+
+    Args:
+        place: Where the episode is.
+        about: What its `episode.json` says.
+        found: The report that its rows give.
+    """
+    wrong = list(_differences("", about.get("quality"), found))
+    if wrong:
+        message = f"the quality report does not go with the rows in {listed(wrong)}; --repair computes it anew"
+        yield place.finding("warning", "quality", message, file=EPISODE_FILE)
+
+
+def _differences(name: str, stored: Any, found: Any) -> Iterator[str]:
+    if isinstance(stored, dict) and isinstance(found, dict):
+        for key in sorted(stored.keys() & found.keys()):
+            yield from _differences(f"{name}.{key}" if name else str(key), stored[key], found[key])
+    elif not _is_equal(stored, found):
+        yield name or "all of it"
+
+
+def _is_equal(stored: Any, found: Any) -> bool:
+    if isinstance(stored, float | int) and isinstance(found, float | int):
+        return math.isclose(stored, found, rel_tol=1e-6, abs_tol=1e-9)
+    return stored == found

@@ -1,0 +1,197 @@
+"""Rows 9 to 11 of the fault list: cameras and disks that do not keep up, beside a loop that does."""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rcs.data import Dataset, DatasetInfo, DatasetWriter, EpisodeWriter, Feature, check, recover
+from rcs.data.background import BackgroundEpisode
+from rcs.data.flags import FrameFlag
+from rcs.envs.observers.observer import Transition
+from rcs.envs.observers.recorder import Recorder
+from rcs.errors import DeviceFault, InvalidSetup
+
+RGB = "observation/frames/wrist/rgb"
+PERIOD = 0.01
+INFO = DatasetInfo(
+    fps=1 / PERIOD,
+    features=(
+        Feature(key="observation/joints", shape=(1,), dtype="float64"),
+        Feature(key=RGB, shape=(48, 64, 3), dtype="uint8", encoding="jpeg"),
+        Feature(key="action/joints", shape=(1,), dtype="float64"),
+        Feature(key="executed/joints", shape=(1,), dtype="float64"),
+        Feature(key="reward", shape=(), dtype="float64"),
+        Feature(key="terminated", shape=(), dtype="bool"),
+        Feature(key="truncated", shape=(), dtype="bool"),
+        Feature(key="simulated_time", shape=(), dtype="float64"),
+        Feature(key="time/monotonic", shape=(), dtype="float64"),
+        Feature(key="time/period", shape=(), dtype="float64"),
+        Feature(key="time/frames/wrist", shape=(), dtype="float64"),
+        Feature(key="flags/frames/wrist", shape=(), dtype="uint8"),
+    ),
+    setup={"mode": "realtime"},
+    instruction="look",
+)
+
+
+class Loop:
+    """A loop of 100 Hz, by its stamps, with a camera of 30 Hz; counts how long the recorder keeps it."""
+
+    def __init__(self, path: Path, **settings: Any) -> None:
+        self.path = path
+        self.writer = DatasetWriter.open(path, INFO)
+        world = SimpleNamespace(time=0.0, states=lambda: None)
+        env: Any = SimpleNamespace(scenario=SimpleNamespace(world=world, object_poses=dict))
+        self.recorder = Recorder(env, self.writer, **settings)
+        self.recorder.name_next("a")
+        self.waits: list[float] = []
+        self._rng = np.random.default_rng(0)
+        self._frame = self._rng.integers(20, 236, (48, 64, 3), np.uint8)
+        self._captured = -1.0
+
+    def capture(self, now: float) -> tuple[Any, float]:
+        """Give the camera's last frame and when it was taken."""
+        captured = int(now * 30 + 1e-9) / 30
+        if captured != self._captured:
+            self._captured, self._frame = captured, self._rng.integers(20, 236, (48, 64, 3), np.uint8)
+        return self._frame, captured
+
+    def run(self, first: int, last: int, capture: Any = None) -> None:
+        """Take steps; the camera may be another one."""
+        for i in range(first, last):
+            now = i * PERIOD
+            frame, captured = (capture or self.capture)(now)
+            joints = np.array([np.sin(now)])
+            moved = None if i == 0 else {"joints": joints}
+            step = Transition(
+                observation={"joints": joints, "frames": {"wrist": {"rgb": frame}}},
+                action=moved,
+                executed=moved,
+                reward=0.0,
+                terminated=False,
+                truncated=False,
+                info={},
+                time=now,
+                capture_times={"frames/wrist": captured},
+            )
+            start = time.perf_counter()
+            if i == 0:
+                self.recorder.on_reset(step, 1)
+            else:
+                self.recorder.on_step(step)
+            self.waits.append(time.perf_counter() - start)
+
+    def finish(self) -> Any:
+        """Complete the episode and close the dataset."""
+        episode = self.recorder.finish(True)
+        self.writer.close()
+        return episode
+
+
+def kinds(path: Path) -> list[str]:
+    return [finding.kind for finding in check(path).findings if finding.kind != "time_backwards"]
+
+
+def test_9_a_camera_slower_than_the_loop_is_repeated_with_flags_and_true_stamps(tmp_path: Path) -> None:
+    loop = Loop(tmp_path)
+    loop.run(0, 200)
+    episode = loop.finish()
+    stamps = episode.column("time/frames/wrist")
+    is_new = np.diff(stamps, prepend=-1) > 0
+    assert is_new.sum() == 60
+    np.testing.assert_array_equal(episode.flags("wrist"), np.where(is_new, 0, FrameFlag.REPEATED))
+    assert (stamps <= episode.column("time/monotonic") + 1e-9).all()
+    assert kinds(tmp_path) == []
+
+
+def test_10_a_camera_that_stalls_is_flagged_and_the_loop_does_not_feel_it(tmp_path: Path) -> None:
+    loop = Loop(tmp_path, background=True, stale_after=0.1)
+    loop.run(0, 100)
+    frozen = loop.capture(0.99)
+    loop.run(100, 300, lambda _: frozen)
+    loop.run(300, 400)
+    episode = loop.finish()
+    stale = np.flatnonzero(episode.flags("wrist") & FrameFlag.STALE)
+    assert (stale[0], stale[-1]) == (107, 299)
+    assert kinds(tmp_path) == ["stale", "frozen"]
+    assert np.percentile(loop.waits, 99) < 0.005, "half of a period of 100 Hz"
+
+
+def test_10_a_camera_that_stalls_too_long_ends_the_episode_and_its_rows_stay(tmp_path: Path) -> None:
+    loop = Loop(tmp_path, background=True, stale_after=0.1, abort_after=0.5)
+    loop.run(0, 100)
+    frozen = loop.capture(0.99)
+    with pytest.raises(DeviceFault, match=r"'wrist' has given nothing new for 0\.\d+ s"):
+        loop.run(100, 300, lambda _: frozen)
+    assert not loop.recorder.is_recording
+    loop.writer.close()
+    assert recover(tmp_path).recovered == ("a",)
+    (episode,) = Dataset.open(tmp_path).episodes
+    assert 140 < episode.length < 155
+    assert "nothing new" in episode.outcome["aborted"]
+
+
+def test_10_a_camera_without_an_image_is_flagged_as_missing(tmp_path: Path) -> None:
+    loop = Loop(tmp_path)
+    loop.run(0, 50)
+    loop.run(50, 60, lambda now: (None, now))
+    loop.run(60, 80)
+    episode = loop.finish()
+    missing = np.flatnonzero(episode.flags("wrist") & FrameFlag.MISSING)
+    np.testing.assert_array_equal(missing, np.arange(50, 60))
+    assert kinds(tmp_path) == ["missing_frames"]
+
+
+@pytest.mark.parametrize("background", [False, True], ids=["here", "background"])
+def test_10_an_image_of_another_shape_is_refused_and_the_rows_before_it_stay(tmp_path: Path, background: bool) -> None:
+    loop = Loop(tmp_path, background=background)
+    loop.run(0, 50)
+    with pytest.raises(InvalidSetup, match=r"rgb' is \(8, 8, 3\) uint8; expected is \(48, 64, 3\)"):
+        loop.run(50, 51, lambda now: (np.zeros((8, 8, 3), np.uint8), now))
+    loop.run(50, 60)
+    assert loop.finish().length == 60
+    assert check(tmp_path).is_ok
+
+
+def test_10_a_camera_that_raises_ends_the_loop_and_the_rows_before_it_stay(tmp_path: Path) -> None:
+    def fail(_: float) -> Any:
+        raise DeviceFault("the cable is out")
+
+    loop = Loop(tmp_path, background=True)
+    loop.run(0, 50)
+    with pytest.raises(DeviceFault, match="cable"), loop.writer:
+        loop.run(50, 51, fail)
+    assert recover(tmp_path).recovered == ("a",)
+    assert Dataset.open(tmp_path)["a"].length == 50
+    assert check(tmp_path).is_ok
+
+
+def test_11_a_writer_that_is_too_slow_leaves_out_images_counts_them_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    add = EpisodeWriter.add
+
+    def slow(writer: EpisodeWriter, *given: Any) -> None:
+        time.sleep(0.003)
+        add(writer, *given)
+
+    monkeypatch.setattr(EpisodeWriter, "add", slow)
+    monkeypatch.setattr(BackgroundEpisode.__init__, "__kwdefaults__", {"bound_bytes": 200_000})
+    loop = Loop(tmp_path, background=True)
+    with caplog.at_level(logging.WARNING):
+        loop.run(0, 200)
+    episode = loop.finish()
+    dropped = episode.quality["writer"]["dropped_images"]
+    assert dropped > 10
+    assert episode.length == 200, "rows go on"
+    assert np.count_nonzero(episode.flags("wrist") & FrameFlag.DROPPED) == dropped
+    assert "slower than the loop" in caplog.text
+    assert "dropped_frames" in kinds(tmp_path)
+    assert np.percentile(loop.waits, 99) < 0.005

@@ -1,0 +1,40 @@
+"""What the scripted experts collect with every robot has no finding: no damage, and no false alarm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import rcs
+from rcs.data import check
+from rcs.rollout.collect import Collection, Progress, collect
+
+SETUPS = {
+    "fr3": {"cameras": ("wrist", "side"), "depth": True},
+    "ur5e": {"cameras": ("wrist",), "control": "tquat"},
+    "so101": {"cameras": ("wrist", "diagonal"), "fps": 15.0},
+    "dual_fr3": {"task": "LiftBar", "cameras": ("left_wrist",)},
+    "xarm7": {"task": "PickToy", "cameras": ("front",), "randomisation": True},
+}
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("robot", SETUPS)
+def test_the_episodes_of_the_scripted_expert_have_no_finding(tmp_path: Path, robot: str) -> None:
+    setup = rcs.Setup(**{"task": "PickCuboid", "robot": robot, "size": (64, 64), **SETUPS[robot]})  # type: ignore[arg-type]
+    episodes = 2
+    list(collect(Collection(setup=setup, out=tmp_path / "set", episodes=episodes, seed=1), Progress()))
+    report = check(tmp_path / "set")
+    assert (report.episodes, report.notes) == (episodes, ())
+    assert report.frames > 50
+    assert not report.findings, str(report)
+
+
+@pytest.mark.gl
+def test_the_touch_of_a_sensor_has_no_finding(tmp_path: Path) -> None:
+    setup = rcs.Setup(tactile="digit")
+    list(collect(Collection(setup=setup, out=tmp_path / "set", episodes=1, seed=1), Progress()))
+    report = check(tmp_path / "set")
+    assert report.frames > 50
+    assert not report.findings, str(report)
