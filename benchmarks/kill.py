@@ -38,6 +38,7 @@ from rich.progress import track
 from rcs.data import Dataset, check, edit, recover
 from rcs.envs.observers import Observer, Transition
 from rcs.envs.setup import Setup
+from rcs.errors import DatasetError
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.setups.make import make
 
@@ -191,7 +192,19 @@ def kill_after(command: list[str], is_under_way: Callable[[], bool], seconds: fl
     assert process.poll() is None, process.stderr.read().decode() if process.stderr else ""
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    time.sleep(0.05)  # workers die with their parent, but not in the same instant
+
+
+def recover_after_workers(folder: Path) -> None:
+    """Recover as soon as the last killed worker is gone; on a busy machine that takes longer than the parent."""
+    deadline = time.monotonic() + 30
+    while True:
+        try:
+            recover(folder)
+            return
+        except DatasetError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.02)
 
 
 def kill_recording(folder: Path, rng: random.Random, has_cameras: bool, is_counted: bool, totals: Totals) -> bool:
@@ -212,7 +225,7 @@ def kill_recording(folder: Path, rng: random.Random, has_cameras: bool, is_count
     damaged = {finding.episode for finding in check(folder).damage} & finished | (expected - finished)
     totals.finished += len(finished | expected)
     totals.damaged += len(damaged)
-    recover(folder)
+    recover_after_workers(folder)
     after = Dataset.open(folder)
     totals.recovered += len(after) - len(finished)
     is_ok = check(folder).is_ok
