@@ -1,9 +1,11 @@
 """What the runners for LeRobot share: an importable torchvision, a video decoder, and the comparison itself.
 
-torchvision's wheels are linked against CUDA: beside a torch for the CPU its extension does not load, and importing it
-fails where it registers two operators of that extension. They are declared here first; nothing calls them. Its video
-reader is gone too, so LeRobot's decoder is replaced by one of PyAV that looks frames up as LeRobot does: by time,
-within the tolerance that LeRobot gives.
+torchvision's wheels are linked against CUDA: beside a torch for the CPU alone its extension does not load, and
+importing it fails where it registers two operators of that extension. They are declared here first; nothing calls them.
+Beside a torch with CUDA, which runs without a GPU too, the extension declares them itself, and twice is an error.
+
+Its video reader is gone too, so LeRobot's decoder is replaced by one of PyAV that looks frames up as LeRobot does: by
+time, within the tolerance that LeRobot gives.
 """
 
 from __future__ import annotations
@@ -20,9 +22,10 @@ import av
 import numpy as np
 import torch
 
-_operators = torch.library.Library("torchvision", "DEF")
-_operators.define("nms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
-_operators.define("qnms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+if torch.version.cuda is None:
+    _operators = torch.library.Library("torchvision", "DEF")
+    _operators.define("nms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+    _operators.define("qnms(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
 
 
 def decode_frames(video_path, timestamps, tolerance_s, backend=None, **_):
