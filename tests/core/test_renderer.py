@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -62,20 +62,6 @@ def state_of(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray[Any, np.d
     state = np.empty(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
     return state
-
-
-@pytest.fixture
-def make() -> Iterator[MakeRenderer]:
-    """Make renderers that are closed after the test."""
-    made: list[_core.Renderer] = []
-
-    def make_renderer(model: mujoco.MjModel, **options: Any) -> _core.Renderer:
-        made.append(_core.Renderer(model._address, **options))
-        return made[-1]
-
-    yield make_renderer
-    for renderer in made:
-        renderer.close()
 
 
 def draw(
