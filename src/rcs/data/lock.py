@@ -13,6 +13,7 @@ import time
 import weakref
 from collections.abc import Callable
 from pathlib import Path
+from typing import Self
 
 from rcs.data.durable import disk_errors, write_all
 from rcs.errors import DatasetError
@@ -77,6 +78,14 @@ class DatasetLock:
                 os.close(fd)
                 raise DatasetError(f"{root} is being opened by a writer just now; join it after that.")
         return cls(fd)
+
+    def __enter__(self) -> Self:
+        """Return the lock itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Give the lock back."""
+        self.release()
 
     def release(self) -> None:
         """Give the lock back; twice is harmless."""

@@ -66,11 +66,8 @@ def recover(path: str | Path) -> RecoverReport:
     """
     root = Path(path)
     read_head(root)  # before anything is made where there is no dataset
-    lock = DatasetLock.writer(root)
-    try:
+    with DatasetLock.writer(root):
         return settle_leftovers(root, read_head(root), "recover")
-    finally:
-        lock.release()
 
 
 def settle_leftovers(root: Path, head: Head, leftovers: Leftovers) -> RecoverReport:

@@ -149,8 +149,7 @@ def editing(
     """
     root = Path(path)
     read_head(root)  # before a lock is made where there is no dataset
-    lock = DatasetLock.writer(root)
-    try:
+    with DatasetLock.writer(root):
         dataset = Dataset.open(root)
         head = dataset.head
         if still_open := open_ids(generation_folder(root, head.generation)):
@@ -170,8 +169,6 @@ def editing(
                 if read_head(root).generation != generation:
                     shutil.rmtree(base, ignore_errors=True)
                 raise
-    finally:
-        lock.release()
 
 
 def _commit(transaction: Transaction, head: Head, command: str, arguments: dict[str, Any]) -> None:

@@ -30,8 +30,7 @@ def undo(path: str | Path) -> Edit:
     """
     root = Path(path)
     read_head(root)
-    lock = DatasetLock.writer(root)
-    try:
+    with DatasetLock.writer(root):
         head = read_head(root)
         edit = _edit_to(head)
         if edit is None:
@@ -58,8 +57,6 @@ def undo(path: str | Path) -> Edit:
         with disk_errors("undo", root):
             write_head(root, Head(info=info, generation=edit.before, history=(*head.history, line)))
         return edit
-    finally:
-        lock.release()
 
 
 def prune(path: str | Path) -> int:
@@ -76,8 +73,7 @@ def prune(path: str | Path) -> int:
     """
     root = Path(path)
     read_head(root)
-    lock = DatasetLock.writer(root)
-    try:
+    with DatasetLock.writer(root):
         head = read_head(root)
         with disk_errors("prune", root):
             former = [generation for generation in (0, *generations(root)) if generation != head.generation]
@@ -87,8 +83,6 @@ def prune(path: str | Path) -> int:
                 folder = episodes_folder(generation_folder(root, generation))
                 shutil.rmtree(folder if generation == 0 else folder.parent, ignore_errors=True)
         return sum(size for file, size in freed.items() if file not in kept)
-    finally:
-        lock.release()
 
 
 def _files(bases: list[Path]) -> dict[int, int]:
