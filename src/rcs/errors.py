@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 
 class RcsError(Exception):
@@ -39,9 +40,19 @@ class UnknownName(RcsError, KeyError):
             self.message += f" {hint}"
         super().__init__(self.message)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Say how to make it anew in another process: from its message."""
+        return _unknown_name, (type(self), self.message)
+
     def __str__(self) -> str:
         """Return the message itself; a KeyError would show it in quotes."""
         return self.message
+
+
+def _unknown_name(kind: type[UnknownName], message: str) -> UnknownName:
+    error = kind.__new__(kind, message)
+    error.message = message
+    return error
 
 
 class WrongOrder(RcsError, RuntimeError):

@@ -108,5 +108,5 @@ def test_a_state_says_all() -> None:
     env = rcs.make("PickCuboid")
     env.reset(seed=0)
     state, poses = env.scenario.world.states(), env.scenario.object_poses()
-    with pytest.raises(InvalidSetup, match="says all"):
+    with pytest.raises(InvalidSetup, match="cannot be combined"):
         env.reset(seed=0, options={"state": state, "objects": poses})

@@ -15,6 +15,14 @@ from rcs.errors import InvalidSetup
 from rcs.sim.world import Copies, World
 
 
+FAULT_POLL = 5e-3
+"""How often a clock that waits asks the devices for faults [s]."""
+
+
+ROUNDING = 1e-9
+"""Nobody waits for less than this [s]."""
+
+
 class Clock(ABC):
     """Advances everything by one control step."""
 
@@ -67,7 +75,10 @@ class SimClock(Clock):
 
 
 class WallClock(Clock):
-    """Waits for real devices: until they have arrived, or for one control period."""
+    """Waits for real devices: until they have arrived, or for one control period.
+
+    A device that enters its fault state ends the wait at once; the environment sees the fault and ends the episode.
+    """
 
     def __init__(
         self,
@@ -95,6 +106,7 @@ class WallClock(Clock):
         if not frequency > 0 or not time_limit > 0:
             raise InvalidSetup(f"frequency ({frequency}) and time_limit ({time_limit}) must be positive.")
         self._ports = list(ports)
+        self._fallible = [port for port in ports if type(port).faults is not Port.faults]
         self._period = 1.0 / frequency
         self._is_synchronous = is_synchronous
         self._time_limit = time_limit
@@ -110,15 +122,21 @@ class WallClock(Clock):
     def _wait_for_tick(self) -> int:
         self._next += self._period
         rest = self._next - self._now()
-        if rest > 0:
-            self._sleep(rest)
-        else:
+        if rest <= 0:
             self._next = self._now()  # late: later steps keep their full period
+        while rest > ROUNDING and not self._has_fault():
+            self._sleep(min(rest, FAULT_POLL) if self._fallible else rest)
+            rest = self._next - self._now()
         return StepEnd.period.value
+
+    def _has_fault(self) -> bool:
+        return any(port.faults() for port in self._fallible)
 
     def _wait_for_devices(self) -> int:
         deadline = self._now() + self._time_limit
         while not all(port.has_arrived() for port in self._ports):
+            if self._has_fault():
+                return StepEnd.interrupted.value
             if self._now() >= deadline:
                 return StepEnd.limit.value
             self._sleep(1e-3)

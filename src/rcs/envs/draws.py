@@ -8,14 +8,27 @@ from __future__ import annotations
 
 import copy
 import zlib
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rcs.errors import InvalidSetup
 from rcs.sim.splitmix import GAMMA, mix, units
 
 SEED_LIMIT = 2**63
 """Seeds are from 0 to below this: what an int64 holds."""
+
+
+def check_seed(seed: Any) -> int:
+    """Return a seed as Python's own integer.
+
+    Raises:
+        InvalidSetup: It is not a whole number from 0 to 2**63 - 1.
+    """
+    if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < SEED_LIMIT:
+        raise InvalidSetup(f"The seed is {seed!r}; valid is a whole number from 0 to 2**63 - 1.")
+    return int(seed)
 
 
 class Draws:

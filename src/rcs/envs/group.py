@@ -11,7 +11,7 @@ from rcs.envs.layers import Where
 from rcs.envs.ports import Port
 from rcs.envs.spaces import Observation
 from rcs.envs.stack import Stack, for_all
-from rcs.errors import InvalidAction
+from rcs.errors import InvalidAction, UnknownName
 
 
 class StackGroup:
@@ -48,27 +48,53 @@ class StackGroup:
         """The last action as it was sent to the ports, under the robots' names."""
         return {name: stack.executed for name, stack in self.robots.items()}
 
-    def command(self, action: Any) -> None:
-        """Check the actions of all robots, then set all targets; nothing moves yet.
+    @property
+    def target(self) -> dict[str, Any]:
+        """What the last action came to, on the highest level, under the robots' names."""
+        return {name: stack.target for name, stack in self.robots.items()}
+
+    def map(self, action: Any) -> dict[str, Any]:
+        """Check the actions of all robots and map them down; no device sees them, and no layer remembers them.
 
         Raises:
-            InvalidAction: The action of a robot is not valid; nothing was sent to any device of any robot.
+            InvalidAction: The action of a robot is not valid.
         """
         if not isinstance(action, Mapping) or action.keys() != self.robots.keys():
-            given = sorted(action) if isinstance(action, Mapping) else type(action).__name__
-            raise InvalidAction(f"An action has one mapping per robot: {sorted(self.robots)}; {given} came.")
+            given = sorted(map(str, action)) if isinstance(action, Mapping) else type(action).__name__
+            raise InvalidAction(f"Expected one action per robot, {sorted(self.robots)}; got {given}.")
         mapped: dict[str, Any] = {}
         for name, stack in self.robots.items():
             try:
-                mapped[name] = stack.map_down(stack.check(action[name]))
+                mapped[name] = stack.map(action[name])
             except InvalidAction as err:
                 raise InvalidAction(f"Robot {name!r}: {err}") from err
+        return mapped
+
+    def send(self, mapped: Mapping[str, Any]) -> None:
+        """Set the targets of all devices; nothing moves yet."""
         for name, stack in self.robots.items():
             stack.send(mapped[name])
 
     def measure(self) -> Observation:
         """Return the observation of the lowest level."""
         return {**{name: stack.measure() for name, stack in self.robots.items()}, **self.shared.measure()}
+
+    def rebase(self, robot: str | None = None) -> None:
+        """Make the layers of one robot, or of all, count from the measured state.
+
+        Raises:
+            UnknownName: There is no robot of this name.
+        """
+        if robot is not None and robot not in self.robots:
+            raise UnknownName("robot", robot, self.robots)
+        for name, stack in self.robots.items():
+            if robot in (None, name):
+                stack.rebase()
+
+    def faults(self) -> dict[str, str]:
+        """Return the reason of every device that is in its fault state, by `robot/device`."""
+        own = {f"{name}/{key}": why for name, stack in self.robots.items() for key, why in stack.faults().items()}
+        return own | self.shared.faults()
 
     def lift(self, observation: Observation) -> Observation:
         """Map an observation of the lowest level up through all layers."""
@@ -91,6 +117,10 @@ class StackGroup:
     def hold(self) -> None:
         """Make every device stay where it is, also when one of them fails to."""
         for_all([port.hold for port in self.ports])
+
+    def recover(self) -> None:
+        """Clear the faults of all devices, also when one of them fails to; nothing moves."""
+        for_all([port.recover for port in self.ports])
 
     def close(self) -> None:
         """Close all ports, also when one of them fails to."""

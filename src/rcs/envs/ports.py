@@ -52,6 +52,16 @@ class Port(ABC):
     def hold(self) -> None:  # noqa: B027  a camera has nothing to hold
         """Make the device stay where it is."""
 
+    def faults(self) -> Mapping[str, str]:
+        """Return the reason of every device that is in its fault state, by the device's name.
+
+        The environment asks for it while it waits, so it must answer at once.
+        """
+        return {}
+
+    def recover(self) -> None:  # noqa: B027  a simulated device has no faults
+        """Clear the fault, if there is one; the device does not move."""
+
     def close(self) -> None:  # noqa: B027
         """Let go of the device; closing twice is harmless."""
 
@@ -111,6 +121,15 @@ class ArmPort(Port):
         if self._arm.is_open:
             self._arm.hold()
 
+    def faults(self) -> Mapping[str, str]:
+        """Return why the arm stands still, if it is in its fault state."""
+        return _fault_of(self._arm)
+
+    def recover(self) -> None:
+        """Clear the arm's fault."""
+        if self._arm.is_open and self._arm.fault:
+            self._arm.recover()
+
     def close(self) -> None:
         """Let go of the arm."""
         self._arm.close()
@@ -147,6 +166,19 @@ class GripperPort(Port):
         if self._gripper.is_open:
             self._gripper.hold()
 
+    def faults(self) -> Mapping[str, str]:
+        """Return why the gripper stands still, if it is in its fault state."""
+        return _fault_of(self._gripper)
+
+    def recover(self) -> None:
+        """Clear the gripper's fault."""
+        if self._gripper.is_open and self._gripper.fault:
+            self._gripper.recover()
+
     def close(self) -> None:
         """Let go of the gripper."""
         self._gripper.close()
+
+
+def _fault_of(device: Arm | Gripper) -> dict[str, str]:
+    return {device.name: device.fault} if device.fault else {}

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
 from rcs.robots.camera_mode import parse_mode
@@ -75,6 +77,10 @@ class Setup:
         Raises:
             InvalidSetup: A field has a value that makes no sense; the message says what is valid.
         """
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.generic):  # a number out of an array is a number
+                object.__setattr__(self, field.name, value.item())
         for name in ("task", "robot"):
             if not isinstance(getattr(self, name), str):
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; it must be a name.")
@@ -159,10 +165,12 @@ def _names(field: str, value: Any) -> tuple[str, ...]:
 
 
 def _size(value: Any) -> tuple[int, int]:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
     size = (value, value) if isinstance(value, int) else value
     if not isinstance(size, Sequence) or len(size) != 2 or not all(_is_edge(edge) for edge in size):
         raise InvalidSetup(f"size is {value!r}; valid is one number or (width, height) of 1 to {MAX_SIZE} px.")
-    return size[0], size[1]
+    return int(size[0]), int(size[1])
 
 
 def _size_of_mode(mode: Any, size: tuple[int, int], cameras: tuple[str, ...]) -> tuple[int, int]:
@@ -196,4 +204,4 @@ def _frame_rates(value: Any, cameras: tuple[str, ...]) -> float | tuple[tuple[st
 
 
 def _is_edge(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MAX_SIZE
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and 1 <= value <= MAX_SIZE

@@ -174,6 +174,8 @@ def check_action(
 
 
 def _as_numbers(key: str, given: Any, box: spaces.Box) -> NDArray[Any]:
+    if np.ma.is_masked(given):
+        raise InvalidAction(f"Action {key!r} has masked values; valid is an array without a mask.")
     try:
         array = np.asarray(given)
     except ValueError as err:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
@@ -40,35 +41,52 @@ class Stack:
         self.observation_space = spaces.Dict(dict(observations))
         self.executed: dict[str, NDArray[Any]] = {}
         """The last action as it was sent to the ports."""
+        self.target: dict[str, NDArray[Any]] = {}
+        """What the last action came to, on the highest level: absolute targets, cut where a layer has cut them."""
+        self._measured: Observation = {}
+        self._fallible = [port for port in self.ports if type(port).faults is not Port.faults]
 
-    def command(self, action: Any) -> None:
-        """Check an action, map it down and set the devices' targets; nothing moves yet.
+    def map(self, action: Any) -> Action:
+        """Check an action and map it down; no device sees it, and no layer remembers it.
 
         Raises:
-            InvalidAction: The action is not valid; nothing was sent to any device.
+            InvalidAction: The action is not valid.
         """
-        self.send(self.map_down(self.check(action)))
-
-    def map_down(self, checked: Action) -> Action:
-        """Map a checked action through all layers; no device sees it yet."""
+        mapped = self.check(action)
         for layer in reversed(self.layers):
-            checked = layer.map_action(checked)
-        return checked
+            mapped = layer.map_action(mapped)
+        return mapped
 
     def send(self, mapped: Action) -> None:
-        """Set the devices' targets, and tell the layers from the lowest up what they came to."""
-        self.executed = mapped
+        """Set the devices' targets, and tell the layers from the lowest up what they came to; nothing moves yet."""
         for port in self.ports:
             port.command(mapped)
+        self.executed = mapped
         for layer in self.layers:
             mapped = layer.map_executed(mapped)
+        self.target = mapped
 
     def measure(self) -> Observation:
         """Return the observation of the lowest level."""
         observation: Observation = {}
         for port in self.ports:
             observation.update(port.observe())
+        self._measured = observation
         return observation
+
+    def rebase(self) -> None:
+        """Make all layers count from the measured state."""
+        observation = dict(self._measured)
+        for port in self.ports:
+            if port.action_spaces:  # what only observes, such as a camera, need not be read for this
+                observation.update(port.observe())
+        for layer in self.layers:
+            layer.rebase(observation)
+            observation = layer.map_observation(observation)
+
+    def faults(self) -> dict[str, str]:
+        """Return the reason of every device that is in its fault state, by the device's name."""
+        return {name: reason for port in self._fallible for name, reason in port.faults().items()}
 
     def lift(self, observation: Observation) -> Observation:
         """Map an observation of the lowest level up through all layers."""
@@ -97,6 +115,10 @@ class Stack:
         """Make every device stay where it is, also when one of them fails to."""
         for_all([port.hold for port in self.ports])
 
+    def recover(self) -> None:
+        """Clear the faults of all devices, also when one of them fails to; nothing moves."""
+        for_all([port.recover for port in self.ports])
+
     def close(self) -> None:
         """Close all ports, also when one of them fails to."""
         for_all([port.close for port in self.ports])
@@ -111,12 +133,33 @@ class Stack:
 
 
 def for_all(calls: Sequence[Callable[[], None]]) -> None:
-    """Make every call, also when one fails; the first failure is raised in the end."""
-    failures: list[Exception] = []
+    """Make every call, whatever fails, and raise the first failure in the end with a note of the others.
+
+    A call that Ctrl-C interrupts is made again: holding or closing a device must not end half way.
+
+    Args:
+        calls: Each is harmless when made twice.
+    """
+    failures: list[BaseException] = []
     for call in calls:
-        try:
-            call()
-        except Exception as err:  # noqa: BLE001  every device gets its chance; the first failure is raised below
-            failures.append(err)
+        for _ in range(2):
+            try:
+                call()
+            except KeyboardInterrupt as err:
+                failures.append(err)
+                continue
+            except BaseException as err:  # noqa: BLE001  every device gets its chance; the failure is raised below
+                failures.append(err)
+            break
     if failures:
-        raise failures[0]
+        # What must not be caught by `except Exception` goes first.
+        first = next((err for err in failures if not isinstance(err, Exception)), failures[0])
+        for err in failures:
+            if err is not first:
+                first.add_note(f"After that, or before: {type(err).__name__}: {err}")
+        raise first
+
+
+def copied(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arrays, in any nesting, that are the caller's own."""
+    return {key: value.copy() if type(value) is np.ndarray else copied(value) for key, value in values.items()}

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,6 +62,23 @@ def check_start(robots: list[SimRobot], known: Mapping[str, Any], robot: Any, ob
     return Start(robots=states, objects=poses)
 
 
+def check_state(state: Any, size: int) -> NDArray[np.float64]:
+    """Return a simulation state in which an episode is to start, (size,).
+
+    Raises:
+        InvalidSetup: It has a wrong shape, or a value that MuJoCo takes for divergence.
+    """
+    try:
+        array = np.asarray(state, np.float64)
+    except (TypeError, ValueError) as err:
+        raise InvalidSetup(f"The option 'state' is {_form(state)}; valid are {size} numbers.") from err
+    if array.shape != (size,):
+        raise InvalidSetup(f"The option 'state' has shape {array.shape}; valid is ({size},).")
+    if not (np.abs(array) <= mujoco.mjMAXVAL).all():  # NaN is not either
+        raise InvalidSetup(f"The option 'state' has values beyond ±{mujoco.mjMAXVAL:g}, or such that are not finite.")
+    return array
+
+
 def base_in_scene(robots: list[SimRobot]) -> NDArray[np.float64]:
     """Return the frame in which objects are told, (7,): the robot's base, or of several robots the scene itself."""
     pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
@@ -92,7 +110,7 @@ def _check_robot(robot: SimRobot, given: Any) -> dict[str, NDArray[Any]]:
     checked: dict[str, NDArray[Any]] = {}
     for key, value in given.items():
         box = boxes[key]
-        array = np.asarray(value, np.float64)
+        array = _as_array(f"The start's {key!r}", value)
         if array.shape != box.shape or not np.isfinite(array).all():
             raise InvalidSetup(f"The start's {key!r} has shape {array.shape}; valid are {box.shape} finite numbers.")
         # A joint is measured a little outside of its limits at times; it starts inside.
@@ -103,12 +121,19 @@ def _check_robot(robot: SimRobot, given: Any) -> dict[str, NDArray[Any]]:
 
 
 def _check_pose(name: str, pose: Any) -> NDArray[np.float64]:
-    array = np.asarray(pose, np.float64)
+    array = _as_array(f"The pose of {name!r}", pose)
     if array.shape != (7,) or not np.isfinite(array).all() or np.linalg.norm(array[3:]) < MINIMAL_NORM:
         raise InvalidSetup(
             f"The pose of {name!r} is {pose!r}; valid are 7 numbers: translation [m] and quaternion xyzw."
         )
     return normalize(array)
+
+
+def _as_array(what: str, value: Any) -> NDArray[np.float64]:
+    try:
+        return np.asarray(value, np.float64)
+    except (TypeError, ValueError) as err:
+        raise InvalidSetup(f"{what} is {_form(value)}; valid are numbers.") from err
 
 
 def _form(given: Any) -> str:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from rcs._core import StepEnd
 from rcs.envs.clock import Clock
-from rcs.envs.draws import SEED_LIMIT, Draws
+from rcs.envs.draws import Draws, check_seed
 from rcs.envs.group import StackGroup
 from rcs.envs.scenario import Scenario
 from rcs.envs.spaces import FRAMES, Observation
-from rcs.envs.stack import Stack
+from rcs.envs.stack import Stack, copied, for_all
 from rcs.errors import InvalidSetup, WrongOrder
 
 
@@ -130,7 +130,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             raise WrongOrder(f"step was called {why}")
         if self._autoreset is AutoresetMode.DISABLED and self._is_done.any():
             raise WrongOrder("Some episodes are over; call reset with options={'reset_mask': mask of those copies}.")
-        self._stack.command(actions)
+        self._stack.send(self._stack.map(actions))
         starting = self._is_done.copy() if self._autoreset is AutoresetMode.NEXT_STEP else np.zeros_like(self._is_done)
         some_start = bool(starting.any())
         ids = np.flatnonzero(starting).astype(np.int32) if some_start else None
@@ -154,7 +154,13 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             truncated |= (self._steps >= self._max_episode_steps) & ~terminated & ~starting
         self._is_done = terminated | truncated
         info = self._with_masks(
-            {**outcome.info, **self._stack.info(), "end": self._clock.ends.copy(), "diverged": diverged}
+            {
+                **outcome.info,
+                **self._stack.info(),
+                "target": copied(self._stack.target),
+                "end": self._clock.ends.copy(),
+                "diverged": diverged,
+            }
         )
         if some_start:
             self._tell_drawn(info, starting)
@@ -186,14 +192,16 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         if seed is None and self._has_seeds:
             return
         own = self._seeds if self._has_seeds else np.random.SeedSequence().generate_state(self.num_envs)
-        if seed is None or isinstance(seed, int | np.integer):
-            given = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
+        given: list[int | None]
+        if seed is None:
+            given = [None] * self.num_envs
+        elif isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str):
+            if len(seed) != self.num_envs:
+                raise InvalidSetup(f"{len(seed)} seeds were given for {self.num_envs} copies.")
+            given = [None if value is None else check_seed(value) for value in seed]
         else:
-            given = list(seed)
-            if len(given) != self.num_envs:
-                raise InvalidSetup(f"{len(given)} seeds were given for {self.num_envs} copies.")
-        if wrong := [value for value in given if value is not None and not 0 <= value < SEED_LIMIT]:
-            raise InvalidSetup(f"A seed is {wrong[0]}; valid is 0 to 2**63 - 1, for every copy.")
+            first = check_seed(seed)
+            given = [check_seed(first + i) for i in range(self.num_envs)]
         # None goes on with the next episode of the copy's own seed, as in gymnasium.
         is_new = np.array([value is not None or not self._has_seeds for value in given])
         seeds = [int(mine) if value is None else value for value, mine in zip(given, own, strict=True)]
@@ -202,6 +210,8 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         self._has_seeds = True
 
     def _check_options(self, options: Mapping[str, Any] | None) -> NDArray[np.bool_] | None:
+        if options is not None and not isinstance(options, Mapping):
+            raise InvalidSetup(f"The reset options are {options!r}; valid is a dictionary, or None.")
         given = dict(options or {})
         mask = given.pop("reset_mask", None)
         if given:
@@ -234,7 +244,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         if not self._is_open:
             return
         self._is_open = False
-        self._stack.close()
+        for_all([self._stack.close])
 
     def close_extras(self, **kwargs: Any) -> None:
         """Do nothing more than `close` did; gymnasium calls this."""

@@ -154,7 +154,7 @@ def _tell(pipe: multiprocessing.connection.Connection, answer: tuple[bool, Any])
 def _portable(error: Exception) -> RcsError:
     """Return an error that can be sent: known ones as they are, others as their traceback."""
     if type(error).__module__ == RcsError.__module__:
-        return error if type(error).__name__ != "UnknownName" else RcsError(str(error))  # pyright: ignore[reportReturnType]
+        return error  # pyright: ignore[reportReturnType]
     return RcsError("A worker failed:\n" + "".join(traceback.format_exception(error)))
 
 

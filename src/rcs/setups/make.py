@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from rcs.devices import lookup
@@ -74,12 +75,19 @@ def make_vec(
         >>> envs = rcs.make_vec("PickCuboid", copies=24, robot="fr3")
         >>> observations, infos = envs.reset(seed=0)
     """
-    if not isinstance(copies, int) or copies < 1 or threads < 0:
-        raise InvalidSetup(f"copies ({copies}) must be at least 1, threads ({threads}) at least 0.")
+    for name, value, least in (("copies", copies, 1), ("threads", threads, 0)):
+        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+            raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least}.")
+    copies, threads = int(copies), int(threads)
     setup = _setup(task, options)
     if setup.mode == "realtime":
         raise InvalidSetup("Copies have no common wall clock; use mode='async' or 'sync'.")
-    return assemble_vec(resolve(setup), copies=copies, threads=threads, autoreset=AutoresetMode(autoreset))
+    try:
+        mode = AutoresetMode(autoreset)
+    except ValueError as err:
+        valid = ", ".join(repr(one.value) for one in AutoresetMode)
+        raise InvalidSetup(f"autoreset is {autoreset!r}; valid: {valid}.") from err
+    return assemble_vec(resolve(setup), copies=copies, threads=threads, autoreset=mode)
 
 
 def _setup(task: str | Setup, options: dict[str, Any]) -> Setup:

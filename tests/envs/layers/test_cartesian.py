@@ -36,6 +36,7 @@ def test_a_pose_near_by_is_reached(layer: CartesianControl, home: np.ndarray) ->
     reached = kinematics_of(FR3, FRANKA_HAND).forward(joints).tquat
     assert distance(reached, target)[0] < 1e-4
     assert distance(reached, target)[1] < 1e-4
+    layer.map_executed({JOINTS: joints, "gripper": OPEN})
     assert layer.info()["ik_status"] == IkStatus.ok.value
 
 
@@ -44,10 +45,18 @@ def test_a_pose_out_of_reach_leaves_the_target_where_it_is(layer: CartesianContr
     far[0] = 1.9
     joints = layer.map_action({TQUAT: far, "gripper": OPEN})[JOINTS]
     np.testing.assert_array_equal(joints, HOME)
-    assert layer.info()["ik_status"] == IkStatus.infeasible.value
     # The level above learns where the arm really is, and not where it was asked to go.
     executed = layer.map_executed({JOINTS: joints, "gripper": OPEN})
+    assert layer.info()["ik_status"] == IkStatus.infeasible.value
     np.testing.assert_allclose(executed[TQUAT], home, atol=1e-9)
+
+
+def test_a_pose_that_is_mapped_and_not_executed_leaves_no_trace(layer: CartesianControl, home: np.ndarray) -> None:
+    target = home + np.array([0.02, -0.03, 0.04, 0, 0, 0, 0])
+    expected = layer.map_action({TQUAT: target, "gripper": OPEN})[JOINTS]
+    for shift in (0.05, 0.1, 0.15):
+        layer.map_action({TQUAT: home + np.array([shift, 0, 0, 0, 0, 0, 0]), "gripper": OPEN})
+    np.testing.assert_array_equal(layer.map_action({TQUAT: target, "gripper": OPEN})[JOINTS], expected)
 
 
 def test_an_arm_that_cannot_follow_says_so_in_info_and_stays() -> None:

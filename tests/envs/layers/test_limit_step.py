@@ -22,6 +22,11 @@ def layer(start: Any) -> LimitStep:
     return made
 
 
+def execute(limit: LimitStep, asked: Any) -> Any:
+    """Have a target mapped, and taken by the arm; return it."""
+    return limit.map_executed(limit.map_action({JOINTS: asked}))[JOINTS]
+
+
 @settings(max_examples=100, deadline=None)
 @given(starts=SOME, measured=SOME, asked=SOME)
 def test_a_target_stays_within_a_step_of_the_last_and_within_the_lead_of_the_measured(
@@ -29,7 +34,7 @@ def test_a_target_stays_within_a_step_of_the_last_and_within_the_lead_of_the_mea
 ) -> None:
     limit = layer(starts)
     limit.map_observation({JOINTS: measured})
-    target = limit.map_action({JOINTS: asked})[JOINTS]
+    target = execute(limit, asked)
     rounding = 1e-9
     assert (np.abs(target - starts) <= STEP + rounding).all()
     # Where the arm was pushed farther than a step can make up for, the target goes towards it by a whole step.
@@ -45,11 +50,11 @@ def test_a_target_stays_within_a_step_of_the_last_and_within_the_lead_of_the_mea
 def test_rows_do_not_know_of_each_other(starts: Any, measured: Any, asked: Any) -> None:
     batch = layer(starts)
     batch.map_observation({JOINTS: measured})
-    targets = batch.map_action({JOINTS: asked})[JOINTS]
+    targets = execute(batch, asked)
     for row in range(3):
         single = layer(starts[row])
         single.map_observation({JOINTS: measured[row]})
-        np.testing.assert_array_equal(single.map_action({JOINTS: asked[row]})[JOINTS], targets[row])
+        np.testing.assert_array_equal(execute(single, asked[row]), targets[row])
         assert single.info()["is_limited"] == batch.info()["is_limited"][row]
 
 
@@ -63,7 +68,7 @@ def test_a_target_inside_the_bounds_passes_as_it_is() -> None:
 def test_a_row_that_counts_as_not_cut_keeps_its_bits_also_when_another_is_cut() -> None:
     limit = layer(np.zeros((2, 2)))
     asked = np.array([STEP + 5e-10, STEP + 1.0])
-    target = limit.map_action({JOINTS: asked})[JOINTS]
+    target = execute(limit, asked)
     np.testing.assert_array_equal(target[0], asked[0])
     np.testing.assert_array_equal(target[1], STEP)
     np.testing.assert_array_equal(limit.info()["is_limited"], [False, True])
@@ -78,11 +83,25 @@ def test_the_argument_stays_as_it_is() -> None:
 
 def test_a_reset_of_some_copies_leaves_the_others() -> None:
     limit = layer(np.zeros((3, 2)))
-    limit.map_action({JOINTS: np.full((3, 2), 9.0)})
+    execute(limit, np.full((3, 2), 9.0))
     limit.reset({JOINTS: np.full((3, 2), 1.0)}, np.array([1], np.int32))
     np.testing.assert_array_equal(limit.info()["is_limited"], [True, False, True])
     target = limit.map_action({JOINTS: np.full((3, 2), 1.0)})[JOINTS]
     np.testing.assert_allclose(target, [STEP * 2, [1.0, 1.0], STEP * 2])
+
+
+def test_an_action_that_is_mapped_and_not_executed_leaves_no_trace() -> None:
+    limit = layer([0.0, 0.0])
+    for _ in range(8):
+        limit.map_action({JOINTS: np.full(2, 9.0)})
+    assert not limit.info()["is_limited"]
+    np.testing.assert_array_equal(execute(limit, np.full(2, 9.0)), STEP)
+
+
+def test_after_a_rebase_the_next_target_is_bounded_against_the_measured_joints() -> None:
+    limit = layer([0.0, 0.0])
+    limit.rebase({JOINTS: np.array([1.0, -1.0])})
+    np.testing.assert_allclose(execute(limit, np.full(2, 9.0)), [1.1, -0.8])
 
 
 def test_without_a_reset_there_is_nothing_to_limit_against() -> None:

@@ -102,10 +102,10 @@ def test_the_target_of_a_blocked_arm_does_not_wind_up() -> None:
     stack = Stack([port], [LimitStep(np.full(2, 0.1), max_lead=0.6), Relative(JOINTS, max_joint_step=0.1)])
     stack.reset(stack.measure(), ...)
     for _ in range(100):
-        stack.command({JOINTS: np.full(2, 0.1)})
+        stack.send(stack.map({JOINTS: np.full(2, 0.1)}))
         stack.lift(stack.measure())
     np.testing.assert_allclose(port.target, 0.6)
-    stack.command({JOINTS: np.full(2, -0.1)})
+    stack.send(stack.map({JOINTS: np.full(2, -0.1)}))
     np.testing.assert_allclose(port.target, 0.5)
 
 

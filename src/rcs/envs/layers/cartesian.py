@@ -34,7 +34,8 @@ class CartesianControl(Layer):
         self._kinematics = kinematics
         self._options = IkOptions(max_step=max_step, restarts=0, iterations=50)
         self._joints: NDArray[np.float64] | None = None
-        self._target: NDArray[np.float64] | None = None
+        self._solved: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]] | None = None
+        """Joints, pose and status of the last `map_action`."""
         self._status: NDArray[np.uint8] = np.zeros((), np.uint8)
 
     def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
@@ -49,6 +50,10 @@ class CartesianControl(Layer):
         nothing = np.zeros(joints.shape[:-1], np.uint8)
         self._status = renew(None if self._joints is None else self._status, nothing, where)
         self._joints = renew(self._joints, joints, where)
+
+    def rebase(self, observation: Observation) -> None:
+        """Start the next solve at the measured joints."""
+        self._joints = observation[JOINTS].copy()
 
     def map_action(self, action: Action) -> Action:
         """Solve for the joints.
@@ -68,21 +73,20 @@ class CartesianControl(Layer):
         starts = self._joints.reshape(len(rows), -1)
         joints, status = self._kinematics.inverse_batch(rows, starts, self._options)
         solved = joints.reshape(self._joints.shape)
-        self._joints = solved
-        self._target = rows.reshape(target.shape)
-        self._status = status.reshape(target.shape[:-1])
+        self._solved = solved, rows.reshape(target.shape), status.reshape(target.shape[:-1])
         mapped: Action = {(JOINTS if key == TQUAT else key): value for key, value in action.items()}
         mapped[JOINTS] = solved
         return mapped
 
     def map_executed(self, executed: Action) -> Action:
         """Start the next solve where the arm was really sent, and say which pose that is."""
-        joints, pose = executed[JOINTS], self._target
-        is_elsewhere = self._status != 0
-        if joints is not self._joints:
-            is_elsewhere = is_elsewhere | (joints != self._joints).any(axis=-1)
-        if pose is None:
+        if self._solved is None:
             raise RuntimeError("CartesianControl.map_executed was called before map_action")
+        joints = executed[JOINTS]
+        solved, pose, self._status = self._solved
+        is_elsewhere = self._status != 0
+        if joints is not solved:
+            is_elsewhere = is_elsewhere | (joints != solved).any(axis=-1)
         if is_elsewhere.any():
             # Copy by copy: the pose of one must not depend on what happened to another.
             pose = pose.copy()

@@ -3,6 +3,9 @@
 A layer maps actions down (g, `map_action`) and observations up (f, `map_observation`). It touches no device, reads no
 clock and moves no time; arrays are indexed from the right, so that one layer serves one environment and a batch of any
 size.
+
+A layer that remembers something changes it in `map_executed`, `reset` and `rebase` only: `map_action` is also called for
+actions that are refused further down, and these must leave no trace.
 """
 
 from __future__ import annotations
@@ -49,15 +52,25 @@ class Layer:
             where: The copies whose episode is new.
         """
 
+    def rebase(self, observation: Observation) -> None:
+        """Make what follows count from the measured state; the episode goes on.
+
+        Called after the devices were held, recovered or moved by somebody else. A layer that remembers targets takes
+        the measured state in their place.
+
+        Args:
+            observation: Present observation, as the level below gives it.
+        """
+
     def map_action(self, action: Action) -> Action:
-        """Return the action of the level below; the argument stays as it is."""
+        """Return the action of the level below; the argument and what the layer remembers stay as they are."""
         return action
 
     def map_executed(self, executed: Action) -> Action:
         """Return what this level's action came to, given what the level below made of it.
 
-        Called after `map_action`, from the lowest layer up: a layer that keeps a reference learns here that a target
-        was cut.
+        Called when all devices have taken the action of the last `map_action`, from the lowest layer up: a layer that
+        keeps a reference goes on from here, and learns that a target was cut.
         """
         return executed
 

@@ -34,6 +34,7 @@ class LimitStep(Layer):
         self._max_lead = max_lead
         self._target: NDArray[np.float64] | None = None
         self._measured: NDArray[np.float64] | None = None
+        self._is_cut: NDArray[np.bool_] = np.zeros((), np.bool_)  # by the last map_action
         self._is_limited: NDArray[np.bool_] = np.zeros((), np.bool_)
 
     def reset(self, observation: Observation, where: Where = everywhere) -> None:
@@ -43,6 +44,10 @@ class LimitStep(Layer):
         never = np.zeros(measured.shape[:-1], np.bool_)
         self._is_limited = renew(None if self._target is None else self._is_limited, never, where)
         self._target = renew(self._target, measured, where)
+
+    def rebase(self, observation: Observation) -> None:
+        """Bound the next target against the measured joints alone."""
+        self._measured = self._target = observation[JOINTS].copy()
 
     def map_observation(self, observation: Observation) -> Observation:
         """Remember the measured joints; the observation itself is the caller's own."""
@@ -57,12 +62,16 @@ class LimitStep(Layer):
         cut = limit_rows(asked, self._target, self._measured, self._max_step, self._max_lead, ROUNDING)
         if cut is None:
             # The very array that was asked for tells the layers above that nothing was cut.
-            self._target = asked
-            self._is_limited = np.zeros_like(self._is_limited)
+            self._is_cut = np.zeros_like(self._is_limited)
             return action
-        target, self._is_limited = cut
-        self._target = target
+        target, self._is_cut = cut
         return {**action, JOINTS: target}
+
+    def map_executed(self, executed: Action) -> Action:
+        """Bound the next target against this one."""
+        self._target = executed[JOINTS]
+        self._is_limited = self._is_cut
+        return executed
 
     def info(self) -> dict[str, NDArray[Any]]:
         """Return whether the last action was cut."""

@@ -76,6 +76,10 @@ class Relative(Layer):
         self._reference = renew(self._reference, observation[self._key], where)
         self._last = renew(self._last, observation[self._key], where)
 
+    def rebase(self, observation: Observation) -> None:
+        """Add the next differences to the measured joints or pose, those to an origin too."""
+        self._reference = self._last = observation[self._key].copy()
+
     def set_origin(self) -> None:
         """Take the last target as the origin of all copies."""
         if self._last is None:

@@ -48,6 +48,7 @@ class LayerWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Check and map the action, step, map the observation."""
+        # A step that raises leaves the layer as it was.
         mapped = self._layer.map_action(self._check(action))
         observation, reward, terminated, truncated, info = self.env.step(mapped)
         # What a foreign environment makes of an action is not known; it counts as executed.

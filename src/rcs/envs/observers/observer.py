@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,6 +39,14 @@ class Observer(ABC):
     @abstractmethod
     def on_step(self, transition: Transition) -> None:
         """Take note of a step."""
+
+    def on_end(self, end: str, reasons: Mapping[str, str]) -> None:  # noqa: B027  most observers do not mind
+        """Take note that an episode was broken off; all devices hold. What comes next is a reset, or `close`.
+
+        Args:
+            end: `fault` when a device entered its fault state, `exception` when a step raised an error.
+            reasons: The faults by device, or the error's message by its class.
+        """
 
     def close(self) -> None:  # noqa: B027  most observers hold nothing
         """Let go of everything; closing twice is harmless."""
