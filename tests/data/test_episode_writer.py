@@ -164,3 +164,33 @@ def test_a_read_only_folder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyP
             DatasetError, match=r"start episode 'a' in .*: Read-only file system.*choose another folder"
         ):
             writer.episode("a", seed=0)
+
+
+@pytest.mark.parametrize("call", range(12))
+def test_ctrl_c_while_an_episode_is_completed_leaves_it_whole(
+    tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows, monkeypatch: pytest.MonkeyPatch, call: int
+) -> None:
+    with DatasetWriter.open(tmp_path, make_info()) as writer:
+        episode = writer.episode("a", seed=0)
+        for row in make_rows(20):
+            episode.add(row, np.zeros(STATE))
+        left = call
+        real = os.fsync
+
+        def interrupt(fd: int) -> None:
+            nonlocal left
+            left -= 1
+            if left == -1:
+                raise KeyboardInterrupt
+            real(fd)
+
+        monkeypatch.setattr(os, "fsync", interrupt)
+        try:
+            episode.finish(True)
+        except KeyboardInterrupt:
+            assert episode.state in ("aborted", "finished")
+        monkeypatch.undo()
+    recover(tmp_path)
+    (kept,) = Dataset.open(tmp_path).episodes
+    assert kept.length == 20
+    assert check(tmp_path).is_ok

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
@@ -20,7 +23,8 @@ MARGIN = 0.9
 class ActionWriter:
     """Writes actions for one environment: joints or poses, absolute or relative, as its setup says.
 
-    It uses nothing but the action interface: what it sends is what a policy would have to send.
+    It uses nothing but the action interface: what it sends is what a policy would have to send. Relative actions go on
+    from what the last one came to, which `follow` takes from the step's info: a layer may have cut it.
     """
 
     def __init__(self, setup: Setup, action_space: spaces.Dict, kinematics: DampedLeastSquares) -> None:
@@ -51,6 +55,18 @@ class ActionWriter:
         """Start from the first observation of an episode."""
         self._joints = np.array(observation[JOINTS])
         self._last = self._origin = np.array(observation[JOINTS if self._setup.control == JOINTS else TQUAT])
+
+    def follow(self, info: Mapping[str, Any], robot: str | None = None) -> None:
+        """Go on from what the last action came to; without this, from what it was meant to come to.
+
+        Args:
+            info: Of the last step; its `target` has the absolute joints [rad] or the TCP's pose, if there was a step.
+            robot: Name of the robot where there are several.
+        """
+        target = info.get("target")
+        if target is not None:
+            target = target if robot is None else target[robot]
+            self._last = target[JOINTS if self._setup.control == JOINTS else TQUAT]
 
     def write(self, tcp: NDArray[np.float64], opening: float) -> Action | None:
         """Return the action that moves the TCP towards a pose, as far as one step may.

@@ -136,6 +136,7 @@ class LiftExpert(Agent):
         self._advance(observation)
         action: dict[str, Any] = {}
         for side in self._sides:
+            side.writer.follow(info, side.name)
             goal, speed = self._goal(side)
             side.target = limit_step(side.target, goal, speed * self._period, TURN_SPEED * self._period)
             own = side.writer.write(side.target, self._opening)

@@ -136,6 +136,7 @@ class PickExpert(Agent):
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Go on with the present phase, or with the next when it is done."""
         self._steps += 1
+        self._writer.follow(info)
         self._advance(observation, info)
         joints = self._joint_goal()
         if joints is not None:

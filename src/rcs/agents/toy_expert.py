@@ -122,6 +122,7 @@ class ToyExpert(Agent):
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Go on with the present phase, or with the next when it is done."""
         self._steps += 1
+        self._writer.follow(info)
         self._advance(observation, info)
         goal, speed = self._goal()
         step, turn = self._pace * speed * self._period, self._pace * TURN_SPEED * self._period

@@ -159,11 +159,11 @@ class EpisodeWriter:
                 instruction=instruction,
                 quality=as_json(dict(quality or {})),
             )
-        except DatasetError as err:
+        except BaseException as err:  # a failing disk, or Ctrl-C
             if self._folder.exists():
-                self._mark_aborted(str(err))
+                self._mark_aborted(str(err) or type(err).__name__)
             else:
-                self.state = "finished"  # only the last sync failed
+                self.state = "finished"  # only the last sync is missing
             raise
         assert folder is not None, "an episode with rows has a folder"
         self.state = "finished"

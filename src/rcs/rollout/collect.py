@@ -108,6 +108,10 @@ class Collector:
     def attempt(self, number: int) -> Attempt:
         """Make one attempt, and keep it if it is to be kept."""
         self._recorder.name_next(episode_id(number))
+        with self._recorder.discard_on_error():
+            return self._attempt(number)
+
+    def _attempt(self, number: int) -> Attempt:
         result = run_episode(self._env, self._agent, seed=self._collection.seed_of(number))
         if result.success or not self._collection.only_success:
             drawn = {field: values.tolist() for field, values in self._env.scenario.randomisation.items()}

@@ -181,10 +181,10 @@ class _Replayer:
         """Replay one episode."""
         episode = self._dataset.episodes[number]
         try:
-            return self._follow(episode)
+            with self._recorder.discard_on_error():
+                return self._follow(episode)
         except (InvalidSetup, Diverged) as err:
             # Of this episode alone: a joint far out of its limits, no object's pose, an explosion.
-            self._recorder.discard()
             self._recorder.forget_next()
             return RealToSimResult(
                 episode_id=episode.id, recorded_success=episode.success, success=False, problem=str(err)

@@ -155,6 +155,11 @@ class _Reexecutor:
         if self._looks is not None:
             self._looks.episode_id = episode.id
         self._recorder.name_next(episode.id, instruction=episode.instruction)
+        with self._recorder.discard_on_error():
+            return self._execute(episode, states, agent)
+
+    def _execute(self, episode: EpisodeRecord, states: np.ndarray[Any, Any], agent: Agent) -> ReexecutionResult:
+        """Make the steps, and keep what came of them."""
         observation, info = self._env.reset(seed=episode.seed, options={"state": states[0]})
         agent.reset(observation, info)
         rows = [_look_at(observation, self._env)]
@@ -253,6 +258,7 @@ class Translator(Agent):
         action: Action = {}
         for name, targets in self._targets.items():
             i = min(self._next, len(targets) - 1)
+            self._writers[name].follow(info, None if self._is_single else name)
             written = self._writers[name].write_joints(targets[i], 0.0)
             others = {key: values[i] for key, values in self._others[name].items()}
             action[name] = {self._control: written[self._control], **others}

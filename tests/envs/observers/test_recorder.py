@@ -24,7 +24,6 @@ INFO = DatasetInfo(
         Feature(key="reward", shape=(), dtype="float64"),
         Feature(key="terminated", shape=(), dtype="bool"),
         Feature(key="truncated", shape=(), dtype="bool"),
-        Feature(key="simulated_time", shape=(), dtype="float64"),
         Feature(key="time/monotonic", shape=(), dtype="float64"),
         Feature(key="time/period", shape=(), dtype="float64"),
         Feature(key="time/frames/wrist", shape=(), dtype="float64"),
@@ -53,8 +52,7 @@ def transition(i: int, captured: float, *, time: float | None = None, is_first: 
 
 
 def env() -> Any:
-    world = SimpleNamespace(time=0.0, states=lambda: None)
-    return SimpleNamespace(scenario=SimpleNamespace(world=world, object_poses=dict))
+    return SimpleNamespace(is_simulated=False)
 
 
 @pytest.fixture(params=[False, True], ids=["here", "background"])

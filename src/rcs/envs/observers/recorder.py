@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -28,15 +29,22 @@ OBJECTS = "objects"
 """Key of an outcome: where the task's objects were at the start, by name, translation [m] and quaternion xyzw in the
 base frame (of several robots: in the scene). Real recordings that have it can be replayed in simulation."""
 
+END, REASONS = "end", "reasons"
+"""Keys of the outcome of an episode that was broken off: `fault`, `exception` or `closed`; the faults by device, or the
+error's message by its class."""
+
 Colour = Literal["jpeg", "lossless"]
 
 
-def dataset_info(env: Env, setup: Setup, *, colour: Colour = "jpeg", jpeg_quality: int = 95) -> DatasetInfo:
+def dataset_info(
+    env: Env, setup: Setup, *, instruction: str | None = None, colour: Colour = "jpeg", jpeg_quality: int = 95
+) -> DatasetInfo:
     """Return what a dataset of an environment's episodes has in common.
 
     Args:
         env: The environment.
         setup: Its setup.
+        instruction: What the robot is asked to do; None for what the task says, or nothing where there is no task.
         colour: How colour frames are stored; without loss they take some four times the space.
         jpeg_quality: Of colour frames as JPEG, 1 to 100.
     """
@@ -49,19 +57,21 @@ def dataset_info(env: Env, setup: Setup, *, colour: Colour = "jpeg", jpeg_qualit
         Feature(key="reward", shape=(), dtype="float64"),
         Feature(key="terminated", shape=(), dtype="bool"),
         Feature(key="truncated", shape=(), dtype="bool"),
-        Feature(key=SIMULATED_TIME, shape=(), dtype="float64", unit="s"),
         Feature(key=TIME_MONOTONIC, shape=(), dtype="float64", unit="s"),
         Feature(key=TIME_PERIOD, shape=(), dtype="float64", unit="s"),
     ]
+    if env.is_simulated:
+        features.append(Feature(key=SIMULATED_TIME, shape=(), dtype="float64", unit="s"))
+        instruction = env.scenario.task.instruction if instruction is None else instruction
     features += [Feature(key=time_key(name), shape=(), dtype="float64", unit="s") for name in _sensors(env)]
     features += [Feature(key=flags_key(name), shape=(), dtype="uint8") for name in _sensors(env)]
     return DatasetInfo(
         fps=setup.frequency,
         features=tuple(features),
         setup=setup.to_json(),
-        instruction=env.scenario.task.instruction,
+        instruction=instruction or "",
         jpeg_quality=jpeg_quality,
-        sim_state_size=env.scenario.world.core.state_size,
+        sim_state_size=env.scenario.world.core.state_size if env.is_simulated else None,
         versions=versions(),
     )
 
@@ -101,8 +111,10 @@ def _features(prefix: str, entries: Mapping[str, spaces.Space[Any]], colour: Col
 class Recorder(Observer):
     """Writes the episodes of one environment. An episode is kept by `finish` and dropped by `discard`.
 
-    A new reset while an episode is open discards it: what was not kept on purpose is not kept. A frame with the capture
-    time of the row before is stored once and flagged as repeated.
+    A new reset while an episode is open discards it: it is done again. An episode that was broken off, by a fault or an
+    error, is different: its outcome says `end` and `reasons`, and unless it is discarded on purpose it is kept, by the
+    next reset or by `close`, without a verdict. So does `close` with an episode that is still open. A frame with the
+    capture time of the row before is stored once and flagged as repeated.
     """
 
     def __init__(
@@ -117,7 +129,7 @@ class Recorder(Observer):
         """Record into a dataset.
 
         Args:
-            env: The environment, for its simulation state.
+            env: The environment; a simulated one for its simulation state.
             writer: The dataset; it stays open when the recorder is closed.
             background: Whether a thread encodes and writes, so that a loop that must keep its rate never waits. Then a
                 writer that is too slow leaves out images, flagged and counted; otherwise the loop waits for it.
@@ -126,8 +138,8 @@ class Recorder(Observer):
             abort_after: Age [s] of a frame from which the episode is given up: its rows are kept for `recover`, and the
                 step raises. None for never.
         """
-        self._world = env.scenario.world
-        self._scenario = env.scenario
+        self._scenario = env.scenario if env.is_simulated else None
+        self._broken_off: dict[str, Any] = {}
         self._objects: dict[str, Any] = {}
         self._writer = writer
         self._is_background = background
@@ -199,7 +211,10 @@ class Recorder(Observer):
         episode = self._writer.episode(name, seed=seed, instruction=instruction)
         self._episode = BackgroundEpisode(episode, self._writer.info) if self._is_background else episode
         self._next = None
-        poses = self._scenario.object_poses()
+        # A dataset that is closed first ends the episode as the recorder does.
+        episode.end = lambda _: self.close()
+        self._broken_off = {}
+        poses = {} if self._scenario is None else self._scenario.object_poses()
         self._objects = {OBJECTS: {name: pose.tolist() for name, pose in poses.items()}} if poses else {}
         self._last_time = first.time
         self._last_captures = {}
@@ -210,10 +225,13 @@ class Recorder(Observer):
         row: dict[str, Any] = {
             "terminated": transition.terminated,
             "truncated": transition.truncated,
-            SIMULATED_TIME: float(self._world.time),
             TIME_MONOTONIC: transition.time,
             TIME_PERIOD: period,
         }
+        state: NDArray[np.float64] | None = None
+        if self._scenario is not None:
+            state = self._scenario.world.states()
+            row[SIMULATED_TIME] = float(self._scenario.world.time)
         row.update(_flat(OBSERVATION, transition.observation))
         if transition.action is not None and transition.executed is not None:
             # An action may come in another number type; it is kept in that of its space.
@@ -230,7 +248,7 @@ class Recorder(Observer):
         self._last_captures = {
             key.removeprefix(f"{keys.FRAMES}/"): captured for key, captured in transition.capture_times.items()
         }
-        self._episode.add(row, self._world.states())
+        self._episode.add(row, state)
         self._abort_if_late(transition)
 
     def _abort_if_late(self, transition: Transition) -> None:
@@ -267,24 +285,48 @@ class Recorder(Observer):
         """
         if self._episode is None:
             raise WrongOrder("There is no open episode to finish; reset the environment first.")
-        record = self._episode.finish(success, {**self._objects, **(outcome or {})}, instruction=instruction)
+        told = {**self._objects, **self._broken_off, **(outcome or {})}
+        record = self._episode.finish(success, told, instruction=instruction)
         self._episode = None
         return record
+
+    @contextmanager
+    def discard_on_error(self) -> Generator[None]:
+        """Drop the open episode when the block raises: for programs that can make the same episode again."""
+        try:
+            yield
+        except BaseException:
+            self._broken_off = {}
+            self._let_go()
+            raise
 
     def discard(self) -> None:
         """Drop the open episode with all its rows, if there is one."""
         if self._episode is not None:
-            self._episode.discard()
-            self._episode = None
+            episode, self._episode = self._episode, None
+            episode.discard()
+
+    def on_end(self, end: str, reasons: Mapping[str, str]) -> None:
+        """Note in the open episode why it was broken off; it takes no more rows."""
+        if self._episode is not None:
+            self._broken_off = {END: end, REASONS: dict(reasons)}
 
     def close(self) -> None:
-        """Drop what is open."""
+        """Keep what is open, without a verdict; `outcome["end"]` says why it ended."""
+        if self._episode is not None and not self._broken_off:
+            self._broken_off = {END: "closed"}
         self._let_go()
 
     def _let_go(self) -> None:
-        """Drop the open episode; the rows of one that a failing disk has aborted stay for `recover`."""
-        if self._episode is not None and self._episode.state == "aborted":
+        """Keep the open episode if it was broken off, and drop it otherwise.
+
+        The rows of one that a failing disk has aborted stay for `recover`; one whose `finish` was interrupted may be
+        finished all the same.
+        """
+        if self._episode is not None and self._episode.state in ("aborted", "finished"):
             self._episode = None
+        if self._episode is not None and self._broken_off and self._episode.rows:
+            self.finish(None)
         self.discard()
 
 
