@@ -9,14 +9,18 @@ import pytest
 
 from rcs.devices import ArmLimits
 from rcs.devices.fakes import FakeArm, FakeGripper
+from rcs.envs.assemble import layers_of
 from rcs.envs.clock import WallClock
 from rcs.envs.env import Env
-from rcs.envs.layers import BinaryGripper, LimitStep, Relative
+from rcs.envs.group import StackGroup
 from rcs.envs.ports import ArmPort, GripperPort
+from rcs.envs.setup import Setup
+from rcs.envs.spaces import Control
 from rcs.envs.stack import Stack
 from rcs.kinematics import kinematics_of
 from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.sim.scene import RobotPlacement
 
 
 class HandClock:
@@ -37,16 +41,37 @@ class HandClock:
 class Bench:
     """An environment on fake devices, with the parts at hand."""
 
-    def __init__(self, *, is_synchronous: bool = False, max_episode_steps: int | None = 20) -> None:
+    def __init__(
+        self,
+        *,
+        is_synchronous: bool = False,
+        max_episode_steps: int | None = 20,
+        robots: tuple[str, ...] = (),
+        control: Control = "joints",
+        is_relative: bool = True,
+    ) -> None:
+        """Make one robot, or several by name."""
         self.clock = HandClock()
+        self.setup = Setup(task="Free", control=control, relative=is_relative)
+        self.arms: list[FakeArm] = []
+        self.grippers: list[FakeGripper] = []
+        stacks = [self._make_robot(f"{name} " if name else "") for name in robots or ("",)]
+        stack = StackGroup(dict(zip(robots, stacks, strict=True)), Stack([], [])) if robots else stacks[0]
+        clock = WallClock(
+            stack.ports, frequency=30.0, is_synchronous=is_synchronous, now=self.clock, sleep=self.clock.sleep
+        )
+        self.arm, self.gripper = self.arms[0], self.grippers[0]
+        self.env = Env(stack, clock, max_episode_steps=max_episode_steps)
+
+    def _make_robot(self, prefix: str) -> Stack:
         limits = ArmLimits(list(FR3.joint_lower), list(FR3.joint_upper), list(FR3.velocity_limit))
-        self.arm = FakeArm(limits, start=np.array(FR3.home), clock=self.clock)
-        self.gripper = FakeGripper(clock=self.clock)
-        ports = [ArmPort(self.arm, kinematics_of(FR3, FRANKA_HAND)), GripperPort(self.gripper)]
-        step = np.array(FR3.velocity_limit) / 30
-        layers = [LimitStep(step), Relative("joints", max_joint_step=step), BinaryGripper()]
-        clock = WallClock(ports, frequency=30.0, is_synchronous=is_synchronous, now=self.clock, sleep=self.clock.sleep)
-        self.env = Env(Stack(ports, layers), clock, max_episode_steps=max_episode_steps)
+        arm = FakeArm(limits, start=np.array(FR3.home), clock=self.clock, name=f"{prefix}fake arm")
+        gripper = FakeGripper(clock=self.clock, name=f"{prefix}fake gripper")
+        self.arms.append(arm)
+        self.grippers.append(gripper)
+        placement = RobotPlacement(name=prefix or "fr3", arm=FR3, gripper=FRANKA_HAND)
+        ports = [ArmPort(arm, kinematics_of(FR3, FRANKA_HAND)), GripperPort(gripper)]
+        return Stack(ports, layers_of(self.setup, placement))
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs._core import Arm, ArmLimits, ArmState, Camera, CameraMode, Frame, Gripper, GripperState, Hand, HandState
+from rcs.errors import DeviceFault
 
 
 class FakeArm(Arm):
@@ -37,6 +38,7 @@ class FakeArm(Arm):
         self._velocities = np.zeros(self.dof)
         self._target = self._joints.copy()
         self._time = clock()
+        self._has_link = True
 
     def _move(self) -> None:
         now = self._clock()
@@ -47,10 +49,22 @@ class FakeArm(Arm):
         self._joints = self._joints + step
         self._velocities = step / passed if passed > 0 else np.zeros(self.dof)
 
+    def push(self, joints: NDArray[np.float64]) -> None:
+        """Move the arm by a difference of joints [rad] as a person would who guides it: its target goes with it."""
+        self._move()
+        self._joints = np.clip(self._joints + joints, self.limits.joint_lower, self.limits.joint_upper)
+        self._target = self._joints.copy()
+
+    def lose_link(self) -> None:
+        """Fail to be measured from now on, as a device whose cable is out."""
+        self._has_link = False
+
     def _open(self) -> None:
         self._time = self._clock()
 
     def _state(self) -> ArmState:
+        if not self._has_link:
+            raise DeviceFault(f"{self.name}: the link is lost")
         self._move()
         return ArmState(list(self._joints), list(self._velocities), self._time)
 
