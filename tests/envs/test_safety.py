@@ -27,6 +27,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "poses relative to an origin": {"task": "Free", "control": "tquat", "relative": "origin"},
     "two robots by relative poses": {"task": "Free", "robot": "dual_fr3", "control": "tquat"},
     "two robots by absolute poses": {"task": "Free", "robot": "dual_fr3", "control": "tquat", "relative": False},
+    "two robots by absolute joints": {"task": "Free", "robot": "dual_fr3", "relative": False},
     "synchronous": {"task": "Free", "mode": "sync"},
 }
 
@@ -37,6 +38,7 @@ BENCHES: dict[str, dict[str, Any]] = {
     "absolute poses": {"control": "tquat", "is_relative": False},
     "synchronous": {"is_synchronous": True},
     "two robots by relative joints": {"robots": ("left", "right")},
+    "two robots by absolute joints": {"robots": ("left", "right"), "is_relative": False},
     "two robots by relative poses": {"robots": ("left", "right"), "control": "tquat"},
     "two robots by absolute poses": {"robots": ("left", "right"), "control": "tquat", "is_relative": False},
 }
