@@ -14,7 +14,6 @@ from rcs.envs.ports import Port
 from rcs.errors import InvalidSetup
 from rcs.sim.world import Copies, World
 
-
 FAULT_POLL = 5e-3
 """How often a clock that waits asks the devices for faults [s]."""
 

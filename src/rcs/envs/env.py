@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, SupportsFloat
 
 import gymnasium
@@ -21,6 +19,7 @@ from rcs.envs.scenario import Scenario
 from rcs.envs.spaces import Observation
 from rcs.envs.stack import Stack, copied, for_all
 from rcs.envs.start import Start, check_start, check_state
+from rcs.envs.turn import Turn
 from rcs.errors import DeviceFault, Diverged, InvalidAction, InvalidSetup, UnknownName, WrongOrder
 from rcs.sim.picture import Picture
 
@@ -78,9 +77,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         self._broken_off_by = ""
         self._must_rebase = False
         self._last_observation: Observation = {}
-        # Reentrant, so that a call from inside of a step is told from one of another thread.
-        self._lock = threading.RLock()
-        self._is_busy = False
+        self._turn = Turn()
         self._is_commanded = False
         self.action_space = stack.action_space
         self.observation_space = stack.observation_space
@@ -128,7 +125,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             InvalidSetup: A seed out of range, an unknown option, or a start that makes no sense.
             DeviceFault: A device is in its fault state; `recover` clears it.
         """
-        with self._alone("reset"):
+        with self._turn.take("reset"):
             if not self._is_open:
                 raise WrongOrder("reset was called on a closed environment; make a new one.")
             state, start = self._check_options(options)
@@ -188,9 +185,10 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
     def step(self, action: Mapping[str, Any]) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
         """Command all devices, let one control step pass, observe.
 
-        A device that enters its fault state ends the episode: it is truncated, `info["end"]` is `fault`, and
-        `info["faults"]` has the reasons by device. Where a device can no longer be measured, the observation is the one
-        of the step before. `info["target"]` has what the action came to, as absolute targets.
+        A device that enters its fault state ends the episode: all devices hold, it is truncated, `info["end"]` is
+        `fault`, and `info["faults"]` has the reasons by device. Where a device can no longer be measured, the
+        observation is the one of the step before. Otherwise, `info["target"]` has what the action came to, as absolute
+        targets.
 
         Args:
             action: One array per key of `action_space`.
@@ -201,12 +199,10 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             WrongOrder: The environment was not reset, its episode is over, it is closed, or another thread uses it.
             Diverged: The simulation left the range of finite numbers; reset starts anew.
         """
-        if not self._lock.acquire(blocking=False):
-            raise WrongOrder("step was called while another thread uses this environment; give each thread its own.")
-        try:
-            if self._is_busy or not self._is_running:
+        with self._turn.take("step"):
+            if not self._is_running:
                 raise WrongOrder(self._explain_order())
-            self._is_busy, self._is_commanded = True, False
+            self._is_commanded = False
             try:
                 return self._advance(action)
             except BaseException as err:
@@ -219,14 +215,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
                     self._break_off(err)
                     raise
                 raise
-            finally:
-                self._is_busy = False
-        finally:
-            self._lock.release()
 
-    def _advance(
-        self, action: Mapping[str, Any]
-    ) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
+    def _advance(self, action: Mapping[str, Any]) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
         """Make a step; who calls it looks after what it raises."""
         measured: Observation | None = None
         try:
@@ -244,7 +234,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         if faults:
             self._hold_in_fault(faults)
             if measured is None:
-                return self._end_unmeasured(faults)
+                return self._end_without_row(faults)
         assert measured is not None, "without a fault, everything was measured"
         end = int(self._clock.ends[0])
         if end == StepEnd.failed.value:
@@ -291,13 +281,15 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         except Exception as err:  # noqa: BLE001  the device that failed may refuse everything; the reason is passed on
             faults["hold"] = f"{type(err).__name__}: {err}"
 
-    def _end_unmeasured(
-        self, faults: dict[str, str]
-    ) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
-        """End the episode in a step after which a device could not be measured: no row stands for it."""
+    def _end_without_row(self, faults: dict[str, str]) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
+        """End the episode in a step that not all devices took part in: observers are told its end, but see no step."""
         self._is_running = False
         self._tell_end(FAULT, faults)
-        return copied(self._last_observation), 0.0, False, True, {"end": FAULT, "faults": faults}
+        try:
+            observation = self._stack.lift(self._stack.measure())
+        except DeviceFault:
+            observation = copied(self._last_observation)
+        return observation, 0.0, False, True, {"end": FAULT, "faults": faults}
 
     def _break_off(self, error: BaseException) -> None:
         """Have all devices hold after an error, end the episode, and tell the observers."""
@@ -328,22 +320,6 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
                 err.add_note(f"While the other devices were closed: {type(also).__name__}: {also}")
             raise
 
-    @contextmanager
-    def _alone(self, call: str) -> Generator[None]:
-        """Keep other threads, and calls from inside of a step, out."""
-        if not self._lock.acquire(blocking=False):
-            raise WrongOrder(f"{call} was called while another thread uses this environment; give each thread its own.")
-        try:
-            if self._is_busy:
-                raise WrongOrder(f"{call} was called from inside of a step of the same environment.")
-            self._is_busy = True
-            try:
-                yield
-            finally:
-                self._is_busy = False
-        finally:
-            self._lock.release()
-
     def render(self) -> Any:
         """Return a picture of the scene, (H, W, 3) uint8; None when made without `render_mode`."""
         if self._picture is None:
@@ -371,7 +347,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             WrongOrder: The environment was not reset, is closed, or another thread uses it.
             UnknownName: There is no robot of this name.
         """
-        with self._alone("rebase"):
+        with self._turn.take("rebase"):
             if not self._is_open or self._episode < 0:
                 raise WrongOrder("rebase was called before the first reset, or on a closed environment.")
             if robot is None:
@@ -388,7 +364,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             WrongOrder: The environment is closed, or another thread uses it.
             DeviceFault: A device cannot recover.
         """
-        with self._alone("recover"):
+        with self._turn.take("recover"):
             if not self._is_open:
                 raise WrongOrder("recover was called on a closed environment; make a new one.")
             self._must_rebase = True
@@ -406,24 +382,16 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             return
         self._is_open = self._is_running = False
         calls: list[Callable[[], None]] = []
-        if not self._lock.acquire(blocking=False):
-            calls = [self._stack.hold, self._wait_for_other_thread]
-        else:
-            self._lock.release()
+        if self._turn.is_of_another_thread:
+            calls = [self._stack.hold, self._turn.wait]
         calls += [self._stack.close, *(observer.close for observer in self._observers)]
         if self._picture is not None:
             calls.append(self._picture.close)
         for_all(calls)
 
-    def _wait_for_other_thread(self) -> None:
-        with self._lock:
-            pass
-
     def _explain_order(self) -> str:
         if not self._is_open:
             return "step was called on a closed environment; make a new one."
-        if self._is_busy:
-            return "step was called from inside of a step of the same environment."
         if self._episode < 0:
             return "step was called before the first reset; call reset."
         if self._broken_off_by:

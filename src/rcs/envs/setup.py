@@ -204,4 +204,4 @@ def _frame_rates(value: Any, cameras: tuple[str, ...]) -> float | tuple[tuple[st
 
 
 def _is_edge(value: Any) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and 1 <= value <= MAX_SIZE
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and 1 <= int(value) <= MAX_SIZE

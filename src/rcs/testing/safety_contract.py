@@ -32,7 +32,7 @@ REFUSALS = 8
 Action = dict[str, Any]
 
 
-class Broken(Exception):  # noqa: N818  it is no error of anybody's
+class Broken(Exception):
     """What the tests raise."""
 
 
@@ -336,7 +336,7 @@ def _act(env: Env, observation: Mapping[str, Any], *, moves: bool) -> Action:
         name: _act_of_one(stack, observation[name] if name else observation, moves=moves)
         for name, stack in _stacks(env).items()
     }
-    return action[""] if "" in action else action
+    return action.get("", action)
 
 
 def _act_of_one(stack: Stack, observation: Mapping[str, Any], *, moves: bool) -> Action:

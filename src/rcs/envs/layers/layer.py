@@ -4,8 +4,8 @@ A layer maps actions down (g, `map_action`) and observations up (f, `map_observa
 clock and moves no time; arrays are indexed from the right, so that one layer serves one environment and a batch of any
 size.
 
-A layer that remembers something changes it in `map_executed`, `reset` and `rebase` only: `map_action` is also called for
-actions that are refused further down, and these must leave no trace.
+A layer that remembers targets changes them in `map_executed`, `reset` and `rebase` only: `map_action` is also called
+for actions that are refused further down, and these must leave no trace.
 """
 
 from __future__ import annotations

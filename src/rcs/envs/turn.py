@@ -1,0 +1,61 @@
+"""One call at a time: threads, and calls from inside of a call, are told apart and refused."""
+
+from __future__ import annotations
+
+import threading
+
+from rcs.errors import WrongOrder
+
+
+class Turn:
+    """Who uses an environment. As a context manager it is taken by `take` before, and given up at the end.
+
+    Example:
+        >>> turn = Turn()
+        >>> with turn.take("step"):
+        ...     pass
+    """
+
+    def __init__(self) -> None:
+        """Let anybody begin."""
+        # Reentrant, so that a call from inside of a call is told from one of another thread.
+        self._lock = threading.RLock()
+        self._is_taken = False
+
+    def take(self, call: str) -> Turn:
+        """Begin a call, or refuse to.
+
+        Args:
+            call: Its name, for the message.
+
+        Raises:
+            WrongOrder: Another thread is in a call, or this one already is.
+        """
+        if not self._lock.acquire(blocking=False):
+            raise WrongOrder(f"{call} was called while another thread uses this environment; give each thread its own.")
+        if self._is_taken:
+            self._lock.release()
+            raise WrongOrder(f"{call} was called from inside of a step or reset of the same environment.")
+        self._is_taken = True
+        return self
+
+    @property
+    def is_of_another_thread(self) -> bool:
+        """Whether another thread is in a call."""
+        if not self._lock.acquire(blocking=False):
+            return True
+        self._lock.release()
+        return False
+
+    def wait(self) -> None:
+        """Wait until no other thread is in a call."""
+        with self._lock:
+            pass
+
+    def __enter__(self) -> None:
+        """Go on with the call that `take` has begun."""
+
+    def __exit__(self, *_: object) -> None:
+        """End the call."""
+        self._is_taken = False
+        self._lock.release()
