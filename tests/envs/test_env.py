@@ -11,7 +11,7 @@ import pytest
 
 import rcs
 from rcs.envs.observers import Observer, Transition
-from rcs.errors import Diverged, InvalidSetup, WrongOrder
+from rcs.errors import DeviceFault, Diverged, InvalidAction, InvalidSetup, WrongOrder
 from rcs.testing.env_contract import require_same_bits
 
 
@@ -28,10 +28,64 @@ def test_without_any_seed_two_environments_differ() -> None:
     assert len(np.unique(cuboids, axis=0)) == 3
 
 
-@pytest.mark.parametrize("seed", [2**63, 2**70])
-def test_a_seed_out_of_range_is_refused(seed: int) -> None:
+@pytest.mark.parametrize("seed", [2**63, 2**70, -1, 1.0, "1", True, [1]])
+def test_a_seed_that_is_no_whole_number_in_range_is_refused(seed: Any) -> None:
     with pytest.raises(InvalidSetup, match="seed"):
         rcs.make("Free").reset(seed=seed)
+
+
+def test_a_seed_may_be_an_integer_of_numpy() -> None:
+    env = rcs.make("PickCuboid")
+    require_same_bits(env.reset(seed=np.int64(3))[0], env.reset(seed=3)[0])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("options", [5, "state", [("state", 0)]])
+def test_reset_options_that_are_no_dictionary_are_refused(options: Any) -> None:
+    for env in (rcs.make("Free"), rcs.make_vec("Free")):
+        with pytest.raises(InvalidSetup, match="options"):
+            env.reset(seed=0, options=options)
+
+
+@pytest.mark.parametrize("value", [1e300, -1e11, np.inf, np.nan, "text", None])
+def test_a_state_beyond_all_that_can_be_simulated_is_refused(value: Any) -> None:
+    env = rcs.make("Free")
+    env.reset(seed=0)
+    state = env.scenario.world.states().astype(object)
+    state[3] = value
+    with pytest.raises(InvalidSetup, match="'state'"):
+        env.reset(options={"state": state})
+    env.step(env.action_space.sample())
+
+
+def test_an_action_with_masked_values_is_refused() -> None:
+    env = rcs.make("Free")
+    env.reset(seed=0)
+    action = env.action_space.sample()
+    action["joints"] = np.ma.masked_array(action["joints"], mask=[True, *[False] * 6])
+    with pytest.raises(InvalidAction, match="mask"):
+        env.step(action)
+
+
+def test_a_device_that_is_in_fault_is_told_at_reset(make_bench) -> None:
+    bench = make_bench()
+    bench.env.reset(seed=0)
+    bench.arm.set_fault("touched something")
+    with pytest.raises(DeviceFault, match=r"touched something.*env\.recover"):
+        bench.env.reset()
+    bench.env.recover()
+    bench.env.reset()
+
+
+def test_info_says_what_a_target_came_to() -> None:
+    env = rcs.make("Free")
+    observation, _ = env.reset(seed=0)
+    action = {"joints": np.full(7, 0.02), "gripper": np.zeros(1, np.float32)}
+    *_, info = env.step(action)
+    np.testing.assert_array_equal(info["target"]["joints"], env.stack.executed["joints"])
+    np.testing.assert_allclose(info["target"]["joints"], observation["joints"] + 0.02)
+    info["target"]["joints"][:] = 9.0  # it is the caller's own
+    *_, info = env.step(action)
+    np.testing.assert_allclose(info["target"]["joints"], observation["joints"] + 0.04)
 
 
 @pytest.mark.slow

@@ -269,3 +269,32 @@ def test_a_printed_batch_shows_its_stack() -> None:
         assert part in text
     assert "3 copies" in repr(envs)
     assert envs.stack.leading == (3,)
+
+
+@pytest.mark.parametrize("seed", [[1.5, 2.0, 3.0], ["1", "2", "3"], "123", 1.0, [1, 2], 2**63 - 2, [1, 2, -1]])
+def test_seeds_that_are_no_whole_numbers_in_range_are_refused(seed: Any) -> None:
+    envs, _ = make_pair(AutoresetMode.NEXT_STEP, 1)
+    with pytest.raises(InvalidSetup, match="seed"):
+        envs.reset(seed=seed)
+
+
+def test_seeds_may_be_integers_of_numpy() -> None:
+    envs, _ = make_pair(AutoresetMode.NEXT_STEP, 1)
+    by_array, _ = envs.reset(seed=np.array([4, 5, 6]))
+    by_number, _ = envs.reset(seed=np.int64(4))
+    require_same_bits(by_array, by_number)
+
+
+def test_actions_refused_again_and_again_change_nothing() -> None:
+    envs, other = (rcs.make_vec("LiftBar", robot="dual_fr3", copies=2) for _ in range(2))
+    for each in (envs, other):
+        each.action_space.seed(1)
+        each.reset(seed=1)
+    for _ in range(3):
+        bad = envs.action_space.sample()
+        other.action_space.sample()
+        bad["right"]["joints"][1, 2] = np.nan
+        for _ in range(8):
+            with pytest.raises(InvalidAction, match="right"):
+                envs.step(bad)
+        require_same_bits(envs.step(envs.action_space.sample())[:4], other.step(other.action_space.sample())[:4])

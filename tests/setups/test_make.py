@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from typing import Any
 
 import numpy as np
@@ -128,3 +129,24 @@ def test_any_end_effector_composes_with_any_arm_that_has_a_flange(robot: str, en
     assert env.observation_space.contains(observation)
     observation, *_ = env.step(env.action_space.sample())
     assert env.observation_space.contains(observation)
+
+
+@pytest.mark.parametrize(
+    "options", [{"copies": 0}, {"copies": 2.0}, {"copies": None}, {"copies": True}, {"threads": None}, {"threads": -1}]
+)
+def test_numbers_of_copies_and_threads_that_make_no_sense_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(InvalidSetup, match=next(iter(options))):
+        rcs.make_vec("Free", **options)
+
+
+def test_an_unknown_autoreset_lists_the_valid_ones() -> None:
+    with pytest.raises(InvalidSetup, match="NextStep"):
+        rcs.make_vec("Free", autoreset="sometimes")
+
+
+def test_numbers_may_be_those_of_numpy() -> None:
+    options: dict[str, Any] = {"size": (np.int64(32), np.int32(24)), "frequency": np.float32(20)}
+    setup = rcs.Setup(task="Free", max_episode_steps=np.int64(7), **options)
+    assert setup == rcs.Setup(task="Free", max_episode_steps=7, size=(32, 24), frequency=20.0)
+    assert rcs.Setup.from_json(json.loads(json.dumps(setup.to_json()))) == setup
+    assert rcs.make_vec("Free", copies=np.int64(2), threads=np.int64(1)).num_envs == 2

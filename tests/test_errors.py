@@ -1,0 +1,36 @@
+from __future__ import annotations
+
+import copy
+import inspect
+import pickle
+from typing import Any
+
+import pytest
+
+from rcs import errors
+from rcs.errors import RcsError, UnknownName
+
+KINDS = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issubclass(kind, RcsError)]
+
+
+def make(kind: type[RcsError]) -> RcsError:
+    return UnknownName("robot", "fr4", ["fr3", "ur5e"], hint="Look.") if kind is UnknownName else kind("what is wrong")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("send", [lambda error: pickle.loads(pickle.dumps(error)), copy.copy, copy.deepcopy])
+def test_every_error_can_be_sent_to_another_process(kind: type[RcsError], send: Any) -> None:
+    error = make(kind)
+    again = send(error)
+    assert type(again) is kind
+    assert str(again) == str(error)
+    assert again.args == error.args
+
+
+def test_an_unknown_name_says_the_nearest_and_all_that_are_known() -> None:
+    message = str(make(UnknownName))
+    assert message == "There is no robot named 'fr4'. Did you mean 'fr3'? Known: fr3, ur5e. Look."
+
+
+def test_there_are_at_most_eleven_kinds_of_errors() -> None:
+    assert len(KINDS) <= 11, "ten, and their parent"
