@@ -151,7 +151,7 @@ class CollectCommand:
             start = time.perf_counter()
             for attempt in collect(collection, progress):
                 rate = len(progress.attempts) / (time.perf_counter() - start)
-                good = sum(made.result.success for made in progress.attempts)
+                good = sum(bool(made.result.success) for made in progress.attempts)
                 told = f"{100 * good / len(progress.attempts):.1f} % success, {rate:.2f} episodes/s"
                 bar.update(task, completed=min(progress.kept, collection.episodes), rate=told)
                 yield attempt
@@ -189,7 +189,7 @@ def _summarise(collection: Collection, progress: CollectionProgress, console: Co
     if not made:
         console.print(f"Nothing to do: {collection.out} has {progress.kept} episodes.", soft_wrap=True)
         return
-    good = sum(attempt.result.success for attempt in progress.attempts)
+    good = sum(bool(attempt.result.success) for attempt in progress.attempts)
     low, high = wilson_interval(good, made)
     failures = Counter(attempt.result.failure for attempt in progress.attempts if not attempt.result.success)
     steps = sum(attempt.result.steps for attempt in progress.attempts)

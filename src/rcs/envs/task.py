@@ -36,7 +36,7 @@ class Outcome:
     reward: NDArray[np.float64]
     terminated: NDArray[np.bool_]
     info: dict[str, NDArray[Any]] = field(default_factory=dict)
-    """What agents and people may want to know; `success` is always there."""
+    """What agents and people may want to know; `success`, bool, is there where there is something to judge."""
 
 
 class Task(ABC):

@@ -229,7 +229,7 @@ def _collect_in_pool(
 
 def _count(attempt: Attempt, collection: Collection, progress: Progress) -> None:
     progress.attempts.append(attempt)
-    progress.kept += attempt.result.success or not collection.only_success
+    progress.kept += bool(attempt.result.success) or not collection.only_success
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rcs.agents import Agent
-from rcs.envs.env import Env
+from rcs.envs.env import FAULT, Env
 
 OPEN = 0.5
 """A gripper that is told at least this opens."""
@@ -19,9 +19,10 @@ class EpisodeResult:
 
     seed: int | None
     steps: int
-    success: bool
+    success: bool | None
+    """Whether the task was done; None where nobody judged, as no task does on devices or after a fault."""
     failure: str | None
-    """Class of the failure; None for a success."""
+    """Class of the failure, `fault` where a device failed; None otherwise."""
     reward: float
     """Sum over the episode."""
 
@@ -50,8 +51,10 @@ def run_episode(env: Env, agent: Agent, *, seed: int | None = None) -> EpisodeRe
         total += float(reward)
         was_touched_early |= bool(info.get("is_touched", False)) and _is_open(action)
         is_over = terminated or truncated
-    success = bool(info.get("success", False))
-    failure = None if success else agent.failure or ("collision" if was_touched_early else "timeout")
+    if info["end"] == FAULT:
+        return EpisodeResult(seed=seed, steps=steps, success=None, failure=FAULT, reward=total)
+    success = bool(info["success"]) if "success" in info else None
+    failure = agent.failure or ("collision" if was_touched_early else "timeout") if success is False else None
     return EpisodeResult(seed=seed, steps=steps, success=success, failure=failure, reward=total)
 
 
