@@ -55,7 +55,7 @@ def test_a_bad_action_of_one_arm_moves_neither() -> None:
     with pytest.raises(InvalidAction, match=r"Robot 'right'.*joints"):
         env.step(action)
     np.testing.assert_array_equal(env.scenario.world.states(), before)
-    with pytest.raises(InvalidAction, match=r"one mapping per robot.*left.*right"):
+    with pytest.raises(InvalidAction, match=r"one action per robot.*left.*right"):
         env.step({"left": action["left"]})
 
 

@@ -105,7 +105,7 @@ def test_the_scripted_expert_picks_the_cuboid(robot: str) -> None:
     setup = rcs.Setup(task="PickCuboid", robot=robot)
     env = rcs.make(setup)
     expert = expert_for(env, setup)
-    assert sum(run_episode(env, expert, seed=seed).success for seed in range(10)) >= 9
+    assert sum(run_episode(env, expert, seed=seed).success is True for seed in range(10)) >= 9
     env.close()
 
 
