@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -298,3 +299,43 @@ def test_actions_refused_again_and_again_change_nothing() -> None:
             with pytest.raises(InvalidAction, match="right"):
                 envs.step(bad)
         require_same_bits(envs.step(envs.action_space.sample())[:4], other.step(other.action_space.sample())[:4])
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("a bug"), KeyboardInterrupt()], ids=["error", "Ctrl-C"])
+def test_after_an_error_in_a_step_all_copies_start_anew(error: BaseException) -> None:
+    envs, other = (rcs.make_vec("PickCuboid", copies=2) for _ in range(2))
+
+    def fail() -> Any:
+        raise error
+
+    envs.reset(seed=1)
+    real, envs.scenario.task.evaluate = envs.scenario.task.evaluate, fail
+    with pytest.raises(type(error)):
+        envs.step(envs.action_space.sample())
+    envs.scenario.task.evaluate = real
+    with pytest.raises(WrongOrder, match=type(error).__name__):
+        envs.step(envs.action_space.sample())
+    require_same_bits(envs.reset(seed=5)[0], other.reset(seed=5)[0])
+    envs.step(envs.action_space.sample())
+
+
+def test_two_threads_in_one_batch_are_told_apart() -> None:
+    envs = rcs.make_vec("PickCuboid", copies=2)
+    envs.reset(seed=1)
+    refused: list[BaseException] = []
+    evaluate = envs.scenario.task.evaluate
+
+    def step_in_another_thread() -> Any:
+        def step() -> None:
+            with pytest.raises(WrongOrder, match="another thread") as caught:
+                envs.step(envs.action_space.sample())
+            refused.append(caught.value)
+
+        thread = threading.Thread(target=step)
+        thread.start()
+        thread.join(10)
+        return evaluate()
+
+    envs.scenario.task.evaluate = step_in_another_thread
+    envs.step(envs.action_space.sample())
+    assert len(refused) == 1

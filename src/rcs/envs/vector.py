@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,8 @@ from rcs.envs.draws import Draws, check_seed
 from rcs.envs.group import StackGroup
 from rcs.envs.scenario import Scenario
 from rcs.envs.spaces import FRAMES, Observation
-from rcs.envs.stack import Stack, copied, for_all
+from rcs.envs.stack import Stack, copied
+from rcs.envs.turn import Turn
 from rcs.errors import InvalidSetup, WrongOrder
 
 
@@ -57,6 +59,8 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         self._title = title
         self._is_open = True
         self._is_reset = False
+        self._broken_off_by = ""
+        self._turn = Turn()
         copies = scenario.world.copies
         self.num_envs = copies
         self.metadata = {"render_modes": [], "autoreset_mode": autoreset}
@@ -95,18 +99,30 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             WrongOrder: The environment is closed.
             InvalidSetup: Wrong seeds, an unknown option, or a mask of the wrong shape.
         """
-        if not self._is_open:
-            raise WrongOrder("reset was called on a closed environment; make a new one.")
-        mask = self._check_options(options)
-        self._take_seeds(seed)
-        copies = None if mask is None or not self._is_reset else np.flatnonzero(mask).astype(np.int32)
-        self._begin(copies)
-        measured = self._stack.measure()
-        self._stack.reset(measured, ... if copies is None else copies)
+        with self._turn.take("reset"):
+            if not self._is_open:
+                raise WrongOrder("reset was called on a closed environment; make a new one.")
+            mask = self._check_options(options)
+            self._take_seeds(seed)
+            copies = None if mask is None or not self._is_reset else np.flatnonzero(mask).astype(np.int32)
+            with self._all_or_none():
+                self._begin(copies)
+                measured = self._stack.measure()
+                self._stack.reset(measured, ... if copies is None else copies)
+                self._clock.reset()
+                told = self._scenario.describe()
+                return self._stack.lift(measured), self._with_masks(told)
+
+    @contextmanager
+    def _all_or_none(self) -> Generator[None]:
+        """After an error, or Ctrl-C, copies have gone different ways: all start anew."""
+        was_reset, self._is_reset = self._is_reset, False
+        try:
+            yield
+        except BaseException as err:
+            self._broken_off_by = type(err).__name__ if was_reset else ""
+            raise
         self._is_reset = True
-        self._clock.reset()
-        told = self._scenario.describe()
-        return self._stack.lift(measured), self._with_masks(told)
 
     def step(  # pyright: ignore[reportIncompatibleMethodOverride]  gymnasium types the done flags as floats
         self, actions: Mapping[str, NDArray[Any]]
@@ -119,18 +135,25 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
 
         Raises:
             InvalidAction: An action of any copy is not valid; nothing moved in any copy.
-            WrongOrder: The environment was not reset, or is closed.
+            WrongOrder: The environment was not reset, an error broke the episodes off, it is closed, or another thread
+                uses it.
         """
-        if not self._is_reset or not self._is_open:
-            why = (
-                "on a closed environment; make a new one."
-                if not self._is_open
-                else "before the first reset; call reset."
-            )
-            raise WrongOrder(f"step was called {why}")
-        if self._autoreset is AutoresetMode.DISABLED and self._is_done.any():
-            raise WrongOrder("Some episodes are over; call reset with options={'reset_mask': mask of those copies}.")
-        self._stack.send(self._stack.map(actions))
+        with self._turn.take("step"):
+            if not self._is_reset or not self._is_open:
+                raise WrongOrder(self._explain_order())
+            if self._autoreset is AutoresetMode.DISABLED and self._is_done.any():
+                raise WrongOrder(
+                    "Some episodes are over; call reset with options={'reset_mask': mask of those copies}."
+                )
+            mapped = self._stack.map(actions)
+            with self._all_or_none():
+                return self._advance(mapped)
+
+    def _advance(
+        self, mapped: dict[str, Any]
+    ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Make a step with actions that were checked and mapped."""
+        self._stack.send(mapped)
         starting = self._is_done.copy() if self._autoreset is AutoresetMode.NEXT_STEP else np.zeros_like(self._is_done)
         some_start = bool(starting.any())
         ids = np.flatnonzero(starting).astype(np.int32) if some_start else None
@@ -244,7 +267,16 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         if not self._is_open:
             return
         self._is_open = False
-        for_all([self._stack.close])
+        if self._turn.is_of_another_thread:
+            self._turn.wait()
+        self._stack.close()
+
+    def _explain_order(self) -> str:
+        if not self._is_open:
+            return "step was called on a closed environment; make a new one."
+        if self._broken_off_by:
+            return f"step was called after {self._broken_off_by} broke the episodes off; call reset."
+        return "step was called before the first reset; call reset."
 
     def close_extras(self, **kwargs: Any) -> None:
         """Do nothing more than `close` did; gymnasium calls this."""
