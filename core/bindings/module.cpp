@@ -44,6 +44,8 @@ NB_MODULE(_core, m) {
       raise_as("WrongOrder", error.what());
     } catch (const rcs::DeviceFault& error) {
       raise_as("DeviceFault", error.what());
+    } catch (const rcs::SimulationError& error) {
+      raise_as("SimulationError", error.what());
     }
   });
   // A callback that refers to its world keeps it alive to the end of the program: common, harmless, and not worth a
