@@ -133,7 +133,7 @@ class SimCameras:
             return rgb, depth
         return [part[copies] for part in rgb], None if depth is None else [part[copies] for part in depth]
 
-    def _calibration(self, i: int, rows: slice | NDArray[np.int32]) -> dict[str, NDArray[np.float64]]:
+    def _calibration(self, i: int, rows: slice | NDArray[np.integer[Any]]) -> dict[str, NDArray[np.float64]]:
         """Return the matrices of a camera as it is now: it may move, and its field of view may vary."""
         width, height = self.size
         fovy = self.world.field("cam_fovy")[..., self._ids[i]]

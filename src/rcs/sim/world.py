@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rcs import _core
 from rcs._core import StepCallback, StepView
@@ -22,7 +22,7 @@ from rcs.errors import InvalidSetup, SimulationError
 Mode = Literal["async", "sync", "realtime"]
 """How long a step lasts: one control period of simulated time, until converged, or one on the wall clock."""
 
-Copies = ArrayLike | None
+Copies = NDArray[np.integer[Any]] | None
 """Which copies a call is for: their ids, in any order, each once; none if there are none. None means all."""
 
 LOWEST_FREQUENCY = 1e-6
