@@ -49,7 +49,7 @@ void check_threads_can_start(int threads) {
 
 }  // namespace
 
-World::Taken::Taken(const World& world, const char* call) : world_(world) {
+World::Taken::Taken(const World& world, const char* call, bool needs_threads) : world_(world) {
   const char* other = nullptr;
   if (!world.call_.compare_exchange_strong(other, call, std::memory_order_acquire))
     throw WrongOrder(std::string("world: ") + call + " was called while the world is already " +
@@ -57,6 +57,7 @@ World::Taken::Taken(const World& world, const char* call) : world_(world) {
                      ", in one of its callbacks or another thread; a world takes one call at a time");
   try {
     world.require_open(call);
+    if (needs_threads) world.require_threads(call);
   } catch (...) {
     world.call_.store(nullptr, std::memory_order_release);
     throw;
@@ -65,7 +66,12 @@ World::Taken::Taken(const World& world, const char* call) : world_(world) {
 
 void World::require_open(const char* call) const {
   if (!is_open()) throw WrongOrder(std::string("world: ") + call + " was called after close(); make a new world");
-  if (threads_ > 1 && forks_ != forks())
+}
+
+bool World::is_forked() const { return threads_ > 1 && forks_ != forks(); }
+
+void World::require_threads(const char* call) const {
+  if (is_forked())
     throw WrongOrder(std::string("world: ") + call +
                      " was called after a fork, and the threads of this world are in the parent process; make the "
                      "world in the child, or start the child with \"spawn\"");
@@ -105,7 +111,7 @@ World::World(const mjModel* model, int copies, int threads, StepTiming timing)
   if (!batch_) throw InvalidSetup(std::string("world: MuJoCo could not make the batch: ") + error);
   threads_ = mjb_nthread(batch_);
   memory_ = std::shared_ptr<mjBatch>(batch_, [made_at = forks_, has_threads = threads_ > 1](mjBatch* batch) {
-    // In a child process, waiting for the parent's threads would last for ever.
+    // In a child of a fork, waiting for the parent's threads would last for ever.
     if (!has_threads || made_at == forks()) mjb_deleteBatch(batch);
   });
   model_ = mjb_model(batch_);
@@ -117,7 +123,8 @@ void World::close() {
   std::vector<std::shared_ptr<StepCallback>> converge, interrupt;
   std::shared_ptr<const void> memory;
   if (!is_open()) return;
-  const Taken taken(*this, "close");
+  if (is_forked()) call_ = nullptr;  // a call that was under way is one of the parent's
+  const Taken taken(*this, "close", false);
   is_open_ = false;
   // Dropped after the world is free again: what a callback holds may call the world as it goes.
   periodic.swap(periodic_);
