@@ -13,6 +13,7 @@ void bind_arm(nb::module_& m);
 void bind_hand(nb::module_& m);
 void bind_camera(nb::module_& m);
 void bind_kinematics(nb::module_& m);
+void bind_callback(nb::module_& m);
 void bind_world(nb::module_& m);
 void bind_sim_devices(nb::module_& m);
 void bind_render(nb::module_& m);
@@ -44,6 +45,8 @@ NB_MODULE(_core, m) {
       raise_as("WrongOrder", error.what());
     } catch (const rcs::DeviceFault& error) {
       raise_as("DeviceFault", error.what());
+    } catch (const rcs::SimulationError& error) {
+      raise_as("SimulationError", error.what());
     }
   });
   // A callback that refers to its world keeps it alive to the end of the program: common, harmless, and not worth a
@@ -54,6 +57,7 @@ NB_MODULE(_core, m) {
   bind_hand(m);
   bind_camera(m);
   bind_kinematics(m);
+  bind_callback(m);
   bind_world(m);
   bind_sim_devices(m);
   bind_render(m);
