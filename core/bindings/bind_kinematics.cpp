@@ -3,9 +3,9 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
-#include <nanobind/trampoline.h>
 
 #include "arrays.hpp"
+#include "overrides.hpp"
 #include "rcs/kinematics.hpp"
 
 using namespace nb::literals;
@@ -16,15 +16,13 @@ using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cp
 
 struct PyKinematics : rcs::Kinematics {
   NB_TRAMPOLINE(rcs::Kinematics);
-  int dof() const override { NB_OVERRIDE_PURE_NAME("_dof", dof); }
+  int dof() const override { return call_override<int>(nb_trampoline, "_dof", "an int"); }
   rcs::Pose forward(std::span<const double> joints) override {
-    nb::detail::ticket ticket(nb_trampoline, "_forward", nb::detail::str_hash("_forward"), true);
-    return nb::cast<rcs::Pose>(nb_trampoline.base().attr(ticket.key)(to_array(joints)));
+    return call_override<rcs::Pose>(nb_trampoline, "_forward", "a Pose", joints);
   }
   rcs::IkResult inverse(const rcs::Pose& target, std::span<const double> start,
                         const rcs::IkOptions& options) override {
-    nb::detail::ticket ticket(nb_trampoline, "_inverse", nb::detail::str_hash("_inverse"), true);
-    return nb::cast<rcs::IkResult>(nb_trampoline.base().attr(ticket.key)(target, to_array(start), options));
+    return call_override<rcs::IkResult>(nb_trampoline, "_inverse", "an IkResult", target, start, options);
   }
 };
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs._core import Arm, ArmLimits, ArmState, Camera, CameraMode, Frame, Gripper, GripperState, Hand, HandState
+from rcs.errors import DeviceFault
 
 
 class FakeArm(Arm):
@@ -37,6 +38,13 @@ class FakeArm(Arm):
         self._velocities = np.zeros(self.dof)
         self._target = self._joints.copy()
         self._time = clock()
+        self._has_reflex = False
+
+    def trip(self, reason: str) -> None:
+        """Stop and go into fault as a controller does in a reflex: it refuses even `hold` until `recover`."""
+        self._hold()
+        self._has_reflex = True
+        self.set_fault(reason)
 
     def _move(self) -> None:
         now = self._clock()
@@ -63,8 +71,13 @@ class FakeArm(Arm):
         return bool(np.abs(self._target - self._joints).max() < 1e-9)
 
     def _hold(self) -> None:
+        if self._has_reflex:
+            raise DeviceFault(f"{self.name}: hold is refused in a reflex; call recover() first")
         self._move()
         self._target = self._joints.copy()
+
+    def _recover(self) -> None:
+        self._has_reflex = False
 
 
 class FakeGripper(Gripper):
