@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -179,3 +181,15 @@ def test_a_wrong_return_type_of_kinematics_in_python_is_named() -> None:
         bent.forward(np.zeros(3))
     with pytest.raises(TypeError, match=r"Bent\._inverse returned None of type NoneType, it must return an IkResult"):
         bent.inverse(Pose(), np.zeros(3))
+
+
+def test_one_solver_answers_many_threads_as_it_answers_one(
+    solver: DampedLeastSquares, random_joints: NDArray[np.float64]
+) -> None:
+    targets = solver.forward_batch(random_joints)
+    starts = np.tile(HOME, (len(targets), 1))
+    expected = solver.inverse_batch(targets, starts)[0]
+    with ThreadPoolExecutor(4) as pool:
+        answers = [pool.submit(solver.inverse_batch, targets, starts, threads=1 + i % 2) for i in range(8)]
+    for answer in answers:
+        np.testing.assert_array_equal(answer.result()[0], expected)
