@@ -49,19 +49,20 @@ def build_and_run(build: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def cache(pytestconfig: pytest.Config) -> Path:
-    return pytestconfig.cache.mkdir("cpp_consumer")
+def subdirectory(pytestconfig: pytest.Config) -> Path:
+    """The consumer, configured with the core as a subdirectory and without Python."""
+    build = pytestconfig.cache.mkdir("cpp_consumer")
+    configure(CONSUMER, build, f"-DRCS_SOURCE={ROOT}", "-DRCS_INSTALL=ON", *WITHOUT_PYTHON)
+    return build
 
 
-def test_a_program_adds_the_core_as_a_subdirectory_without_python(cache: Path) -> None:
-    configure(CONSUMER, cache / "subdirectory", f"-DRCS_SOURCE={ROOT}", *WITHOUT_PYTHON)
-    assert build_and_run(cache / "subdirectory") == ANSWER
+def test_a_program_adds_the_core_as_a_subdirectory_without_python(subdirectory: Path) -> None:
+    assert build_and_run(subdirectory) == ANSWER
 
 
-def test_a_program_finds_the_installed_core_and_the_mujoco_of_python(cache: Path, tmp_path: Path) -> None:
-    configure(ROOT, cache / "core", "-DRCS_BUILD_PYTHON=OFF", *WITHOUT_PYTHON)
-    run(tool("cmake") or "", "--build", cache / "core", "--parallel", "2")
-    run(tool("cmake") or "", "--install", cache / "core", "--prefix", tmp_path / "installed")
+def test_a_program_finds_the_installed_core_and_the_mujoco_of_python(subdirectory: Path, tmp_path: Path) -> None:
+    build_and_run(subdirectory)
+    run(tool("cmake") or "", "--install", subdirectory, "--prefix", tmp_path / "installed")
     configure(
         CONSUMER,
         tmp_path / "build",
