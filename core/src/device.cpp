@@ -113,13 +113,15 @@ void Device::fail(const std::string& reason) {
   throw DeviceFault(name_ + ": " + fault());
 }
 
+void check_count(const std::string& device, const char* what, std::span<const double> values, std::size_t needed) {
+  if (values.size() == needed) return;
+  throw InvalidCommand(device + ": " + what + " has " + std::to_string(values.size()) + " values, " +
+                       std::to_string(needed) + " are needed");
+}
+
 void check_command(const std::string& device, const char* what, std::span<const double> values,
                    std::span<const double> lower, std::span<const double> upper) {
-  if (values.size() != lower.size()) {
-    std::ostringstream text;
-    text << device << ": " << what << " has " << values.size() << " values, " << lower.size() << " are needed";
-    throw InvalidCommand(text.str());
-  }
+  check_count(device, what, values, lower.size());
   for (std::size_t i = 0; i < values.size(); ++i) {
     if (std::isfinite(values[i]) && values[i] >= lower[i] - kTolerance && values[i] <= upper[i] + kTolerance) continue;
     std::ostringstream text;

@@ -22,8 +22,8 @@ HandState Hand::state() {
 
 void Hand::command_joints(std::span<const double> joints) {
   command("command_joints", [&] {
-    const std::vector<double> lower(static_cast<std::size_t>(joint_count_), 0.0);
-    const std::vector<double> upper(static_cast<std::size_t>(joint_count_), 1.0);
+    check_count(name(), "joints", joints, static_cast<std::size_t>(joint_count_));  // before there are as many limits
+    const std::vector<double> lower(joints.size(), 0.0), upper(joints.size(), 1.0);
     check_command(name(), "joints", joints, lower, upper);
     do_command_joints(joints);
   });

@@ -21,7 +21,7 @@ from rcs.devices import (
     Hand,
     HandState,
 )
-from rcs.errors import DeviceFault, InvalidSetup, WrongOrder
+from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, WrongOrder
 
 
 class Scripted(Arm):
@@ -246,8 +246,8 @@ def test_a_mode_that_makes_no_sense_is_refused(mode: CameraMode) -> None:
 
 
 class Grasp(Hand):
-    def __init__(self, answer: Any) -> None:
-        super().__init__("grasp", 2)
+    def __init__(self, answer: Any, joint_count: int = 2) -> None:
+        super().__init__("grasp", joint_count)
         self.answer = answer
 
     def _state(self) -> HandState:
@@ -316,3 +316,10 @@ def test_every_device_is_a_device(limits: ArmLimits) -> None:
         assert device.fault == "stop"
         device.close()
         assert not device.is_open
+
+
+def test_a_hand_of_two_billion_joints_refuses_a_target_before_it_makes_as_many_limits() -> None:
+    hand = Grasp(True, joint_count=2**31 - 1)
+    hand.open()
+    with pytest.raises(InvalidAction, match="joints has 2 values, 2147483647 are needed"):
+        hand.command_joints(np.zeros(2))

@@ -309,8 +309,9 @@ class Stage:
     def value(self, target: str, argument: Argument) -> Any:
         """Return an argument, mostly a good one."""
         chance = self.r.random()
-        if argument.name.endswith("_address") and chance > 0.8:  # a wrong address is a wrong address
-            return self.r.choice([0, -1, None, "x", 1.5, self.model])
+        if argument.name.endswith("_address"):  # other numbers are addresses, too, of something else
+            wrong = self.r.choice([0, -1, None, "x", 1.5, self.model])
+            return wrong if chance > 0.8 else self.good(target, argument)
         if argument.name == "frequency" and chance > 0.8:
             return self.r.choice([0.0, -1.0, np.nan, np.inf, 1e9, 0.7, None, "30"])
         if chance < 0.75:

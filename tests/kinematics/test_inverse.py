@@ -160,6 +160,11 @@ def test_kinematics_can_be_written_in_python() -> None:
     np.testing.assert_array_equal(result.joints, [0.1, 0.2, 0.3])
 
 
+def test_a_solver_at_address_0_is_refused() -> None:
+    with pytest.raises(InvalidSetup, match="no model at address 0"):
+        DampedLeastSquares(0, [0], 0, 0)
+
+
 class Bent(Gantry):
     """Kinematics whose author returns the wrong things."""
 

@@ -81,7 +81,11 @@ class Device {
   bool is_recovering_ = false;  // the next fault is a new one, not a consequence of the first
 };
 
-/// Throw `InvalidCommand` unless every value is finite and inside its limits (with 1e-6 to spare for rounding).
+/// Throw `InvalidCommand` unless there are as many values as needed.
+void check_count(const std::string& device, const char* what, std::span<const double> values, std::size_t needed);
+
+/// Throw `InvalidCommand` unless there are as many values as limits, and every value is finite and inside
+/// its limits (with 1e-6 to spare for rounding).
 void check_command(const std::string& device, const char* what, std::span<const double> values,
                    std::span<const double> lower, std::span<const double> upper);
 
