@@ -1,8 +1,13 @@
-"""What all tests share: tests marked `gl` are skipped, with the reason, where nothing can draw."""
+"""What all tests share: programs in a process of their own, and `gl` tests skipped where nothing can draw."""
 
 from __future__ import annotations
 
 import functools
+import os
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
 
 import pytest
 
@@ -20,3 +25,20 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     """Skip a test that draws where nothing can."""
     if item.get_closest_marker("gl") and (reason := why_nothing_draws()):
         pytest.skip(reason)
+
+
+@pytest.fixture
+def run_program() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run a program, given as text, in a process of its own: for what could end or hang it."""
+
+    def run(program: str, *arguments: str, timeout: float = 30.0) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", textwrap.dedent(program), *arguments],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
+        )
+
+    return run

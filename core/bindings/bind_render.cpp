@@ -1,4 +1,4 @@
-// Python names of the renderer. Addresses of models and data are `MjModel._address` and `MjData._address`.
+// Python names of the renderer.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
@@ -12,6 +12,8 @@
 #include <string>
 #include <vector>
 
+#include "gil.hpp"
+#include "mujoco_objects.hpp"
 #include "rcs/gl_context.hpp"
 #include "rcs/render_pool.hpp"
 #include "rcs/renderer.hpp"
@@ -29,8 +31,6 @@ using Depth = Array<std::uint16_t, nb::shape<-1, -1>>;
 using RgbFilm = Array<std::uint8_t, nb::shape<-1, -1, -1, 3>>;
 using DepthFilm = Array<std::uint16_t, nb::shape<-1, -1, -1>>;
 using Groups = std::array<bool, mjNGROUP>;
-
-const mjModel* model_at(std::uintptr_t address) { return reinterpret_cast<const mjModel*>(address); }
 
 rcs::RenderOptions options(const std::string& quality, int max_width, int max_height, const std::string& backend,
                            const Groups& geom_groups) {
@@ -85,7 +85,7 @@ void bind_render(nb::module_& m) {
         return "GlProbe(name='" + probe.name + "', ok=" + (probe.ok ? "True" : "False") + ", detail='" + probe.detail +
                "')";
       });
-  m.def("probe_gl", &rcs::probe_gl, nb::call_guard<nb::gil_scoped_release>(),
+  m.def("probe_gl", &rcs::probe_gl, nb::call_guard<ReleasedGil>(),
         "Look at every OpenGL backend by making a context and dropping it. Chooses none.");
 
   nb::class_<rcs::Renderer>(m, "Renderer", R"(Draws one scene as seen by the cameras of its model, off screen.
@@ -93,17 +93,19 @@ void bind_render(nb::module_& m) {
 Calls may come from any thread; they wait for each other and run without the GIL.)")
       .def(
           "__init__",
-          [](rcs::Renderer* self, std::uintptr_t model_address, const std::string& quality, int max_width,
-             int max_height, const std::string& backend, const Groups& geom_groups) {
+          [](rcs::Renderer* self, const PyModel& given, const std::string& quality, int max_width, int max_height,
+             const std::string& backend, const Groups& geom_groups) {
             const rcs::RenderOptions chosen = options(quality, max_width, max_height, backend, geom_groups);
-            const nb::gil_scoped_release unlocked;
-            new (self) rcs::Renderer(model_at(model_address), chosen);
+            const mjModel* model = given.get();
+            const ReleasedGil unlocked;
+            new (self) rcs::Renderer(model, chosen);
           },
-          "model_address"_a, nb::kw_only(), "quality"_a = "fast", "max_width"_a = 640, "max_height"_a = 480,
-          "backend"_a = "auto", "geom_groups"_a = kShown, R"(Make the OpenGL objects of a model, which is not changed.
+          nb::keep_alive<1, 2>(), "model"_a, nb::kw_only(), "quality"_a = "fast", "max_width"_a = 640,
+          "max_height"_a = 480, "backend"_a = "auto", "geom_groups"_a = kShown,
+          R"(Make the OpenGL objects of a model, which is not changed.
 
 Args:
-    model_address: `MjModel._address`; the caller keeps the model alive.
+    model: The scene; the renderer keeps it alive.
     quality: "fast" without shadows, reflections, sky and antialiasing and with coarse round shapes, or "full".
     max_width: Largest width of a picture [pixels].
     max_height: Largest height of a picture [pixels].
@@ -114,16 +116,21 @@ Raises:
     ValueError: An argument is not valid.
     MissingDependency: There is no OpenGL; the message has the remedy.)")
       .def(
-          "update", [](rcs::Renderer& self, std::uintptr_t data) { self.update(reinterpret_cast<mjData*>(data)); },
-          "data_address"_a, nb::call_guard<nb::gil_scoped_release>(),
+          "update",
+          [](rcs::Renderer& self, const PyData& given) {
+            mjData* data = given.get();
+            const ReleasedGil unlocked;
+            self.update(data);
+          },
+          "data"_a,
           R"(Take over the poses in a data, once for all cameras.
 
 Args:
-    data_address: `MjData._address`, after `mj_forward` or `mj_kinematics`, `mj_comPos` and `mj_camlight`.)")
+    data: Of the renderer's model, after `mj_forward` or `mj_kinematics`, `mj_comPos` and `mj_camlight`.)")
       .def(
           "update_from_state",
           [](rcs::Renderer& self, Array<const double, nb::shape<-1>> state) {
-            const nb::gil_scoped_release unlocked;
+            const ReleasedGil unlocked;
             self.update_from_state({state.data(), state.size()});
           },
           "state"_a, R"(Take over the poses that follow from a state.
@@ -134,7 +141,7 @@ Args:
           "render",
           [](rcs::Renderer& self, int camera_id, Rgb rgb, std::optional<Depth> depth) {
             const rcs::Picture place = picture(rgb, depth);
-            const nb::gil_scoped_release unlocked;
+            const ReleasedGil unlocked;
             self.render(camera_id, place);
           },
           "camera_id"_a, "rgb"_a.noconvert(), "depth"_a.noconvert() = nb::none(), R"(Draw what a camera sees.
@@ -146,8 +153,7 @@ Args:
 
 Raises:
     ValueError: There is no such camera, or the picture does not fit.)")
-      .def("close", &rcs::Renderer::close, nb::call_guard<nb::gil_scoped_release>(),
-           "Free everything. Closing twice is harmless.")
+      .def("close", &rcs::Renderer::close, nb::call_guard<ReleasedGil>(), "Free everything. Closing twice is harmless.")
       .def_prop_ro("is_open", &rcs::Renderer::is_open)
       .def_prop_ro("state_size", &rcs::Renderer::state_size, "Length of a state.")
       .def_prop_ro("description", &rcs::Renderer::description, "Backend, renderer and OpenGL version.");
@@ -157,17 +163,18 @@ Raises:
 The pictures are those of a single `Renderer`, bit for bit. Calls run without the GIL and wait for each other.)")
       .def(
           "__init__",
-          [](rcs::RenderPool* self, std::uintptr_t model_address, int threads, const std::string& quality,
-             int max_width, int max_height, const std::string& backend, const Groups& geom_groups) {
+          [](rcs::RenderPool* self, const PyModel& given, int threads, const std::string& quality, int max_width,
+             int max_height, const std::string& backend, const Groups& geom_groups) {
             const rcs::RenderOptions chosen = options(quality, max_width, max_height, backend, geom_groups);
-            const nb::gil_scoped_release unlocked;
-            new (self) rcs::RenderPool(model_at(model_address), threads, chosen);
+            const mjModel* model = given.get();
+            const ReleasedGil unlocked;
+            new (self) rcs::RenderPool(model, threads, chosen);
           },
-          "model_address"_a, "threads"_a, nb::kw_only(), "quality"_a = "fast", "max_width"_a = 640,
+          nb::keep_alive<1, 2>(), "model"_a, "threads"_a, nb::kw_only(), "quality"_a = "fast", "max_width"_a = 640,
           "max_height"_a = 480, "backend"_a = "auto", "geom_groups"_a = kShown, R"(Make one renderer for each thread.
 
 Args:
-    model_address: `MjModel._address`; the caller keeps the model alive.
+    model: The scene; the pool keeps it alive.
     threads: How many threads draw, the calling one included.
     quality: As for `Renderer`, like all that follow.
     max_width: Largest width of a picture [pixels].
@@ -186,9 +193,10 @@ Raises:
               throw std::invalid_argument("states has rows of " + std::to_string(states.shape(1)) +
                                           " numbers, this model's have " + std::to_string(self.state_size()));
             const std::vector<rcs::Film> wanted = films(states.shape(0), camera_ids, rgb, depth);
-            const nb::gil_scoped_release unlocked;
             // Models that are all alike are the pool's own, which costs no copy of them.
             mjBatch* batch = world != nullptr && world->is_varied() ? world->batch() : nullptr;
+            const std::shared_ptr<const void> memory = batch != nullptr ? world->memory() : nullptr;  // beyond a close
+            const ReleasedGil unlocked;
             self.render_states({states.data(), states.size()}, wanted, batch);
           },
           "states"_a, "camera_ids"_a, "rgb"_a.noconvert(), "depth"_a.noconvert() = nb::none(), "world"_a = nb::none(),
@@ -203,7 +211,7 @@ Args:
 
 Raises:
     ValueError: A shape or a camera is not valid, or the world is of another model.)")
-      .def("close", &rcs::RenderPool::close, nb::call_guard<nb::gil_scoped_release>(),
+      .def("close", &rcs::RenderPool::close, nb::call_guard<ReleasedGil>(),
            "End the threads and free everything. Closing twice is harmless.")
       .def_prop_ro("is_open", &rcs::RenderPool::is_open)
       .def_prop_ro("threads", &rcs::RenderPool::threads)

@@ -1,12 +1,19 @@
 // World: stepping copies of a scene, and the callbacks around a step.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 #include <nanobind/trampoline.h>
 
 #include <cstring>
+#include <limits>
+#include <optional>
+#include <string>
+#include <utility>
 
 #include "arrays.hpp"
+#include "gil.hpp"
+#include "mujoco_objects.hpp"
 #include "rcs/world.hpp"
 
 using namespace nb::literals;
@@ -18,62 +25,157 @@ using Flags = nb::ndarray<const std::uint8_t, nb::ndim<1>, nb::c_contig, nb::dev
 template <typename T>
 using View = nb::ndarray<nb::numpy, T>;
 
+/// A `StepView` for Python, where it may be kept beyond the call.
+struct PyStepView {
+  const rcs::StepView* now;  // null after the call
+  const rcs::StepView& get() const {
+    if (!now)
+      throw rcs::WrongOrder(
+          "step view: it was used after the call that it was made for; copy what you need during the call");
+    return *now;
+  }
+};
+
 struct PyStepCallback : rcs::StepCallback {
   NB_TRAMPOLINE(rcs::StepCallback);
   bool call(const rcs::StepView& view) override {
+    const HeldGil gil;
     nb::detail::ticket ticket(nb_trampoline, "call", nb::detail::str_hash("call"), true);
-    const nb::object answer = nb_trampoline.base().attr(ticket.key)(nb::cast(view));
+    const nb::object given = nb::cast(PyStepView{&view});
+    struct Expiry {
+      PyStepView& view;
+      ~Expiry() { view.now = nullptr; }
+    } const expiry{*nb::inst_ptr<PyStepView>(given)};
+    const nb::object answer = nb_trampoline.base().attr(ticket.key)(given);
     const int is_true = PyObject_IsTrue(answer.ptr());
     if (is_true < 0) nb::raise_python_error();
     return is_true != 0;
   }
-  void reset(int copy) override { NB_OVERRIDE(reset, copy); }
+  void reset(int copy) override {
+    const HeldGil gil;
+    NB_OVERRIDE(reset, copy);
+  }
 };
 
-std::span<const int> to_ids(const Ids& ids) { return {ids.data(), ids.shape(0)}; }
+std::string text(nb::handle object) { return nb::cast<std::string>(object.attr("__str__")()); }
+
+/// Ids of copies from anything that numpy takes for whole numbers. Masks, fractions and ids that int32 cannot hold
+/// would mean other copies than the caller's.
+class CopyIds {
+ public:
+  explicit CopyIds(nb::handle given) {
+    if (nb::try_cast(given, ids_, false)) return;
+    const nb::module_ numpy = nb::module_::import_("numpy");
+    nb::object array = numpy.attr("asarray")(given);
+    const auto refuse = [&](const std::string& what) {
+      throw rcs::InvalidSetup("world: copies are a list or an array of whole numbers, one dimension; " + what);
+    };
+    if (nb::cast<int>(array.attr("ndim")) != 1) refuse("these have shape " + text(array.attr("shape")));
+    const std::string kind = nb::cast<std::string>(array.attr("dtype").attr("kind"));
+    if (nb::cast<std::size_t>(array.attr("size")) == 0) {
+      array = numpy.attr("zeros")(0, "int32");  // an empty list has no type that says anything
+    } else if (kind == "b") {
+      refuse("for a mask of bool, give numpy.flatnonzero of it");
+    } else if (kind != "i" && kind != "u") {
+      refuse("these are " + text(array.attr("dtype")));
+    }
+    if (nb::cast<std::size_t>(array.attr("size")) != 0)
+      for (const char* extreme : {"min", "max"}) {
+        const nb::object id = nb::int_(array.attr(extreme)());
+        if (id < nb::int_(std::numeric_limits<int>::min()) || id > nb::int_(std::numeric_limits<int>::max()))
+          refuse("there is no copy " + text(id));
+      }
+    ids_ = nb::cast<Ids>(numpy.attr("ascontiguousarray")(array, "int32"));
+  }
+  std::span<const int> span() const { return {ids_.data(), ids_.shape(0)}; }
+
+ private:
+  Ids ids_;
+};
+
 std::vector<std::uint8_t> to_flags(const Flags& flags) { return {flags.data(), flags.data() + flags.shape(0)}; }
 
-// A view of a vector that belongs to the world; `self` keeps it alive.
+// Of properties, whose arrays nanobind would else tie to the object.
+constexpr auto kOwned = nb::rv_policy::automatic;
+
+// Arrays keep alive the memory that they view, not the world: one that is cached by what a callback refers to would be
+// a cycle that Python cannot see.
+
+// A view of a vector of readouts, (…) or (copies, …).
 template <typename T>
-View<T> view_of(nb::handle self, std::vector<T>& values, std::vector<std::size_t> shape) {
-  return View<T>(values.data(), shape.size(), shape.data(), self);
+View<T> view_of(const rcs::World& world, std::vector<T>& values, std::vector<std::size_t> shape) {
+  return View<T>(values.data(), shape.size(), shape.data(), keeper(world.readouts()));
 }
 
 // An array over a state component of all copies: shape (copies, size), or (size,) on the user's own data.
-View<double> component(nb::handle self, int which) {
-  auto& world = nb::cast<rcs::World&>(self);
+View<double> component(rcs::World& world, int which) {
   int size = 0;
   double* first = world.component(which, &size);
   if (!first) throw nb::value_error("that state component does not exist in this model");
   const auto n = static_cast<std::size_t>(size);
   if (!world.is_batch()) {
     const std::size_t shape[1] = {n};
-    return View<double>(first, 1, shape, self);
+    return View<double>(first, 1, shape, keeper(world.memory()));
   }
   const std::size_t shape[2] = {static_cast<std::size_t>(world.copies()), n};
   const std::int64_t strides[2] = {world.row_stride(), 1};
-  return View<double>(first, 2, shape, self, strides);
+  return View<double>(first, 2, shape, keeper(world.memory()), strides);
 }
 
 // A view of the values of a field, (copies, size).
-nb::object view_of_field(nb::handle self, const rcs::ModelField& field) {
-  const auto copies = static_cast<std::size_t>(nb::cast<rcs::World&>(self).copies());
-  const std::size_t shape[2] = {copies, static_cast<std::size_t>(field.size)};
+nb::object view_of_field(const rcs::World& world, const rcs::ModelField& field) {
+  const std::size_t shape[2] = {static_cast<std::size_t>(world.copies()), static_cast<std::size_t>(field.size)};
+  const nb::capsule owner = keeper(world.memory());
   return std::visit(
-      [&](auto* values) { return nb::cast(View<std::remove_pointer_t<decltype(values)>>(values, 2, shape, self)); },
+      [&](auto* values) { return nb::cast(View<std::remove_pointer_t<decltype(values)>>(values, 2, shape, owner)); },
       field.values);
 }
 
 // A view of MuJoCo's memory during a callback.
-View<double> data_view(nb::handle self, double* mjData::* first, mjtSize mjModel::* size, std::size_t width = 0) {
-  const auto& view = nb::cast<const rcs::StepView&>(self);
+View<double> data_view(const PyStepView& given, double* mjData::* first, mjtSize mjModel::* size,
+                       std::size_t width = 0) {
+  const rcs::StepView& view = given.get();
   const std::size_t shape[2] = {static_cast<std::size_t>(view.model->*size), width};
-  return View<double>(view.data->*first, width ? 2 : 1, shape, self);
+  return View<double>(view.data->*first, width ? 2 : 1, shape, keeper(*view.memory));
 }
 
 rcs::StepTiming timing(std::int64_t numerator, std::int64_t denominator, bool is_synchronous, int max_substeps) {
   return {numerator, denominator, is_synchronous, max_substeps};
 }
+
+// What Ctrl-C has set is acted upon by the main thread, when it asks.
+void act_on_signals() {
+  const HeldGil gil;
+  if (PyErr_CheckSignals() != 0) nb::raise_python_error();
+}
+
+std::shared_ptr<rcs::World> pollable(std::shared_ptr<rcs::World> world) {
+  world->poll_with(act_on_signals);
+  return world;
+}
+
+// Lets Python find worlds that are kept alive by nothing but their own callbacks.
+int traverse(PyObject* self, visitproc visit, void* arg) {
+  Py_VISIT(Py_TYPE(self));
+  if (!nb::inst_ready(self)) return 0;
+  for (const rcs::StepCallback* callback : nb::inst_ptr<rcs::World>(self)->callbacks()) {
+    const nb::object object = nb::find(callback);
+    Py_VISIT(object.ptr());
+  }
+  return 0;
+}
+
+int clear(PyObject* self) {
+  // Nothing refers to it any more, so no call is under way; and after a fork there is nothing to end.
+  try {
+    if (nb::inst_ready(self)) nb::inst_ptr<rcs::World>(self)->close();
+  } catch (const rcs::WrongOrder&) {
+  }
+  return 0;
+}
+
+PyType_Slot world_slots[] = {
+    {Py_tp_traverse, reinterpret_cast<void*>(traverse)}, {Py_tp_clear, reinterpret_cast<void*>(clear)}, {0, nullptr}};
 
 }  // namespace
 
@@ -83,25 +185,34 @@ void bind_world(nb::module_& m) {
       .value("converged", rcs::StepEnd::converged, "Synchronous: every convergence callback agreed.")
       .value("interrupted", rcs::StepEnd::interrupted, "A callback interrupted the step.")
       .value("limit", rcs::StepEnd::limit, "Synchronous: the substep limit came before convergence.")
-      .value("failed", rcs::StepEnd::failed, "The state left the range of finite numbers.");
+      .value("failed", rcs::StepEnd::failed, "A state or control that is not a finite number, or an exception.");
 
-  nb::class_<rcs::StepView>(m, "StepView",
-                            "One copy of a scene while it is stepped. Arrays are views of MuJoCo's own memory, valid "
-                            "only during the call.")
-      .def_ro("copy", &rcs::StepView::copy, "Which copy this is.")
+  nb::class_<PyStepView>(m, "StepView",
+                         "One copy of a scene while it is stepped; afterwards, using it raises WrongOrder. Arrays are "
+                         "views of MuJoCo's own memory and have meaning only during the call.")
       .def_prop_ro(
-          "time", [](const rcs::StepView& v) { return v.data->time; }, "Simulated time [s].")
-      .def_prop_ro("qpos", [](nb::handle v) { return data_view(v, &mjData::qpos, &mjModel::nq); })
-      .def_prop_ro("qvel", [](nb::handle v) { return data_view(v, &mjData::qvel, &mjModel::nv); })
-      .def_prop_ro("ctrl", [](nb::handle v) { return data_view(v, &mjData::ctrl, &mjModel::nu); })
-      .def_prop_ro("xpos", [](nb::handle v) { return data_view(v, &mjData::xpos, &mjModel::nbody, 3); })
-      .def_prop_ro("site_xpos", [](nb::handle v) { return data_view(v, &mjData::site_xpos, &mjModel::nsite, 3); })
-      .def_prop_ro("qfrc_applied", [](nb::handle v) { return data_view(v, &mjData::qfrc_applied, &mjModel::nv); })
-      .def_prop_ro("xfrc_applied", [](nb::handle v) { return data_view(v, &mjData::xfrc_applied, &mjModel::nbody, 6); })
+          "copy", [](const PyStepView& v) { return v.get().copy; }, "Which copy this is.")
       .def_prop_ro(
-          "contacts", [](const rcs::StepView& v) { return v.data->ncon; }, "Number of contacts.")
-      .def_prop_ro("model_address", [](const rcs::StepView& v) { return reinterpret_cast<std::uintptr_t>(v.model); })
-      .def_prop_ro("data_address", [](const rcs::StepView& v) { return reinterpret_cast<std::uintptr_t>(v.data); });
+          "time", [](const PyStepView& v) { return v.get().data->time; }, "Simulated time [s].")
+      .def_prop_ro(
+          "qpos", [](const PyStepView& v) { return data_view(v, &mjData::qpos, &mjModel::nq); }, kOwned)
+      .def_prop_ro(
+          "qvel", [](const PyStepView& v) { return data_view(v, &mjData::qvel, &mjModel::nv); }, kOwned)
+      .def_prop_ro(
+          "ctrl", [](const PyStepView& v) { return data_view(v, &mjData::ctrl, &mjModel::nu); }, kOwned)
+      .def_prop_ro(
+          "xpos", [](const PyStepView& v) { return data_view(v, &mjData::xpos, &mjModel::nbody, 3); }, kOwned)
+      .def_prop_ro(
+          "site_xpos", [](const PyStepView& v) { return data_view(v, &mjData::site_xpos, &mjModel::nsite, 3); }, kOwned)
+      .def_prop_ro(
+          "qfrc_applied", [](const PyStepView& v) { return data_view(v, &mjData::qfrc_applied, &mjModel::nv); }, kOwned)
+      .def_prop_ro(
+          "xfrc_applied", [](const PyStepView& v) { return data_view(v, &mjData::xfrc_applied, &mjModel::nbody, 6); },
+          kOwned)
+      .def_prop_ro(
+          "contacts", [](const PyStepView& v) { return v.get().data->ncon; }, "Number of contacts.")
+      .def_prop_ro("model_address", [](const PyStepView& v) { return reinterpret_cast<std::uintptr_t>(v.get().model); })
+      .def_prop_ro("data_address", [](const PyStepView& v) { return reinterpret_cast<std::uintptr_t>(v.get().data); });
 
   nb::class_<rcs::StepCallback, PyStepCallback>(
       m, "StepCallback",
@@ -128,28 +239,35 @@ void bind_world(nb::module_& m) {
           "first"_a, "second"_a, "force"_a,
           "One uint8 flag per geom of the model, then one per flex, for each set; force in N.");
 
-  nb::class_<rcs::World>(m, "World", "N copies of one MuJoCo scene, advanced together by one control step at a time.")
+  nb::class_<rcs::World>(m, "World", nb::type_slots(world_slots),
+                         "N copies of one MuJoCo scene, advanced together by one control step at a time. Another call "
+                         "during a call, from a callback or another thread, raises WrongOrder.")
       .def_static(
           "on_data",
-          [](std::uintptr_t model, std::uintptr_t data, std::int64_t numerator, std::int64_t denominator,
-             bool is_synchronous, int max_substeps, const nb::object& /*owner*/) {
-            return std::make_shared<rcs::World>(reinterpret_cast<const mjModel*>(model),
-                                                reinterpret_cast<mjData*>(data),
-                                                timing(numerator, denominator, is_synchronous, max_substeps));
+          [](const PyModel& model, const PyData& data, std::int64_t numerator, std::int64_t denominator,
+             bool is_synchronous, int max_substeps) {
+            if (!data.attr("model").is(model))
+              throw rcs::InvalidSetup("world: the MjData is of another MjModel; make it with mujoco.MjData(model)");
+            return pollable(std::make_shared<rcs::World>(model.get(), data.get(),
+                                                         timing(numerator, denominator, is_synchronous, max_substeps),
+                                                         kept(nb::make_tuple(model, data))));
           },
-          "model_address"_a, "data_address"_a, "period_numerator"_a, "period_denominator"_a, "is_synchronous"_a,
-          "max_substeps"_a, "owner"_a = nb::none(), nb::keep_alive<0, 7>(),
-          "One copy, on the caller's own model and data, which must outlive the world: `owner` holds both, and the "
-          "world holds `owner`.")
+          "model"_a, "data"_a, "period_numerator"_a, "period_denominator"_a, "is_synchronous"_a, "max_substeps"_a,
+          "One copy, on the caller's own model and data, which the world and its arrays keep alive.")
       .def_static(
           "of_copies",
-          [](std::uintptr_t model, int copies, int threads, std::int64_t numerator, std::int64_t denominator,
+          [](const PyModel& model, int copies, int threads, std::int64_t numerator, std::int64_t denominator,
              bool is_synchronous, int max_substeps) {
-            return std::make_shared<rcs::World>(reinterpret_cast<const mjModel*>(model), copies, threads,
-                                                timing(numerator, denominator, is_synchronous, max_substeps));
+            return pollable(std::make_shared<rcs::World>(model.get(), copies, threads,
+                                                         timing(numerator, denominator, is_synchronous, max_substeps)));
           },
-          "model_address"_a, "copies"_a, "threads"_a, "period_numerator"_a, "period_denominator"_a, "is_synchronous"_a,
-          "max_substeps"_a, "Many copies of a copy of the model, on `threads` threads (0: one per CPU).")
+          "model"_a, "copies"_a, "threads"_a, "period_numerator"_a, "period_denominator"_a, "is_synchronous"_a,
+          "max_substeps"_a,
+          "Many copies of a copy of the model, on `threads` threads (0: one per CPU that this process may use).")
+      .def("close", &rcs::World::close,
+           "Drop the callbacks and end the threads; those of a batch end when its last array is dropped, too. Closing "
+           "twice is harmless; calls afterwards raise WrongOrder, and arrays keep their values.")
+      .def_prop_ro("is_open", &rcs::World::is_open)
       .def_prop_ro("copies", &rcs::World::copies)
       .def_prop_ro("threads", &rcs::World::threads)
       .def_prop_ro("is_batch", &rcs::World::is_batch, "False for a world on the user's own data.")
@@ -179,33 +297,33 @@ void bind_world(nb::module_& m) {
       .def(
           "reset", [](rcs::World& w) { w.reset(); }, "Return all copies to the initial state.")
       .def(
-          "reset",
-          [](rcs::World& w, const Ids& ids) {
-            if (ids.shape(0)) w.reset(to_ids(ids));
-          },
-          "copies"_a, "Return some copies (int32 ids) to the initial state.")
+          "reset", [](rcs::World& w, const nb::object& copies) { w.reset(CopyIds(copies).span()); }, "copies"_a,
+          nb::sig("def reset(self, copies: numpy.typing.ArrayLike) -> None"),
+          "Return some copies to the initial state: their ids, in any order, each once; none if there are none.")
       .def(
-          "refresh", [](rcs::World& w) { w.refresh(); }, nb::call_guard<nb::gil_scoped_release>(),
+          "refresh", [](rcs::World& w) { w.refresh(); }, nb::call_guard<ReleasedGil>(),
           "Recompute the readouts of all copies after the state was written to.")
       .def(
           "refresh",
-          [](rcs::World& w, const Ids& ids) {
-            if (!ids.shape(0)) return;
-            const nb::gil_scoped_release release;
-            w.refresh(to_ids(ids));
+          [](rcs::World& w, const nb::object& copies) {
+            const CopyIds ids(copies);
+            const ReleasedGil released;
+            w.refresh(ids.span());
           },
-          "copies"_a, "Recompute the readouts of some copies.")
+          "copies"_a, nb::sig("def refresh(self, copies: numpy.typing.ArrayLike) -> None"),
+          "Recompute the readouts of some copies.")
       .def(
-          "advance", [](rcs::World& w) { w.advance(); }, nb::call_guard<nb::gil_scoped_release>(),
+          "advance", [](rcs::World& w) { w.advance(); }, nb::call_guard<ReleasedGil>(),
           "Advance all copies by one control step. The GIL is released.")
       .def(
           "advance",
-          [](rcs::World& w, const Ids& ids) {
-            if (!ids.shape(0)) return;
-            const nb::gil_scoped_release release;
-            w.advance(to_ids(ids));
+          [](rcs::World& w, const nb::object& copies) {
+            const CopyIds ids(copies);
+            const ReleasedGil released;
+            w.advance(ids.span());
           },
-          "copies"_a, "Advance some copies by one control step.")
+          "copies"_a, nb::sig("def advance(self, copies: numpy.typing.ArrayLike) -> None"),
+          "Advance some copies by one control step.")
       .def_prop_ro("state_size", &rcs::World::state_size, "Number of values of mjSTATE_INTEGRATION.")
       .def(
           "get_state",
@@ -220,103 +338,84 @@ void bind_world(nb::module_& m) {
           "copy"_a = 0, "Write the whole integration state of one copy.")
       .def_prop_ro(
           "states",
-          [](nb::handle self) {
-            auto& w = nb::cast<rcs::World&>(self);
+          [](rcs::World& w) {
             if (!w.is_batch()) throw nb::attribute_error("a world on the user's data has no state rows; use get_state");
             const std::size_t shape[2] = {static_cast<std::size_t>(w.copies()),
                                           static_cast<std::size_t>(w.state_size())};
-            return View<double>(w.states(), 2, shape, self);
+            return View<double>(w.states(), 2, shape, keeper(w.memory()));
           },
-          "Live state rows (copies, state_size) of a batch.")
+          kOwned, "Live state rows (copies, state_size) of a batch.")
+      .def("component", &component, "which"_a,
+           "Live array of one mjtState component: (copies, n), or (n,) for a world on the user's own data.")
       .def(
-          "component", [](nb::handle self, int which) { return component(self, which); }, "which"_a,
-          "Live array of one mjtState component: (copies, n), or (n,) for a world on the user's own data.")
-      .def(
-          "expand",
-          [](nb::handle self, const char* field) {
-            return view_of_field(self, nb::cast<rcs::World&>(self).expand(field));
-          },
-          "field"_a, nb::sig("def expand(self, field: str) -> numpy.typing.NDArray[typing.Any]"),
+          "expand", [](rcs::World& w, const char* field) { return view_of_field(w, w.expand(field)); }, "field"_a,
+          nb::sig("def expand(self, field: str) -> numpy.typing.NDArray[typing.Any]"),
           "Give a field of MjModel values per copy; returns them, (copies, size), to write to.")
       .def(
           "expanded",
-          [](nb::handle self, const char* field) -> nb::object {
-            const auto found = nb::cast<rcs::World&>(self).expanded(field);
-            return found ? view_of_field(self, *found) : nb::none();
+          [](rcs::World& w, const char* field) -> nb::object {
+            const auto found = w.expanded(field);
+            return found ? view_of_field(w, *found) : nb::none();
           },
           "field"_a, nb::sig("def expanded(self, field: str) -> numpy.typing.NDArray[typing.Any] | None"),
           "The values per copy of a field of MjModel that has them, (copies, size); None for one that has not.")
       .def_prop_ro("is_varied", &rcs::World::is_varied, "Whether any field of the model has values per copy.")
       .def(
-          "set_constants", [](rcs::World& w) { w.set_constants(); }, nb::call_guard<nb::gil_scoped_release>(),
+          "set_constants", [](rcs::World& w) { w.set_constants(); }, nb::call_guard<ReleasedGil>(),
           "Recompute what the models of all copies derive from masses, inertias and sizes (mj_setConst).")
       .def(
           "set_constants",
-          [](rcs::World& w, const Ids& ids) {
-            if (!ids.shape(0)) return;
-            const nb::gil_scoped_release release;
-            w.set_constants(to_ids(ids));
+          [](rcs::World& w, const nb::object& copies) {
+            const CopyIds ids(copies);
+            const ReleasedGil released;
+            w.set_constants(ids.span());
           },
-          "copies"_a, "Recompute it for some copies (int32 ids).")
+          "copies"_a, nb::sig("def set_constants(self, copies: numpy.typing.ArrayLike) -> None"),
+          "Recompute it for some copies.")
       .def_prop_ro(
           "poses",
-          [](nb::handle self) {
-            auto& w = nb::cast<rcs::World&>(self);
+          [](rcs::World& w) {
             const auto r = static_cast<std::size_t>(w.pose_count());
-            return view_of(self, w.poses(),
+            return view_of(w, w.poses(),
                            w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r, 7}
                                         : std::vector<std::size_t>{r, 7});
           },
+          kOwned,
           "Pose readouts ([copies,] readouts, 7): translation [m], quaternion xyzw. Ask again after adding one.")
       .def_prop_ro(
           "xyzrpy",
-          [](nb::handle self) {
-            auto& w = nb::cast<rcs::World&>(self);
+          [](rcs::World& w) {
             const auto r = static_cast<std::size_t>(w.pose_count());
-            return view_of(self, w.xyzrpy(),
+            return view_of(w, w.xyzrpy(),
                            w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r, 6}
                                         : std::vector<std::size_t>{r, 6});
           },
-          "The same poses as translation [m] and roll, pitch, yaw [rad] (extrinsic xyz).")
+          kOwned, "The same poses as translation [m] and roll, pitch, yaw [rad] (extrinsic xyz).")
       .def_prop_ro(
           "forces",
-          [](nb::handle self) {
-            auto& w = nb::cast<rcs::World&>(self);
+          [](rcs::World& w) {
             const auto r = static_cast<std::size_t>(w.force_count());
             return view_of(
-                self, w.forces(),
+                w, w.forces(),
                 w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r} : std::vector<std::size_t>{r});
           },
-          "Force readouts ([copies,] readouts) [N], of the last physics step. Ask again after adding one.")
+          kOwned, "Force readouts ([copies,] readouts) [N], of the last physics step. Ask again after adding one.")
       .def_prop_ro(
           "openings",
-          [](nb::handle self) {
-            auto& w = nb::cast<rcs::World&>(self);
+          [](rcs::World& w) {
             const auto r = static_cast<std::size_t>(w.opening_count());
             return view_of(
-                self, w.openings(),
+                w, w.openings(),
                 w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r} : std::vector<std::size_t>{r});
           },
-          "Opening readouts ([copies,] readouts) float32, 0 … 1. Ask again after adding one.")
+          kOwned, "Opening readouts ([copies,] readouts) float32, 0 … 1. Ask again after adding one.")
       .def_prop_ro(
-          "ends",
-          [](nb::handle self) {
-            auto& w = nb::cast<rcs::World&>(self);
-            return view_of(self, w.ends(), {std::size_t(w.copies())});
-          },
+          "ends", [](rcs::World& w) { return view_of(w, w.ends(), {std::size_t(w.copies())}); }, kOwned,
           "StepEnd of the last step (copies,) uint8.")
       .def_prop_ro(
-          "substeps",
-          [](nb::handle self) {
-            auto& w = nb::cast<rcs::World&>(self);
-            return view_of(self, w.substeps(), {std::size_t(w.copies())});
-          },
+          "substeps", [](rcs::World& w) { return view_of(w, w.substeps(), {std::size_t(w.copies())}); }, kOwned,
           "Physics steps of the last step (copies,) int32.")
       .def_prop_ro(
-          "steps",
-          [](nb::handle self) {
-            auto& w = nb::cast<rcs::World&>(self);
-            return view_of(self, w.steps(), {std::size_t(w.copies())});
-          },
+          "steps", [](rcs::World& w) { return view_of(w, w.steps(), {std::size_t(w.copies())}); }, kOwned,
           "Control steps since reset (copies,) int64.");
 }

@@ -53,6 +53,8 @@ NB_MODULE(_core, m) {
       raise_as("WrongOrder", error);
     } catch (const rcs::DeviceFault& error) {
       raise_as("DeviceFault", error);
+    } catch (const rcs::SimulationError& error) {
+      raise_as("SimulationError", error);
     }
   });
   // A callback that refers to its world keeps it alive to the end of the program: common, harmless, and not worth a

@@ -36,7 +36,12 @@ bool take_as_field(const std::string& name, void* address, Values& values) {
 }  // namespace
 
 ModelField World::expand(const std::string& field) {
+  const Taken taken(*this, "expand");
   if (!batch_) throw std::invalid_argument("only a batch has model fields per copy; write to your MjModel");
+  return expand_field(field);
+}
+
+ModelField World::expand_field(const std::string& field) {
   ModelField found;
   void* address = mjb_expand(batch_, field.c_str(), &found.size, nullptr);
   if (!address || !take_as_field(field, address, found.values))
@@ -46,21 +51,26 @@ ModelField World::expand(const std::string& field) {
 }
 
 std::optional<ModelField> World::expanded(const std::string& field) {
+  const Taken taken(*this, "expanded");
   if (!batch_) return std::nullopt;
   int size = 0;
   if (!mjb_expanded(batch_, field.c_str(), &size, nullptr)) return std::nullopt;
-  return expand(field);
+  return expand_field(field);
 }
 
-void World::set_constants(std::span<const int> copies) {
+void World::set_chosen_constants(Chosen copies) {
+  const Taken taken(*this, "set_constants");
   if (!batch_) throw std::invalid_argument("only a batch has models per copy; call mj_setConst on your MjModel");
-  check_copies(copies);
-  const int failed = mjb_setConst(batch_, copies.empty() ? nullptr : copies.data(), static_cast<int>(copies.size()));
+  std::vector<int> room;
+  copies = in_order(copies, room);
+  if (copies && copies->empty()) return;
+  const int failed =
+      mjb_setConst(batch_, copies ? copies->data() : nullptr, copies ? static_cast<int>(copies->size()) : 0);
   if (failed == 0) return;
   int first = 0;
   while (!mjb_status(batch_)[first]) ++first;
-  throw std::runtime_error("world: the constants of copy " + std::to_string(first) +
-                           " could not be computed: " + mjb_error(batch_, first));
+  throw SimulationError("world: the constants of copy " + std::to_string(first) +
+                        " could not be computed: " + mjb_error(batch_, first));
 }
 
 }  // namespace rcs

@@ -9,6 +9,7 @@
 
 #include "drawing_cost.hpp"
 #include "rcs/result.hpp"
+#include "trap.hpp"
 
 namespace rcs {
 
@@ -180,7 +181,8 @@ Renderer::Renderer(const mjModel* model, const RenderOptions& options)
     throw std::invalid_argument("renderer: at most " + std::to_string(limit) + " x " + std::to_string(limit) +
                                 " pixels can be drawn here");
   description_ = open->gl.backend() + ": " + open->gl.description();
-  mjv_makeScene(model, &open->scene, static_cast<int>(model->ngeom) + kMaxGeomsBeyondModel);
+  trapped("renderer",
+          [&] { mjv_makeScene(model, &open->scene, static_cast<int>(model->ngeom) + kMaxGeomsBeyondModel); });
   for (int group = 0; group < mjNGROUP; ++group) {
     open->option.geomgroup[group] = options.geom_groups[group];
     open->option.sitegroup[group] = 0;
@@ -191,8 +193,10 @@ Renderer::Renderer(const mjModel* model, const RenderOptions& options)
   const DrawnModel drawn(*model, options);
   {
     const GlContext::Current current(open->gl);
-    mjr_makeContext(&drawn.value, &open->context, mjFONTSCALE_100);
-    mjr_setBuffer(mjFB_OFFSCREEN, &open->context);
+    trapped("renderer", [&] {
+      mjr_makeContext(&drawn.value, &open->context, mjFONTSCALE_100);
+      mjr_setBuffer(mjFB_OFFSCREEN, &open->context);
+    });
   }
   open->context.readDepthMap = mjDEPTH_ZEROFAR;
   open_ = std::move(open);
@@ -202,6 +206,7 @@ Renderer::~Renderer() = default;
 
 void Renderer::close() {
   const std::lock_guard lock(mutex_);
+  is_open_ = false;
   open_.reset();
 }
 
@@ -215,25 +220,31 @@ void Renderer::take_over(Open& open, const mjModel* model, mjData* data) const {
   mjv_defaultFreeCamera(model, &camera);
   // Infinite planes are laid around the camera that the scene has when its geoms are made: not that of the last
   // picture.
-  mjv_updateCamera(model, data, &camera, &open.scene);
-  mjv_updateScene(model, data, &open.option, nullptr, &camera, mjCAT_STATIC | mjCAT_DYNAMIC, &open.scene);
+  trapped("renderer", [&] {
+    mjv_updateCamera(model, data, &camera, &open.scene);
+    mjv_updateScene(model, data, &open.option, nullptr, &camera, mjCAT_STATIC | mjCAT_DYNAMIC, &open.scene);
+  });
   open.geoms.assign(open.scene.geoms, open.scene.geoms + open.scene.ngeom);
   // Floors last, so that the pixels under everything else are not shaded first.
   std::stable_partition(open.geoms.begin(), open.geoms.end(), [](const mjvGeom& g) { return g.type != mjGEOM_PLANE; });
   camera.type = mjCAMERA_FIXED;
   open.cameras.resize(static_cast<std::size_t>(model->ncam));
-  for (int id = 0; id < model->ncam; ++id) {
-    camera.fixedcamid = id;
-    mjv_updateCamera(model, data, &camera, &open.scene);
-    open.cameras[id] = {open.scene.camera[0], open.scene.camera[1]};
-  }
+  trapped("renderer", [&] {
+    for (int id = 0; id < model->ncam; ++id) {
+      camera.fixedcamid = id;
+      mjv_updateCamera(model, data, &camera, &open.scene);
+      open.cameras[id] = {open.scene.camera[0], open.scene.camera[1]};
+    }
+  });
 }
 
 void Renderer::update(mjData* data) {
   const std::lock_guard lock(mutex_);
   Open& open = require_open("update");
+  if (data->signature != model_->signature)
+    throw std::invalid_argument("renderer: the data is of another model than the renderer's");
   // Their corners are as old as the last physics step, and the state may have been written since.
-  if (model_->nflex > 0) mj_flex(model_, data);
+  if (model_->nflex > 0) trapped("renderer", [&] { mj_flex(model_, data); });
   take_over(open, model_, data);
 }
 
@@ -245,15 +256,17 @@ void Renderer::update_from_state(std::span<const double> state, const mjModel* m
                                 " numbers was given, this model's has " + std::to_string(state_size_));
   const std::lock_guard lock(mutex_);
   Open& open = require_open("update_from_state");
-  if (open.own_data == nullptr) open.own_data = mj_makeData(model_);
-  mjData* data = open.own_data;
-  mj_setState(model, data, state.data(), mjSTATE_INTEGRATION);
-  mj_kinematics(model, data);
-  mj_comPos(model, data);
-  mj_camlight(model, data);
-  if (model->nflex > 0) mj_flex(model, data);
-  if (model->ntendon > 0) mj_tendon(model, data);
-  take_over(open, model, data);
+  trapped("renderer", [&] {
+    if (open.own_data == nullptr) open.own_data = mj_makeData(model_);
+    mjData* data = open.own_data;
+    mj_setState(model, data, state.data(), mjSTATE_INTEGRATION);
+    mj_kinematics(model, data);
+    mj_comPos(model, data);
+    mj_camlight(model, data);
+    if (model->nflex > 0) mj_flex(model, data);
+    if (model->ntendon > 0) mj_tendon(model, data);
+  });
+  take_over(open, model, open.own_data);
 }
 
 void Renderer::check(int camera, const Picture& picture) const {
@@ -278,8 +291,10 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
   mjrContext& context = open.context;
   if (picture.width > context.offWidth || picture.height > context.offHeight) {
     // Only as large as the pictures are: clearing a part of a buffer costs more than clearing a whole one.
-    mjr_resizeOffscreen(std::max(picture.width, context.offWidth), std::max(picture.height, context.offHeight),
-                        &context);
+    trapped("renderer", [&] {
+      mjr_resizeOffscreen(std::max(picture.width, context.offWidth), std::max(picture.height, context.offHeight),
+                          &context);
+    });
     if (is_fast) drop_stencil(context, open.gl);
   }
   if (const Roundness round = roundness(options_.quality, picture.height); open.slices != round.slices) {
@@ -302,9 +317,11 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
     if (!is_fast || frustum.may_show(geom)) scene.geoms[scene.ngeom++] = geom;
 
   const mjrRect area{0, 0, picture.width, picture.height};
-  mjr_render(area, &scene, &context);
   if (picture.depth_mm != nullptr) open.depth.resize(static_cast<std::size_t>(picture.width) * picture.height);
-  mjr_readPixels(picture.rgb, picture.depth_mm != nullptr ? open.depth.data() : nullptr, area, &context);
+  trapped("renderer", [&] {
+    mjr_render(area, &scene, &context);
+    mjr_readPixels(picture.rgb, picture.depth_mm != nullptr ? open.depth.data() : nullptr, area, &context);
+  });
   flip_rows(picture.rgb, 3 * picture.width, picture.height);
   if (picture.depth_mm != nullptr) to_millimetres(open.depth, eye, picture);
 }

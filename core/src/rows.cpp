@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <string>
+
+#include "rcs/result.hpp"
 
 namespace rcs {
 
@@ -28,6 +31,12 @@ bool limit_rows(std::span<const double> asked, std::span<const double> last, std
                 std::span<const double> max_step, double max_lead, double rounding, std::span<double> target,
                 std::span<bool> is_cut) {
   const std::size_t width = max_step.size();
+  // Written so that NaN, for which every comparison is false, is refused.
+  for (const double step : max_step)
+    if (!(step >= 0.0))
+      throw InvalidSetup("limit_rows: max_step must not be negative or NaN, one is " + std::to_string(step));
+  if (!(max_lead >= 0.0))
+    throw InvalidSetup("limit_rows: max_lead must not be negative or NaN, it is " + std::to_string(max_lead));
   bool is_any = false;
   for (std::size_t row = 0; row < is_cut.size(); ++row) {
     bool is_row = false;

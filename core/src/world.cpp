@@ -1,29 +1,79 @@
 #include "rcs/world.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <string>
+#include <system_error>
 #include <utility>
+
+#ifdef __linux__
+#include <sched.h>
+#endif
+
+#include "fork.hpp"
+#include "trap.hpp"
 
 namespace rcs {
 
 namespace {
+
+using std::chrono::steady_clock;
+
+// How often a long step looks whether it is to end. The clock is read only every so many physics steps.
+constexpr std::int64_t kSubstepsPerPoll = 64;
+constexpr std::chrono::milliseconds kPollPeriod{50};
 
 struct Call {
   World* world;
   void (World::*work)(const mjModel*, mjData*, int);
 };
 
+// After these the numbers mean nothing. MuJoCo takes a control that is not finite as 0.
+constexpr mjtWarning kDivergence[] = {mjWARN_BADQPOS, mjWARN_BADQVEL, mjWARN_BADQACC, mjWARN_BADCTRL};
+// After these the simulation goes on with contacts or constraints left out.
+constexpr mjtWarning kOverflow[] = {mjWARN_CONTACTFULL, mjWARN_CNSTRFULL};
+
 bool has_diverged(const mjData* data) {
-  return data->warning[mjWARN_BADQPOS].number || data->warning[mjWARN_BADQVEL].number ||
-         data->warning[mjWARN_BADQACC].number;
+  return std::ranges::any_of(kDivergence, [data](mjtWarning w) { return data->warning[w].number != 0; });
 }
 
-void clear_divergence(mjData* data) {
-  data->warning[mjWARN_BADQPOS].number = 0;
-  data->warning[mjWARN_BADQVEL].number = 0;
-  data->warning[mjWARN_BADQACC].number = 0;
+void clear_warnings(mjData* data) {
+  for (const mjtWarning warning : kDivergence) data->warning[warning].number = 0;
+  for (const mjtWarning warning : kOverflow) data->warning[warning].number = 0;
+}
+
+SimulationError failure_in(int copy, const std::string& words) {
+  return SimulationError("world: MuJoCo failed in copy " + std::to_string(copy) + ": " + words);
+}
+
+int available_cpus() {
+#ifdef __linux__
+  cpu_set_t set;
+  if (sched_getaffinity(0, sizeof(set), &set) == 0) return std::max(1, CPU_COUNT(&set));
+#endif
+  return std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+}
+
+// MuJoCo's pool ends the process when a thread of it cannot start. So they are started once before, all at a time.
+void check_threads_can_start(int threads) {
+  std::atomic<bool> is_over = false;
+  std::vector<std::thread> started;
+  started.reserve(static_cast<std::size_t>(threads));
+  std::string reason;
+  try {
+    for (int i = 0; i < threads; ++i) started.emplace_back([&is_over] { is_over.wait(false); });
+  } catch (const std::system_error& error) {
+    reason = error.what();
+  }
+  is_over = true;
+  is_over.notify_all();
+  for (std::thread& thread : started) thread.join();
+  if (!reason.empty())
+    throw std::runtime_error("world: only " + std::to_string(started.size()) + " of " + std::to_string(threads) +
+                             " threads could be started (" + reason + "); ask for fewer threads or close other worlds");
 }
 
 // Extrinsic xyz (roll, pitch, yaw) of a unit quaternion wxyz.
@@ -36,65 +86,167 @@ void quat_to_rpy(const double* q, double* rpy) {
 
 }  // namespace
 
-World::World(const mjModel* model, mjData* data, StepTiming timing)
-    : model_(model), data_(data), copies_(1), state_size_(mj_stateSize(model, mjSTATE_INTEGRATION)) {
+World::Taken::Taken(const World& world, const char* call) : world_(world) {
+  const char* other = nullptr;
+  if (!world.call_.compare_exchange_strong(other, call, std::memory_order_acquire))
+    throw WrongOrder(std::string("world: ") + call + " was called while the world is already " +
+                     (std::strcmp(other, "advance") == 0 ? "stepping" : "busy with " + std::string(other)) +
+                     ", in one of its callbacks or another thread; a world takes one call at a time");
+  try {
+    world.require_open(call);
+  } catch (...) {
+    world.call_.store(nullptr, std::memory_order_release);
+    throw;
+  }
+}
+
+void World::require_open(const char* call) const {
+  if (!is_open()) throw WrongOrder(std::string("world: ") + call + " was called after close(); make a new world");
+  if (threads_ > 1 && forks_ != forks())
+    throw WrongOrder(std::string("world: ") + call +
+                     " was called after a fork, and the threads of this world are in the parent process; make the "
+                     "world in the child, or start the child with \"spawn\"");
+}
+
+World::World(const mjModel* model, mjData* data, StepTiming timing, std::shared_ptr<const void> owner)
+    : model_(model),
+      data_(data),
+      memory_(std::move(owner)),
+      copies_(1),
+      forks_(forks()),
+      state_size_(mj_stateSize(model, mjSTATE_INTEGRATION)) {
+  if (model->signature != data->signature)
+    throw InvalidSetup("world: the data is of another model; make it with mj_makeData of this one");
   set_timing(timing);
+  state_before_.resize(static_cast<std::size_t>(state_size_));
   allocate();
 }
 
 World::World(const mjModel* model, int copies, int threads, StepTiming timing)
-    : model_(model), copies_(copies), state_size_(mj_stateSize(model, mjSTATE_INTEGRATION)) {
+    : model_(model),
+      is_batch_(true),
+      copies_(copies),
+      forks_(forks()),
+      state_size_(mj_stateSize(model, mjSTATE_INTEGRATION)) {
   if (copies < 1) throw InvalidSetup("world: copies must be at least 1, not " + std::to_string(copies));
+  if (threads < 0)
+    throw InvalidSetup("world: threads must be at least 1, or 0 for one per CPU, not " + std::to_string(threads));
   set_timing(timing);
+  const int wanted = std::min(threads > 0 ? threads : available_cpus(), copies);
+  check_threads_can_start(wanted - 1);  // the caller's thread is one of them
   mjBatchConfig config;
   mjb_defaultConfig(&config);
-  config.nthread = threads;
+  config.nthread = wanted;
   char error[512] = "";
-  batch_ = mjb_makeBatch(model, copies, &config, error, sizeof(error));
-  if (!batch_) throw std::runtime_error(std::string("world: MuJoCo could not make the batch: ") + error);
+  trapped("world", [&] { batch_ = mjb_makeBatch(model, copies, &config, error, sizeof(error)); });
+  if (!batch_) throw InvalidSetup(std::string("world: MuJoCo could not make the batch: ") + error);
+  threads_ = mjb_nthread(batch_);
+  memory_ = std::shared_ptr<mjBatch>(batch_, [made_at = forks_, has_threads = threads_ > 1](mjBatch* batch) {
+    // In a child process, waiting for the parent's threads would last for ever.
+    if (!has_threads || made_at == forks()) mjb_deleteBatch(batch);
+  });
   model_ = mjb_model(batch_);
   allocate();
 }
 
-World::~World() {
-  if (batch_) mjb_deleteBatch(batch_);
+void World::close() {
+  std::vector<Periodic> periodic;
+  std::vector<std::shared_ptr<StepCallback>> converge, interrupt;
+  std::shared_ptr<const void> memory;
+  if (!is_open()) return;
+  const Taken taken(*this, "close");
+  is_open_ = false;
+  // Dropped after the world is free again: what a callback holds may call the world as it goes.
+  periodic.swap(periodic_);
+  converge.swap(converge_);
+  interrupt.swap(interrupt_);
+  memory.swap(memory_);
+  poll_ = nullptr;
+}
+
+const mjModel* World::model() const {
+  require_open("model");
+  return model_;
+}
+
+mjBatch* World::batch() {
+  require_open("batch");
+  if (const char* call = call_.load())
+    throw WrongOrder(std::string("world: its batch was asked for while ") + call + " is under way");
+  return batch_;
 }
 
 void World::allocate() {
   const auto n = static_cast<std::size_t>(copies_);
-  ends_.assign(n, static_cast<std::uint8_t>(StepEnd::period));
-  substeps_.assign(n, 0);
-  steps_.assign(n, 0);
+  out_->ends.assign(n, static_cast<std::uint8_t>(StepEnd::period));
+  out_->substeps.assign(n, 0);
+  out_->steps.assign(n, 0);
   physics_steps_.assign(n, 0);
   initial_state_.resize(static_cast<std::size_t>(state_size_));
   keep_initial_state(0);
 }
 
 void World::set_timing(const StepTiming& timing) {
+  const Taken taken(*this, "set_timing");
   if (timing.period_numerator < 1 || timing.period_denominator < 1 || timing.max_substeps < 1 ||
       timing.period_numerator < timing.period_denominator)
     throw InvalidSetup("world: a control period must be at least one physics step, and max_substeps at least 1");
+  if (timing.period_numerator / timing.period_denominator >= std::numeric_limits<std::int32_t>::max())
+    throw InvalidSetup("world: a control period has " +
+                       std::to_string(timing.period_numerator / timing.period_denominator) +
+                       " physics steps, at most 2147483646 can be counted");
   timing_ = timing;
 }
 
-void World::on_period(std::shared_ptr<StepCallback> callback, double period) {
-  const auto every = static_cast<int>(std::lround(period / model_->opt.timestep));
-  if (every < 1)
-    throw InvalidSetup("world: a callback's period must be at least one physics step of " +
-                       std::to_string(model_->opt.timestep) + " s");
-  periodic_.push_back({std::move(callback), every});
+void World::check_callback(const StepCallback* callback) const {
+  if (!callback) throw InvalidSetup("world: a callback is needed, not null");
+  callback->check(model_, copies_);
 }
 
-void World::converge_when(std::shared_ptr<StepCallback> callback) { converge_.push_back(std::move(callback)); }
+void World::on_period(std::shared_ptr<StepCallback> callback, double period) {
+  const Taken taken(*this, "on_period");
+  check_callback(callback.get());
+  const double every = std::round(period / model_->opt.timestep);
+  // Above 2^53, whole numbers have gaps. Written so that NaN is refused.
+  if (!(every >= 1.0 && every <= 9007199254740992.0))
+    throw InvalidSetup("world: a callback's period must be at least one physics step of " +
+                       std::to_string(model_->opt.timestep) + " s and finite, not " + std::to_string(period) + " s");
+  periodic_.push_back({std::move(callback), static_cast<std::int64_t>(every)});
+}
 
-void World::interrupt_when(std::shared_ptr<StepCallback> callback) { interrupt_.push_back(std::move(callback)); }
+void World::converge_when(std::shared_ptr<StepCallback> callback) {
+  const Taken taken(*this, "converge_when");
+  check_callback(callback.get());
+  converge_.push_back(std::move(callback));
+}
+
+void World::interrupt_when(std::shared_ptr<StepCallback> callback) {
+  const Taken taken(*this, "interrupt_when");
+  check_callback(callback.get());
+  interrupt_.push_back(std::move(callback));
+}
+
+std::vector<const StepCallback*> World::callbacks() const {
+  std::vector<const StepCallback*> all;
+  for (const auto& entry : periodic_) all.push_back(entry.callback.get());
+  for (const auto* list : {&converge_, &interrupt_})
+    for (const auto& entry : *list) all.push_back(entry.get());
+  return all;
+}
+
+void World::poll_with(std::function<void()> poll) {
+  const Taken taken(*this, "poll_with");
+  poll_ = std::move(poll);
+}
 
 int World::read_pose(int site, int frame_body) {
+  const Taken taken(*this, "read_pose");
   if (site < 0 || site >= model_->nsite) throw InvalidSetup("world: the site of a pose readout is not in the model");
   return add_pose({site, -1, frame_body});
 }
 
 int World::read_body_pose(int body, int frame_body) {
+  const Taken taken(*this, "read_body_pose");
   if (body < 0 || body >= model_->nbody) throw InvalidSetup("world: the body of a pose readout is not in the model");
   return add_pose({-1, body, frame_body});
 }
@@ -103,23 +255,25 @@ int World::add_pose(PoseReadout readout) {
   if (readout.frame_body < 0 || readout.frame_body >= model_->nbody)
     throw InvalidSetup("world: the frame of a pose readout is not in the model");
   pose_readouts_.push_back(readout);
-  renew(poses_, static_cast<std::size_t>(copies_) * pose_readouts_.size() * 7);
-  renew(xyzrpy_, static_cast<std::size_t>(copies_) * pose_readouts_.size() * 6);
+  renew(out_->poses, static_cast<std::size_t>(copies_) * pose_readouts_.size() * 7);
+  renew(out_->xyzrpy, static_cast<std::size_t>(copies_) * pose_readouts_.size() * 6);
   return pose_count() - 1;
 }
 
 int World::read_force(std::vector<std::uint8_t> first, std::vector<std::uint8_t> second) {
+  const Taken taken(*this, "read_force");
   const auto geoms = static_cast<std::size_t>(model_->ngeom), flexes = static_cast<std::size_t>(model_->nflex);
   for (const auto* flags : {&first, &second})
     if (const std::size_t given = flags->size(); given != geoms && given != geoms + flexes)
       throw InvalidSetup("world: a force readout needs one flag per geom of the model (" + std::to_string(geoms) +
                          "), or these and one per flex (" + std::to_string(flexes) + "), not " + std::to_string(given));
   force_readouts_.push_back({std::move(first), std::move(second)});
-  renew(forces_, static_cast<std::size_t>(copies_) * force_readouts_.size());
+  renew(out_->forces, static_cast<std::size_t>(copies_) * force_readouts_.size());
   return force_count() - 1;
 }
 
 int World::read_opening(std::vector<int> joints, double closed, double open) {
+  const Taken taken(*this, "read_opening");
   if (joints.empty() || closed == open) throw InvalidSetup("world: an opening readout needs joints that move");
   OpeningReadout readout{{}, closed, open};
   for (const int joint : joints) {
@@ -128,21 +282,56 @@ int World::read_opening(std::vector<int> joints, double closed, double open) {
     readout.qpos.push_back(model_->jnt_qposadr[joint]);
   }
   opening_readouts_.push_back(std::move(readout));
-  renew(openings_, static_cast<std::size_t>(copies_) * opening_readouts_.size());
+  renew(out_->openings, static_cast<std::size_t>(copies_) * opening_readouts_.size());
   return opening_count() - 1;
 }
 
-void World::check_copies(std::span<const int> copies) const {
-  for (const int copy : copies)
-    if (copy < 0 || copy >= copies_)
-      throw InvalidSetup("world: there is no copy " + std::to_string(copy) + ", there are " + std::to_string(copies_));
+void World::check_copy(int copy) const {
+  if (copy < 0 || copy >= copies_)
+    throw InvalidSetup("world: there is no copy " + std::to_string(copy) + ", there are " + std::to_string(copies_));
 }
 
-void World::keep_initial_state(int copy) { get_state(copy, initial_state_); }
+// MuJoCo ends the process unless its ids ascend. They are sorted into `room` where they do not.
+World::Chosen World::in_order(Chosen copies, std::vector<int>& room) const {
+  if (!copies) return copies;
+  bool is_ascending = true;
+  for (std::size_t i = 0; i < copies->size(); ++i) {
+    check_copy((*copies)[i]);
+    is_ascending = is_ascending && (i == 0 || (*copies)[i - 1] < (*copies)[i]);
+  }
+  if (is_ascending) return copies;
+  room.assign(copies->begin(), copies->end());
+  std::ranges::sort(room);
+  if (const auto twice = std::ranges::adjacent_find(room); twice != room.end())
+    throw InvalidSetup("world: copy " + std::to_string(*twice) + " is named more than once; each may be named once");
+  return room;
+}
+
+void World::keep_initial_state(int copy) {
+  const Taken taken(*this, "keep_initial_state");
+  check_copy(copy);
+  read_state(copy, initial_state_);
+}
+
+void World::check_state(int copy, std::size_t size) const {
+  check_copy(copy);
+  if (size != static_cast<std::size_t>(state_size_))
+    throw InvalidSetup("world: a state has " + std::to_string(state_size_) + " values, not " + std::to_string(size));
+}
 
 void World::get_state(int copy, std::span<double> state) const {
-  if (state.size() != static_cast<std::size_t>(state_size_) || copy < 0 || copy >= copies_)
-    throw InvalidSetup("world: a state has " + std::to_string(state_size_) + " values, and copies are counted from 0");
+  const Taken taken(*this, "get_state");
+  check_state(copy, state.size());
+  read_state(copy, state);
+}
+
+void World::set_state(int copy, std::span<const double> state) {
+  const Taken taken(*this, "set_state");
+  check_state(copy, state.size());
+  write_state(copy, state);
+}
+
+void World::read_state(int copy, std::span<double> state) const {
   if (batch_)
     std::memcpy(state.data(), mjb_state(batch_) + static_cast<std::ptrdiff_t>(copy) * state_size_,
                 sizeof(double) * state.size());
@@ -150,17 +339,23 @@ void World::get_state(int copy, std::span<double> state) const {
     mj_getState(model_, data_, state.data(), mjSTATE_INTEGRATION);
 }
 
-void World::set_state(int copy, std::span<const double> state) {
-  if (state.size() != static_cast<std::size_t>(state_size_) || copy < 0 || copy >= copies_)
-    throw InvalidSetup("world: a state has " + std::to_string(state_size_) + " values, and copies are counted from 0");
+void World::write_state(int copy, std::span<const double> state) {
   if (batch_)
     std::memcpy(mjb_state(batch_) + static_cast<std::ptrdiff_t>(copy) * state_size_, state.data(),
                 sizeof(double) * state.size());
   else
-    mj_setState(model_, data_, state.data(), mjSTATE_INTEGRATION);
+    trapped("world", [&] { mj_setState(model_, data_, state.data(), mjSTATE_INTEGRATION); });
+}
+
+double* World::states() {
+  require_open("states");
+  return batch_ ? mjb_state(batch_) : nullptr;
 }
 
 double* World::component(int which, int* size) {
+  require_open("component");
+  if (which <= 0 || which >= 1 << mjNSTATE || !std::has_single_bit(static_cast<unsigned>(which)))
+    throw InvalidSetup("world: a state component is one bit of mjtState, not " + std::to_string(which));
   if (batch_) return mjb_stateComponent(batch_, which, size);
   *size = mj_stateSize(model_, which);
   switch (which) {
@@ -185,53 +380,114 @@ double* World::component(int which, int* size) {
   }
 }
 
-void World::run(std::span<const int> copies, Work work, bool is_saved) {
-  check_copies(copies);
+void World::run(const char* call, Chosen copies, Work work, bool is_saved) {
+  const Taken taken(*this, call);
+  std::vector<int> room;
+  copies = in_order(copies, room);
+  if (copies && copies->empty()) return;
   failure_ = nullptr;
-  if (!batch_) {
-    if (model_->opt.timestep <= 0.0) throw InvalidSetup("world: the physics step must be positive");
-    (this->*work)(model_, data_, 0);
-  } else {
-    Call call{this, work};
-    const auto apply = [](const mjModel* model, mjData* data, int copy, void* argument) {
-      const Call& c = *static_cast<Call*>(argument);
-      (c.world->*c.work)(model, data, copy);
-    };
-    mjb_apply(batch_, copies.empty() ? nullptr : copies.data(), static_cast<int>(copies.size()), apply, &call,
-              is_saved ? 1 : 0);
-    const int* status = mjb_status(batch_);
-    for (int i = 0; i < copies_; ++i)
-      if (status[i]) ends_[static_cast<std::size_t>(i)] = static_cast<std::uint8_t>(StepEnd::failed);
-  }
+  is_stopping_ = false;
+  caller_ = std::this_thread::get_id();
+  polled_at_ = steady_clock::now();
+  if (batch_)
+    run_batch(copies, work, is_saved);
+  else
+    run_single(work);
   if (failure_) std::rethrow_exception(std::exchange(failure_, nullptr));
 }
 
-void World::reset(std::span<const int> copies) {
-  check_copies(copies);
+void World::run_single(Work work) {
+  if (!(model_->opt.timestep > 0.0)) throw InvalidSetup("world: the physics step must be positive");
+  mj_getState(model_, data_, state_before_.data(), mjSTATE_INTEGRATION);
+  struct {
+    World* world;
+    Work work;
+  } argument{this, work};
+  std::string words;
+  const auto apply = [](void* p) {
+    const auto& a = *static_cast<decltype(argument)*>(p);
+    (a.world->*a.work)(a.world->model_, a.world->data_, 0);
+  };
+  if (trap(apply, &argument, words)) return;
+  // As MuJoCo does for copies: what it left unfinished is cleared, and the state is the one before the call.
+  mj_resetData(model_, data_);
+  mj_setState(model_, data_, state_before_.data(), mjSTATE_INTEGRATION);
+  fail(0, std::make_exception_ptr(failure_in(0, words)));
+  out_->ends[0] = static_cast<std::uint8_t>(StepEnd::failed);
+  out_->substeps[0] = 0;
+}
+
+void World::run_batch(Chosen copies, Work work, bool is_saved) {
+  Call call{this, work};
+  const auto apply = [](const mjModel* model, mjData* data, int copy, void* argument) {
+    const Call& c = *static_cast<Call*>(argument);
+    (c.world->*c.work)(model, data, copy);
+  };
+  const int failed = mjb_apply(batch_, copies ? copies->data() : nullptr, copies ? static_cast<int>(copies->size()) : 0,
+                               apply, &call, is_saved ? 1 : 0);
+  if (failed == 0) return;
+  const int* status = mjb_status(batch_);
+  const auto take_over = [&](int copy) {
+    if (!status[copy]) return;
+    fail(copy, std::make_exception_ptr(failure_in(copy, mjb_error(batch_, copy))));
+    out_->ends[static_cast<std::size_t>(copy)] = static_cast<std::uint8_t>(StepEnd::failed);
+    out_->substeps[static_cast<std::size_t>(copy)] = 0;
+  };
+  if (copies)
+    std::ranges::for_each(*copies, take_over);
+  else
+    for (int copy = 0; copy < copies_; ++copy) take_over(copy);
+}
+
+// An exception must not cross MuJoCo's threads; that of the first copy is thrown again in the caller's.
+void World::fail(int copy, std::exception_ptr error) {
+  const std::scoped_lock lock(failure_mutex_);
+  if (failure_ && failed_copy_ <= copy) return;
+  failed_copy_ = copy;
+  failure_.swap(error);  // `error` is dropped after the lock: an interpreter's exception may have to wait for it
+}
+
+bool World::is_stopped() {
+  if (is_stopping_.load(std::memory_order_relaxed)) return true;
+  if (!poll_ || std::this_thread::get_id() != caller_) return false;
+  const auto now = steady_clock::now();
+  if (now - polled_at_ < kPollPeriod) return false;
+  polled_at_ = now;
+  try {
+    poll_();
+  } catch (...) {
+    is_stopping_ = true;  // the other copies too
+    throw;
+  }
+  return false;
+}
+
+void World::reset_chosen(Chosen copies) {
+  const Taken taken(*this, "reset");
+  std::vector<int> room;
+  copies = in_order(copies, room);
   const auto reset_one = [this](int copy) {
-    set_state(copy, initial_state_);
+    write_state(copy, initial_state_);
     const auto i = static_cast<std::size_t>(copy);
-    steps_[i] = 0;
+    out_->steps[i] = 0;
     physics_steps_[i] = 0;
-    substeps_[i] = 0;
-    ends_[i] = static_cast<std::uint8_t>(StepEnd::period);
+    out_->substeps[i] = 0;
+    out_->ends[i] = static_cast<std::uint8_t>(StepEnd::period);
     for (const auto& entry : periodic_) entry.callback->reset(copy);
     for (const auto& entry : converge_) entry->reset(copy);
     for (const auto& entry : interrupt_) entry->reset(copy);
   };
-  if (copies.empty())
-    for (int copy = 0; copy < copies_; ++copy) reset_one(copy);
+  if (copies)
+    std::ranges::for_each(*copies, reset_one);
   else
-    for (const int copy : copies) reset_one(copy);
+    for (int copy = 0; copy < copies_; ++copy) reset_one(copy);
 }
 
-void World::refresh(std::span<const int> copies) { run(copies, &World::refresh_copy, false); }
-
-void World::advance(std::span<const int> copies) { run(copies, &World::step_copy, true); }
-
 std::int64_t World::period_of(std::int64_t step) const {
-  const std::int64_t n = timing_.period_numerator, d = timing_.period_denominator;
-  return ((step + 1) * n) / d - (step * n) / d;
+  // A frequency such as 10 pi Hz has terms of 50 bits, whose products with a step number are longer than 64.
+  __extension__ using Wide = __int128;
+  const Wide n = timing_.period_numerator, d = timing_.period_denominator, k = step;
+  return static_cast<std::int64_t>(((k + 1) * n) / d - (k * n) / d);
 }
 
 void World::refresh_copy(const mjModel* model, mjData* data, int copy) {
@@ -239,21 +495,27 @@ void World::refresh_copy(const mjModel* model, mjData* data, int copy) {
   read_out(model, data, copy, false);
 }
 
+// MuJoCo's errors jump out of here: no local object may need its destructor while `mj_step` runs, and what is counted
+// is written at the end.
 void World::step_copy(const mjModel* model, mjData* data, int copy) {
   const auto index = static_cast<std::size_t>(copy);
   const bool is_synchronous = timing_.is_synchronous;
-  const std::int64_t most = is_synchronous ? timing_.max_substeps : period_of(steps_[index]);
+  const std::int64_t most = is_synchronous ? timing_.max_substeps : period_of(out_->steps[index]);
   StepEnd end = is_synchronous ? StepEnd::limit : StepEnd::period;
+  const std::int64_t before = physics_steps_[index];
   std::int64_t done = 0;
-  clear_divergence(data);
-  const StepView view{model, data, copy};
+  clear_warnings(data);
+  const StepView view{model, data, copy, &memory_};
   try {
     while (done < most) {
+      if (done % kSubstepsPerPoll == 0 && (done == 0 ? is_stopping_.load(std::memory_order_relaxed) : is_stopped())) {
+        end = StepEnd::failed;
+        break;
+      }
       mj_step(model, data);
       ++done;
-      ++physics_steps_[index];
       for (const auto& entry : periodic_)
-        if (physics_steps_[index] % entry.every == 0) entry.callback->call(view);
+        if ((before + done) % entry.every == 0) entry.callback->call(view);
       bool is_interrupted = false;
       for (const auto& entry : interrupt_) is_interrupted = entry->call(view) || is_interrupted;
       if (is_interrupted) {
@@ -270,15 +532,19 @@ void World::step_copy(const mjModel* model, mjData* data, int copy) {
       }
     }
   } catch (...) {
-    // An exception must not cross MuJoCo's threads; the first one is thrown again in the caller's.
-    const std::scoped_lock lock(failure_mutex_);
-    if (!failure_) failure_ = std::current_exception();
+    fail(copy, std::current_exception());
     end = StepEnd::failed;
   }
   if (has_diverged(data)) end = StepEnd::failed;
-  ++steps_[index];
-  substeps_[index] = static_cast<std::int32_t>(done);
-  ends_[index] = static_cast<std::uint8_t>(end);
+  for (const mjtWarning warning : kOverflow)
+    if (const mjWarningStat& stat = data->warning[warning]; stat.number != 0) {
+      fail(copy, std::make_exception_ptr(failure_in(copy, mju_warningText(warning, stat.lastinfo))));
+      end = StepEnd::failed;
+    }
+  physics_steps_[index] = before + done;
+  ++out_->steps[index];
+  out_->substeps[index] = static_cast<std::int32_t>(done);
+  out_->ends[index] = static_cast<std::uint8_t>(end);
   mj_kinematics(model, data);
   read_out(model, data, copy, true);
 }
@@ -301,8 +567,8 @@ void World::read_out(const mjModel* model, const mjData* data, int copy, bool ha
     mju_normalize4(quat);
     if (quat[0] < 0.0) mju_scl(quat, quat, -1.0, 4);  // one sign for one rotation
     mju_sub3(offset, position, data->xpos + 3 * readout.frame_body);
-    double* pose = poses_.data() + (index * pose_readouts_.size() + r) * 7;
-    double* rpy = xyzrpy_.data() + (index * pose_readouts_.size() + r) * 6;
+    double* pose = out_->poses.data() + (index * pose_readouts_.size() + r) * 7;
+    double* rpy = out_->xyzrpy.data() + (index * pose_readouts_.size() + r) * 6;
     mju_rotVecQuat(pose, offset, base_inverse);
     mju_copy3(rpy, pose);
     pose[3] = quat[1];
@@ -316,11 +582,11 @@ void World::read_out(const mjModel* model, const mjData* data, int copy, bool ha
     double sum = 0.0;
     for (const int address : readout.qpos) sum += data->qpos[address];
     const double mean = sum / static_cast<double>(readout.qpos.size());
-    openings_[index * opening_readouts_.size() + r] =
+    out_->openings[index * opening_readouts_.size() + r] =
         static_cast<float>(std::clamp((mean - readout.closed) / (readout.open - readout.closed), 0.0, 1.0));
   }
   for (std::size_t r = 0; r < force_readouts_.size(); ++r)
-    forces_[index * force_readouts_.size() + r] =
+    out_->forces[index * force_readouts_.size() + r] =
         has_forces ? contact_force(model, data, force_readouts_[r].first, force_readouts_[r].second) : 0.0;
 }
 

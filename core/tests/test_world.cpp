@@ -3,6 +3,7 @@
 #include <limits>
 #include <memory>
 #include <stdexcept>
+#include <string>
 #include <variant>
 #include <vector>
 
@@ -227,12 +228,99 @@ void a_soft_body_weighs_on_what_it_lies_on() {
   CHECK(!among_geoms.call(view));
 }
 
+void copies_may_come_in_any_order_and_none_are_none() {
+  const Model model = rcs::test::make_model(rcs::test::kCart);
+  World world(model.get(), 3, 2, k30Hz);
+  const std::vector<int> some{2, 0}, twice{1, 1}, none;
+  world.advance(some);
+  world.advance(none);
+  world.advance({});
+  CHECK(world.steps() == std::vector<std::int64_t>{1, 0, 1});
+  world.set_constants(some);
+  world.refresh(none);
+  world.reset(none);
+  CHECK_THROWS(rcs::InvalidSetup, world.advance(twice));
+  CHECK_THROWS(rcs::InvalidSetup, world.reset(twice));
+  CHECK_THROWS(rcs::InvalidSetup, world.set_constants(twice));
+  CHECK(world.steps() == std::vector<std::int64_t>{1, 0, 1});
+  world.reset(some);
+  CHECK(world.steps() == std::vector<std::int64_t>{0, 0, 0});
+}
+
+void a_world_takes_one_call_at_a_time() {
+  const Model model = rcs::test::make_model(rcs::test::kCart);
+  World world(model.get(), 2, 1, k30Hz);
+  static World* stepped;
+  stepped = &world;
+  world.on_period(std::make_shared<Ask>([](const rcs::StepView&) {
+                    CHECK_THROWS(rcs::WrongOrder, stepped->advance());
+                    CHECK_THROWS(rcs::WrongOrder, stepped->set_timing(k30Hz));
+                    CHECK_THROWS(rcs::WrongOrder, stepped->read_pose(0, 0));
+                    CHECK_THROWS(rcs::WrongOrder, stepped->batch());
+                    return false;
+                  }),
+                  0.01);
+  world.advance();
+  CHECK(end_of(world) == StepEnd::period);
+}
+
+void an_error_of_mujoco_has_its_words_and_leaves_the_state_as_it_was() {
+  const Model model = rcs::test::make_model(rcs::test::kCart);
+  model->opt.integrator = 99;
+  const Data data(mj_makeData(model.get()));
+  World single(model.get(), data.get(), k30Hz), batch(model.get(), 3, 2, k30Hz);
+  for (World* world : {&single, &batch}) {
+    *qpos(*world) = 0.25;
+    std::string words;
+    try {
+      world->advance();
+    } catch (const rcs::SimulationError& error) {
+      words = error.what();
+    }
+    CHECK(words.find("copy 0: mj_step: invalid integrator") != std::string::npos);
+    CHECK(end_of(*world) == StepEnd::failed);
+    CHECK(*qpos(*world) == 0.25);
+    CHECK(world->steps()[0] == 0);
+  }
+}
+
+void a_closed_world_leaves_the_memory_that_was_kept() {
+  const Model model = rcs::test::make_model(rcs::test::kCart);
+  World world(model.get(), 2, 2, k30Hz);
+  double* position = qpos(world);
+  const auto memory = world.memory();
+  world.on_period(std::make_shared<Ask>([](const rcs::StepView&) { return false; }), 0.01);
+  world.close();
+  world.close();
+  CHECK(!world.is_open());
+  CHECK(world.callbacks().empty());
+  CHECK_THROWS(rcs::WrongOrder, world.advance());
+  CHECK_THROWS(rcs::WrongOrder, qpos(world));
+  CHECK_THROWS(rcs::WrongOrder, world.model());
+  CHECK(*position == 0.0);
+}
+
+void a_long_step_can_be_ended_from_outside() {
+  const Model model = rcs::test::make_model(rcs::test::kCart);
+  World world(model.get(), 4, 2, {1'000'000'000, 1, false, 500});
+  world.poll_with([] { throw std::range_error("enough"); });
+  CHECK_THROWS(std::range_error, world.advance());
+}
+
+void data_of_another_model_is_refused() {
+  const Model model = rcs::test::make_model(rcs::test::kCart), other = rcs::test::make_model(rcs::test::kArm);
+  const Data data(mj_makeData(other.get()));
+  CHECK_THROWS(rcs::InvalidSetup, World(model.get(), data.get(), k30Hz));
+}
+
 void numbers_that_make_no_sense_are_refused() {
   const Model model = rcs::test::make_model(rcs::test::kCart);
   CHECK_THROWS(rcs::InvalidSetup, World(model.get(), 0, 1, k30Hz));
   CHECK_THROWS(rcs::InvalidSetup, World(model.get(), 1, 1, StepTiming{1, 2, false, 500}));
   CHECK_THROWS(rcs::InvalidSetup, World(model.get(), 1, 1, StepTiming{0, 1, false, 500}));
   CHECK_THROWS(rcs::InvalidSetup, World(model.get(), 1, 1, StepTiming{1, 1, true, 0}));
+  CHECK_THROWS(rcs::InvalidSetup, World(model.get(), 1, 1, StepTiming{std::int64_t{1} << 31, 1, false, 500}));
+  CHECK_THROWS(rcs::InvalidSetup, World(model.get(), 1, -1, k30Hz));
   World world(model.get(), 2, 1, k30Hz);
   const std::vector<int> missing{0, 2};
   CHECK_THROWS(rcs::InvalidSetup, world.advance(missing));
@@ -253,6 +341,12 @@ int main() {
   poses_are_read_out_in_the_frame_of_a_body();
   copies_may_have_masses_of_their_own();
   a_soft_body_weighs_on_what_it_lies_on();
+  copies_may_come_in_any_order_and_none_are_none();
+  a_world_takes_one_call_at_a_time();
+  an_error_of_mujoco_has_its_words_and_leaves_the_state_as_it_was();
+  a_closed_world_leaves_the_memory_that_was_kept();
+  a_long_step_can_be_ended_from_outside();
+  data_of_another_model_is_refused();
   numbers_that_make_no_sense_are_refused();
   return rcs::test::result();
 }

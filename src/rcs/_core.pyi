@@ -4,6 +4,7 @@ from collections.abc import Sequence
 import enum
 from typing import Annotated, Any, overload
 
+import mujoco
 import numpy
 import numpy.typing
 from numpy.typing import NDArray
@@ -563,11 +564,11 @@ class StepEnd(enum.Enum):
     """Synchronous: the substep limit came before convergence."""
 
     failed = 4
-    """The state left the range of finite numbers."""
+    """A state or control that is not a finite number, or an exception."""
 
 class StepView:
     """
-    One copy of a scene while it is stepped. Arrays are views of MuJoCo's own memory, valid only during the call.
+    One copy of a scene while it is stepped; afterwards, using it raises WrongOrder. Arrays are views of MuJoCo's own memory and have meaning only during the call.
     """
 
     @property
@@ -643,20 +644,28 @@ class Collision(StepCallback):
 
 class World:
     """
-    N copies of one MuJoCo scene, advanced together by one control step at a time.
+    N copies of one MuJoCo scene, advanced together by one control step at a time. Another call during a call, from a callback or another thread, raises WrongOrder.
     """
 
     @staticmethod
-    def on_data(model_address: int, data_address: int, period_numerator: int, period_denominator: int, is_synchronous: bool, max_substeps: int, owner: object | None = None) -> World:
+    def on_data(model: mujoco.MjModel, data: mujoco.MjData, period_numerator: int, period_denominator: int, is_synchronous: bool, max_substeps: int) -> World:
         """
-        One copy, on the caller's own model and data, which must outlive the world: `owner` holds both, and the world holds `owner`.
+        One copy, on the caller's own model and data, which the world and its arrays keep alive.
         """
 
     @staticmethod
-    def of_copies(model_address: int, copies: int, threads: int, period_numerator: int, period_denominator: int, is_synchronous: bool, max_substeps: int) -> World:
+    def of_copies(model: mujoco.MjModel, copies: int, threads: int, period_numerator: int, period_denominator: int, is_synchronous: bool, max_substeps: int) -> World:
         """
-        Many copies of a copy of the model, on `threads` threads (0: one per CPU).
+        Many copies of a copy of the model, on `threads` threads (0: one per CPU that this process may use).
         """
+
+    def close(self) -> None:
+        """
+        Drop the callbacks and end the threads; those of a batch end when its last array is dropped, too. Closing twice is harmless; calls afterwards raise WrongOrder, and arrays keep their values.
+        """
+
+    @property
+    def is_open(self) -> bool: ...
 
     @property
     def copies(self) -> int: ...
@@ -709,15 +718,17 @@ class World:
         """Return all copies to the initial state."""
 
     @overload
-    def reset(self, copies: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
-        """Return some copies (int32 ids) to the initial state."""
+    def reset(self, copies: numpy.typing.ArrayLike) -> None:
+        """
+        Return some copies to the initial state: their ids, in any order, each once; none if there are none.
+        """
 
     @overload
     def refresh(self) -> None:
         """Recompute the readouts of all copies after the state was written to."""
 
     @overload
-    def refresh(self, copies: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+    def refresh(self, copies: numpy.typing.ArrayLike) -> None:
         """Recompute the readouts of some copies."""
 
     @overload
@@ -725,7 +736,7 @@ class World:
         """Advance all copies by one control step. The GIL is released."""
 
     @overload
-    def advance(self, copies: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+    def advance(self, copies: numpy.typing.ArrayLike) -> None:
         """Advance some copies by one control step."""
 
     @property
@@ -768,8 +779,8 @@ class World:
         """
 
     @overload
-    def set_constants(self, copies: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
-        """Recompute it for some copies (int32 ids)."""
+    def set_constants(self, copies: numpy.typing.ArrayLike) -> None:
+        """Recompute it for some copies."""
 
     @property
     def poses(self) -> NDArray[numpy.float64]:
@@ -854,12 +865,12 @@ class Renderer:
     Calls may come from any thread; they wait for each other and run without the GIL.
     """
 
-    def __init__(self, model_address: int, *, quality: str = 'fast', max_width: int = 640, max_height: int = 480, backend: str = 'auto', geom_groups: Sequence[bool] = [True, True, True, False, False, False]) -> None:
+    def __init__(self, model: mujoco.MjModel, *, quality: str = 'fast', max_width: int = 640, max_height: int = 480, backend: str = 'auto', geom_groups: Sequence[bool] = [True, True, True, False, False, False]) -> None:
         """
         Make the OpenGL objects of a model, which is not changed.
 
         Args:
-            model_address: `MjModel._address`; the caller keeps the model alive.
+            model: The scene; the renderer keeps it alive.
             quality: "fast" without shadows, reflections, sky and antialiasing and with coarse round shapes, or "full".
             max_width: Largest width of a picture [pixels].
             max_height: Largest height of a picture [pixels].
@@ -871,12 +882,12 @@ class Renderer:
             MissingDependency: There is no OpenGL; the message has the remedy.
         """
 
-    def update(self, data_address: int) -> None:
+    def update(self, data: mujoco.MjData) -> None:
         """
         Take over the poses in a data, once for all cameras.
 
         Args:
-            data_address: `MjData._address`, after `mj_forward` or `mj_kinematics`, `mj_comPos` and `mj_camlight`.
+            data: Of the renderer's model, after `mj_forward` or `mj_kinematics`, `mj_comPos` and `mj_camlight`.
         """
 
     def update_from_state(self, state: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
@@ -921,12 +932,12 @@ class RenderPool:
     The pictures are those of a single `Renderer`, bit for bit. Calls run without the GIL and wait for each other.
     """
 
-    def __init__(self, model_address: int, threads: int, *, quality: str = 'fast', max_width: int = 640, max_height: int = 480, backend: str = 'auto', geom_groups: Sequence[bool] = [True, True, True, False, False, False]) -> None:
+    def __init__(self, model: mujoco.MjModel, threads: int, *, quality: str = 'fast', max_width: int = 640, max_height: int = 480, backend: str = 'auto', geom_groups: Sequence[bool] = [True, True, True, False, False, False]) -> None:
         """
         Make one renderer for each thread.
 
         Args:
-            model_address: `MjModel._address`; the caller keeps the model alive.
+            model: The scene; the pool keeps it alive.
             threads: How many threads draw, the calling one included.
             quality: As for `Renderer`, like all that follow.
             max_width: Largest width of a picture [pixels].

@@ -64,5 +64,9 @@ class CorruptEpisode(RcsError, ValueError):
     """A stored episode is incomplete or its bytes are not what was written."""
 
 
+class SimulationError(RcsError, RuntimeError):
+    """MuJoCo failed, or left out contacts; the message has its words, such as that its memory is full."""
+
+
 class Diverged(RcsError, ArithmeticError):
     """The simulation left the range of finite numbers."""

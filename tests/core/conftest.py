@@ -17,7 +17,7 @@ def make() -> Iterator[Callable[..., _core.Renderer]]:
     made: list[_core.Renderer] = []
 
     def make_renderer(model: mujoco.MjModel, **options: Any) -> _core.Renderer:
-        made.append(_core.Renderer(model._address, **options))
+        made.append(_core.Renderer(model, **options))
         return made[-1]
 
     yield make_renderer

@@ -47,7 +47,7 @@ def test_every_backend_that_the_probe_calls_good_draws(backend: str) -> None:
         )
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
-        pool = _core.RenderPool(model._address, 2, backend={backend!r})
+        pool = _core.RenderPool(model, 2, backend={backend!r})
         state = np.zeros((4, pool.state_size))
         mujoco.mj_getState(model, data, state[0], int(mujoco.mjtState.mjSTATE_INTEGRATION))
         state[:] = state[0]
@@ -62,10 +62,10 @@ def test_every_backend_that_the_probe_calls_good_draws(backend: str) -> None:
 @pytest.mark.gl
 def test_a_second_backend_in_one_process_is_refused() -> None:
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
-    first = _core.Renderer(model._address)
+    first = _core.Renderer(model)
     used = first.description.split(":")[0]
     with pytest.raises(ValueError, match="one per process"):
-        _core.Renderer(model._address, backend="osmesa" if used == "egl" else "egl")
+        _core.Renderer(model, backend="osmesa" if used == "egl" else "egl")
     first.close()
 
 
@@ -85,10 +85,10 @@ def test_it_draws_next_to_the_renderer_of_mujoco(backend: str) -> None:
         mujoco.mj_forward(model, data)
         rgb = np.zeros((64, 64, 3), np.uint8)
         with mujoco.Renderer(model, 64, 64) as theirs:
-            ours = _core.Renderer(model._address)
+            ours = _core.Renderer(model)
             for _ in range(2):
                 theirs.update_scene(data, 0)
-                ours.update(data._address)
+                ours.update(data)
                 ours.render(0, rgb)
                 print(abs(theirs.render().astype(int) - rgb)[32, 32].max() < 8)
     """
@@ -107,7 +107,7 @@ def test_without_opengl_the_error_has_the_remedy_for_each_backend(tmp_path: Path
         assert not any(probe.ok for probe in _core.probe_gl())
         model = mujoco.MjModel.from_xml_string("<mujoco/>")
         try:
-            _core.Renderer(model._address)
+            _core.Renderer(model)
         except MissingDependency as error:
             print(error)
     """

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import subprocess
+import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -13,11 +16,13 @@ import pytest
 from rcs import _core
 from rcs.errors import WrongOrder
 from rcs.sim import World
+from rcs.sim.world import Callback
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 Image = np.ndarray[Any, np.dtype[np.uint8]]
 Depth = np.ndarray[Any, np.dtype[np.uint16]]
 MakeRenderer = Callable[..., _core.Renderer]
+RunProgram = Callable[..., subprocess.CompletedProcess[str]]
 
 SCENE = """
 <mujoco>
@@ -69,7 +74,7 @@ def draw(
 ) -> tuple[Image, Depth]:
     """Return the colours and the depth [mm] that a camera sees."""
     rgb, depth = np.zeros((height, width, 3), np.uint8), np.zeros((height, width), np.uint16)
-    renderer.update(data._address)
+    renderer.update(data)
     renderer.render(camera, rgb, depth)
     return rgb, depth
 
@@ -207,7 +212,7 @@ def test_a_pool_draws_the_pictures_of_a_single_renderer(make: MakeRenderer, thre
         states.append(state_of(model, data))
         for film, camera, size in zip(expected, cameras, sizes, strict=True):
             film.append(draw(renderer, data, camera, *size))
-    pool = _core.RenderPool(model._address, threads)
+    pool = _core.RenderPool(model, threads)
     rgb = [np.zeros((7, *size, 3), np.uint8) for size in sizes]
     depth = [None, np.zeros((7, *sizes[1]), np.uint16)]
     pool.render_states(np.array(states), cameras, rgb, depth)
@@ -228,7 +233,7 @@ def test_a_pool_draws_each_copy_of_a_world_with_its_own_colours_lights_cameras_a
     world.vary("light_diffuse")[2] = 0.0
     world.vary("cam_fovy")[3, top] = 30.0
     world.vary("geom_size")[3, green] *= 1.5
-    pool = _core.RenderPool(model._address, 3)
+    pool = _core.RenderPool(model, 3)
     rgb = [np.zeros((4, 64, 64, 3), np.uint8)]
     pool.render_states(world.core.states, [top], rgb, None, world.core)
     assert len({picture.tobytes() for picture in rgb[0]}) == 4
@@ -241,7 +246,7 @@ def test_a_pool_draws_each_copy_of_a_world_with_its_own_colours_lights_cameras_a
         pool.render_states(world.core.states[:2], [top], [rgb[0][:2]], None, world.core)
     pool.close()
     other = mujoco.MjModel.from_xml_string(SCENE.replace("<visual>", '<asset><material name="m"/></asset><visual>'))
-    pool = _core.RenderPool(other._address, 1)
+    pool = _core.RenderPool(other, 1)
     with pytest.raises(ValueError, match="another one than the pool's"):
         pool.render_states(world.core.states, [top], rgb, None, world.core)
     pool.close()
@@ -276,7 +281,7 @@ def test_threads_may_share_a_renderer_or_have_their_own(make: MakeRenderer) -> N
 
     own = [make(model), make(model)]
     for renderer in own:
-        renderer.update(data._address)
+        renderer.update(data)
     with ThreadPoolExecutor(4) as threads:
         assert all(threads.map(draw_often, [shared, shared, *own]))
 
@@ -318,7 +323,7 @@ def test_a_closed_renderer_refuses_to_draw_and_closes_twice(make: MakeRenderer) 
     assert not renderer.is_open
     with pytest.raises(WrongOrder, match="after close"):
         draw(renderer, data)
-    pool = _core.RenderPool(model._address, 2)
+    pool = _core.RenderPool(model, 2)
     pool.close()
     pool.close()
     assert not pool.is_open
@@ -337,7 +342,7 @@ def test_drawing_before_there_are_poses_is_refused(make: MakeRenderer) -> None:
 def test_pictures_that_do_not_fit_are_refused_with_what_is_valid(make: MakeRenderer) -> None:
     model, data = build()
     renderer = make(model, max_width=64, max_height=48)
-    renderer.update(data._address)
+    renderer.update(data)
     good = np.zeros((48, 64, 3), np.uint8)
     with pytest.raises(ValueError, match=r"no camera 3; the model has 0 \(top\), 1 \(side\), 2 \(sensor\)"):
         renderer.render(3, good)
@@ -359,7 +364,7 @@ def test_pictures_that_do_not_fit_are_refused_with_what_is_valid(make: MakeRende
 @pytest.mark.gl
 def test_a_pool_refuses_arrays_that_do_not_belong_together() -> None:
     model, data = build()
-    pool = _core.RenderPool(model._address, 1)
+    pool = _core.RenderPool(model, 1)
     states = np.stack([state_of(model, data)] * 2)
     rgb = np.zeros((2, 8, 8, 3), np.uint8)
     with pytest.raises(ValueError, match="rows of"):
@@ -389,4 +394,112 @@ def test_options_that_mean_nothing_are_refused(make: MakeRenderer) -> None:
     with pytest.raises(ValueError, match="pixels can be drawn here"):
         make(model, max_width=10**6)
     with pytest.raises(ValueError, match="at least 1 is needed"):
-        _core.RenderPool(model._address, 0)
+        _core.RenderPool(model, 0)
+
+
+@pytest.mark.gl
+def test_a_renderer_and_a_pool_keep_their_model_alive() -> None:
+    model, data = build()
+    states = np.stack([state_of(model, data)] * 2)
+    expected, again = np.zeros((2, 8, 8, 3), np.uint8), np.zeros((2, 8, 8, 3), np.uint8)
+    renderer, pool = _core.Renderer(model), _core.RenderPool(model, 2)
+    pool.render_states(states, [0], [expected])
+    kept = weakref.ref(model)
+    del model, data
+    gc.collect()
+    assert kept() is not None
+    pool.render_states(states, [0], [again])
+    np.testing.assert_array_equal(again, expected)
+    renderer.update_from_state(states[0])
+    renderer.render(0, again[0])
+    np.testing.assert_array_equal(again[0], expected[0])
+    renderer.close()
+    pool.close()
+
+
+@pytest.mark.gl
+def test_data_of_another_model_is_refused(make: MakeRenderer) -> None:
+    model, _ = build()
+    other = mujoco.MjModel.from_xml_string("<mujoco/>")
+    with pytest.raises(ValueError, match="of another model"):
+        make(model).update(mujoco.MjData(other))
+    for wrong in (0, None, model):
+        with pytest.raises(TypeError):
+            make(model).update(wrong)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.gl
+def test_a_callback_cannot_draw_the_copies_of_the_world_that_steps() -> None:
+    model, _ = build()
+    world, pool = World(model, frequency=1 / model.opt.timestep, copies=2, threads=2), _core.RenderPool(model, 1)
+    world.vary("geom_rgba")
+    rgb = np.zeros((2, 8, 8, 3), np.uint8)
+    states = world.core.states.copy()
+    world.core.on_period(
+        Callback(lambda view: pool.render_states(states, [0], [rgb], None, world.core)), model.opt.timestep
+    )
+    with pytest.raises(WrongOrder, match="while advance is under way"):
+        world.advance()
+    world.close()
+    pool.close()
+
+
+POOL = """
+    import mujoco, numpy as np, os, resource, sys
+    from rcs import _core
+    from rcs.errors import WrongOrder
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><geom size='.1'/><camera pos='0 0 1'/></worldbody></mujoco>"
+    )
+    rgb = np.zeros((2, 8, 8, 3), np.uint8)
+"""
+
+
+@pytest.mark.gl
+def test_a_pool_whose_threads_cannot_start_is_refused(run_program: RunProgram) -> None:
+    # Stacks of 64 TB, which is what a thread gets when the limit is that at the start of its program.
+    program = (
+        """
+    import os, resource, sys
+    if "OPENBLAS_NUM_THREADS" not in os.environ:
+        resource.setrlimit(resource.RLIMIT_STACK, (1 << 46, resource.getrlimit(resource.RLIMIT_STACK)[1]))
+        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], {**os.environ, "OPENBLAS_NUM_THREADS": "1"})
+    """
+        + POOL
+        + """
+    _core.RenderPool(model, 1).close()
+    try:
+        _core.RenderPool(model, 4)
+    except RuntimeError as error:
+        print("refused")
+    """
+    )
+    answer = run_program(program)
+    assert (answer.stdout.strip(), answer.returncode) == ("refused", 0), answer.stderr
+
+
+@pytest.mark.gl
+def test_a_pool_in_the_child_of_a_fork_says_so_and_does_not_hang(run_program: RunProgram) -> None:
+    program = (
+        POOL
+        + """
+    pool = _core.RenderPool(model, 3)
+    states = np.zeros((2, pool.state_size))
+    pool.render_states(states, [0], [rgb])
+    child = os.fork()
+    if child == 0:
+        try:
+            pool.render_states(states, [0], [rgb])
+        except WrongOrder as error:
+            print("after a fork" in str(error), flush=True)
+        pool.close()
+        pool.close()
+        del pool
+        os._exit(7)  # as multiprocessing does; on the way out, Mesa itself waits for threads that are in the parent
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+    pool.render_states(states, [0], [rgb])
+    pool.close()
+    """
+    )
+    answer = run_program(program)
+    assert (answer.stdout.split(), answer.returncode) == (["True", "7"], 0), answer.stderr

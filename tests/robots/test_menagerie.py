@@ -123,8 +123,8 @@ def silhouette(robot: Robot, is_detailed: bool, eye: np.ndarray, target: np.ndar
         data.qpos[[model.joint(name).qposadr[0] for name in robot.joints]] = robot.home
     mujoco.mj_forward(model, data)
     depth = np.empty((240, 320), np.uint16)
-    renderer = Renderer(model._address, quality="fast", max_width=320, max_height=240)
-    renderer.update(data._address)
+    renderer = Renderer(model, quality="fast", max_width=320, max_height=240)
+    renderer.update(data)
     renderer.render(model.camera("eye").id, np.empty((240, 320, 3), np.uint8), depth)
     renderer.close()
     return depth > 0

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 from collections import Counter
 
 import mujoco
 import numpy as np
 import pytest
 
-from rcs._core import StepCallback, StepEnd, StepView
-from rcs.errors import InvalidSetup
+from rcs._core import Collision, JointsArrived, JointsAtRest, StepCallback, StepEnd, StepView
+from rcs.errors import InvalidSetup, WrongOrder
 from rcs.sim.world import Callback, World
 
 
@@ -125,3 +126,63 @@ def test_no_answer_counts_as_no(cart: mujoco.MjModel) -> None:
     world.core.interrupt_when(Callback(lambda view: None))
     world.advance()
     assert world.core.ends[0] == StepEnd.limit.value
+
+
+BUILT_IN = {
+    "a joint that is not there": lambda: JointsArrived([10**8], [0], 1e-3, 1e-2),
+    "a joint before the first": lambda: JointsAtRest([-1], 1e-2, 0.1, 4),
+    "an actuator that is not there": lambda: JointsArrived([0], [1], 1e-3, 1e-2),
+    "fewer actuators than joints": lambda: JointsArrived([0], [], 1e-3, 1e-2),
+    "fewer copies than the world": lambda: JointsAtRest([0], 1e-2, 0.1, 1),
+    "no copies": lambda: JointsAtRest([0], 1e-2, 0.1, -1),
+    "flags of another model": lambda: Collision(np.ones(9, np.uint8), np.ones(2, np.uint8), 1.0),
+}
+
+
+@pytest.mark.parametrize("kind", ["on_period", "converge_when", "interrupt_when"])
+@pytest.mark.parametrize("what", BUILT_IN)
+def test_a_callback_that_does_not_fit_the_world_is_refused(cart: mujoco.MjModel, kind: str, what: str) -> None:
+    world = World(cart, copies=4, threads=2)
+    with pytest.raises(InvalidSetup, match=r"JointsA|Collision"):
+        getattr(world.core, kind)(BUILT_IN[what](), *([0.002] if kind == "on_period" else []))
+    world.advance()
+
+
+@pytest.mark.parametrize("kind", ["on_period", "converge_when", "interrupt_when"])
+def test_no_callback_is_refused(cart: mujoco.MjModel, kind: str) -> None:
+    with pytest.raises((InvalidSetup, TypeError)):
+        getattr(World(cart).core, kind)(None, *([0.002] if kind == "on_period" else []))
+
+
+def test_a_period_of_more_than_2_to_the_31_physics_steps_does_not_become_a_short_one(cart: mujoco.MjModel) -> None:
+    world = World(cart)
+    calls: list[int] = []
+    world.core.on_period(Callback(lambda view: calls.append(view.copy)), (2**32 + 1) * 0.002)
+    world.advance()
+    assert calls == []
+    for wrong in (np.nan, np.inf, -1.0, 1e300):
+        with pytest.raises(InvalidSetup, match="at least one physics step"):
+            world.core.on_period(Callback(lambda view: None), wrong)
+
+
+@pytest.mark.parametrize("copies", [None, 2])
+def test_a_view_that_is_kept_beyond_its_call_refuses_to_be_used(cart: mujoco.MjModel, copies: int | None) -> None:
+    world = World(cart, copies=copies, threads=1)
+    kept: list[StepView] = []
+    arrays: list[np.ndarray] = []
+
+    def keep(view: StepView) -> None:
+        kept.append(view)
+        arrays.append(view.qpos)
+
+    world.core.on_period(Callback(keep), 0.002)
+    world.advance()
+    names = [name for name in dir(StepView) if not name.startswith("_")]
+    assert len(names) >= 10
+    for name in names:
+        with pytest.raises(WrongOrder, match="after the call"):
+            getattr(kept[0], name)
+    world.close()
+    del world
+    gc.collect()
+    assert all(np.isfinite(array).all() for array in arrays)  # memory that is still there

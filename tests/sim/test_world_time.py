@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+from collections.abc import Callable
 from fractions import Fraction
 
 import mujoco
@@ -13,6 +15,8 @@ from hypothesis import strategies as st
 from rcs._core import Collision, JointsArrived, JointsAtRest, StepEnd
 from rcs.errors import InvalidSetup
 from rcs.sim.world import Callback, World, control_period
+
+RunProgram = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def arrived(tolerance: float = 1e-3) -> JointsArrived:
@@ -155,3 +159,50 @@ def test_numbers_that_make_no_sense_are_refused(cart, arguments, error, text) ->
 def test_data_and_copies_exclude_each_other(cart: mujoco.MjModel) -> None:
     with pytest.raises(InvalidSetup, match="not both"):
         World(cart, data=mujoco.MjData(cart), copies=2)
+
+
+@pytest.mark.parametrize("frequency", [1e-9, 1e-300, 9.9e-7])
+def test_a_frequency_that_is_too_low_to_count_is_refused_with_what_is_valid(
+    cart: mujoco.MjModel, frequency: float
+) -> None:
+    with pytest.raises(InvalidSetup, match=f"frequency is {frequency} Hz; valid is from 1e-06 Hz"):
+        World(cart, frequency=frequency)
+    World(cart, frequency=1e-6)
+
+
+def test_a_model_without_a_time_step_is_refused(cart: mujoco.MjModel) -> None:
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    for wrong in (0.0, -0.002, float("nan"), 1e-12):
+        model.opt.timestep = wrong
+        with pytest.raises(InvalidSetup, match="time step"):
+            World(model)
+
+
+def test_a_ratio_with_long_terms_does_not_overflow_after_many_steps() -> None:
+    model = mujoco.MjModel.from_xml_string("<mujoco><option timestep='0.001234567'/></mujoco>")
+    period = control_period(10 * np.pi, 0.001234567)
+    world = World(model, frequency=10 * np.pi)
+    steps = 68_000
+    for _ in range(steps):
+        world.advance()
+        assert world.core.substeps[0] in (25, 26)
+    assert float(world.time) == pytest.approx(int(steps * period) * 0.001234567)
+
+
+def test_ctrl_c_ends_a_long_step_at_once(run_program: RunProgram) -> None:
+    program = """
+        import os, signal, threading, time, sys
+        import mujoco
+        from rcs.sim.world import World
+        copies = None if sys.argv[1] == "one" else 8
+        world = World(mujoco.MjModel.from_xml_string("<mujoco/>"), frequency=1e-5, copies=copies, threads=2)
+        threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+        start = time.perf_counter()
+        try:
+            world.advance()
+        except KeyboardInterrupt:
+            print(time.perf_counter() - start < 1.5)
+    """
+    for copies in ("one", "many"):
+        answer = run_program(program, copies)
+        assert answer.stdout.strip() == "True", answer.stderr

@@ -4,6 +4,7 @@
 #include <mujoco/mujoco.h>
 
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 namespace rcs {
@@ -13,6 +14,7 @@ struct StepView {
   const mjModel* model;
   mjData* data;
   int copy;
+  const std::shared_ptr<const void>* memory = nullptr;  ///< keeps `model` and `data`, where the world does
 };
 
 /// A function run between physics steps, in C++ or Python. Copies are stepped on several threads: what a callback
@@ -24,19 +26,19 @@ class StepCallback {
   virtual bool call(const StepView& view) = 0;
   /// Forget what was remembered of a copy; its episode starts anew.
   virtual void reset(int /*copy*/) {}
+  /// Throws `InvalidSetup` if it cannot be called in a world of this model and number of copies.
+  virtual void check(const mjModel* /*model*/, int /*copies*/) const {}
 };
 
 /// True when position-controlled joints stand at their targets.
 class JointsArrived final : public StepCallback {
  public:
   /// `joints` are hinge or slide joint ids, `actuators` the position servos whose controls are their targets.
+  /// Throws `InvalidSetup` if they differ in number.
   JointsArrived(std::vector<int> joints, std::vector<int> actuators, double position_tolerance,
-                double velocity_tolerance)
-      : joints_(std::move(joints)),
-        actuators_(std::move(actuators)),
-        position_tolerance_(position_tolerance),
-        velocity_tolerance_(velocity_tolerance) {}
+                double velocity_tolerance);
   bool call(const StepView& view) override;
+  void check(const mjModel* model, int copies) const override;
 
  private:
   std::vector<int> joints_;
@@ -48,13 +50,11 @@ class JointsArrived final : public StepCallback {
 /// True when joints have stood still for a while: a gripper that closed on an object never reaches its target.
 class JointsAtRest final : public StepCallback {
  public:
-  JointsAtRest(std::vector<int> joints, double velocity_tolerance, double duration, int copies)
-      : joints_(std::move(joints)),
-        velocity_tolerance_(velocity_tolerance),
-        duration_(duration),
-        since_(static_cast<std::size_t>(copies), -1.0) {}
+  /// `joints` are hinge or slide joint ids, `copies` those of the world. Throws `InvalidSetup` if there are none.
+  JointsAtRest(std::vector<int> joints, double velocity_tolerance, double duration, int copies);
   bool call(const StepView& view) override;
   void reset(int copy) override { since_[static_cast<std::size_t>(copy)] = -1.0; }
+  void check(const mjModel* model, int copies) const override;
 
  private:
   std::vector<int> joints_;
@@ -70,6 +70,7 @@ class Collision final : public StepCallback {
   Collision(std::vector<std::uint8_t> first, std::vector<std::uint8_t> second, double force)
       : first_(std::move(first)), second_(std::move(second)), force_(force) {}
   bool call(const StepView& view) override;
+  void check(const mjModel* model, int copies) const override;
 
  private:
   std::vector<std::uint8_t> first_;

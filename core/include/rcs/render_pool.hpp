@@ -4,12 +4,10 @@
 #include <mujoco/mjbatch.h>
 #include <mujoco/mujoco.h>
 
-#include <condition_variable>
+#include <atomic>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <span>
-#include <thread>
 #include <vector>
 
 #include "rcs/renderer.hpp"
@@ -30,7 +28,8 @@ struct Film {
 /// The calling thread is one of the threads, so a pool of one starts none. Calls wait for each other.
 class RenderPool {
  public:
-  /// `model` must outlive the pool. Throws `std::invalid_argument`, `GlUnavailable`.
+  /// `model` must outlive the pool. Throws `std::invalid_argument`, `GlUnavailable`, `std::system_error` when a thread
+  /// cannot start.
   RenderPool(const mjModel* model, int threads, const RenderOptions& options);
   ~RenderPool();
   RenderPool(const RenderPool&) = delete;
@@ -41,9 +40,10 @@ class RenderPool {
   /// the model per simulation. Its model must have the sizes, meshes and textures of the pool's.
   void render_states(std::span<const double> states, std::span<const Film> films, mjBatch* batch = nullptr);
 
-  /// End the threads and free everything. Closing twice is harmless; drawing afterwards throws `WrongOrder`.
+  /// End the threads and free everything. Closing twice is harmless; drawing afterwards throws `WrongOrder`, and so
+  /// does drawing after a fork, which has not copied the threads.
   void close();
-  bool is_open() const { return !painters_.empty(); }
+  bool is_open() const { return is_open_.load(); }
 
   int threads() const { return threads_; }
   int state_size() const { return state_size_; }
@@ -59,24 +59,17 @@ class RenderPool {
     std::unique_ptr<Renderer> renderer;
     std::unique_ptr<mjModel, FreeModel> model;  // of the copy at work, made when models first differ
   };
+  struct Studio;
+  bool is_forked() const;
   void work(Painter& painter, Job& job);
-  void serve(Painter& painter);
 
   const mjModel* model_;
   int threads_;
   int state_size_ = 0;
   std::string description_;
-  std::vector<Painter> painters_;  // the first one is the calling thread's
-  std::vector<std::thread> workers_;
-  std::mutex calls_;  // held through each call and `close`
-
-  std::mutex mutex_;  // guards all below
-  std::condition_variable started_;
-  std::condition_variable finished_;
-  Job* job_ = nullptr;
-  std::uint64_t job_number_ = 0;  // tells a new job from the one just done
-  int busy_ = 0;                  // workers that have not finished the job
-  bool is_ending_ = false;
+  std::atomic<bool> is_open_ = true;
+  unsigned forks_;
+  std::unique_ptr<Studio> studio_;
 };
 
 }  // namespace rcs

@@ -4,6 +4,7 @@
 #include <mujoco/mujoco.h>
 
 #include <array>
+#include <atomic>
 #include <cstdint>
 #include <memory>
 #include <mutex>
@@ -45,14 +46,16 @@ struct Picture {
 /// Geoms, skins, flexes and tendons are drawn; sites and other decoration, which no real camera sees, are not.
 class Renderer {
  public:
-  /// `model` must outlive the renderer and is never changed. Throws `std::invalid_argument`, `GlUnavailable`.
+  /// `model` must outlive the renderer and is never changed. Throws `std::invalid_argument`, `GlUnavailable`, and like
+  /// all that draw `SimulationError` with MuJoCo's words.
   Renderer(const mjModel* model, const RenderOptions& options);
   ~Renderer();
   Renderer(const Renderer&) = delete;
   Renderer& operator=(const Renderer&) = delete;
 
-  /// Take over the poses in `data`, once for all cameras. They must be current: after `mj_forward`, or after
-  /// `mj_kinematics`, `mj_comPos` and `mj_camlight` (without the last one cameras and lights are where they were).
+  /// Take over the poses in `data`, which is of the renderer's model, once for all cameras. They must be current: after
+  /// `mj_forward`, or after `mj_kinematics`, `mj_comPos` and `mj_camlight` (without the last one cameras and lights are
+  /// where they were).
   void update(mjData* data);
   /// Take over the poses that follow from a row of `mjSTATE_INTEGRATION`, which has `state_size()` numbers.
   void update_from_state(std::span<const double> state);
@@ -67,7 +70,7 @@ class Renderer {
 
   /// Free everything. Closing twice is harmless; drawing afterwards throws `WrongOrder`.
   void close();
-  bool is_open() const { return open_ != nullptr; }
+  bool is_open() const { return is_open_.load(); }
 
   const RenderOptions& options() const { return options_; }
   int state_size() const { return state_size_; }
@@ -84,6 +87,7 @@ class Renderer {
   RenderOptions options_;
   int state_size_;
   std::string description_;
+  std::atomic<bool> is_open_ = true;
   std::unique_ptr<Open> open_;
   std::mutex mutex_;  // guards what `open_` points to
 };

@@ -13,7 +13,7 @@ enum class StepEnd : std::uint8_t {
   converged,    ///< synchronous: every convergence callback agreed
   interrupted,  ///< a callback interrupted the step
   limit,        ///< synchronous: the substep limit came before convergence
-  failed,       ///< the state left the range of finite numbers
+  failed,       ///< a state or control that is not a finite number, or an exception
 };
 
 /// What inverse kinematics found.
@@ -36,6 +36,11 @@ struct InvalidSetup : std::invalid_argument {
 /// A call at a time when it has no meaning, such as a command before `open`.
 struct WrongOrder : std::logic_error {
   using std::logic_error::logic_error;
+};
+
+/// MuJoCo stopped, or dropped contacts, because it ran out of memory or met a model that it cannot compute.
+struct SimulationError : std::runtime_error {
+  using std::runtime_error::runtime_error;
 };
 
 /// A device is in its fault state; `recover` clears it.

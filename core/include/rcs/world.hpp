@@ -3,18 +3,23 @@
 // Time: a copy counts its own control steps. Asynchronously, step k lasts floor((k+1) r) - floor(k r) physics steps
 // with r = control period / physics step, kept as a ratio of integers, so the mean rate is exact (30 Hz at 2 ms: 16,
 // 17, 17). Threads: copies run on MuJoCo's own pool (mjbatch.h); the result does not depend on the number of threads.
+// A world takes one call at a time: another one meanwhile, from a callback or another thread, throws `WrongOrder`.
 #pragma once
 
 #include <mujoco/mjbatch.h>
 #include <mujoco/mujoco.h>
 
+#include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <exception>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <optional>
 #include <span>
 #include <string>
+#include <thread>
 #include <variant>
 #include <vector>
 
@@ -39,18 +44,25 @@ struct ModelField {
 
 class World {
  public:
-  /// One copy, working directly on the caller's model and data, which must outlive the world.
-  World(const mjModel* model, mjData* data, StepTiming timing);
-  /// Many copies of a copy of `model`, on `threads` threads (0: one per CPU).
+  /// One copy, working directly on the caller's model and data, which `owner` keeps alive; without one, both must
+  /// outlive the world. Throws `InvalidSetup` when the data is of another model.
+  World(const mjModel* model, mjData* data, StepTiming timing, std::shared_ptr<const void> owner = nullptr);
+  /// Many copies of a copy of `model`, on `threads` threads (0: one per CPU that this process may use).
   World(const mjModel* model, int copies, int threads, StepTiming timing);
-  ~World();
   World(const World&) = delete;
   World& operator=(const World&) = delete;
 
+  /// Drop the callbacks and end the threads. Closing twice is harmless; every call afterwards throws `WrongOrder`.
+  void close();
+  bool is_open() const { return is_open_.load(std::memory_order_relaxed); }
+  /// Keeps alive what `component`, `states` and `expand` point to, beyond `close` and the world itself. The threads of
+  /// a batch end when the last of these is dropped. Null for a world without owner on the caller's data.
+  const std::shared_ptr<const void>& memory() const { return memory_; }
+
   int copies() const { return copies_; }
-  int threads() const { return batch_ ? mjb_nthread(batch_) : 1; }
-  bool is_batch() const { return batch_ != nullptr; }
-  const mjModel* model() const { return model_; }
+  int threads() const { return threads_; }
+  bool is_batch() const { return is_batch_; }
+  const mjModel* model() const;
   const StepTiming& timing() const { return timing_; }
   void set_timing(const StepTiming& timing);
 
@@ -72,25 +84,39 @@ class World {
   /// Have the mean position of joints read out as 0 at `closed` … 1 at `open`. Returns its index in `openings`.
   int read_opening(std::vector<int> joints, double closed, double open);
 
+  /// All callbacks that were added, one entry for each time.
+  std::vector<const StepCallback*> callbacks() const;
+
+  /// Have `poll` called about every 50 ms of a long step, in the thread that called; what it throws ends the step. An
+  /// interpreter can act on Ctrl-C there.
+  void poll_with(std::function<void()> poll);
+
   /// Take the present state of `copy` as the one that `reset` returns to, for all copies.
   void keep_initial_state(int copy = 0);
-  /// Return copies to the initial state. Empty `copies` means all.
-  void reset(std::span<const int> copies = {});
+  // Copies may come in any order, each once; an empty span means none. Without an argument, all are meant.
+
+  /// Return copies to the initial state.
+  void reset() { reset_chosen(std::nullopt); }
+  void reset(std::span<const int> copies) { reset_chosen(copies); }
   /// Recompute the readouts after the state was written to.
-  void refresh(std::span<const int> copies = {});
-  /// Advance copies by one control step.
-  void advance(std::span<const int> copies = {});
+  void refresh() { run("refresh", std::nullopt, &World::refresh_copy, false); }
+  void refresh(std::span<const int> copies) { run("refresh", copies, &World::refresh_copy, false); }
+  /// Advance copies by one control step. Throws what a callback has thrown, and `SimulationError` with MuJoCo's words:
+  /// then that copy's end is `failed`, and after an error of MuJoCo its state is the one before the step.
+  void advance() { run("advance", std::nullopt, &World::step_copy, true); }
+  void advance(std::span<const int> copies) { run("advance", copies, &World::step_copy, true); }
 
   /// Present state [mjSTATE_INTEGRATION] of one copy.
   void get_state(int copy, std::span<double> state) const;
   void set_state(int copy, std::span<const double> state);
   int state_size() const { return state_size_; }
   /// State rows of a batch (copies × state_size); null for a world on the caller's data.
-  double* states() { return batch_ ? mjb_state(batch_) : nullptr; }
+  double* states();
   /// First element of a state component (one mjtState bit) of copy 0, and its size; rows are `row_stride` apart.
   double* component(int which, int* size);
-  int row_stride() const { return batch_ ? state_size_ : 0; }
-  mjBatch* batch() { return batch_; }
+  int row_stride() const { return is_batch_ ? state_size_ : 0; }
+  /// Throws `WrongOrder` while a call is under way: a callback that waited for its batch would wait for ever.
+  mjBatch* batch();
 
   /// Give a field of a batch's model (`mjModel`'s name for it) values per copy; they start as the model's.
   /// Throws `std::invalid_argument` for the caller's own model, and for a field that cannot differ between copies.
@@ -100,25 +126,40 @@ class World {
   /// Whether any field has values per copy.
   bool is_varied() const { return is_varied_; }
   /// Recompute what the models of a batch's copies derive from masses, inertias and sizes (`mj_setConst`).
-  void set_constants(std::span<const int> copies = {});
+  void set_constants() { set_chosen_constants(std::nullopt); }
+  void set_constants(std::span<const int> copies) { set_chosen_constants(copies); }
 
-  mjData* data() { return data_; }
-
-  std::vector<double>& poses() { return poses_; }       ///< copies × readouts × 7: translation [m], quaternion xyzw
-  std::vector<double>& xyzrpy() { return xyzrpy_; }     ///< copies × readouts × 6: the same as roll, pitch, yaw [rad]
-  std::vector<double>& forces() { return forces_; }     ///< copies × readouts [N], of the last physics step
-  std::vector<float>& openings() { return openings_; }  ///< copies × readouts, 0 … 1
-  std::vector<std::uint8_t>& ends() { return ends_; }   ///< copies: StepEnd of the last step
-  std::vector<std::int32_t>& substeps() { return substeps_; }  ///< copies: physics steps of the last step
-  std::vector<std::int64_t>& steps() { return steps_; }        ///< copies: control steps since reset
+  std::vector<double>& poses() { return out_->poses; }    ///< copies × readouts × 7: translation [m], quaternion xyzw
+  std::vector<double>& xyzrpy() { return out_->xyzrpy; }  ///< copies × readouts × 6: as roll, pitch, yaw [rad]
+  std::vector<double>& forces() { return out_->forces; }  ///< copies × readouts [N], of the last physics step
+  std::vector<float>& openings() { return out_->openings; }         ///< copies × readouts, 0 … 1
+  std::vector<std::uint8_t>& ends() { return out_->ends; }          ///< copies: StepEnd of the last step
+  std::vector<std::int32_t>& substeps() { return out_->substeps; }  ///< copies: physics steps of the last step
+  std::vector<std::int64_t>& steps() { return out_->steps; }        ///< copies: control steps since reset
+  /// Keeps alive the arrays above, beyond the world itself.
+  std::shared_ptr<const void> readouts() const { return out_; }
   int pose_count() const { return static_cast<int>(pose_readouts_.size()); }
   int opening_count() const { return static_cast<int>(opening_readouts_.size()); }
   int force_count() const { return static_cast<int>(force_readouts_.size()); }
 
  private:
+  using Chosen = std::optional<std::span<const int>>;  // nothing: all copies
+
+  /// Marks the world as taken by one call for its own lifetime.
+  class Taken {
+   public:
+    Taken(const World& world, const char* call);
+    ~Taken() { world_.call_.store(nullptr, std::memory_order_release); }
+    Taken(const Taken&) = delete;
+    Taken& operator=(const Taken&) = delete;
+
+   private:
+    const World& world_;
+  };
+
   struct Periodic {
     std::shared_ptr<StepCallback> callback;
-    int every;  // physics steps
+    std::int64_t every;  // physics steps
   };
   struct PoseReadout {
     int site;  // -1: `body` is read instead
@@ -134,18 +175,42 @@ class World {
     double closed;
     double open;
   };
+  // What is read, in memory of its own: a view of it may outlive the world.
+  struct Readouts {
+    std::vector<double> poses;
+    std::vector<double> xyzrpy;
+    std::vector<double> forces;
+    std::vector<float> openings;
+    std::vector<std::uint8_t> ends;
+    std::vector<std::int32_t> substeps;
+    std::vector<std::int64_t> steps;
+    std::vector<std::shared_ptr<void>> retired;
+  };
   using Work = void (World::*)(const mjModel*, mjData*, int);
 
+  void require_open(const char* call) const;
+  void check_callback(const StepCallback* callback) const;
+  void check_copy(int copy) const;
+  void check_state(int copy, std::size_t size) const;
   int add_pose(PoseReadout readout);
   void allocate();
   /// Make a readout's array anew for one more readout. Views of the old one stay valid, with their last values.
   template <typename T>
   void renew(std::vector<T>& values, std::size_t size) {
-    retired_.push_back(std::make_shared<std::vector<T>>(std::move(values)));
+    out_->retired.push_back(std::make_shared<std::vector<T>>(std::move(values)));
     values.assign(size, T{});
   }
-  void check_copies(std::span<const int> copies) const;
-  void run(std::span<const int> copies, Work work, bool is_saved);
+  Chosen in_order(Chosen copies, std::vector<int>& room) const;
+  void read_state(int copy, std::span<double> state) const;
+  void write_state(int copy, std::span<const double> state);
+  void reset_chosen(Chosen copies);
+  void set_chosen_constants(Chosen copies);
+  ModelField expand_field(const std::string& field);
+  void run(const char* call, Chosen copies, Work work, bool is_saved);
+  void run_single(Work work);
+  void run_batch(Chosen copies, Work work, bool is_saved);
+  void fail(int copy, std::exception_ptr error);
+  bool is_stopped();
   void step_copy(const mjModel* model, mjData* data, int copy);
   void refresh_copy(const mjModel* model, mjData* data, int copy);
   void read_out(const mjModel* model, const mjData* data, int copy, bool has_forces);
@@ -154,8 +219,13 @@ class World {
   const mjModel* model_;
   mjData* data_ = nullptr;
   mjBatch* batch_ = nullptr;
+  std::shared_ptr<const void> memory_;
+  std::atomic<bool> is_open_ = true;
+  bool is_batch_ = false;
   bool is_varied_ = false;
   int copies_;
+  int threads_ = 1;
+  unsigned forks_;
   int state_size_;
   StepTiming timing_;
   std::vector<Periodic> periodic_;
@@ -165,17 +235,18 @@ class World {
   std::vector<ForceReadout> force_readouts_;
   std::vector<OpeningReadout> opening_readouts_;
   std::vector<double> initial_state_;
-  std::vector<double> poses_;
-  std::vector<double> xyzrpy_;
-  std::vector<double> forces_;
-  std::vector<float> openings_;
-  std::vector<std::shared_ptr<void>> retired_;
-  std::vector<std::uint8_t> ends_;
-  std::vector<std::int32_t> substeps_;
-  std::vector<std::int64_t> steps_;
+  std::vector<double> state_before_;  // of a call, in a world of one
+  std::shared_ptr<Readouts> out_ = std::make_shared<Readouts>();
   std::vector<std::int64_t> physics_steps_;
-  std::mutex failure_mutex_;
+
+  mutable std::atomic<const char*> call_ = nullptr;  // the one under way
+  std::function<void()> poll_;
+  std::thread::id caller_;
+  std::chrono::steady_clock::time_point polled_at_;
+  std::atomic<bool> is_stopping_ = false;
+  std::mutex failure_mutex_;  // guards both below while threads step
   std::exception_ptr failure_;
+  int failed_copy_ = 0;
 };
 
 }  // namespace rcs

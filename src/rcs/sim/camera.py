@@ -125,7 +125,7 @@ class SimCameras:
             data = self.world.data
             assert data is not None
             mujoco.mj_camlight(self.world.model, data)
-            renderer.update(data._address)  # pyright: ignore[reportPrivateUsage]
+            renderer.update(data)
             for drawn, camera in enumerate(ids):
                 renderer.render(camera, rgb[drawn], None if depth is None else depth[drawn])
                 self.capture_times[self.names[chosen[drawn]]] = time.perf_counter()
@@ -133,7 +133,7 @@ class SimCameras:
             return rgb, depth
         return [part[copies] for part in rgb], None if depth is None else [part[copies] for part in depth]
 
-    def _calibration(self, i: int, rows: slice | NDArray[np.int32]) -> dict[str, NDArray[np.float64]]:
+    def _calibration(self, i: int, rows: slice | NDArray[np.integer[Any]]) -> dict[str, NDArray[np.float64]]:
         """Return the matrices of a camera as it is now: it may move, and its field of view may vary."""
         width, height = self.size
         fovy = self.world.field("cam_fovy")[..., self._ids[i]]
@@ -149,14 +149,13 @@ class SimCameras:
 
     def _make_renderer(self) -> Renderer | RenderPool:
         width, height = self.size
-        address = self.world.model._address  # pyright: ignore[reportPrivateUsage]
         if self.world.leading:
             threads = self.world.core.threads
             self._renderer = RenderPool(
-                address, threads=threads, quality=self._quality, max_width=width, max_height=height
+                self.world.model, threads=threads, quality=self._quality, max_width=width, max_height=height
             )
         else:
-            self._renderer = Renderer(address, quality=self._quality, max_width=width, max_height=height)
+            self._renderer = Renderer(self.world.model, quality=self._quality, max_width=width, max_height=height)
         return self._renderer
 
     def close(self) -> None:

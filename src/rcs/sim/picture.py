@@ -41,15 +41,10 @@ class Picture:
         width, height = self._size
         model = self._world.model
         if self._renderer is None:
-            self._renderer = Renderer(
-                model._address,  # pyright: ignore[reportPrivateUsage]
-                quality=self._quality,
-                max_width=width,
-                max_height=height,
-            )
+            self._renderer = Renderer(model, quality=self._quality, max_width=width, max_height=height)
         picture = np.empty((height, width, 3), np.uint8)
         mujoco.mj_camlight(model, self._data)
-        self._renderer.update(self._data._address)  # pyright: ignore[reportPrivateUsage]
+        self._renderer.update(self._data)
         self._renderer.render(self._camera, picture)
         return picture
 

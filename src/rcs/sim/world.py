@@ -17,13 +17,19 @@ from numpy.typing import NDArray
 
 from rcs import _core
 from rcs._core import StepCallback, StepView
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, SimulationError
 
 Mode = Literal["async", "sync", "realtime"]
 """How long a step lasts: one control period of simulated time, until converged, or one on the wall clock."""
 
-Copies = NDArray[np.int32] | None
-"""Which copies a call is for; None means all."""
+Copies = NDArray[np.integer[Any]] | None
+"""Which copies a call is for: their ids, in any order, each once; none if there are none. None means all."""
+
+LOWEST_FREQUENCY = 1e-6
+"""Lowest rate of control steps [Hz]: one in eleven days."""
+
+SHORTEST_PHYSICS_STEP = 1e-9
+"""Shortest time step of the physics [s]: the finest that a control period is counted in."""
 
 
 class World:
@@ -46,13 +52,13 @@ class World:
             model: The scene. A world of copies works on a copy of it.
             data: State of a world of one copy, changed in place; made when not given.
             copies: Number of copies; None for one copy on `data`.
-            threads: Threads for copies, 0 for one per CPU.
+            threads: Threads for copies, 0 for one per CPU that this process may use.
             frequency: Control steps per second of simulated time [Hz].
             mode: How long a step lasts.
             max_substeps: Limit of physics steps in a synchronous step.
 
         Raises:
-            InvalidSetup: A number that makes no sense, or both `data` and `copies`.
+            InvalidSetup: A number that makes no sense, both `data` and `copies`, or data of another model.
         """
         if copies is not None and data is not None:
             raise InvalidSetup("Give data for one copy or copies for many, not both.")
@@ -67,13 +73,11 @@ class World:
         """Leading shape of every array: () or (copies,)."""
         if copies is None:
             self.data = mujoco.MjData(model) if data is None else data
+            self.core = _core.World.on_data(model, self.data, *timing)
             mujoco.mj_kinematics(model, self.data)
-            # The core keeps the two objects alive: arrays and devices may outlive this world.
-            owner = (model, self.data)
-            self.core = _core.World.on_data(model._address, self.data._address, *timing, owner)  # pyright: ignore[reportPrivateUsage]
         else:
             self.data = None
-            self.core = _core.World.of_copies(model._address, copies, threads, *timing)  # pyright: ignore[reportPrivateUsage]
+            self.core = _core.World.of_copies(model, copies, threads, *timing)
         state = mujoco.mjtState
         self.qpos = self.core.component(state.mjSTATE_QPOS.value)
         """Live positions of all joints, (*leading, nq)."""
@@ -85,6 +89,17 @@ class World:
         """Live simulated time [s], (*leading,)."""
         self._is_read_out = False
         self._scratch: mujoco.MjData | None = None
+
+    def close(self) -> None:
+        """Drop the callbacks and end the threads; calls afterwards raise WrongOrder, and closing twice is harmless.
+
+        Arrays keep their last values. Threads end when no array that was taken from this world is left.
+        """
+        if not self.core.is_open:
+            return
+        self.core.close()
+        # Copies, which need no world: this one's arrays would keep the threads.
+        self.qpos, self.qvel, self.ctrl, self.time = (a.copy() for a in (self.qpos, self.qvel, self.ctrl, self.time))
 
     @property
     def copies(self) -> int:
@@ -131,7 +146,13 @@ class World:
         return 1.0 / self.frequency
 
     def advance(self, copies: Copies = None) -> None:
-        """Advance copies by one control step."""
+        """Advance copies by one control step.
+
+        Raises:
+            InvalidSetup: Copies that are not ids of this world, each named once.
+            SimulationError: MuJoCo failed, or left out contacts; a copy's end says which.
+            WrongOrder: The world is stepping already, in another thread or around a callback, or is closed.
+        """
         if copies is None:
             self.core.advance()
         else:
@@ -183,7 +204,10 @@ class World:
         if not self.leading:
             if self._scratch is None:
                 self._scratch = mujoco.MjData(self.model)
-            mujoco.mj_setConst(self.model, self._scratch)
+            try:
+                mujoco.mj_setConst(self.model, self._scratch)
+            except mujoco.FatalError as err:
+                raise SimulationError(f"The constants of the model could not be computed: {err}") from err
         elif copies is None:
             self.core.set_constants()
         else:
@@ -260,10 +284,13 @@ def control_period(frequency: float, physics_step: float) -> Fraction:
         physics_step: Time step of the physics [s].
 
     Raises:
-        InvalidSetup: The frequency is not positive, or higher than that of the physics.
+        InvalidSetup: The frequency is too low or higher than that of the physics, or the physics has no time step.
     """
-    if not (np.isfinite(frequency) and 0 < frequency <= 1 / physics_step + 1e-9):
+    if not (np.isfinite(physics_step) and physics_step >= SHORTEST_PHYSICS_STEP):
+        raise InvalidSetup(f"The model's time step is {physics_step} s; it must be at least {SHORTEST_PHYSICS_STEP} s.")
+    if not (np.isfinite(frequency) and LOWEST_FREQUENCY <= frequency <= 1 / physics_step + 1e-9):
         raise InvalidSetup(
-            f"frequency is {frequency} Hz; valid is above 0 and up to the physics' {1 / physics_step:g} Hz."
+            f"frequency is {frequency} Hz; valid is from {LOWEST_FREQUENCY} Hz up to the physics' "
+            f"{1 / physics_step:g} Hz."
         )
     return 1 / (Fraction(frequency).limit_denominator(10**6) * Fraction(physics_step).limit_denominator(10**9))

@@ -1,0 +1,25 @@
+"""Limits on rows of numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rcs._core import limit_rows
+from rcs.errors import InvalidSetup
+
+
+@pytest.mark.parametrize("wrong", [-1e-9, -np.inf, np.nan])
+def test_a_limit_that_is_negative_or_not_a_number_is_refused(wrong: float) -> None:
+    row, step = np.zeros((2, 2)), np.array([0.1, 0.1])
+    with pytest.raises(InvalidSetup, match="max_step must not be negative or NaN"):
+        limit_rows(row + 1, row, row, np.array([0.1, wrong]), 0.2, 0.0)
+    with pytest.raises(InvalidSetup, match="max_lead must not be negative or NaN"):
+        limit_rows(row + 1, row, row, step, wrong, 0.0)
+
+
+def test_limits_may_be_zero_or_infinite() -> None:
+    row = np.zeros((1, 2))
+    target, is_cut = limit_rows(row + 1, row, row, np.array([0.0, np.inf]), np.inf, 0.0) or (None, None)
+    np.testing.assert_array_equal(target, [[0.0, 1.0]])
+    np.testing.assert_array_equal(is_cut, [True])
