@@ -66,7 +66,7 @@ void bind_arm(nb::module_& m) {
           "command_joints",
           [](rcs::Arm& arm, const Vector& joints) {
             const std::vector<double> target = to_vector(joints);
-            const nb::gil_scoped_release release;
+            const ReleasedGil released;
             arm.command_joints(target);
           },
           "joints"_a,

@@ -39,7 +39,7 @@ void bind_hand(nb::module_& m) {
           "command_joints",
           [](rcs::Hand& hand, const Vector& joints) {
             const std::vector<double> target = to_vector(joints);
-            const nb::gil_scoped_release release;
+            const ReleasedGil released;
             hand.command_joints(target);
           },
           "joints"_a, "Set every joint (normalised, 0 … 1) and return at once. Raises as `Arm.command_joints` does.")

@@ -5,6 +5,7 @@
 #include <nanobind/stl/vector.h>
 
 #include "arrays.hpp"
+#include "mujoco_objects.hpp"
 #include "overrides.hpp"
 #include "rcs/kinematics.hpp"
 
@@ -35,7 +36,7 @@ nb::tuple solve_batch(rcs::DampedLeastSquares& self, const Rows& targets, const 
   auto* status = new std::vector<std::uint8_t>(count);
   const nb::capsule owner(status, [](void* p) noexcept { delete static_cast<std::vector<std::uint8_t>*>(p); });
   {
-    const nb::gil_scoped_release release;
+    const ReleasedGil released;
     rcs::inverse_batch(self, {targets.data(), 7 * count}, {starts.data(), n * count}, options, threads, joints,
                        *status);
   }
@@ -113,13 +114,12 @@ void bind_kinematics(nb::module_& m) {
       m, "DampedLeastSquares", "Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.")
       .def(
           "__init__",
-          [](rcs::DampedLeastSquares* self, std::uintptr_t model, std::vector<int> joints, int tcp_site,
+          [](rcs::DampedLeastSquares* self, const PyModel& model, std::vector<int> joints, int tcp_site,
              int base_body) {
-            new (self) rcs::DampedLeastSquares(reinterpret_cast<const mjModel*>(model), std::move(joints), tcp_site,
-                                               base_body);
+            new (self) rcs::DampedLeastSquares(model.get(), std::move(joints), tcp_site, base_body);
           },
-          "model_address"_a, "joints"_a, "tcp_site"_a, "base_body"_a,
-          "Copy the model at `MjModel._address`; the ids of joints (base to tip), TCP site and base body are its.")
+          "model"_a, "joints"_a, "tcp_site"_a, "base_body"_a,
+          "Copy the model; the ids of joints (base to tip), TCP site and base body are its.")
       .def(
           "jacobian",
           [](rcs::DampedLeastSquares& self, Vector joints) {

@@ -3,7 +3,6 @@
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
-#include <nanobind/trampoline.h>
 
 #include <cstring>
 #include <limits>
@@ -14,6 +13,7 @@
 #include "arrays.hpp"
 #include "gil.hpp"
 #include "mujoco_objects.hpp"
+#include "overrides.hpp"
 #include "rcs/world.hpp"
 
 using namespace nb::literals;
@@ -40,7 +40,7 @@ struct PyStepCallback : rcs::StepCallback {
   NB_TRAMPOLINE(rcs::StepCallback);
   bool call(const rcs::StepView& view) override {
     const HeldGil gil;
-    nb::detail::ticket ticket(nb_trampoline, "call", nb::detail::str_hash("call"), true);
+    const nb::detail::ticket ticket = require_override(nb_trampoline, "call");
     const nb::object given = nb::cast(PyStepView{&view});
     struct Expiry {
       PyStepView& view;

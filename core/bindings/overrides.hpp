@@ -11,11 +11,12 @@
 #include <type_traits>
 
 #include "arrays.hpp"
+#include "gil.hpp"
 
 namespace nb = nanobind;
 
 /// A device may take its time: other threads of Python run meanwhile. What Python overrides takes the GIL again.
-using WithoutGil = nb::call_guard<nb::gil_scoped_release>;
+using WithoutGil = nb::call_guard<ReleasedGil>;
 
 /// The name of a type with its module, so that NumPy's bool is not taken for Python's.
 inline std::string full_name(nb::handle type) {
@@ -24,12 +25,11 @@ inline std::string full_name(nb::handle type) {
   return module == "builtins" ? name : module + "." + name;
 }
 
-/// What takes the GIL and finds the override `name`. Throws `TypeError` when the class does not have it.
+/// What finds the override `name`, with the GIL held. Throws `TypeError` when the class does not have it.
 inline nb::detail::ticket require_override(const nb::detail::trampoline& trampoline, const char* name) {
   try {
     return {trampoline, name, nb::detail::str_hash(name), true};
   } catch (const std::runtime_error&) {
-    const nb::gil_scoped_acquire gil;
     const nb::handle type = trampoline.base().type();
     if (PyObject_HasAttrString(type.ptr(), name)) throw;  // there, but not to be called: the interpreter ends
     throw nb::type_error((full_name(type) + " must define the method " + name).c_str());
@@ -48,6 +48,7 @@ const T& to_python(const T& value) {
 template <typename Result, typename... Args>
 Result call_override(const nb::detail::trampoline& trampoline, const char* name, const char* valid,
                      const Args&... args) {
+  const HeldGil gil;
   const nb::detail::ticket ticket = require_override(trampoline, name);
   const nb::object answer = trampoline.base().attr(ticket.key)(to_python(args)...);
   if constexpr (!std::is_void_v<Result>) {
@@ -65,9 +66,18 @@ Result call_override(const nb::detail::trampoline& trampoline, const char* name,
 template <typename Base>
 struct PyDevice : Base {
   NB_TRAMPOLINE(Base);
-  void do_open() override { NB_OVERRIDE_NAME("_open", do_open); }
-  void do_recover() override { NB_OVERRIDE_NAME("_recover", do_recover); }
-  void do_close() override { NB_OVERRIDE_NAME("_close", do_close); }
+  void do_open() override {
+    const HeldGil gil;
+    NB_OVERRIDE_NAME("_open", do_open);
+  }
+  void do_recover() override {
+    const HeldGil gil;
+    NB_OVERRIDE_NAME("_recover", do_recover);
+  }
+  void do_close() override {
+    const HeldGil gil;
+    NB_OVERRIDE_NAME("_close", do_close);
+  }
 
  protected:
   template <typename Result, typename... Args>

@@ -61,7 +61,6 @@ struct DampedLeastSquares::Scratch {
 
 DampedLeastSquares::DampedLeastSquares(const mjModel* model, std::vector<int> joints, int tcp_site, int base_body)
     : joints_(std::move(joints)), tcp_site_(tcp_site), base_body_(base_body) {
-  if (!model) throw InvalidSetup("inverse kinematics: there is no model at address 0");
   if (tcp_site < 0 || tcp_site >= model->nsite || base_body < 0 || base_body >= model->nbody)
     throw InvalidSetup("inverse kinematics: the TCP site or the base body is not in the model");
   if (joints_.empty()) throw InvalidSetup("inverse kinematics: no joints given");

@@ -518,9 +518,9 @@ class DampedLeastSquares(Kinematics):
     Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.
     """
 
-    def __init__(self, model_address: int, joints: Sequence[int], tcp_site: int, base_body: int) -> None:
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[int], tcp_site: int, base_body: int) -> None:
         """
-        Copy the model at `MjModel._address`; the ids of joints (base to tip), TCP site and base body are its.
+        Copy the model; the ids of joints (base to tip), TCP site and base body are its.
         """
 
     def jacobian(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:

@@ -149,11 +149,11 @@ class Shared:
             self.envs[kind].reset(seed=1)
         return self.envs[kind]
 
-    def renderers(self, address: int) -> list[Any]:
+    def renderers(self, model: mujoco.MjModel) -> list[Any]:
         if self.drawing is None:
             try:
-                self.drawing = [_core.Renderer(address, max_width=64, max_height=48)]
-                self.drawing.append(_core.RenderPool(address, 2, max_width=64, max_height=48))
+                self.drawing = [_core.Renderer(model, max_width=64, max_height=48)]
+                self.drawing.append(_core.RenderPool(model, 2, max_width=64, max_height=48))
             except MissingDependency:
                 self.drawing = []
         return self.drawing
@@ -178,7 +178,7 @@ class Stage:
         many = World(self.model, copies=3, threads=2, frequency=60.0)
         state = many.core
         gripper = _core.GripperMap(0.0, 1.0, 0.0, 1.0)
-        self.data = mujoco.MjData(self.model)
+        self.data, self.other_data = mujoco.MjData(self.model), mujoco.MjData(self.other_model)
         self.objects: list[Any] = [
             limits,
             gripper,
@@ -191,7 +191,7 @@ class Stage:
             _core.IkOptions(restarts=2),
             _core.CameraMode(4, 2, 30.0, True),
             _core.IkStatus.ok,
-            _core.DampedLeastSquares(self.model._address, [0, 1, 2], 0, 1),
+            _core.DampedLeastSquares(self.model, [0, 1, 2], 0, 1),
             FakeArm(limits),
             FakeGripper(),
             FakeHand(4),
@@ -219,7 +219,7 @@ class Stage:
     def instance(self, owner: type) -> Any:
         """Return an object of a class, mostly."""
         if owner.__name__ in ("Renderer", "RenderPool"):
-            found = self.shared.renderers(self.model._address)
+            found = self.shared.renderers(self.model)
         else:
             found = self.objects
         matching = [o for o in found if isinstance(o, owner)]
@@ -229,16 +229,11 @@ class Stage:
         """Return a value that the call takes, or one that it may take."""
         r, name, annotation = self.r, argument.name, argument.annotation
         match name:
-            case "model_address":
-                return self.model._address
-            case "data_address":
-                return self.data._address
             case "model":
-                return self.model
-            case "owner":
-                return (self.model, self.data)
+                return self.model if r.random() < 0.95 else self.other_model
             case "data":
-                return None
+                # Of the model that goes with it, mostly; the other one is refused.
+                return r.choice([self.data, self.data, self.other_data]) if target != "sim.World" else None
             case "site" | "frame_body" | "body" | "copy" | "actuator" | "tcp_site" | "base_body" | "camera_id" | "id":
                 return "base" if target.startswith("sim.") else r.randrange(2)
             case "copies":
@@ -309,9 +304,6 @@ class Stage:
     def value(self, target: str, argument: Argument) -> Any:
         """Return an argument, mostly a good one."""
         chance = self.r.random()
-        if argument.name.endswith("_address"):  # other numbers are addresses, too, of something else
-            wrong = self.r.choice([0, -1, None, "x", 1.5, self.model])
-            return wrong if chance > 0.8 else self.good(target, argument)
         if argument.name == "frequency" and chance > 0.8:
             return self.r.choice([0.0, -1.0, np.nan, np.inf, 1e9, 0.7, None, "30"])
         if chance < 0.75:

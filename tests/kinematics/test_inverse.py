@@ -160,9 +160,10 @@ def test_kinematics_can_be_written_in_python() -> None:
     np.testing.assert_array_equal(result.joints, [0.1, 0.2, 0.3])
 
 
-def test_a_solver_at_address_0_is_refused() -> None:
-    with pytest.raises(InvalidSetup, match="no model at address 0"):
-        DampedLeastSquares(0, [0], 0, 0)
+def test_a_solver_takes_a_model_and_no_address() -> None:
+    for bad in (0, None, "model"):
+        with pytest.raises(TypeError):
+            DampedLeastSquares(bad, [0], 0, 0)  # pyright: ignore[reportArgumentType]
 
 
 class Bent(Gantry):
