@@ -53,7 +53,10 @@ def hostile(r: random.Random) -> Any:
 def near(r: random.Random, good: Any) -> Any:
     """Return something that is almost the right value."""
     if isinstance(good, np.ndarray):
-        return _near_array(r, good)
+        try:
+            return _near_array(r, good)
+        except (TypeError, ValueError):  # it was no right value itself
+            return hostile(r)
     if isinstance(good, list | tuple):
         items = list(good)
         change = r.randrange(5)

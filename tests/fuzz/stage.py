@@ -130,6 +130,7 @@ class Kept(_core.StepCallback):
 
     def call(self, view: Any) -> Any:
         self.stage.keep(view)
+        self.stage.look_at(view)[1]()
         if self.stage.r.random() < 0.02:
             self.stage.any_call()
         return self.stage.r.choice([True, False, False, None, "x"]) if self.stage.r.random() < 0.05 else False
@@ -203,6 +204,9 @@ class Stage:
             Kept(self),
             Callback(lambda view: view.time > 1e9),
         ]
+        for thing in self.objects:
+            if isinstance(thing, _core.Device) and self.r.random() < 0.8:
+                thing.open()
 
     def keep(self, value: Any) -> None:
         """Remember what a call returned, to use it later."""
@@ -236,8 +240,10 @@ class Stage:
                 return r.choice([self.data, self.data, self.other_data]) if target != "sim.World" else None
             case "site" | "frame_body" | "body" | "copy" | "actuator" | "tcp_site" | "base_body" | "camera_id" | "id":
                 return "base" if target.startswith("sim.") else r.randrange(2)
+            case "copies" if annotation == "int" or target == "sim.World":
+                return 2
             case "copies":
-                return np.unique(np.array([r.randrange(3) for _ in range(2)], np.int32)) if "." in target[4:] else 2
+                return np.unique(np.array([r.randrange(3) for _ in range(2)], np.int32))
             case "field":
                 return r.choice(["body_mass", "geom_rgba", "geom_size", "opt", "body_pos", "actuator_gainprm", "qpos0"])
             case "names":
@@ -265,6 +271,8 @@ class Stage:
                 return np.zeros((2, 3))
             case "start":
                 return np.zeros(3) if "inverse" in target else np.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0])
+            case "joints" if target.startswith("Hand"):
+                return np.full(4, r.random())
             case "joints" if "forward_batch" in target:
                 return np.zeros((2, 3))
             case "joints" if "Sequence[int]" in annotation or "list[int]" in annotation:
@@ -287,6 +295,12 @@ class Stage:
                 return [0]
             case "rgb" if "Pool" in target:
                 return [np.zeros((2, 8, 8, 3), np.uint8)]
+            case "depth" | "world" if target.startswith("Render"):
+                return None
+            case "wxyz" | "xyzw":
+                return np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+            case "opening":
+                return r.random()
             case "quality":
                 return "fast"
             case "backend":
@@ -357,7 +371,10 @@ class Stage:
 
     def look(self) -> tuple[str, Callable[[], Any]]:
         """Return a look at everything that an object has."""
-        thing = self.r.choice(self.kept or self.objects)
+        return self.look_at(self.r.choice(self.kept or self.objects))
+
+    def look_at(self, thing: Any) -> tuple[str, Callable[[], Any]]:
+        """Return a look at something that a thing has."""
         names = [n for n in dir(type(thing)) if not n.startswith("_") and not callable(getattr(type(thing), n))]
         name = self.r.choice(names or ["__class__"])
         return f"{type(thing).__name__}.{name}", lambda: repr(getattr(thing, name))
