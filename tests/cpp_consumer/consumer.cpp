@@ -8,9 +8,9 @@
 
 int main() {
   char error[256] = "";
-  mjSpec* spec = mj_parseXMLString(
-      "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>", nullptr, error,
-      sizeof(error));
+  mjSpec* spec =
+      mj_parseXMLString("<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>", nullptr,
+                        error, sizeof(error));
   mjModel* model = spec ? mj_compile(spec, nullptr) : nullptr;
   if (!model) return std::puts(error), 1;
   {

@@ -55,7 +55,7 @@ def near(r: random.Random, good: Any) -> Any:
     if isinstance(good, np.ndarray):
         try:
             return _near_array(r, good)
-        except (TypeError, ValueError):  # it was no right value itself
+        except (TypeError, ValueError, IndexError):  # it was no right value itself
             return hostile(r)
     if isinstance(good, list | tuple):
         items = list(good)
