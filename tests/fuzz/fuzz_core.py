@@ -27,6 +27,9 @@ ROOT = Path(__file__).parents[2]
 CALLS_PER_ROUND = 200
 TEXT = 2000
 """Bytes in which a child says which call it makes."""
+STARTING = "starting"
+STARTING_TIME = 120.0
+"""How long the imports of a child may take [s]; under sanitizers on a loaded machine it is some seconds."""
 
 
 def expected_errors() -> tuple[type[BaseException], ...]:
@@ -146,7 +149,7 @@ def fuzz(
         progress.write_bytes(bytes(8 + TEXT))
         notes = Progress(progress)
         while first < rounds:
-            notes.note(first * CALLS_PER_ROUND, "start")
+            notes.note(first * CALLS_PER_ROUND, STARTING)
             out, err = Path(folder, "out"), Path(folder, "err")
             command = [
                 sys.executable,
@@ -199,18 +202,19 @@ def _watch(
     process: subprocess.Popen[bytes], notes: Progress, timeout: float, show: Callable[[int], None]
 ) -> str | None:
     """Wait for a child: None when it came to its end, else how it ended."""
-    last, since = -1, time.monotonic()
+    last, since = (-1, ""), time.monotonic()
     while True:
         try:
             code = process.wait(0.2)
             return None if code == 0 else f"end with {code}"
         except subprocess.TimeoutExpired:
             pass
-        number, _ = notes.read()
+        number, text = notes.read()
         show(number)
-        if number != last:
-            last, since = number, time.monotonic()
-        elif time.monotonic() - since > (timeout if number else 3 * timeout):  # the first call waits for the imports
+        limit = STARTING_TIME if text == STARTING else timeout
+        if (number, text) != last:
+            last, since = (number, text), time.monotonic()
+        elif time.monotonic() - since > limit:
             process.send_signal(6)  # for the traceback of faulthandler
             process.wait()
             return "hang"
