@@ -15,6 +15,7 @@ void bind_arm(nb::module_& m);
 void bind_hand(nb::module_& m);
 void bind_camera(nb::module_& m);
 void bind_kinematics(nb::module_& m);
+void bind_callback(nb::module_& m);
 void bind_world(nb::module_& m);
 void bind_sim_devices(nb::module_& m);
 void bind_render(nb::module_& m);
@@ -66,6 +67,7 @@ NB_MODULE(_core, m) {
   bind_hand(m);
   bind_camera(m);
   bind_kinematics(m);
+  bind_callback(m);
   bind_world(m);
   bind_sim_devices(m);
   bind_render(m);

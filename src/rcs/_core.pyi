@@ -548,24 +548,6 @@ class DampedLeastSquares(Kinematics):
     def joint_upper(self) -> NDArray[numpy.float64]:
         """rad"""
 
-class StepEnd(enum.Enum):
-    """Why a control step of a simulation ended."""
-
-    period = 0
-    """Asynchronous: one control period has passed."""
-
-    converged = 1
-    """Synchronous: every convergence callback agreed."""
-
-    interrupted = 2
-    """A callback interrupted the step."""
-
-    limit = 3
-    """Synchronous: the substep limit came before convergence."""
-
-    failed = 4
-    """A state or control that is not a finite number, or an exception."""
-
 class StepView:
     """
     One copy of a scene while it is stepped; afterwards, using it raises WrongOrder. Arrays are views of MuJoCo's own memory and have meaning only during the call.
@@ -641,6 +623,24 @@ class Collision(StepCallback):
         """
         One uint8 flag per geom of the model, then one per flex, for each set; force in N.
         """
+
+class StepEnd(enum.Enum):
+    """Why a control step of a simulation ended."""
+
+    period = 0
+    """Asynchronous: one control period has passed."""
+
+    converged = 1
+    """Synchronous: every convergence callback agreed."""
+
+    interrupted = 2
+    """A callback interrupted the step."""
+
+    limit = 3
+    """Synchronous: the substep limit came before convergence."""
+
+    failed = 4
+    """A state or control that is not a finite number, or an exception."""
 
 class World:
     """

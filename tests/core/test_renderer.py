@@ -457,17 +457,19 @@ POOL = """
 
 @pytest.mark.gl
 def test_a_pool_whose_threads_cannot_start_is_refused(run_program: RunProgram) -> None:
-    # Stacks of 64 TB, which is what a thread gets when the limit is that at the start of its program.
+    # A thread's stack is as large as the limit at the start of the program: the first one fits, the second does not.
     program = (
         """
     import os, resource, sys
     if "OPENBLAS_NUM_THREADS" not in os.environ:
-        resource.setrlimit(resource.RLIMIT_STACK, (1 << 46, resource.getrlimit(resource.RLIMIT_STACK)[1]))
+        resource.setrlimit(resource.RLIMIT_STACK, (1 << 30, resource.getrlimit(resource.RLIMIT_STACK)[1]))
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], {**os.environ, "OPENBLAS_NUM_THREADS": "1"})
     """
         + POOL
         + """
     _core.RenderPool(model, 1).close()
+    used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + (1 << 30) + (1 << 29),) * 2)
     try:
         _core.RenderPool(model, 4)
     except RuntimeError as error:

@@ -184,6 +184,7 @@ def test_a_child_of_a_fork_is_told_so_and_ends(run_program: RunProgram) -> None:
             "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
         )
         world, single = World(model, copies=4, threads=3), World(model)
+        other = World(model, copies=4, threads=3)
         world.advance()
         child = os.fork()
         if child == 0:
@@ -192,6 +193,7 @@ def test_a_child_of_a_fork_is_told_so_and_ends(run_program: RunProgram) -> None:
                 world.advance()
             except WrongOrder as error:
                 print("after a fork" in str(error), flush=True)
+            world.close()
             del world
             sys.exit(7)
         print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))

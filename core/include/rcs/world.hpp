@@ -148,7 +148,7 @@ class World {
   /// Marks the world as taken by one call for its own lifetime.
   class Taken {
    public:
-    Taken(const World& world, const char* call);
+    Taken(const World& world, const char* call, bool needs_threads = true);
     ~Taken() { world_.call_.store(nullptr, std::memory_order_release); }
     Taken(const Taken&) = delete;
     Taken& operator=(const Taken&) = delete;
@@ -189,6 +189,8 @@ class World {
   using Work = void (World::*)(const mjModel*, mjData*, int);
 
   void require_open(const char* call) const;
+  void require_threads(const char* call) const;
+  bool is_forked() const;
   void check_callback(const StepCallback* callback) const;
   void check_copy(int copy) const;
   void check_state(int copy, std::size_t size) const;

@@ -1,0 +1,110 @@
+// What a world calls while it steps: callbacks, and the view that they are given.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/vector.h>
+
+#include "arrays.hpp"
+#include "gil.hpp"
+#include "mujoco_objects.hpp"
+#include "overrides.hpp"
+#include "rcs/callback.hpp"
+#include "rcs/result.hpp"
+
+using namespace nb::literals;
+
+namespace {
+
+/// A `StepView` for Python, where it may be kept beyond the call.
+struct PyStepView {
+  const rcs::StepView* now;  // null after the call
+  const rcs::StepView& get() const {
+    if (!now)
+      throw rcs::WrongOrder(
+          "step view: it was used after the call that it was made for; copy what you need during the call");
+    return *now;
+  }
+};
+
+struct PyStepCallback : rcs::StepCallback {
+  NB_TRAMPOLINE(rcs::StepCallback);
+  bool call(const rcs::StepView& view) override {
+    const HeldGil gil;
+    const nb::detail::ticket ticket = require_override(nb_trampoline, "call");
+    const nb::object given = nb::cast(PyStepView{&view});
+    struct Expiry {
+      PyStepView& view;
+      ~Expiry() { view.now = nullptr; }
+    } const expiry{*nb::inst_ptr<PyStepView>(given)};
+    const nb::object answer = nb_trampoline.base().attr(ticket.key)(given);
+    const int is_true = PyObject_IsTrue(answer.ptr());
+    if (is_true < 0) nb::raise_python_error();
+    return is_true != 0;
+  }
+  void reset(int copy) override {
+    const HeldGil gil;
+    NB_OVERRIDE(reset, copy);
+  }
+};
+
+// A view of MuJoCo's memory during a callback.
+View<double> data_view(const PyStepView& given, double* mjData::* first, mjtSize mjModel::* size,
+                       std::size_t width = 0) {
+  const rcs::StepView& view = given.get();
+  const std::size_t shape[2] = {static_cast<std::size_t>(view.model->*size), width};
+  return View<double>(view.data->*first, width ? 2 : 1, shape, keeper(*view.memory));
+}
+
+}  // namespace
+
+void bind_callback(nb::module_& m) {
+  nb::class_<PyStepView>(m, "StepView",
+                         "One copy of a scene while it is stepped; afterwards, using it raises WrongOrder. Arrays are "
+                         "views of MuJoCo's own memory and have meaning only during the call.")
+      .def_prop_ro(
+          "copy", [](const PyStepView& v) { return v.get().copy; }, "Which copy this is.")
+      .def_prop_ro(
+          "time", [](const PyStepView& v) { return v.get().data->time; }, "Simulated time [s].")
+      .def_prop_ro(
+          "qpos", [](const PyStepView& v) { return data_view(v, &mjData::qpos, &mjModel::nq); }, kOwned)
+      .def_prop_ro(
+          "qvel", [](const PyStepView& v) { return data_view(v, &mjData::qvel, &mjModel::nv); }, kOwned)
+      .def_prop_ro(
+          "ctrl", [](const PyStepView& v) { return data_view(v, &mjData::ctrl, &mjModel::nu); }, kOwned)
+      .def_prop_ro(
+          "xpos", [](const PyStepView& v) { return data_view(v, &mjData::xpos, &mjModel::nbody, 3); }, kOwned)
+      .def_prop_ro(
+          "site_xpos", [](const PyStepView& v) { return data_view(v, &mjData::site_xpos, &mjModel::nsite, 3); }, kOwned)
+      .def_prop_ro(
+          "qfrc_applied", [](const PyStepView& v) { return data_view(v, &mjData::qfrc_applied, &mjModel::nv); }, kOwned)
+      .def_prop_ro(
+          "xfrc_applied", [](const PyStepView& v) { return data_view(v, &mjData::xfrc_applied, &mjModel::nbody, 6); },
+          kOwned)
+      .def_prop_ro(
+          "contacts", [](const PyStepView& v) { return v.get().data->ncon; }, "Number of contacts.")
+      .def_prop_ro("model_address", [](const PyStepView& v) { return reinterpret_cast<std::uintptr_t>(v.get().model); })
+      .def_prop_ro("data_address", [](const PyStepView& v) { return reinterpret_cast<std::uintptr_t>(v.get().data); });
+
+  nb::class_<rcs::StepCallback, PyStepCallback>(
+      m, "StepCallback",
+      "A function run between physics steps. Subclasses override `call(view) -> bool` and, where they remember "
+      "something per copy, `reset(copy)`. Copies are stepped on several threads.")
+      .def(nb::init<>())
+      .def(
+          "reset", [](rcs::StepCallback&, int) {}, "copy"_a,
+          "Forget what was remembered of a copy; its episode starts anew.");
+  nb::class_<rcs::JointsArrived, rcs::StepCallback>(m, "JointsArrived",
+                                                    "True when position-controlled joints stand at their targets.")
+      .def(nb::init<std::vector<int>, std::vector<int>, double, double>(), "joints"_a, "actuators"_a,
+           "position_tolerance"_a, "velocity_tolerance"_a, "Tolerances in rad (or m) and rad/s (or m/s).");
+  nb::class_<rcs::JointsAtRest, rcs::StepCallback>(m, "JointsAtRest", "True when joints have stood still for a while.")
+      .def(nb::init<std::vector<int>, double, double, int>(), "joints"_a, "velocity_tolerance"_a, "duration"_a,
+           "copies"_a, "Tolerance in rad/s (or m/s), duration in s.");
+  nb::class_<rcs::Collision, rcs::StepCallback>(
+      m, "Collision", "True when a surface of one set touches one of the other with more than a force.")
+      .def(
+          "__init__",
+          [](rcs::Collision* self, const Flags& first, const Flags& second, double force) {
+            new (self) rcs::Collision(to_flags(first), to_flags(second), force);
+          },
+          "first"_a, "second"_a, "force"_a,
+          "One uint8 flag per geom of the model, then one per flex, for each set; force in N.");
+}
