@@ -3,6 +3,9 @@
 # make test-extras   the tests that need torch, Stable-Baselines3, mujoco-menagerie or a browser
 # make test-interop  open our exports with the readers of LeRobot and others; each gets an environment of its own (first time:
 #                    about 4 GB and 10 minutes)
+# make test-sanitize the C++ tests, and the Python tests of what uses the core, under the sanitizers of addresses and undefined
+#                    behaviour; the C++ tests under that of threads. Any finding ends it. About 15 minutes; FUZZ=300000 has the
+#                    fuzzer make that many calls besides
 # make check         format, lint, types, import layers, stubs
 # make bench         every benchmark: one line of JSON each
 # make format        format Python and C++;   make stubs   write the stubs of the extension anew
@@ -25,12 +28,12 @@ JOBS := $(shell nproc 2>/dev/null || echo 2)
 # What builds the extension. Build isolation is off: an isolated build would fetch these anew each time and compile from nothing.
 BUILD_TOOLS := scikit-build-core nanobind mujoco-core cmake ninja
 # Folders too: a file that is gone changes nothing but its folder's time.
-CORE := CMakeLists.txt $(shell find core -not -path '*/tests*' -not -path '*/examples*')
+CORE := CMakeLists.txt $(shell find cmake core -not -path '*/tests*' -not -path '*/examples*')
 CXX_FILES = $(shell find core tests -name '*.cpp' -o -name '*.hpp')
 STUB := src/rcs/_core.pyi
 STUBGEN = $(BIN)/python -m nanobind.stubgen --quiet --module rcs._core --output-file
 
-.PHONY: help build gl demo test test-cpp test-extras test-interop check bench format stubs clean
+.PHONY: help build gl demo test test-cpp test-sanitize test-extras test-interop check bench format stubs clean
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' Makefile
@@ -83,6 +86,41 @@ test-cpp: build
 	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja >/dev/null
 	@$(BIN)/cmake --build build/tests -j $(JOBS) -- --quiet
 	@$(BIN)/ctest --test-dir build/tests --output-on-failure -j $(JOBS)
+
+# A build of its own per set of sanitizers, in build/sanitize; the installed extension stays as it is. Every Python of a run
+# loads the sanitized one (tools/sanitized), and has the sanitizers loaded before anything else.
+SANITIZE := build/sanitize
+# Sanitized code is three times as slow; how long a frame takes is no question here.
+SANITIZED_TESTS := --deselect tests/sim/test_tactile.py::test_a_frame_is_ready_in_time_for_the_sensors_rate \
+  tests/core tests/sim tests/envs tests/devices tests/kinematics tests/fuzz
+LIBRARY_OF_GCC = $(shell gcc -print-file-name=$(1))
+# Leaks: Python keeps what it allocates to the end. Handlers of the tests would hide a crash from the sanitizer.
+RUN_SANITIZED = env LD_PRELOAD="$(call LIBRARY_OF_GCC,libasan.so) $(call LIBRARY_OF_GCC,libubsan.so)" \
+  ASAN_OPTIONS=detect_leaks=0:abort_on_error=1 UBSAN_OPTIONS=print_stacktrace=1 PYTHONPATH=tools/sanitized \
+  RCS_SANITIZED_CORE=$(CURDIR)/$(firstword $(wildcard $(SANITIZE)/address/_core.*.so)) $(BIN)/python
+
+test-sanitize: build gl
+	@echo "==> Compiling the core with the sanitizers of addresses and undefined behaviour"
+	@$(BIN)/cmake -S . -B $(SANITIZE)/address -G Ninja -DRCS_SANITIZE=address,undefined -DRCS_BUILD_TESTS=ON --log-level=WARNING \
+	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja >/dev/null
+	@$(BIN)/cmake --build $(SANITIZE)/address -j $(JOBS) -- --quiet
+	@echo "==> Compiling the core with the sanitizer of threads"
+	@$(BIN)/cmake -S . -B $(SANITIZE)/thread -G Ninja -DRCS_SANITIZE=thread -DRCS_BUILD_TESTS=ON -DRCS_BUILD_PYTHON=OFF \
+	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja --log-level=WARNING >/dev/null
+	@$(BIN)/cmake --build $(SANITIZE)/thread -j $(JOBS) -- --quiet
+	@$(MAKE) test-sanitized FUZZ=$(FUZZ)
+
+# By itself, because it looks for the extension that the target above has built.
+.PHONY: test-sanitized
+test-sanitized:
+	@echo "==> C++ under the sanitizers of addresses and undefined behaviour"
+	@UBSAN_OPTIONS=print_stacktrace=1 $(BIN)/ctest --test-dir $(SANITIZE)/address --output-on-failure --no-label-summary -Q
+	@echo "==> C++ under the sanitizer of threads"
+	@TSAN_OPTIONS="suppressions=$(CURDIR)/tools/sanitized/threads.supp halt_on_error=1" \
+	  $(BIN)/ctest --test-dir $(SANITIZE)/thread --output-on-failure --no-label-summary -Q
+	@echo "==> Python under the sanitizers of addresses and undefined behaviour"
+	@$(RUN_SANITIZED) -m pytest -q -p no:faulthandler -m "not slow and not extras and not hardware" $(SANITIZED_TESTS)
+	@[ -z "$(FUZZ)" ] || $(RUN_SANITIZED) tests/fuzz/fuzz_core.py --calls $(FUZZ)
 
 # torch by itself and first: what depends on it then takes this version, and never looks for another.
 $(VENV)/.stamp-extras: $(VENV)/.stamp-built

@@ -27,6 +27,9 @@ inline constexpr auto kOwned = nb::rv_policy::automatic;
 inline std::vector<std::uint8_t> to_flags(const Flags& flags) { return {flags.data(), flags.data() + flags.shape(0)}; }
 inline std::span<const double> to_span(const Vector& v) { return {v.data(), v.shape(0)}; }
 
+/// A copy, for calls without the GIL: another thread may write to the array once it was checked.
+inline std::vector<double> to_vector(const Vector& v) { return {v.data(), v.data() + v.shape(0)}; }
+
 /// A numpy array that owns a copy of `values`.
 inline Array to_array(std::span<const double> values, std::vector<std::size_t> shape = {}) {
   if (shape.empty()) shape = {values.size()};

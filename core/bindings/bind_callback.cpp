@@ -1,11 +1,11 @@
 // What a world calls while it steps: callbacks, and the view that they are given.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/vector.h>
-#include <nanobind/trampoline.h>
 
 #include "arrays.hpp"
 #include "gil.hpp"
 #include "mujoco_objects.hpp"
+#include "overrides.hpp"
 #include "rcs/callback.hpp"
 #include "rcs/result.hpp"
 
@@ -28,7 +28,7 @@ struct PyStepCallback : rcs::StepCallback {
   NB_TRAMPOLINE(rcs::StepCallback);
   bool call(const rcs::StepView& view) override {
     const HeldGil gil;
-    nb::detail::ticket ticket(nb_trampoline, "call", nb::detail::str_hash("call"), true);
+    const nb::detail::ticket ticket = require_override(nb_trampoline, "call");
     const nb::object given = nb::cast(PyStepView{&view});
     struct Expiry {
       PyStepView& view;

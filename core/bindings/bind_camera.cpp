@@ -2,12 +2,12 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
-#include <nanobind/trampoline.h>
 
 #include <cstring>
 #include <optional>
 
 #include "arrays.hpp"
+#include "overrides.hpp"
 #include "rcs/camera.hpp"
 
 using namespace nb::literals;
@@ -17,12 +17,9 @@ namespace {
 using Rgb = nb::ndarray<const std::uint8_t, nb::shape<-1, -1, 3>, nb::c_contig, nb::device::cpu>;
 using Depth = nb::ndarray<const std::uint16_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
-struct PyCamera : rcs::Camera {
-  NB_TRAMPOLINE(rcs::Camera);
-  void do_open() override { NB_OVERRIDE_NAME("_open", do_open); }
-  rcs::Frame do_read() override { NB_OVERRIDE_PURE_NAME("_read", do_read); }
-  void do_recover() override { NB_OVERRIDE_NAME("_recover", do_recover); }
-  void do_close() override { NB_OVERRIDE_NAME("_close", do_close); }
+struct PyCamera : PyDevice<rcs::Camera> {
+  using PyDevice::PyDevice;
+  rcs::Frame do_read() override { return call<rcs::Frame>("_read", "a Frame"); }
 };
 
 rcs::Frame make_frame(const Rgb& rgb, const std::optional<Depth>& depth, double time, std::uint64_t number) {
@@ -65,23 +62,12 @@ void bind_camera(nb::module_& m) {
           nb::rv_policy::move, "Depth [mm], (H·W,) uint16, 0 = no reading; empty without depth.")
       .def_ro("time", &rcs::Frame::time, "When the picture was taken [s].")
       .def_ro("number", &rcs::Frame::number, "Counts frames of the device.");
-  nb::class_<rcs::Camera, PyCamera>(m, "Camera",
-                                    "One camera. Subclasses override `_read` and, where needed, `_open`, `_recover`, "
-                                    "`_close`.")
+  nb::class_<rcs::Camera, rcs::Device, PyCamera>(
+      m, "Camera",
+      "One camera. Subclasses override `_read` and, where needed, `_open`, `_recover`, "
+      "`_close`.")
       .def(nb::init<std::string, rcs::CameraMode>(), "name"_a, "mode"_a)
-      .def_prop_ro("name", &rcs::Camera::name)
       .def_prop_ro("mode", &rcs::Camera::mode)
-      .def_prop_ro("is_open", &rcs::Camera::is_open)
-      .def_prop_ro("fault", &rcs::Camera::fault)
-      .def(
-          "_open", [](rcs::Camera&) {}, "Connect; nothing unless overridden.")
-      .def(
-          "_recover", [](rcs::Camera&) {}, "Leave the device's own fault state; nothing unless overridden.")
-      .def(
-          "_close", [](rcs::Camera&) {}, "Let go of the device; nothing unless overridden.")
-      .def("open", &rcs::Camera::open)
-      .def("read", &rcs::Camera::read, "The newest frame. Raises DeviceFault when its size is not that of the mode.")
-      .def("set_fault", &rcs::Camera::set_fault, "reason"_a)
-      .def("recover", &rcs::Camera::recover)
-      .def("close", &rcs::Camera::close, "Let go of the device. Closing twice is harmless.");
+      .def("read", &rcs::Camera::read, WithoutGil(),
+           "The newest frame. Raises DeviceFault when its size is not that of the mode.");
 }

@@ -3,9 +3,10 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
-#include <nanobind/trampoline.h>
 
 #include "arrays.hpp"
+#include "mujoco_objects.hpp"
+#include "overrides.hpp"
 #include "rcs/kinematics.hpp"
 
 using namespace nb::literals;
@@ -16,15 +17,13 @@ using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cp
 
 struct PyKinematics : rcs::Kinematics {
   NB_TRAMPOLINE(rcs::Kinematics);
-  int dof() const override { NB_OVERRIDE_PURE_NAME("_dof", dof); }
+  int dof() const override { return call_override<int>(nb_trampoline, "_dof", "an int"); }
   rcs::Pose forward(std::span<const double> joints) override {
-    nb::detail::ticket ticket(nb_trampoline, "_forward", nb::detail::str_hash("_forward"), true);
-    return nb::cast<rcs::Pose>(nb_trampoline.base().attr(ticket.key)(to_array(joints)));
+    return call_override<rcs::Pose>(nb_trampoline, "_forward", "a Pose", joints);
   }
   rcs::IkResult inverse(const rcs::Pose& target, std::span<const double> start,
                         const rcs::IkOptions& options) override {
-    nb::detail::ticket ticket(nb_trampoline, "_inverse", nb::detail::str_hash("_inverse"), true);
-    return nb::cast<rcs::IkResult>(nb_trampoline.base().attr(ticket.key)(target, to_array(start), options));
+    return call_override<rcs::IkResult>(nb_trampoline, "_inverse", "an IkResult", target, start, options);
   }
 };
 
@@ -37,7 +36,7 @@ nb::tuple solve_batch(rcs::DampedLeastSquares& self, const Rows& targets, const 
   auto* status = new std::vector<std::uint8_t>(count);
   const nb::capsule owner(status, [](void* p) noexcept { delete static_cast<std::vector<std::uint8_t>*>(p); });
   {
-    const nb::gil_scoped_release release;
+    const ReleasedGil released;
     rcs::inverse_batch(self, {targets.data(), 7 * count}, {starts.data(), n * count}, options, threads, joints,
                        *status);
   }
@@ -115,13 +114,12 @@ void bind_kinematics(nb::module_& m) {
       m, "DampedLeastSquares", "Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.")
       .def(
           "__init__",
-          [](rcs::DampedLeastSquares* self, std::uintptr_t model, std::vector<int> joints, int tcp_site,
+          [](rcs::DampedLeastSquares* self, const PyModel& model, std::vector<int> joints, int tcp_site,
              int base_body) {
-            new (self) rcs::DampedLeastSquares(reinterpret_cast<const mjModel*>(model), std::move(joints), tcp_site,
-                                               base_body);
+            new (self) rcs::DampedLeastSquares(model.get(), std::move(joints), tcp_site, base_body);
           },
-          "model_address"_a, "joints"_a, "tcp_site"_a, "base_body"_a,
-          "Copy the model at `MjModel._address`; the ids of joints (base to tip), TCP site and base body are its.")
+          "model"_a, "joints"_a, "tcp_site"_a, "base_body"_a,
+          "Copy the model; the ids of joints (base to tip), TCP site and base body are its.")
       .def(
           "jacobian",
           [](rcs::DampedLeastSquares& self, Vector joints) {

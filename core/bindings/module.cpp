@@ -2,6 +2,7 @@
 #include <mujoco/mujoco.h>
 #include <nanobind/nanobind.h>
 
+#include <exception>
 #include <string>
 
 #include "rcs/result.hpp"
@@ -9,6 +10,7 @@
 namespace nb = nanobind;
 
 void bind_pose(nb::module_& m);
+void bind_device(nb::module_& m);
 void bind_arm(nb::module_& m);
 void bind_hand(nb::module_& m);
 void bind_camera(nb::module_& m);
@@ -21,10 +23,17 @@ void bind_rows(nb::module_& m);
 
 namespace {
 
-void raise_as(const char* name, const char* message) {
+void raise_as(const char* name, const std::exception& error) {
   // Python's own classes, so that one `except rcs.errors.X` catches the error from both languages.
   const nb::object type = nb::module_::import_("rcs.errors").attr(name);
-  PyErr_SetString(type.ptr(), message);
+  try {
+    std::rethrow_if_nested(error);
+  } catch (nb::python_error& cause) {
+    cause.restore();
+    return nb::chain_error(type, "%s", error.what());
+  } catch (const std::exception&) {  // from C++: its message is in that of `error`
+  }
+  PyErr_SetString(type.ptr(), error.what());
 }
 
 }  // namespace
@@ -38,21 +47,22 @@ NB_MODULE(_core, m) {
     try {
       std::rethrow_exception(p);
     } catch (const rcs::InvalidCommand& error) {
-      raise_as("InvalidAction", error.what());
+      raise_as("InvalidAction", error);
     } catch (const rcs::InvalidSetup& error) {
-      raise_as("InvalidSetup", error.what());
+      raise_as("InvalidSetup", error);
     } catch (const rcs::WrongOrder& error) {
-      raise_as("WrongOrder", error.what());
+      raise_as("WrongOrder", error);
     } catch (const rcs::DeviceFault& error) {
-      raise_as("DeviceFault", error.what());
+      raise_as("DeviceFault", error);
     } catch (const rcs::SimulationError& error) {
-      raise_as("SimulationError", error.what());
+      raise_as("SimulationError", error);
     }
   });
   // A callback that refers to its world keeps it alive to the end of the program: common, harmless, and not worth a
   // page of text.
   nb::set_leak_warnings(false);
   bind_pose(m);
+  bind_device(m);
   bind_arm(m);
   bind_hand(m);
   bind_camera(m);

@@ -45,6 +45,20 @@ double norm3(const double* v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2
 
 }  // namespace
 
+struct DampedLeastSquares::Scratch {
+  explicit Scratch(const mjModel* model)
+      : data(mj_makeData(model)),
+        jacobian_translation(static_cast<std::size_t>(3 * model->nv)),
+        jacobian_rotation(static_cast<std::size_t>(3 * model->nv)) {}
+  ~Scratch() { mj_deleteData(data); }
+  Scratch(const Scratch&) = delete;
+  Scratch& operator=(const Scratch&) = delete;
+
+  mjData* data;
+  std::vector<double> jacobian_translation;
+  std::vector<double> jacobian_rotation;
+};
+
 DampedLeastSquares::DampedLeastSquares(const mjModel* model, std::vector<int> joints, int tcp_site, int base_body)
     : joints_(std::move(joints)), tcp_site_(tcp_site), base_body_(base_body) {
   if (tcp_site < 0 || tcp_site >= model->nsite || base_body < 0 || base_body >= model->nbody)
@@ -62,18 +76,27 @@ DampedLeastSquares::DampedLeastSquares(const mjModel* model, std::vector<int> jo
     upper_.push_back(is_limited ? model->jnt_range[2 * joint + 1] : 2 * mjPI);
   }
   model_ = mj_copyModel(nullptr, model);
-  data_ = mj_makeData(model_);
-  jacobian_translation_.resize(static_cast<std::size_t>(3 * model_->nv));
-  jacobian_rotation_.resize(static_cast<std::size_t>(3 * model_->nv));
+  borrow();
 }
 
-DampedLeastSquares::~DampedLeastSquares() {
-  mj_deleteData(data_);
-  mj_deleteModel(model_);
+DampedLeastSquares::~DampedLeastSquares() { mj_deleteModel(model_); }
+
+DampedLeastSquares::Lease DampedLeastSquares::borrow() const {
+  {
+    const std::lock_guard lock(mutex_);
+    if (!unused_.empty()) {
+      Lease lease(unused_.back().release(), GiveBack{this});
+      unused_.pop_back();
+      return lease;
+    }
+    unused_.reserve(++scratch_count_);  // giving back must not fail
+  }
+  return Lease(new Scratch(model_), GiveBack{this});
 }
 
-std::unique_ptr<DampedLeastSquares> DampedLeastSquares::clone() const {
-  return std::make_unique<DampedLeastSquares>(model_, joints_, tcp_site_, base_body_);
+void DampedLeastSquares::GiveBack::operator()(Scratch* scratch) const {
+  const std::lock_guard lock(owner->mutex_);
+  owner->unused_.emplace_back(scratch);
 }
 
 void DampedLeastSquares::check_size(std::span<const double> joints) const {
@@ -84,51 +107,54 @@ void DampedLeastSquares::check_size(std::span<const double> joints) const {
     if (!std::isfinite(q)) throw InvalidSetup("kinematics: a joint is not finite");
 }
 
-void DampedLeastSquares::set_joints(std::span<const double> joints) {
-  for (std::size_t i = 0; i < joints.size(); ++i) data_->qpos[qpos_[i]] = joints[i];
-  mj_kinematics(model_, data_);
+void DampedLeastSquares::set_joints(Scratch& scratch, std::span<const double> joints) const {
+  for (std::size_t i = 0; i < joints.size(); ++i) scratch.data->qpos[qpos_[i]] = joints[i];
+  mj_kinematics(model_, scratch.data);
 }
 
 Pose DampedLeastSquares::forward(std::span<const double> joints) {
   check_size(joints);
-  set_joints(joints);
+  const Lease scratch = borrow();
+  set_joints(*scratch, joints);
   double site_quat[4], base_inverse[4], quat[4], offset[3], translation[3];
-  mju_mat2Quat(site_quat, data_->site_xmat + 9 * tcp_site_);
-  mju_negQuat(base_inverse, data_->xquat + 4 * base_body_);
+  mju_mat2Quat(site_quat, scratch->data->site_xmat + 9 * tcp_site_);
+  mju_negQuat(base_inverse, scratch->data->xquat + 4 * base_body_);
   mju_mulQuat(quat, base_inverse, site_quat);
-  mju_sub3(offset, data_->site_xpos + 3 * tcp_site_, data_->xpos + 3 * base_body_);
+  mju_sub3(offset, scratch->data->site_xpos + 3 * tcp_site_, scratch->data->xpos + 3 * base_body_);
   mju_rotVecQuat(translation, offset, base_inverse);
   return Pose({translation[0], translation[1], translation[2]}, {quat[1], quat[2], quat[3], quat[0]});
 }
 
-std::vector<double> DampedLeastSquares::jacobian(std::span<const double> joints) {
+std::vector<double> DampedLeastSquares::jacobian(std::span<const double> joints) const {
   check_size(joints);
-  set_joints(joints);
-  mj_comPos(model_, data_);
-  mj_jacSite(model_, data_, jacobian_translation_.data(), jacobian_rotation_.data(), tcp_site_);
+  const Lease scratch = borrow();
+  set_joints(*scratch, joints);
+  mj_comPos(model_, scratch->data);
+  mj_jacSite(model_, scratch->data, scratch->jacobian_translation.data(), scratch->jacobian_rotation.data(), tcp_site_);
   const std::size_t n = joints_.size();
   std::vector<double> jacobian(6 * n);
-  const double* base = data_->xmat + 9 * base_body_;
+  const double* base = scratch->data->xmat + 9 * base_body_;
   for (std::size_t c = 0; c < n; ++c)
     for (int r = 0; r < 3; ++r)
       for (int k = 0; k < 3; ++k) {  // base^T * world axes
-        jacobian[r * n + c] += base[3 * k + r] * jacobian_translation_[k * model_->nv + dofs_[c]];
-        jacobian[(r + 3) * n + c] += base[3 * k + r] * jacobian_rotation_[k * model_->nv + dofs_[c]];
+        jacobian[r * n + c] += base[3 * k + r] * scratch->jacobian_translation[k * model_->nv + dofs_[c]];
+        jacobian[(r + 3) * n + c] += base[3 * k + r] * scratch->jacobian_rotation[k * model_->nv + dofs_[c]];
       }
   return jacobian;
 }
 
-void DampedLeastSquares::error_to(const std::array<double, 7>& target, std::array<double, 6>& error) const {
-  mju_sub3(error.data(), target.data(), data_->site_xpos + 3 * tcp_site_);
+void DampedLeastSquares::error_to(const Scratch& scratch, const std::array<double, 7>& target,
+                                  std::array<double, 6>& error) const {
+  mju_sub3(error.data(), target.data(), scratch.data->site_xpos + 3 * tcp_site_);
   double quat[4], inverse[4], difference[4];
-  mju_mat2Quat(quat, data_->site_xmat + 9 * tcp_site_);
+  mju_mat2Quat(quat, scratch.data->site_xmat + 9 * tcp_site_);
   mju_negQuat(inverse, quat);
   mju_mulQuat(difference, target.data() + 3, inverse);
   mju_quat2Vel(error.data() + 3, difference, 1.0);
 }
 
-bool DampedLeastSquares::attempt(const std::array<double, 7>& target, std::vector<double>& q, const IkOptions& options,
-                                 IkResult& result) {
+bool DampedLeastSquares::attempt(Scratch& scratch, const std::array<double, 7>& target, std::vector<double>& q,
+                                 const IkOptions& options, IkResult& result) const {
   const int n = dof(), nv = model_->nv;
   const double weight = options.rotation_weight;
   double largest = kMaxJointStep;
@@ -136,8 +162,8 @@ bool DampedLeastSquares::attempt(const std::array<double, 7>& target, std::vecto
   std::vector<double> step(static_cast<std::size_t>(n));
   std::vector<char> is_free(static_cast<std::size_t>(n));
   for (int iteration = 0;; ++iteration) {
-    set_joints(q);
-    error_to(target, error);
+    set_joints(scratch, q);
+    error_to(scratch, target, error);
     result.translation_error = norm3(error.data());
     result.rotation_error = norm3(error.data() + 3);
     const bool is_reached = result.translation_error <= options.translation_tolerance &&
@@ -147,8 +173,8 @@ bool DampedLeastSquares::attempt(const std::array<double, 7>& target, std::vecto
     if (iteration == options.iterations) return is_reached;
     ++result.iterations;
 
-    mj_comPos(model_, data_);
-    mj_jacSite(model_, data_, jacobian_translation_.data(), jacobian_rotation_.data(), tcp_site_);
+    mj_comPos(model_, scratch.data);
+    mj_jacSite(model_, scratch.data, scratch.jacobian_translation.data(), scratch.jacobian_rotation.data(), tcp_site_);
     std::fill(is_free.begin(), is_free.end(), 1);
     // At most two rounds: the second solves again without the joints that the first would push out of their range.
     for (int round = 0; round < 2; ++round) {
@@ -157,8 +183,8 @@ bool DampedLeastSquares::attempt(const std::array<double, 7>& target, std::vecto
         if (!is_free[c]) continue;
         double column[kTask];
         for (int r = 0; r < 3; ++r) {
-          column[r] = jacobian_translation_[r * nv + dofs_[c]];
-          column[r + 3] = weight * jacobian_rotation_[r * nv + dofs_[c]];
+          column[r] = scratch.jacobian_translation[r * nv + dofs_[c]];
+          column[r + 3] = weight * scratch.jacobian_rotation[r * nv + dofs_[c]];
         }
         for (int i = 0; i < kTask; ++i)
           for (int j = 0; j <= i; ++j) a[i * kTask + j] += column[i] * column[j];
@@ -172,8 +198,8 @@ bool DampedLeastSquares::attempt(const std::array<double, 7>& target, std::vecto
         step[c] = 0.0;
         if (!is_free[c]) continue;
         for (int r = 0; r < 3; ++r)
-          step[c] += jacobian_translation_[r * nv + dofs_[c]] * b[r] +
-                     weight * jacobian_rotation_[r * nv + dofs_[c]] * b[r + 3];
+          step[c] += scratch.jacobian_translation[r * nv + dofs_[c]] * b[r] +
+                     weight * scratch.jacobian_rotation[r * nv + dofs_[c]] * b[r + 3];
         const bool is_outward = (q[c] <= lower_[c] && step[c] < 0.0) || (q[c] >= upper_[c] && step[c] > 0.0);
         if (is_outward) {
           is_free[c] = 0;
@@ -198,23 +224,24 @@ IkResult DampedLeastSquares::inverse(const Pose& target, std::span<const double>
   for (int i = 0; i < n; ++i) result.joints[i] = std::clamp(start[i], lower_[i], upper_[i]);
 
   // The solve is in world axes, where MuJoCo's Jacobian is; the base may stand anywhere.
-  set_joints(result.joints);
+  const Lease scratch = borrow();
+  set_joints(*scratch, result.joints);
   std::array<double, 7> goal;
-  const double* base_quat = data_->xquat + 4 * base_body_;
+  const double* base_quat = scratch->data->xquat + 4 * base_body_;
   const auto& translation = target.translation();
   const auto& quaternion = target.quaternion();
   const double wxyz[4] = {quaternion[3], quaternion[0], quaternion[1], quaternion[2]};
   mju_rotVecQuat(goal.data(), translation.data(), base_quat);
-  mju_addTo3(goal.data(), data_->xpos + 3 * base_body_);
+  mju_addTo3(goal.data(), scratch->data->xpos + 3 * base_body_);
   mju_mulQuat(goal.data() + 3, base_quat, wxyz);
 
   std::vector<double> q = result.joints;
   std::uint64_t random = options.seed;
-  bool is_found = attempt(goal, q, options, result);
+  bool is_found = attempt(*scratch, goal, q, options, result);
   double best_translation = result.translation_error, best_rotation = result.rotation_error;
   for (int restart = 0; !is_found && restart < options.restarts; ++restart) {
     for (int i = 0; i < n; ++i) q[i] = lower_[i] + (upper_[i] - lower_[i]) * next_uniform(random);
-    is_found = attempt(goal, q, options, result);
+    is_found = attempt(*scratch, goal, q, options, result);
     if (result.translation_error + result.rotation_error < best_translation + best_rotation) {
       best_translation = result.translation_error;
       best_rotation = result.rotation_error;
@@ -246,25 +273,24 @@ void inverse_batch(DampedLeastSquares& kinematics, std::span<const double> targe
     const double* t = targets.data() + 7 * i;
     poses.emplace_back(std::array<double, 3>{t[0], t[1], t[2]}, std::array<double, 4>{t[3], t[4], t[5], t[6]});
   }
-  for (const double q : starts)
+  const std::vector<double> from(starts.begin(), starts.end());  // nobody writes to a copy once it is checked
+  for (const double q : from)
     if (!std::isfinite(q)) throw InvalidSetup("inverse kinematics: a start joint is not finite");
-  const auto solve = [&](DampedLeastSquares& solver, std::size_t from, std::size_t to) {
-    for (std::size_t i = from; i < to; ++i) {
-      const IkResult result = solver.inverse(poses[i], starts.subspan(i * n, n), options);
+  const auto solve = [&](std::size_t first, std::size_t end) {
+    for (std::size_t i = first; i < end; ++i) {
+      const IkResult result = kinematics.inverse(poses[i], std::span(from).subspan(i * n, n), options);
       std::copy(result.joints.begin(), result.joints.end(), joints.begin() + static_cast<std::ptrdiff_t>(i * n));
       status[i] = static_cast<std::uint8_t>(result.status);
     }
   };
-  const std::size_t workers = std::min<std::size_t>(static_cast<std::size_t>(std::max(threads, 1)), count);
-  if (workers <= 1) return solve(kinematics, 0, count);
-  std::vector<std::unique_ptr<DampedLeastSquares>> solvers;
-  for (std::size_t w = 1; w < workers; ++w) solvers.push_back(kinematics.clone());
-  {
-    std::vector<std::jthread> pool;
-    for (std::size_t w = 1; w < workers; ++w)
-      pool.emplace_back([&, w] { solve(*solvers[w - 1], count * w / workers, count * (w + 1) / workers); });
-    solve(kinematics, 0, count / workers);
-  }
+  // More threads than cores help nobody, and a machine may refuse to start them.
+  const std::size_t cores = std::max<std::size_t>(std::thread::hardware_concurrency(), 1);
+  const std::size_t workers = std::min({static_cast<std::size_t>(std::max(threads, 1)), cores, count});
+  if (workers <= 1) return solve(0, count);
+  std::vector<std::jthread> pool;
+  for (std::size_t w = 1; w < workers; ++w)
+    pool.emplace_back([&, w] { solve(count * w / workers, count * (w + 1) / workers); });
+  solve(0, count / workers);
 }
 
 }  // namespace rcs

@@ -2,12 +2,13 @@
 // returns 1.
 #pragma once
 
+#include <atomic>
 #include <cmath>
 #include <cstdio>
 
 namespace rcs::test {
 
-inline int failures = 0;
+inline std::atomic<int> failures = 0;
 
 /// Counts and prints a failed check; a passed one is silent.
 inline void report(bool passed, const char* what, const char* file, int line) {

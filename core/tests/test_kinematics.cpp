@@ -2,8 +2,10 @@
 // inside the limits, and nothing is ever not finite.
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cmath>
 #include <random>
+#include <thread>
 #include <vector>
 
 #include "check.hpp"
@@ -124,6 +126,34 @@ void a_batch_is_a_loop_at_any_number_of_threads() {
   }
 }
 
+void one_solver_serves_many_threads() {
+  DampedLeastSquares solver = make_solver();
+  std::mt19937 generator(4);
+  constexpr std::size_t count = 40;
+  const std::vector<double> start(kDof, 0.3);
+  std::vector<Pose> targets;
+  std::vector<std::vector<double>> expected;
+  for (std::size_t i = 0; i < count; ++i) {
+    targets.push_back(solver.forward(random_joints(solver, generator)));
+    expected.push_back(solver.inverse(targets[i], start, IkOptions{}).joints);
+  }
+  std::atomic<int> wrong = 0;
+  {
+    std::vector<std::jthread> threads;
+    for (std::size_t t = 0; t < 4; ++t)
+      threads.emplace_back([&, t] {
+        for (std::size_t k = 0; k < count; ++k) {
+          const std::size_t i = (k + t * count / 4) % count;
+          const std::vector<double> joints = solver.inverse(targets[i], start, IkOptions{}).joints;
+          if (joints != expected[i]) ++wrong;
+          if (solver.forward(expected[i]).distance_to(solver.forward(joints)) > 0.0) ++wrong;
+          if (solver.jacobian(joints) != solver.jacobian(expected[i])) ++wrong;
+        }
+      });
+  }
+  CHECK(wrong == 0);
+}
+
 void what_makes_no_sense_is_refused() {
   DampedLeastSquares solver = make_solver();
   const std::vector<double> short_joints(kDof - 1, 0.0), nan_joints(kDof, std::nan(""));
@@ -144,6 +174,7 @@ int main() {
   a_solution_too_far_away_is_clamped();
   a_pose_out_of_reach_gives_the_start();
   a_batch_is_a_loop_at_any_number_of_threads();
+  one_solver_serves_many_threads();
   what_makes_no_sense_is_refused();
   return rcs::test::result();
 }

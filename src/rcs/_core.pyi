@@ -168,6 +168,47 @@ def wxyz_to_xyzw(wxyz: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.flo
 def xyzw_to_wxyz(xyzw: numpy.typing.ArrayLike) -> numpy.typing.NDArray[numpy.float64]:
     """This library's quaternion order to that of MuJoCo, shape (..., 4)."""
 
+class Device:
+    """
+    What all devices share: a name, a connection, and a fault that stays until `recover`.
+
+    `name`, `is_open`, `fault`, `hold` (where there is one) and `set_fault` may be used from any thread at any
+    time, also while another call is under way. All other calls are for one thread at a time. No call keeps other
+    threads from running.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the device is connected."""
+
+    @property
+    def fault(self) -> str:
+        """The reason of the fault state, empty when there is none."""
+
+    def open(self) -> None:
+        """Connect. Nothing moves. Opening an open device does nothing."""
+
+    def set_fault(self, reason: str) -> None:
+        """
+        Enter the fault state and hold: commands are refused until `recover`.
+
+        The first reason stays; if holding fails, the fault says that too, and nothing is raised. A driver that looks for
+        faults reads the controller's mode, not its error flags: those may be clear while it still refuses to move.
+        """
+
+    def recover(self) -> None:
+        """
+        Have the device leave its own fault state, hold where it is now, and only then forget the fault.
+
+        Raises DeviceFault if one of these fails or a new fault comes meanwhile; the device is then in the fault state.
+        """
+
+    def close(self) -> None:
+        """Hold and let go of the device. Closing twice is harmless."""
+
 class ArmLimits:
     """Limits of an arm, one value per joint."""
 
@@ -208,7 +249,7 @@ class ArmState:
     def time(self) -> float:
         """When it was measured [s]."""
 
-class Arm:
+class Arm(Device):
     """
     One manipulator. Subclasses override `_state`, `_command_joints`, `_has_arrived`, `_hold` and, where needed, `_open`, `_recover`, `_close`; users call the others.
     """
@@ -216,24 +257,11 @@ class Arm:
     def __init__(self, name: str, limits: ArmLimits) -> None: ...
 
     @property
-    def name(self) -> str: ...
-
-    @property
     def dof(self) -> int:
         """Number of joints."""
 
     @property
     def limits(self) -> ArmLimits: ...
-
-    @property
-    def is_open(self) -> bool: ...
-
-    @property
-    def fault(self) -> str:
-        """The reason of the fault state, empty when there is none."""
-
-    def open(self) -> None:
-        """Connect. Nothing moves. Opening an open arm does nothing."""
 
     def state(self) -> ArmState:
         """Measure joints and velocities."""
@@ -252,15 +280,6 @@ class Arm:
     def hold(self) -> None:
         """Stop where the arm is now. Allowed in the fault state."""
 
-    def set_fault(self, reason: str) -> None:
-        """Enter the fault state and hold, until `recover`."""
-
-    def recover(self) -> None:
-        """Leave the fault state, holding the present position."""
-
-    def close(self) -> None:
-        """Hold and let go of the device. Closing twice is harmless."""
-
 class GripperState:
     """What a gripper measures."""
 
@@ -278,15 +297,12 @@ class GripperState:
     def time(self) -> float:
         """When it was measured [s]."""
 
-class Gripper:
+class Gripper(Device):
     """
     One gripper. Subclasses override `_state`, `_command_opening`, `_has_arrived`, `_hold` and, where needed, `_open`, `_recover`, `_close`.
     """
 
     def __init__(self, name: str, max_width: float, max_force: float) -> None: ...
-
-    @property
-    def name(self) -> str: ...
 
     @property
     def max_width(self) -> float:
@@ -295,16 +311,6 @@ class Gripper:
     @property
     def max_force(self) -> float:
         """Largest grasping force [N]."""
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the device is connected."""
-
-    @property
-    def fault(self) -> str: ...
-
-    def open(self) -> None:
-        """Connect. Nothing moves."""
 
     def state(self) -> GripperState: ...
 
@@ -317,13 +323,6 @@ class Gripper:
         """Whether the fingers stand still: at the target, or on an object."""
 
     def hold(self) -> None: ...
-
-    def set_fault(self, reason: str) -> None: ...
-
-    def recover(self) -> None: ...
-
-    def close(self) -> None:
-        """Hold and let go of the device. Closing twice is harmless."""
 
 class HandState:
     """What a hand measures."""
@@ -338,7 +337,7 @@ class HandState:
     def time(self) -> float:
         """When it was measured [s]."""
 
-class Hand:
+class Hand(Device):
     """
     One multi-fingered hand. Subclasses override `_state`, `_command_joints`, `_has_arrived`, `_hold` and, where needed, `_open`, `_recover`, `_close`.
     """
@@ -346,19 +345,7 @@ class Hand:
     def __init__(self, name: str, joint_count: int) -> None: ...
 
     @property
-    def name(self) -> str: ...
-
-    @property
     def joint_count(self) -> int: ...
-
-    @property
-    def is_open(self) -> bool: ...
-
-    @property
-    def fault(self) -> str: ...
-
-    def open(self) -> None:
-        """Connect. Nothing moves."""
 
     def state(self) -> HandState: ...
 
@@ -370,13 +357,6 @@ class Hand:
     def has_arrived(self) -> bool: ...
 
     def hold(self) -> None: ...
-
-    def set_fault(self, reason: str) -> None: ...
-
-    def recover(self) -> None: ...
-
-    def close(self) -> None:
-        """Hold and let go of the device. Closing twice is harmless."""
 
 class CameraMode:
     """What a camera delivers, and at what size."""
@@ -422,7 +402,7 @@ class Frame:
     def number(self) -> int:
         """Counts frames of the device."""
 
-class Camera:
+class Camera(Device):
     """
     One camera. Subclasses override `_read` and, where needed, `_open`, `_recover`, `_close`.
     """
@@ -430,30 +410,12 @@ class Camera:
     def __init__(self, name: str, mode: CameraMode) -> None: ...
 
     @property
-    def name(self) -> str: ...
-
-    @property
     def mode(self) -> CameraMode: ...
-
-    @property
-    def is_open(self) -> bool: ...
-
-    @property
-    def fault(self) -> str: ...
-
-    def open(self) -> None: ...
 
     def read(self) -> Frame:
         """
         The newest frame. Raises DeviceFault when its size is not that of the mode.
         """
-
-    def set_fault(self, reason: str) -> None: ...
-
-    def recover(self) -> None: ...
-
-    def close(self) -> None:
-        """Let go of the device. Closing twice is harmless."""
 
 class IkStatus(enum.Enum):
     """What inverse kinematics found."""
@@ -556,9 +518,9 @@ class DampedLeastSquares(Kinematics):
     Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.
     """
 
-    def __init__(self, model_address: int, joints: Sequence[int], tcp_site: int, base_body: int) -> None:
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[int], tcp_site: int, base_body: int) -> None:
         """
-        Copy the model at `MjModel._address`; the ids of joints (base to tip), TCP site and base body are its.
+        Copy the model; the ids of joints (base to tip), TCP site and base body are its.
         """
 
     def jacobian(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:

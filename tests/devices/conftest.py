@@ -1,4 +1,4 @@
-"""Arms, limits and clocks that the device tests share, and an arm in C++ that is built outside of the project."""
+"""Arms, limits and clocks that the device tests share, and devices in C++ that are built outside of the project."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def limits() -> ArmLimits:
 
 
 @pytest.fixture(scope="session")
-def ramp_arm(pytestconfig: pytest.Config) -> ModuleType:
-    """The extension module of `tests/cpp_device`, built in pytest's cache."""
+def cpp_devices(pytestconfig: pytest.Config) -> Path:
+    """The folder of the extension modules of `tests/cpp_device`, built in pytest's cache."""
     cmake = _tool("cmake")
     if cmake is None or not (shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")):
         pytest.skip("building an arm in C++ needs cmake and a C++ compiler")
@@ -58,8 +58,22 @@ def ramp_arm(pytestconfig: pytest.Config) -> ModuleType:
         done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
         if done.returncode:
             pytest.fail(f"{' '.join(command)}\n{done.stdout}{done.stderr}", pytrace=False)
-    path = build / f"ramp_arm{sysconfig.get_config_var('EXT_SUFFIX')}"
-    spec = importlib.util.spec_from_file_location("ramp_arm", path)
+    return build
+
+
+@pytest.fixture(scope="session")
+def ramp_arm(cpp_devices: Path) -> ModuleType:
+    return _load(cpp_devices, "ramp_arm")
+
+
+@pytest.fixture(scope="session")
+def blocking_devices(cpp_devices: Path) -> ModuleType:
+    return _load(cpp_devices, "blocking_devices")
+
+
+def _load(folder: Path, name: str) -> ModuleType:
+    path = folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
+    spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from rcs.devices import Arm, ArmLimits, Camera, CameraMode, Gripper
 from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper, FakeHand
-from rcs.errors import InvalidAction, WrongOrder
+from rcs.errors import DeviceFault, InvalidAction, WrongOrder
 from rcs.testing import ArmContract, CameraContract, GripperContract
 
 
@@ -21,6 +22,13 @@ class TestFakeArm(ArmContract):
 
     def advance(self, seconds: float) -> None:
         self.clock.advance(seconds)
+
+
+class TestFakeArmThatTrips(TestFakeArm):
+    def provoke_fault(self, arm: Arm) -> None:
+        arm.trip("collision")
+        with pytest.raises(DeviceFault, match="hold is refused in a reflex"):
+            arm.hold()
 
 
 class TestFakeGripper(GripperContract):
@@ -88,3 +96,26 @@ def test_a_fake_hand_takes_normalised_joints_only(clock) -> None:
     hand.recover()
     hand.close()
     hand.close()
+
+
+def test_the_fault_is_read_and_set_while_a_measurement_takes_its_time(limits: ArmLimits, clock) -> None:
+    entered, let_go = threading.Event(), threading.Event()
+
+    def slow_clock() -> float:
+        if threading.current_thread() is not threading.main_thread():
+            entered.set()
+            assert let_go.wait(2.0)
+        return clock()
+
+    arm = FakeArm(limits, clock=slow_clock)
+    arm.open()
+    thread = threading.Thread(target=arm.state)
+    thread.start()
+    assert entered.wait(2.0)
+    assert arm.is_open
+    assert arm.fault == ""
+    arm.set_fault("watchdog")
+    assert arm.fault == "watchdog"
+    assert thread.is_alive()
+    let_go.set()
+    thread.join()

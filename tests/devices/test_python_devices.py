@@ -8,8 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rcs.devices import Arm, ArmLimits, ArmState, Camera, CameraMode, Frame, Gripper, GripperState
-from rcs.errors import DeviceFault, InvalidSetup, WrongOrder
+from rcs.devices import (
+    Arm,
+    ArmLimits,
+    ArmState,
+    Camera,
+    CameraMode,
+    Device,
+    Frame,
+    Gripper,
+    GripperState,
+    Hand,
+    HandState,
+)
+from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, WrongOrder
 
 
 class Scripted(Arm):
@@ -56,10 +68,10 @@ def test_calls_reach_the_device_in_order(limits: ArmLimits) -> None:
     arm.recover()
     arm.close()
     arm.close()
-    assert arm.calls == ["open", "command_joints", "hold", "recover", "hold", "close"]
+    assert arm.calls == ["open", "command_joints", "recover", "hold", "hold", "close"]
 
 
-@pytest.mark.parametrize("call", ["open", "state", "command_joints", "has_arrived", "hold", "recover", "close"])
+@pytest.mark.parametrize("call", ["open", "state", "command_joints", "has_arrived", "hold", "close"])
 def test_an_exception_of_the_device_arrives_as_it_is(limits: ArmLimits, call: str) -> None:
     arm = Scripted(limits, **{call: TimeoutError("no answer within 10 ms")})
     arguments = (np.zeros(3),) if call == "command_joints" else ()
@@ -90,12 +102,37 @@ def test_an_arm_that_failed_to_close_is_closed_and_let_go_of(limits: ArmLimits, 
     arm.close()
 
 
-def test_a_fault_is_kept_when_the_arm_fails_to_hold(limits: ArmLimits) -> None:
+def test_a_hold_that_fails_is_added_to_the_reason_of_the_fault(limits: ArmLimits) -> None:
     arm = Scripted(limits, hold=OSError("unplugged"))
     arm.open()
-    with pytest.raises(OSError, match="unplugged"):
-        arm.set_fault("collision")
+    arm.set_fault("collision")
+    assert arm.fault == "collision; holding failed: OSError: unplugged"
+
+
+def test_a_hold_that_fails_does_not_hide_a_bad_measurement(limits: ArmLimits) -> None:
+    arm = Scripted(limits, hold=OSError("unplugged"), state=ArmState([0.0], [0.0], 0.0))
+    arm.open()
+    with pytest.raises(DeviceFault, match="measured 1 joints, it has 3; holding failed: OSError: unplugged"):
+        arm.state()
+
+
+@pytest.mark.parametrize("call", ["hold", "recover"])
+def test_a_fault_whose_recovery_fails_stays_and_the_error_says_so(limits: ArmLimits, call: str) -> None:
+    arm = Scripted(limits)
+    arm.open()
+    arm.set_fault("collision")
+    arm.answers[call] = TimeoutError("no answer within 10 ms")
+    with pytest.raises(
+        DeviceFault, match=r"recover failed: TimeoutError: no answer within 10 ms; the fault stays \(collision\)"
+    ) as caught:
+        arm.recover()
+    assert caught.value.__cause__ is arm.answers[call]
     assert arm.fault == "collision"
+    with pytest.raises(DeviceFault, match="collision"):
+        arm.command_joints(np.zeros(3))
+    arm.answers.clear()
+    arm.recover()
+    assert arm.fault == ""
 
 
 @pytest.mark.parametrize(
@@ -206,3 +243,83 @@ def test_a_frame_of_another_size_than_the_mode_is_a_fault(mode: CameraMode, fram
 def test_a_mode_that_makes_no_sense_is_refused(mode: CameraMode) -> None:
     with pytest.raises(InvalidSetup, match="must be positive"):
         Eye(mode, Frame(RGB))
+
+
+class Grasp(Hand):
+    def __init__(self, answer: Any, joint_count: int = 2) -> None:
+        super().__init__("grasp", joint_count)
+        self.answer = answer
+
+    def _state(self) -> HandState:
+        return self.answer
+
+    def _has_arrived(self) -> bool:
+        return self.answer
+
+    def _hold(self) -> None:
+        return
+
+
+@pytest.mark.parametrize(
+    ("make", "call", "text"),
+    [
+        (
+            lambda limits: Scripted(limits, state=[0.0, 0.0]),
+            "state",
+            r"_state returned \[0.0, 0.0\] of type list.*ArmState",
+        ),
+        (
+            lambda limits: Scripted(limits, has_arrived=None),
+            "has_arrived",
+            "_has_arrived returned None of type NoneType.*bool",
+        ),
+        (
+            lambda limits: Grasp(np.bool_(True)),
+            "has_arrived",
+            r"Grasp\._has_arrived returned .*True.* of type numpy\.bool.*, it must return a bool",
+        ),
+        (
+            lambda limits: Grasp(GripperState(0.0, 0.0, 0.0)),
+            "state",
+            r"Grasp\._state returned .*GripperState, it must return a HandState",
+        ),
+        (
+            lambda limits: Eye(CameraMode(6, 4, 30.0), RGB),
+            "read",
+            "_read returned something of type numpy.ndarray, it must return a Frame",
+        ),
+    ],
+)
+def test_a_wrong_return_type_is_named_with_class_and_method(limits: ArmLimits, make: Any, call: str, text: str) -> None:
+    device = make(limits)
+    device.open()
+    with pytest.raises(TypeError, match=text):
+        getattr(device, call)()
+
+
+class Half(Arm):
+    """An arm whose author forgot the rest."""
+
+
+def test_a_method_that_was_forgotten_is_named_with_its_class(limits: ArmLimits) -> None:
+    arm = Half("half", limits)
+    arm.open()
+    with pytest.raises(TypeError, match=r"Half must define the method _state"):
+        arm.state()
+
+
+def test_every_device_is_a_device(limits: ArmLimits) -> None:
+    devices: list[Device] = [Scripted(limits), Pincers(), Grasp(True), Eye(CameraMode(6, 4, 30.0), Frame(RGB))]
+    for device in devices:
+        device.open()
+        device.set_fault("stop")
+        assert device.fault == "stop"
+        device.close()
+        assert not device.is_open
+
+
+def test_a_hand_of_two_billion_joints_refuses_a_target_before_it_makes_as_many_limits() -> None:
+    hand = Grasp(True, joint_count=2**31 - 1)
+    hand.open()
+    with pytest.raises(InvalidAction, match="joints has 2 values, 2147483647 are needed"):
+        hand.command_joints(np.zeros(2))

@@ -70,4 +70,4 @@ def test_ids_that_are_not_in_the_model_are_refused(model: mujoco.MjModel) -> Non
     joints = list(range(7))
     for arguments in (([], 0, 0), ([99], 0, 0), (joints, 99, 0), (joints, 0, 99), (joints, -1, 0)):
         with pytest.raises(InvalidSetup, match="inverse kinematics"):
-            DampedLeastSquares(model._address, *arguments)
+            DampedLeastSquares(model, *arguments)

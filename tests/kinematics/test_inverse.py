@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -156,3 +158,44 @@ def test_kinematics_can_be_written_in_python() -> None:
     assert gantry.dof == 3
     assert result.iterations == 9
     np.testing.assert_array_equal(result.joints, [0.1, 0.2, 0.3])
+
+
+def test_a_solver_takes_a_model_and_no_address() -> None:
+    for bad in (0, None, "model"):
+        with pytest.raises(TypeError):
+            DampedLeastSquares(bad, [0], 0, 0)  # pyright: ignore[reportArgumentType]
+
+
+class Bent(Gantry):
+    """Kinematics whose author returns the wrong things."""
+
+    def _dof(self) -> int:
+        return "three"  # pyright: ignore[reportReturnType]
+
+    def _forward(self, joints: NDArray[np.float64]) -> Pose:
+        return [0.0, 0.0, 0.0]  # pyright: ignore[reportReturnType]
+
+    def _inverse(self, target: Pose, start: NDArray[np.float64], options: IkOptions) -> IkResult:
+        return None  # pyright: ignore[reportReturnType]
+
+
+def test_a_wrong_return_type_of_kinematics_in_python_is_named() -> None:
+    bent = Bent()
+    with pytest.raises(TypeError, match=r"Bent\._dof returned 'three' of type str, it must return an int"):
+        _ = bent.dof
+    with pytest.raises(TypeError, match=r"Bent\._forward returned .* of type list, it must return a Pose"):
+        bent.forward(np.zeros(3))
+    with pytest.raises(TypeError, match=r"Bent\._inverse returned None of type NoneType, it must return an IkResult"):
+        bent.inverse(Pose(), np.zeros(3))
+
+
+def test_one_solver_answers_many_threads_as_it_answers_one(
+    solver: DampedLeastSquares, random_joints: NDArray[np.float64]
+) -> None:
+    targets = solver.forward_batch(random_joints)
+    starts = np.tile(HOME, (len(targets), 1))
+    expected = solver.inverse_batch(targets, starts)[0]
+    with ThreadPoolExecutor(4) as pool:
+        answers = [pool.submit(solver.inverse_batch, targets, starts, threads=1 + i % 2) for i in range(8)]
+    for answer in answers:
+        np.testing.assert_array_equal(answer.result()[0], expected)

@@ -24,22 +24,13 @@ struct ArmState {
 };
 
 /// One manipulator. An implementation in C++ or Python overrides the `do_` functions; users call the others.
-class Arm {
+class Arm : public Device {
  public:
   Arm(std::string name, ArmLimits limits);
-  virtual ~Arm() = default;
-  Arm(const Arm&) = delete;
-  Arm& operator=(const Arm&) = delete;
 
-  const std::string& name() const { return life_.name(); }
   int dof() const { return static_cast<int>(limits_.joint_lower.size()); }
   const ArmLimits& limits() const { return limits_; }
-  bool is_open() const { return life_.is_open(); }
-  /// The reason of the fault state, empty when there is none.
-  const std::string& fault() const { return life_.fault(); }
 
-  /// Connect. Nothing moves. Opening an open arm does nothing.
-  void open();
   /// Measure joints and velocities.
   ArmState state();
   /// Set the joint target [rad] and return at once. Throws `InvalidCommand`, `WrongOrder`, `DeviceFault`; the arm then
@@ -47,26 +38,15 @@ class Arm {
   void command_joints(std::span<const double> joints);
   /// Whether the last target is reached and the arm stands still.
   bool has_arrived();
-  /// Stop where the arm is now and stay there. Allowed in the fault state.
-  void hold();
-  /// Enter the fault state: commands are refused until `recover`.
-  void set_fault(const std::string& reason);
-  /// Leave the fault state, holding the present position.
-  void recover();
-  /// Hold and let go of the device. Closing twice is harmless.
-  void close();
+  using Device::hold;
 
  protected:
-  virtual void do_open() {}
   virtual ArmState do_state() = 0;
   virtual void do_command_joints(std::span<const double> joints) = 0;
   virtual bool do_has_arrived() = 0;
-  virtual void do_hold() = 0;
-  virtual void do_recover() {}
-  virtual void do_close() {}
+  void do_hold() override = 0;
 
  private:
-  Lifecycle life_;
   ArmLimits limits_;
 };
 

@@ -26,33 +26,19 @@ struct Frame {
 };
 
 /// One camera. An implementation overrides the `do_` functions; users call the others.
-class Camera {
+class Camera : public Device {
  public:
   Camera(std::string name, CameraMode mode);
-  virtual ~Camera() = default;
-  Camera(const Camera&) = delete;
-  Camera& operator=(const Camera&) = delete;
 
-  const std::string& name() const { return life_.name(); }
   const CameraMode& mode() const { return mode_; }
-  bool is_open() const { return life_.is_open(); }
-  const std::string& fault() const { return life_.fault(); }
 
-  void open();
   /// The newest frame. Throws `DeviceFault` when its size is not that of the mode.
   Frame read();
-  void set_fault(const std::string& reason);
-  void recover();
-  void close();
 
  protected:
-  virtual void do_open() {}
   virtual Frame do_read() = 0;
-  virtual void do_recover() {}
-  virtual void do_close() {}
 
  private:
-  Lifecycle life_;
   CameraMode mode_;
 };
 

@@ -15,42 +15,28 @@ struct GripperState {
 };
 
 /// One gripper. An implementation overrides the `do_` functions; users call the others.
-class Gripper {
+class Gripper : public Device {
  public:
   /// `max_width` is the opening at 1 [m], `max_force` the largest grasping force [N].
   Gripper(std::string name, double max_width, double max_force);
-  virtual ~Gripper() = default;
-  Gripper(const Gripper&) = delete;
-  Gripper& operator=(const Gripper&) = delete;
 
-  const std::string& name() const { return life_.name(); }
   double max_width() const { return max_width_; }
   double max_force() const { return max_force_; }
-  bool is_open() const { return life_.is_open(); }
-  const std::string& fault() const { return life_.fault(); }
 
-  void open();
   GripperState state();
   /// Set the opening (0 closed … 1 open) and return at once. Throws `InvalidCommand`, `WrongOrder`, `DeviceFault`.
   void command_opening(double opening);
   /// Whether the fingers stand still: at the target, or on an object.
   bool has_arrived();
-  void hold();
-  void set_fault(const std::string& reason);
-  void recover();
-  void close();
+  using Device::hold;
 
  protected:
-  virtual void do_open() {}
   virtual GripperState do_state() = 0;
   virtual void do_command_opening(double opening) = 0;
   virtual bool do_has_arrived() = 0;
-  virtual void do_hold() = 0;
-  virtual void do_recover() {}
-  virtual void do_close() {}
+  void do_hold() override = 0;
 
  private:
-  Lifecycle life_;
   double max_width_;
   double max_force_;
 };

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <limits>
 #include <memory>
+#include <mutex>
 #include <span>
 #include <string>
 #include <vector>
@@ -63,33 +64,44 @@ void inverse_batch(DampedLeastSquares& kinematics, std::span<const double> targe
 ///
 /// Joints that would leave their range are fixed at the limit and the step is solved again for the others. Nakamura and
 /// Hanafusa, "Inverse kinematic solutions with singularity robustness for robot manipulator control", 1986.
+///
+/// Calls from several threads are as good as one after the other: each computes in memory of its own, which is kept for
+/// the next call.
 class DampedLeastSquares final : public Kinematics {
  public:
   /// `model` is copied. `joints` are joint ids base to tip, `tcp_site` and `base_body` ids in it.
   DampedLeastSquares(const mjModel* model, std::vector<int> joints, int tcp_site, int base_body);
   ~DampedLeastSquares() override;
-  /// Another solver of the same arm, for another thread.
-  std::unique_ptr<DampedLeastSquares> clone() const;
 
   int dof() const override { return static_cast<int>(joints_.size()); }
   Pose forward(std::span<const double> joints) override;
   IkResult inverse(const Pose& target, std::span<const double> start, const IkOptions& options) override;
 
   /// Jacobian of the TCP in the base frame: 6 × dof, row-major, translation rows [m/rad] above rotation rows [rad/rad].
-  std::vector<double> jacobian(std::span<const double> joints);
+  std::vector<double> jacobian(std::span<const double> joints) const;
 
   const std::vector<double>& joint_lower() const { return lower_; }
   const std::vector<double>& joint_upper() const { return upper_; }
 
  private:
-  void set_joints(std::span<const double> joints);
+  /// What one call computes in.
+  struct Scratch;
+  struct GiveBack {
+    const DampedLeastSquares* owner;
+    void operator()(Scratch* scratch) const;
+  };
+  using Lease = std::unique_ptr<Scratch, GiveBack>;
+
+  Lease borrow() const;
+  void set_joints(Scratch& scratch, std::span<const double> joints) const;
   void check_size(std::span<const double> joints) const;
-  bool attempt(const std::array<double, 7>& target, std::vector<double>& q, const IkOptions& options, IkResult& result);
+  bool attempt(Scratch& scratch, const std::array<double, 7>& target, std::vector<double>& q, const IkOptions& options,
+               IkResult& result) const;
   /// Position error and rotation error (as a rotation vector) from the present TCP to the target, in world axes.
-  void error_to(const std::array<double, 7>& target_in_world, std::array<double, 6>& error) const;
+  void error_to(const Scratch& scratch, const std::array<double, 7>& target_in_world,
+                std::array<double, 6>& error) const;
 
   mjModel* model_ = nullptr;
-  mjData* data_ = nullptr;
   std::vector<int> joints_;
   std::vector<int> qpos_;
   std::vector<int> dofs_;
@@ -97,8 +109,9 @@ class DampedLeastSquares final : public Kinematics {
   std::vector<double> upper_;
   int tcp_site_;
   int base_body_;
-  std::vector<double> jacobian_translation_;
-  std::vector<double> jacobian_rotation_;
+  mutable std::mutex mutex_;
+  mutable std::vector<std::unique_ptr<Scratch>> unused_;
+  mutable std::size_t scratch_count_ = 0;
 };
 
 }  // namespace rcs

@@ -1,6 +1,18 @@
 """Devices behind one interface each, implementable in C++ or in Python, and how to find them by name."""
 
-from rcs._core import Arm, ArmLimits, ArmState, Camera, CameraMode, Frame, Gripper, GripperState, Hand, HandState
+from rcs._core import (
+    Arm,
+    ArmLimits,
+    ArmState,
+    Camera,
+    CameraMode,
+    Device,
+    Frame,
+    Gripper,
+    GripperState,
+    Hand,
+    HandState,
+)
 
 __all__ = [
     "Arm",
@@ -8,6 +20,7 @@ __all__ = [
     "ArmState",
     "Camera",
     "CameraMode",
+    "Device",
     "Frame",
     "Gripper",
     "GripperState",

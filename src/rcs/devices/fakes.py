@@ -39,6 +39,13 @@ class FakeArm(Arm):
         self._target = self._joints.copy()
         self._time = clock()
         self._has_link = True
+        self._has_reflex = False
+
+    def trip(self, reason: str) -> None:
+        """Stop and go into fault as a controller does in a reflex: it refuses even `hold` until `recover`."""
+        self._hold()
+        self._has_reflex = True
+        self.set_fault(reason)
 
     def _move(self) -> None:
         now = self._clock()
@@ -77,8 +84,13 @@ class FakeArm(Arm):
         return bool(np.abs(self._target - self._joints).max() < 1e-9)
 
     def _hold(self) -> None:
+        if self._has_reflex:
+            raise DeviceFault(f"{self.name}: hold is refused in a reflex; call recover() first")
         self._move()
         self._target = self._joints.copy()
+
+    def _recover(self) -> None:
+        self._has_reflex = False
 
 
 class FakeGripper(Gripper):

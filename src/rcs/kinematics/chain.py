@@ -54,7 +54,7 @@ def kinematics_of(arm: ArmDescription, gripper: EndEffector | None = None) -> Da
         gripper: The gripper or hand at its flange.
 
     Returns:
-        A solver of its own; it is not shared between threads.
+        A solver of its own, which several threads may use.
     """
     spec = load(arm)
     tcp = arm.flange_site
@@ -63,7 +63,7 @@ def kinematics_of(arm: ArmDescription, gripper: EndEffector | None = None) -> Da
         tcp = GRIPPER_PREFIX + gripper.tcp_site
     model = spec.compile()
     return DampedLeastSquares(
-        model._address,  # pyright: ignore[reportPrivateUsage]  MuJoCo's way of handing a model to C++
+        model,
         [model.joint(name).id for name in arm.joints],
         model.site(tcp).id,
         model.body(arm.base_body).id,

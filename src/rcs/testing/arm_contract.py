@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import numpy as np
@@ -52,6 +53,13 @@ class ArmContract:
     def advance(self, seconds: float) -> None:
         """Let time pass; override it for an arm on a simulated clock."""
         time.sleep(seconds)
+
+    def provoke_fault(self, arm: Arm) -> None:
+        """Bring an open arm into its own fault state; override it where a test can, as by a light push.
+
+        Many controllers refuse even to hold then.
+        """
+        arm.set_fault("provoked")
 
     @contextmanager
     def open_arm(self) -> Generator[Arm]:
@@ -213,6 +221,50 @@ class ArmContract:
             arm.recover()
             self.require_rest(arm)
             assert np.abs(_present(arm) - target).max() > self.tolerance
+
+    def test_an_arm_recovers_from_its_own_fault_state(self) -> None:
+        """Also where it refused to hold in it; it stands still until the next command."""
+        with self.open_arm() as arm:
+            target = self.target_of(arm)
+            arm.command_joints(target)
+            self.advance(self.tick)
+            self.provoke_fault(arm)
+            assert arm.fault != ""
+            with pytest.raises(DeviceFault):
+                arm.command_joints(target)
+            arm.recover()
+            assert arm.fault == ""
+            self.advance(self.stopping_time)
+            self.require_rest(arm)
+            assert np.abs(_present(arm) - target).max() > self.tolerance
+            arm.command_joints(_present(arm))
+
+    def test_another_thread_stops_an_arm(self) -> None:
+        """A watchdog reads and sets the fault while the arm is in use."""
+        with self.open_arm() as arm:
+            target = self.target_of(arm)
+            arm.command_joints(target)
+            self.advance(self.tick)
+
+            def watch() -> None:
+                assert arm.is_open
+                assert arm.fault == ""
+                arm.hold()
+                arm.set_fault("watchdog")
+
+            in_a_thread(watch)
+            assert arm.fault == "watchdog"
+            self.advance(self.stopping_time)
+            self.require_rest(arm)
+            with pytest.raises(DeviceFault, match="watchdog"):
+                arm.command_joints(target)
+            arm.recover()
+
+
+def in_a_thread(call: Callable[[], None]) -> None:
+    """Make a call from another thread, and raise here what it raises."""
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(call).result()
 
 
 def _present(arm: Arm) -> Joints:

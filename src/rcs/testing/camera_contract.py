@@ -11,6 +11,7 @@ import pytest
 
 from rcs.devices import Camera
 from rcs.errors import DeviceFault, WrongOrder
+from rcs.testing.arm_contract import in_a_thread
 
 
 class CameraContract:
@@ -113,6 +114,22 @@ class CameraContract:
                     camera.read()
             camera.recover()
             assert camera.fault == ""
+            camera.read()
+
+    def test_a_fault_is_read_and_set_from_another_thread(self) -> None:
+        """By whoever watches the connection."""
+        with self.open_camera() as camera:
+
+            def watch() -> None:
+                assert camera.is_open
+                assert camera.fault == ""
+                camera.set_fault("watchdog")
+
+            in_a_thread(watch)
+            assert camera.fault == "watchdog"
+            with pytest.raises(DeviceFault, match="watchdog"):
+                camera.read()
+            camera.recover()
             camera.read()
 
     def test_recover_needs_an_open_camera(self) -> None:

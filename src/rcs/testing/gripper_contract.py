@@ -11,6 +11,7 @@ import pytest
 
 from rcs.devices import Gripper
 from rcs.errors import DeviceFault, InvalidAction, WrongOrder
+from rcs.testing.arm_contract import in_a_thread
 
 
 class GripperContract:
@@ -32,6 +33,13 @@ class GripperContract:
     def advance(self, seconds: float) -> None:
         """Let time pass; override it for a gripper on a simulated clock."""
         time.sleep(seconds)
+
+    def provoke_fault(self, gripper: Gripper) -> None:
+        """Bring a connected gripper into its own fault state; override it where a test can.
+
+        Many controllers refuse even to hold then.
+        """
+        gripper.set_fault("provoked")
 
     @contextmanager
     def open_gripper(self) -> Generator[Gripper]:
@@ -176,6 +184,43 @@ class GripperContract:
             self.advance(self.stopping_time)
             assert abs(gripper.state().opening - target) > self.tolerance
             gripper.command_opening(target)
+
+    def test_a_gripper_recovers_from_its_own_fault_state(self) -> None:
+        """Also where it refused to hold in it; it stands still until the next command."""
+        with self.open_gripper() as gripper:
+            target = self.far_from(gripper)
+            gripper.command_opening(target)
+            self.advance(self.tick)
+            self.provoke_fault(gripper)
+            assert gripper.fault != ""
+            with pytest.raises(DeviceFault):
+                gripper.command_opening(target)
+            gripper.recover()
+            assert gripper.fault == ""
+            self.advance(self.stopping_time)
+            self.require_rest(gripper)
+            assert abs(gripper.state().opening - target) > self.tolerance
+
+    def test_another_thread_stops_a_gripper(self) -> None:
+        """A watchdog reads and sets the fault while the gripper is in use."""
+        with self.open_gripper() as gripper:
+            target = self.far_from(gripper)
+            gripper.command_opening(target)
+            self.advance(self.tick)
+
+            def watch() -> None:
+                assert gripper.is_open
+                assert gripper.fault == ""
+                gripper.hold()
+                gripper.set_fault("watchdog")
+
+            in_a_thread(watch)
+            assert gripper.fault == "watchdog"
+            self.advance(self.stopping_time)
+            self.require_rest(gripper)
+            with pytest.raises(DeviceFault, match="watchdog"):
+                gripper.command_opening(target)
+            gripper.recover()
 
 
 def _require_wrong_order(gripper: Gripper) -> None:

@@ -1,0 +1,87 @@
+// Methods that a class written in Python overrides, called from C++ with or without the GIL.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/trampoline.h>
+
+#include <span>
+#include <stdexcept>
+#include <string>
+#include <type_traits>
+
+#include "arrays.hpp"
+#include "gil.hpp"
+
+namespace nb = nanobind;
+
+/// A device may take its time: other threads of Python run meanwhile. What Python overrides takes the GIL again.
+using WithoutGil = nb::call_guard<ReleasedGil>;
+
+/// The name of a type with its module, so that NumPy's bool is not taken for Python's.
+inline std::string full_name(nb::handle type) {
+  const std::string module = nb::str(type.attr("__module__")).c_str(),
+                    name = nb::str(type.attr("__qualname__")).c_str();
+  return module == "builtins" ? name : module + "." + name;
+}
+
+/// What finds the override `name`, with the GIL held. Throws `TypeError` when the class does not have it.
+inline nb::detail::ticket require_override(const nb::detail::trampoline& trampoline, const char* name) {
+  try {
+    return {trampoline, name, nb::detail::str_hash(name), true};
+  } catch (const std::runtime_error&) {
+    const nb::handle type = trampoline.base().type();
+    if (PyObject_HasAttrString(type.ptr(), name)) throw;  // there, but not to be called: the interpreter ends
+    throw nb::type_error((full_name(type) + " must define the method " + name).c_str());
+  }
+}
+
+inline Array to_python(std::span<const double> values) { return to_array(values); }
+template <typename T>
+const T& to_python(const T& value) {
+  return value;
+}
+
+/// Call the method `name` of an object that is written in Python. `valid` says in words of Python what it must return.
+///
+/// Throws what the method raises, and `TypeError` when it returns something else.
+template <typename Result, typename... Args>
+Result call_override(const nb::detail::trampoline& trampoline, const char* name, const char* valid,
+                     const Args&... args) {
+  const HeldGil gil;
+  const nb::detail::ticket ticket = require_override(trampoline, name);
+  const nb::object answer = trampoline.base().attr(ticket.key)(to_python(args)...);
+  if constexpr (!std::is_void_v<Result>) {
+    Result result;
+    if (nb::try_cast<Result>(answer, result)) return result;
+    std::string given = nb::repr(answer).c_str();
+    if (given.size() > 80) given = "something";
+    throw nb::type_error((full_name(trampoline.base().type()) + "." + name + " returned " + given + " of type " +
+                          full_name(answer.type()) + ", it must return " + valid)
+                             .c_str());
+  }
+}
+
+/// A device that is written in Python: what all devices share.
+template <typename Base>
+struct PyDevice : Base {
+  NB_TRAMPOLINE(Base);
+  void do_open() override {
+    const HeldGil gil;
+    NB_OVERRIDE_NAME("_open", do_open);
+  }
+  void do_recover() override {
+    const HeldGil gil;
+    NB_OVERRIDE_NAME("_recover", do_recover);
+  }
+  void do_close() override {
+    const HeldGil gil;
+    NB_OVERRIDE_NAME("_close", do_close);
+  }
+
+ protected:
+  template <typename Result, typename... Args>
+  Result call(const char* name, const char* valid, const Args&... args) {
+    return call_override<Result>(nb_trampoline, name, valid, args...);
+  }
+};
