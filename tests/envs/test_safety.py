@@ -97,6 +97,19 @@ class TestFakes(SafetyContract):
             env.reset()
             env.step(stay(env, lift(env)))
 
+    def test_an_arm_that_refuses_even_to_hold_in_its_reflex_recovers(self) -> None:
+        with self.env() as env:
+            self.set_in_motion(env)
+            arm = self.benches[id(env)].arms[-1]
+            arm.trip("cartesian reflex")
+            *_, info = env.step(go(env, lift(env)))
+            assert list(info["faults"].values()) == ["cartesian reflex"]
+            self.require_that_all_stand_still(env)
+            env.recover()
+            self.require_that_all_stand_still(env)
+            env.reset()
+            env.step(stay(env, lift(env)))
+
     def test_a_device_that_can_no_longer_be_measured_ends_the_episode_too(self) -> None:
         with self.env() as env:
             breaks = self.set_in_motion(env)

@@ -387,6 +387,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         calls += [self._stack.close, *(observer.close for observer in self._observers)]
         if self._picture is not None:
             calls.append(self._picture.close)
+        if self._scenario is not None:
+            calls.append(self._scenario.world.close)
         for_all(calls)
 
     def _explain_order(self) -> str:

@@ -118,8 +118,7 @@ class ArmPort(Port):
 
     def hold(self) -> None:
         """Stop the arm where it is."""
-        if self._arm.is_open:
-            self._arm.hold()
+        _hold(self._arm)
 
     def faults(self) -> Mapping[str, str]:
         """Return why the arm stands still, if it is in its fault state."""
@@ -163,8 +162,7 @@ class GripperPort(Port):
 
     def hold(self) -> None:
         """Stop the fingers where they are."""
-        if self._gripper.is_open:
-            self._gripper.hold()
+        _hold(self._gripper)
 
     def faults(self) -> Mapping[str, str]:
         """Return why the gripper stands still, if it is in its fault state."""
@@ -178,6 +176,17 @@ class GripperPort(Port):
     def close(self) -> None:
         """Let go of the gripper."""
         self._gripper.close()
+
+
+def _hold(device: Arm | Gripper) -> None:
+    if not device.is_open:
+        return
+    try:
+        device.hold()
+    except Exception:
+        # A device was held when it entered its fault state, and may refuse it now; the fault's reason says more.
+        if not device.fault:
+            raise
 
 
 def _fault_of(device: Arm | Gripper) -> dict[str, str]:

@@ -18,7 +18,7 @@ from rcs.envs.draws import Draws, check_seed
 from rcs.envs.group import StackGroup
 from rcs.envs.scenario import Scenario
 from rcs.envs.spaces import FRAMES, Observation
-from rcs.envs.stack import Stack, copied
+from rcs.envs.stack import Stack, copied, for_all
 from rcs.envs.turn import Turn
 from rcs.errors import InvalidSetup, WrongOrder
 
@@ -269,7 +269,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         self._is_open = False
         if self._turn.is_of_another_thread:
             self._turn.wait()
-        self._stack.close()
+        for_all([self._stack.close, self._scenario.world.close])
 
     def _explain_order(self) -> str:
         if not self._is_open:
