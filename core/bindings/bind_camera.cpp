@@ -14,8 +14,8 @@ using namespace nb::literals;
 
 namespace {
 
-using Rgb = nb::ndarray<const std::uint8_t, nb::shape<-1, -1, 3>, nb::c_contig, nb::device::cpu>;
-using Depth = nb::ndarray<const std::uint16_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Rgb = In<const std::uint8_t, nb::shape<-1, -1, 3>, nb::c_contig, nb::device::cpu>;
+using Depth = In<const std::uint16_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 struct PyCamera : PyDevice<rcs::Camera> {
   using PyDevice::PyDevice;

@@ -13,7 +13,7 @@ using namespace nb::literals;
 
 namespace {
 
-using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Rows = In<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 struct PyKinematics : rcs::Kinematics {
   NB_TRAMPOLINE(rcs::Kinematics);

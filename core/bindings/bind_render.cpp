@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "arrays.hpp"
 #include "gil.hpp"
 #include "mujoco_objects.hpp"
 #include "rcs/gl_context.hpp"
@@ -25,11 +26,11 @@ using namespace nb::literals;
 namespace {
 
 template <typename T, typename... Options>
-using Array = nb::ndarray<T, nb::numpy, nb::c_contig, nb::device::cpu, Options...>;
-using Rgb = Array<std::uint8_t, nb::shape<-1, -1, 3>>;
-using Depth = Array<std::uint16_t, nb::shape<-1, -1>>;
-using RgbFilm = Array<std::uint8_t, nb::shape<-1, -1, -1, 3>>;
-using DepthFilm = Array<std::uint16_t, nb::shape<-1, -1, -1>>;
+using Given = In<T, nb::numpy, nb::c_contig, nb::device::cpu, Options...>;
+using Rgb = Given<std::uint8_t, nb::shape<-1, -1, 3>>;
+using Depth = Given<std::uint16_t, nb::shape<-1, -1>>;
+using RgbFilm = Given<std::uint8_t, nb::shape<-1, -1, -1, 3>>;
+using DepthFilm = Given<std::uint16_t, nb::shape<-1, -1, -1>>;
 using Groups = std::array<bool, mjNGROUP>;
 
 rcs::RenderOptions options(const std::string& quality, int max_width, int max_height, const std::string& backend,
@@ -129,7 +130,7 @@ Args:
     data: Of the renderer's model, after `mj_forward` or `mj_kinematics`, `mj_comPos` and `mj_camlight`.)")
       .def(
           "update_from_state",
-          [](rcs::Renderer& self, Array<const double, nb::shape<-1>> state) {
+          [](rcs::Renderer& self, Given<const double, nb::shape<-1>> state) {
             const ReleasedGil unlocked;
             self.update_from_state({state.data(), state.size()});
           },
@@ -187,7 +188,7 @@ Raises:
     MissingDependency: There is no OpenGL; the message has the remedy.)")
       .def(
           "render_states",
-          [](rcs::RenderPool& self, Array<const double, nb::shape<-1, -1>> states, const std::vector<int>& camera_ids,
+          [](rcs::RenderPool& self, Given<const double, nb::shape<-1, -1>> states, const std::vector<int>& camera_ids,
              std::vector<RgbFilm> rgb, std::optional<std::vector<std::optional<DepthFilm>>> depth, rcs::World* world) {
             if (states.shape(1) != static_cast<std::size_t>(self.state_size()))
               throw std::invalid_argument("states has rows of " + std::to_string(states.shape(1)) +

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "arrays.hpp"
 #include "rcs/rows.hpp"
 
 namespace nb = nanobind;
@@ -17,7 +18,7 @@ using namespace nb::literals;
 namespace {
 
 template <typename T>
-using Rows = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
+using Rows = In<const T, nb::c_contig, nb::device::cpu>;
 template <typename T>
 using Numpy = nb::ndarray<nb::numpy, T>;
 

@@ -19,7 +19,7 @@ using namespace nb::literals;
 
 namespace {
 
-using Ids = nb::ndarray<const int, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Ids = In<const int, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 std::string text(nb::handle object) { return nb::cast<std::string>(object.attr("__str__")()); }
 

@@ -23,3 +23,9 @@ def test_limits_may_be_zero_or_infinite() -> None:
     target, is_cut = limit_rows(row + 1, row, row, np.array([0.0, np.inf]), np.inf, 0.0) or (None, None)
     np.testing.assert_array_equal(target, [[0.0, 1.0]])
     np.testing.assert_array_equal(is_cut, [True])
+
+
+@pytest.mark.parametrize("value", [np.datetime64("2020"), np.timedelta64(3), np.array(["2020"], "datetime64[s]")])
+def test_dates_are_no_numbers(value: Any) -> None:
+    with pytest.raises(TypeError, match="incompatible"):
+        clip_rows(value, np.zeros(1), np.ones(1), 0.0)

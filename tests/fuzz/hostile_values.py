@@ -32,8 +32,9 @@ HOSTILE: tuple[Callable[[random.Random], Any], ...] = (
     lambda r: r.choice([b"", b"abc", bytearray(8), memoryview(b"12345678")]),
     lambda r: r.choice([[], [[]], (), {}, set(), [1, [2]], ["a"], [None], [math.nan] * 7, list(range(7)), range(3)]),
     lambda r: r.choice([object(), object, int, len, NotImplemented, ..., Exception("x"), 3 + 4j]),
-    # Without np.datetime64: NumPy 2 offers its bytes without strides, which nanobind 3.1 reads all the same.
     lambda r: r.choice([np.float32(1), np.int64(2), np.uint8(255), np.str_("a")]),
+    # NumPy offers their bytes without strides, which nanobind 3.1 would read all the same.
+    lambda r: r.choice([np.datetime64("2020"), np.timedelta64(3), np.array(["2020"], "datetime64[s]")]),
     lambda r: np.zeros(r.choice([(), (0,), (1,), (3,), (7,), (2, 7), (0, 7), (1, 2, 3), (4, 4), (3, 0)])),
     lambda r: np.full(r.choice([1, 3, 7]), r.choice([math.nan, math.inf, -math.inf, 1e300, 1e-320])),
     lambda r: r.choice([np.array([2, 0], np.int32), np.array([0, 0], np.int32), np.array([-1, 99], np.int32)]),
