@@ -13,14 +13,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from rcs.data.about import read_about
 from rcs.data.codec import blank_frame, decode_frame
 from rcs.data.content import flat_numbers
-from rcs.data.durable import unsealed
 from rcs.data.flags import FrameFlag, flags_key
 from rcs.data.head import Head, read_head
-from rcs.data.info import DatasetInfo, refuse_newer_schema
+from rcs.data.info import DatasetInfo
 from rcs.data.layout import (
-    EPISODE_FILE,
     SIM_STATE_FILE,
     STEPS_FILE,
     complete_ids,
@@ -64,14 +63,7 @@ class EpisodeRecord:
     @cached_property
     def about(self) -> dict[str, Any]:
         """All that `episode.json` says."""
-        path = self.path / EPISODE_FILE
-        try:
-            data = path.read_bytes()
-        except OSError as err:
-            raise CorruptEpisode(f"Episode {self.id!r} has no readable {path}: {err.strerror}.") from err
-        about = unsealed(data, path)
-        refuse_newer_schema(about.get("schema_version"), f"episode, {self.path},")
-        return about
+        return read_about(self.path)
 
     @property
     def seed(self) -> int | None:
@@ -306,6 +298,16 @@ class Dataset:
             tables.append(pa.Table.from_arrays([*place, *whole], schema=tables[0].schema))
         return pa.concat_tables(tables)
 
+    def __iter__(self) -> Iterator[EpisodeRecord]:
+        """Yield the complete episodes, sorted by id."""
+        return iter(self.episodes)
+
+    def __contains__(self, episode: object) -> bool:
+        """Return whether there is a complete episode of an id, or a record is one of them."""
+        if isinstance(episode, EpisodeRecord):
+            return episode in self.episodes
+        return episode in self._by_id
+
     def __len__(self) -> int:
         """Return how many complete episodes there are."""
         return len(self.episodes)
@@ -316,10 +318,15 @@ class Dataset:
         Raises:
             InvalidSetup: There is none.
         """
-        for episode in self.episodes:
-            if episode.id == episode_id:
-                return episode
-        raise InvalidSetup(f"There is no episode {episode_id!r} in {self.path}, which has {len(self)} episodes.")
+        try:
+            return self._by_id[episode_id]
+        except KeyError:
+            known = f"which has {len(self)} episodes"
+            raise InvalidSetup(f"There is no episode {episode_id!r} in {self.path}, {known}.") from None
+
+    @cached_property
+    def _by_id(self) -> dict[str, EpisodeRecord]:
+        return {episode.id: episode for episode in self.episodes}
 
 
 def _last_valid(column: pa.ChunkedArray) -> NDArray[np.intp]:

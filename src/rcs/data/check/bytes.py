@@ -11,13 +11,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from rcs.data.about import read_about
 from rcs.data.check.descriptions import is_as_written
 from rcs.data.check.episode_rows import EpisodePlace, EpisodeRows
 from rcs.data.check.report import Finding, counted
 from rcs.data.codec import decode_frame
 from rcs.data.content import ContentHash, flat_numbers
-from rcs.data.durable import unsealed
-from rcs.data.info import DatasetInfo, refuse_newer_schema
+from rcs.data.info import DatasetInfo
 from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
 from rcs.data.quality import QualityMeter
 from rcs.data.reader import UNREADABLE
@@ -55,10 +55,9 @@ class EpisodeBytes:
     def findings(self) -> Iterator[Finding]:
         """Yield all damage; and numbers that are not finite, as warnings."""
         try:
-            about = read_description(self._place.folder)
-        except OSError as err:
-            kind = "newer_layout" if isinstance(err, DatasetError) else "unreadable"
-            yield self._damage(kind, f"{err.strerror or err}" if kind == "unreadable" else str(err), EPISODE_FILE)
+            about = read_about(self._place.folder)
+        except DatasetError as err:
+            yield self._damage("newer_layout", str(err), EPISODE_FILE)
             return
         except CorruptEpisode as err:
             yield self._damage("altered", str(err), EPISODE_FILE)
@@ -66,9 +65,6 @@ class EpisodeBytes:
         path = self._place.folder / EPISODE_FILE
         if not is_as_written(path.read_bytes(), about):
             yield self._damage("altered", "reads, but its bytes are not those that were written", EPISODE_FILE)
-        if not isinstance(about.get("sha256"), dict) or not isinstance(about.get("length"), int):
-            yield self._damage("incomplete", "has no hashes or no length", EPISODE_FILE)
-            return
         self.rows.about = about
         for name, schema in schemas_of(self._info).items():
             yield from self._check_file(name, schema)
@@ -203,20 +199,6 @@ class _NotFinite:
         if len(bad):
             number, start, _ = self.found.get(key, (0, first + int(bad[0]), 0))
             self.found[key] = (number + len(bad), start, first + int(bad[-1]))
-
-
-def read_description(folder: Path) -> dict[str, Any]:
-    """Read an episode's `episode.json`.
-
-    Raises:
-        CorruptEpisode: It is not what was written.
-        DatasetError: Its layout is newer than this code.
-        OSError: It cannot be read.
-    """
-    path = folder / EPISODE_FILE
-    about = unsealed(path.read_bytes(), path)
-    refuse_newer_schema(about.get("schema_version"), f"episode, {folder},")
-    return about
 
 
 def schemas_of(info: DatasetInfo) -> dict[str, pa.Schema]:

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from rcs.data.check.bytes import read_description, sha256_of
+from rcs.data.about import read_about
+from rcs.data.check.bytes import sha256_of
 from rcs.data.check.descriptions import is_as_written
 from rcs.data.check.report import Finding, Severity
 from rcs.data.head import Head
@@ -103,11 +104,11 @@ def _damage(folder: Path, skip: set[int]) -> Iterator[tuple[Path, str]]:
     """Yield the files of an episode that are not what was written, each with what is wrong with it."""
     path = folder / EPISODE_FILE
     try:
-        about: dict[str, Any] = read_description(folder)
+        about: dict[str, Any] = read_about(folder)
         if path.stat().st_ino not in skip and not is_as_written(path.read_bytes(), about):
             yield path, "its bytes are not those that were written"
-        hashes: dict[str, str] = dict(about["sha256"])
-    except (CorruptEpisode, OSError, KeyError, TypeError) as err:
+        hashes: dict[str, str] = about["sha256"]
+    except (CorruptEpisode, OSError) as err:
         # One that a current episode shares is told there.
         if not (path.exists() and path.stat().st_ino in skip):
             yield path, f"does not read: {err}"

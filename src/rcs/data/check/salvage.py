@@ -13,11 +13,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from rcs.data.about import checked_about, read_about
 from rcs.data.check.bitrot import mended_json, mended_parquet
-from rcs.data.check.bytes import read_description, schemas_of, sha256_of
+from rcs.data.check.bytes import schemas_of, sha256_of
 from rcs.data.codec import decode_frame
 from rcs.data.content import ContentHash
 from rcs.data.info import DatasetInfo
+from rcs.data.json_file import read_bytes
 from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
 from rcs.data.reader import UNREADABLE
 from rcs.data.rows import SIM_STATE, sim_state_schema
@@ -93,24 +95,30 @@ def _description(folder: Path, others: Sequence[Path]) -> tuple[dict[str, Any] |
     """Return what `episode.json` said, whether that is certain, and how it is known."""
     path = folder / EPISODE_FILE
     try:
-        return read_description(folder), True, []
-    except DatasetError:
-        raise
+        return read_about(folder), True, []
     except CorruptEpisode:
-        about = mended_json(path.read_bytes(), path)
+        about = _mended_about(path)
         if about is not None:
             return about, True, [f"the one bit of {EPISODE_FILE} that had changed was put back"]
-    except OSError:
-        pass  # it is gone; another generation may have it
+        # Or it is gone; another generation may have it.
     for other in others:
         try:
-            about = read_description(other)
+            about = read_about(other)
             if all(sha256_of(folder / name) == expected for name, expected in about["sha256"].items()):
                 # An edit in between may have changed the words in it, if not the rows.
                 return about, False, [f"{EPISODE_FILE} was taken from another generation"]
         except (CorruptEpisode, OSError):
             continue
     return None, False, []
+
+
+def _mended_about(path: Path) -> dict[str, Any] | None:
+    """Return what an `episode.json` said before one bit of it changed; None if that is not what happened."""
+    try:
+        about = mended_json(read_bytes(path), path)
+        return None if about is None else checked_about(about, path)
+    except CorruptEpisode:
+        return None
 
 
 def _as_it_was(path: Path, expected: Any, others: Sequence[Path]) -> tuple[Path | pa.Buffer, list[str]]:
