@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from rcs.data import parquet
 from rcs.data.about import read_about
 from rcs.data.codec import blank_frame, decode_frame
 from rcs.data.content import flat_numbers
@@ -20,19 +22,18 @@ from rcs.data.flags import FrameFlag, flags_key
 from rcs.data.head import Head, read_head
 from rcs.data.info import DatasetInfo
 from rcs.data.layout import (
+    EPISODE_FILE,
     SIM_STATE_FILE,
     STEPS_FILE,
     complete_ids,
     episode_folder,
     generation_folder,
 )
-from rcs.data.rows import SIM_STATE
+from rcs.data.parquet import UNREADABLE
+from rcs.data.rows import SIM_STATE, sim_state_schema, steps_schema
 from rcs.errors import CorruptEpisode, InvalidSetup
 
 _FRAMES_AT_A_TIME = 32
-
-UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError)
-"""What reading a damaged Parquet file raises; the last where the name of a column is damaged."""
 
 
 class EpisodeRecord:
@@ -196,7 +197,7 @@ class EpisodeRecord:
         last: bytes | None = None
         path = self.path / STEPS_FILE
         try:
-            with pq.ParquetFile(path, memory_map=True, page_checksum_verification=True) as file:
+            with self._opened(path, [key]) as file:
                 for batch in file.iter_batches(_FRAMES_AT_A_TIME, columns=[key], use_threads=False):
                     for image in batch.column(0).to_pylist():
                         last = image or last or blank_frame(feature, self.info)
@@ -219,11 +220,24 @@ class EpisodeRecord:
     def _read(self, name: str, columns: list[str] | None) -> pa.Table:
         path = self.path / name
         try:
-            # Not `read_table`: that takes a folder named "seed=3" for a partition and adds a column.
-            with pq.ParquetFile(path, memory_map=True, page_checksum_verification=True) as file:
+            with self._opened(path, columns) as file:
                 return file.read(columns=columns, use_threads=False)
         except UNREADABLE as err:
             raise CorruptEpisode(f"{path} does not read: {err}.") from err
+
+    @contextlib.contextmanager
+    def _opened(self, path: Path, columns: list[str] | None) -> Generator[pq.ParquetFile]:
+        """Open a file of this episode, if it has the rows and columns that are said."""
+        schema = steps_schema(self.info)
+        if path.name == SIM_STATE_FILE:
+            schema = sim_state_schema(self.info.sim_state_size or 1)
+        with parquet.opened(path, mapped=True) as source:
+            if source.rows != self.length:
+                raise CorruptEpisode(f"{path} has {source.rows} rows, and {EPISODE_FILE} says {self.length}.")
+            if not source.file.schema_arrow.equals(schema):
+                raise CorruptEpisode(f"{path} has other columns than the dataset says.")
+            source.require(columns)
+            yield source.file
 
 
 class Dataset:

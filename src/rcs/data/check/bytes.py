@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from rcs.data import parquet
 from rcs.data.about import read_about
 from rcs.data.check.descriptions import is_as_written
 from rcs.data.check.episode_rows import EpisodePlace, EpisodeRows
@@ -20,7 +20,7 @@ from rcs.data.content import ContentHash, flat_numbers
 from rcs.data.info import DatasetInfo
 from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
 from rcs.data.quality import QualityMeter
-from rcs.data.reader import UNREADABLE
+from rcs.data.parquet import UNREADABLE, ParquetSource
 from rcs.data.rows import sim_state_schema, steps_schema
 from rcs.errors import CorruptEpisode, DatasetError
 
@@ -71,8 +71,8 @@ class EpisodeBytes:
 
     def _check_file(self, name: str, schema: pa.Schema) -> Iterator[Finding]:
         path = self._place.folder / name
-        if not path.exists():
-            yield self._damage("missing", "missing", name)
+        if not path.is_file():
+            yield self._damage("missing", "no file" if path.exists() else "missing", name)
             return
         try:
             is_altered = sha256_of(path) != self.rows.about["sha256"].get(name)
@@ -93,21 +93,19 @@ class EpisodeBytes:
     def _check_parquet(self, name: str, schema: pa.Schema) -> Iterator[Finding]:
         path = self._place.folder / name
         try:
-            file = pq.ParquetFile(path, page_checksum_verification=True)
-        except UNREADABLE as err:
+            with parquet.opened(path) as source:
+                if not source.file.schema_arrow.equals(schema):
+                    yield self._damage("schema", "has other columns than dataset.json says", name)
+                    return
+                length = self.rows.about["length"]
+                if source.rows != length:
+                    yield self._damage("row_count", f"has {source.rows} rows, and episode.json says {length}", name)
+                yield from self._check_groups(source, name, schema)
+        except (*UNREADABLE, CorruptEpisode) as err:
             yield self._damage("unreadable", f"its footer does not read: {err}", name)
-            return
-        with file:
-            if not file.schema_arrow.equals(schema):
-                yield self._damage("schema", "has other columns than dataset.json says", name)
-                return
-            length = self.rows.about["length"]
-            if file.metadata.num_rows != length:
-                message = f"has {file.metadata.num_rows} rows, and episode.json says {length}"
-                yield self._damage("row_count", message, name)
-            yield from self._check_groups(file, name, schema)
 
-    def _check_groups(self, file: pq.ParquetFile, name: str, schema: pa.Schema) -> Iterator[Finding]:
+    def _check_groups(self, source: ParquetSource, name: str, schema: pa.Schema) -> Iterator[Finding]:
+        file = source.file
         content, meter = (ContentHash(self._info), QualityMeter(self._info)) if name == STEPS_FILE else (None, None)
         not_finite = _NotFinite()
         is_whole = True
@@ -117,8 +115,9 @@ class EpisodeBytes:
             columns: list[pa.ChunkedArray] = []
             for key in schema.names:
                 try:
+                    source.require([key], [group])
                     column = file.read_row_group(group, columns=[key], use_threads=False).column(0)
-                except UNREADABLE as err:
+                except (*UNREADABLE, CorruptEpisode) as err:
                     is_whole = False
                     start, end = self._locate(name, key, group) or (0, rows - 1)
                     place = (first + start, first + end)
@@ -163,9 +162,10 @@ class EpisodeBytes:
     def _locate(self, name: str, key: str, group: int) -> tuple[int, int] | None:
         """Return the first and last row of a group whose image is broken, if reading past the checksum shows them."""
         try:
-            with pq.ParquetFile(self._place.folder / name) as file:
-                column = file.read_row_group(group, columns=[key], use_threads=False).column(0)
-        except UNREADABLE:
+            with parquet.opened(self._place.folder / name, verify=False) as source:
+                source.require([key], [group])
+                column = source.file.read_row_group(group, columns=[key], use_threads=False).column(0)
+        except (*UNREADABLE, CorruptEpisode):
             return None
         if not pa.types.is_binary(column.type):
             return None

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from rcs.data import parquet
 from rcs.data.about import checked_about, read_about
 from rcs.data.check.bitrot import mended_json, mended_parquet
 from rcs.data.check.bytes import schemas_of, sha256_of
@@ -21,7 +21,7 @@ from rcs.data.content import ContentHash
 from rcs.data.info import DatasetInfo
 from rcs.data.json_file import read_bytes
 from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
-from rcs.data.reader import UNREADABLE
+from rcs.data.parquet import UNREADABLE
 from rcs.data.rows import SIM_STATE, sim_state_schema
 from rcs.errors import CorruptEpisode, DatasetError
 
@@ -218,15 +218,15 @@ def _readable_states(source: Path | pa.Buffer, size: int) -> np.ndarray[Any, np.
 
 def _groups(source: Path | pa.Buffer, schema: pa.Schema) -> range:
     try:
-        with pq.ParquetFile(_opened(source)) as file:
-            return range(file.num_row_groups if file.schema_arrow.equals(schema) else 0)
-    except UNREADABLE:
+        with parquet.opened(source) as opened:
+            return range(opened.file.num_row_groups if opened.file.schema_arrow.equals(schema) else 0)
+    except (*UNREADABLE, CorruptEpisode):
         return range(0)
 
 
 def _length(source: Path | pa.Buffer, group: int) -> int:
-    with pq.ParquetFile(_opened(source)) as file:
-        return file.metadata.row_group(group).num_rows
+    with parquet.opened(source) as opened:
+        return opened.file.metadata.row_group(group).num_rows
 
 
 def _readable(source: Path | pa.Buffer, group: int, key: str, info: DatasetInfo) -> pa.ChunkedArray:
@@ -252,15 +252,12 @@ def _readable(source: Path | pa.Buffer, group: int, key: str, info: DatasetInfo)
 def _prefix(source: Path | pa.Buffer, group: int, key: str, *, verify: bool = True) -> pa.ChunkedArray:
     """Return the values of a column in a row group before the first page that does not read."""
     batches: list[pa.Array] = []
-    with pq.ParquetFile(_opened(source), page_checksum_verification=verify) as file:
-        kind = file.schema_arrow.field(key).type
+    with parquet.opened(source, verify=verify) as opened:
+        kind = opened.file.schema_arrow.field(key).type
         try:
-            pieces = file.iter_batches(_ROWS_AT_A_TIME, row_groups=[group], columns=[key], use_threads=False)
+            opened.require([key], [group], is_damaged=True)
+            pieces = opened.file.iter_batches(_ROWS_AT_A_TIME, row_groups=[group], columns=[key], use_threads=False)
             batches.extend(piece.column(0) for piece in pieces)  # up to the error
-        except UNREADABLE:
+        except (*UNREADABLE, CorruptEpisode):
             pass  # what came before it is what is asked for
     return pa.chunked_array(batches, type=kind)
-
-
-def _opened(source: Path | pa.Buffer) -> Any:
-    return pa.BufferReader(source) if isinstance(source, pa.Buffer) else source

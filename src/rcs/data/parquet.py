@@ -1,0 +1,213 @@
+"""Parquet files from a disk, which anybody may have written: what a file claims is checked before it is believed.
+
+A file of a megabyte can claim, and even hold, columns of gigabytes. What is read of it is therefore bounded: by so much
+as any file may have, or by so many times its own size as nothing that was recorded is ever compressed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from rcs.data.page_heads import DATA_PAGE, DATA_PAGE_V2, DICTIONARY_PAGE, PLAIN, RLE, page_heads
+from rcs.errors import CorruptEpisode, DatasetError
+
+UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError, OverflowError)
+"""What reading a damaged Parquet file raises beside `CorruptEpisode`; the third where a column's name is damaged."""
+
+FREE_BYTES = 1 << 26
+"""What a file may become when it is read, however small it is."""
+MOST_GROWTH = 64
+"""And how many times its size beyond that. Joint angles of an arm at rest, the smallest there are, make about 20."""
+
+# A footer: some 100 bytes for each column and row group; of a dataset with cameras 256 rows are a group.
+_MOST_FOOTER = 1 << 28
+_MAGIC = b"PAR1"
+_TAIL = 8
+# Heads of ours have no statistics; those of others may have long texts in them.
+_OWN_HEAD, _ANY_HEAD = 128, 1 << 16
+_OWN_PAGES = (DATA_PAGE, DATA_PAGE_V2)
+_OWN_CODECS = ("UNCOMPRESSED", "ZSTD")
+# What a dictionary of others may take: a few of its values can fill a column.
+_FREE_DICTIONARY, _MOST_DICTIONARY_GROWTH = 1 << 23, 4
+
+
+class ParquetSource:
+    """An open Parquet file, and how much of it may be read."""
+
+    def __init__(self, name: str, file: pq.ParquetFile, size: int, read: Callable[[int, int], bytes], *, is_own: bool):
+        """Hold what `opened` opened.
+
+        Args:
+            name: The file's, for messages.
+            file: The file as Arrow has it.
+            size: Its bytes.
+            read: Returns so many bytes from a place in it.
+            is_own: Whether this library wrote it, or says so.
+        """
+        self.file = file
+        self._name = name
+        self._size = size
+        self._read = read
+        self._is_own = is_own
+
+    @property
+    def rows(self) -> int:
+        """How many rows it claims to have."""
+        return self.file.metadata.num_rows
+
+    def require(
+        self, columns: Sequence[str] | None = None, groups: Iterable[int] | None = None, *, is_damaged: bool = False
+    ) -> None:
+        """Refuse to read what claims to be more than any recording is.
+
+        Args:
+            columns: The columns that will be read; None for all.
+            groups: The row groups; None for all.
+            is_damaged: Whether pages are only looked at up to the first whose head does not read.
+
+        Raises:
+            CorruptEpisode: It is too much, or the file contradicts itself.
+        """
+        about = self.file.metadata
+        bound = bound_of(self._size)
+        chosen = list(self._chosen(columns))
+        numbers = range(about.num_row_groups) if groups is None else groups
+        rows = total = 0
+        for group in map(about.row_group, numbers):
+            rows += group.num_rows
+            for i in chosen:
+                total += self._uncompressed(group.column(i), is_damaged=is_damaged)
+            if total > bound:
+                raise CorruptEpisode(f"{self._name} has {self._size} bytes, and claims {total} and more once read.")
+        if rows < 0 or (groups is None and rows != about.num_rows):
+            raise CorruptEpisode(f"{self._name} claims {about.num_rows} rows, and {rows} in its groups.")
+        kept = [field for field in self.file.schema_arrow if columns is None or field.name in columns]
+        if rows * sum(_width(field.type) for field in kept) > bound:
+            raise CorruptEpisode(f"{self._name} has {self._size} bytes, and claims {rows} rows, more than it can have.")
+
+    def _chosen(self, columns: Sequence[str] | None) -> Iterator[int]:
+        """Yield the numbers of columns; names may have dots, as the paths of nested columns do."""
+        schema, names = self.file.metadata.schema, self.file.schema_arrow.names
+        for i in range(self.file.metadata.num_columns):
+            path: str = schema.column(i).path
+            name = path if path in names else next((name for name in names if path.startswith(f"{name}.")), path)
+            if columns is None or name in columns:
+                yield i
+
+    def _uncompressed(self, chunk: Any, *, is_damaged: bool) -> int:
+        """Return how many bytes a column of a row group becomes, by what stands before its pages."""
+        what = f"Column {chunk.path_in_schema!r} of {self._name}"
+        start = chunk.data_page_offset
+        if chunk.has_dictionary_page and chunk.dictionary_page_offset:
+            start = min(start, chunk.dictionary_page_offset)
+        end = start + chunk.total_compressed_size
+        if not 0 < start <= end <= self._size:
+            raise CorruptEpisode(f"{what} is said to be outside of the file.")
+        if self._is_own and chunk.compression not in _OWN_CODECS:
+            raise CorruptEpisode(f"{what} is compressed by {chunk.compression}, and {' or '.join(_OWN_CODECS)} is valid.")
+        total = 0
+        try:
+            for head in page_heads(self._read, start, end, _OWN_HEAD if self._is_own else _ANY_HEAD):
+                total += head.uncompressed
+                # A value in a dictionary can stand for a million rows, so a file of ours has none.
+                if self._is_own and (head.type not in _OWN_PAGES or head.encoding not in (PLAIN, RLE)):
+                    raise CorruptEpisode(f"{what} has pages that this library does not write.")
+                most = max(_FREE_DICTIONARY, _MOST_DICTIONARY_GROWTH * self._size)
+                if head.type == DICTIONARY_PAGE and head.uncompressed > most:
+                    raise CorruptEpisode(f"{what} has a dictionary of {head.uncompressed} bytes.")
+        except CorruptEpisode:
+            raise
+        except ValueError as err:
+            if not is_damaged:
+                raise CorruptEpisode(f"{what} does not read: {err}.") from err
+        return total
+
+
+@contextlib.contextmanager
+def opened(source: Path | pa.Buffer, *, verify: bool = True, mapped: bool = False) -> Generator[ParquetSource]:
+    """Open a Parquet file of an episode. What is read of it is first to be required of the source.
+
+    Args:
+        source: The file, or what is in it.
+        verify: Whether the checksums of pages are checked.
+        mapped: Whether the file is mapped into memory, which is faster; a sector that does not read then ends the
+            process.
+
+    Raises:
+        CorruptEpisode: It is no whole Parquet file.
+        ArrowException, OSError: It is none, or does not read.
+    """
+    if isinstance(source, pa.Buffer):
+        _check_footer(source[-_TAIL:].to_pybytes() if source.size >= _TAIL else b"", source.size, "The mended file")
+        with pq.ParquetFile(pa.BufferReader(source), page_checksum_verification=verify) as file:
+            read: Callable[[int, int], bytes] = lambda count, at: source[at : at + count].to_pybytes()  # noqa: E731
+            yield ParquetSource("The mended file", file, source.size, read, is_own=True)
+        return
+    with _opened(source, mapped=mapped, verify=verify, is_own=True) as opened_source:
+        yield opened_source
+
+
+@contextlib.contextmanager
+def opened_of_others(path: Path) -> Generator[ParquetSource]:
+    """Open a Parquet file of another writer. What is read of it is first to be required of the source.
+
+    Args:
+        path: The file.
+
+    Raises:
+        CorruptEpisode: It is no Parquet file, or what is read of it inside does not read.
+    """
+    try:
+        with _opened(path, mapped=False, verify=False, is_own=False) as source:
+            yield source
+    except UNREADABLE as err:
+        if isinstance(err, DatasetError):
+            raise
+        raise CorruptEpisode(f"{path} does not read: {err}.") from err
+
+
+def bound_of(size: int) -> int:
+    """Return how many bytes may become of a file of so many."""
+    return max(FREE_BYTES, MOST_GROWTH * size)
+
+
+@contextlib.contextmanager
+def _opened(path: Path, *, mapped: bool, verify: bool, is_own: bool) -> Generator[ParquetSource]:
+    if not path.is_file():  # a pipe would never end
+        raise CorruptEpisode(f"{path} is missing or no file.")
+    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        size = os.fstat(fd).st_size
+        _check_footer(os.pread(fd, _TAIL, max(size - _TAIL, 0)), size, str(path))
+        # Not `read_table`: that takes a folder named "seed=3" for a partition and adds a column.
+        with pq.ParquetFile(path, memory_map=mapped, page_checksum_verification=verify) as file:
+            yield ParquetSource(str(path), file, size, lambda count, at: os.pread(fd, count, at), is_own=is_own)
+    finally:
+        os.close(fd)
+
+
+def _check_footer(tail: bytes, size: int, name: str) -> None:
+    length = int.from_bytes(tail[:4], "little")
+    if len(tail) < _TAIL or tail[4:] != _MAGIC or length + _TAIL > size:
+        raise CorruptEpisode(f"{name} is no whole Parquet file of {size} bytes; its end is missing or damaged.")
+    if length > _MOST_FOOTER:
+        raise CorruptEpisode(f"{name} claims to describe itself in {length} bytes, which no recording needs.")
+
+
+def _width(kind: pa.DataType) -> int:
+    """Return the bytes that a row takes in memory at least."""
+    if pa.types.is_fixed_size_list(kind):
+        return kind.list_size * _width(kind.value_type)
+    if pa.types.is_struct(kind):
+        return sum(_width(kind.field(i).type) for i in range(kind.num_fields))
+    try:
+        return max(1, kind.bit_width // 8)
+    except ValueError:  # of no fixed size: where it begins
+        return 4
