@@ -63,6 +63,15 @@ def check_name(text: object, what: str) -> None:
         )
 
 
+def name_of(folder: Path) -> str:
+    """Return what a dataset is called by others: the name of its folder, as far as that can be a name anywhere."""
+    letters = (letter if letter.isprintable() and letter not in "/\\" else "_" for letter in folder.resolve().name)
+    name = "".join(letters).lstrip(".")
+    while len(name.encode()) > _LONGEST_NAME // 2:  # with room for a number or an id behind it
+        name = name[:-1]
+    return name or "dataset"
+
+
 def check_episode_id(episode_id: str) -> None:
     """Refuse an id that could not be the name of a folder.
 

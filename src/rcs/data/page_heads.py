@@ -9,18 +9,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-# Numbers of fields in `parquet.thrift` of Apache Parquet: of the head of a page, and of the head of its data.
-_TYPE, _UNCOMPRESSED, _PAGE_SIZE, _PAGE_CRC, _DATA, _DATA_V2 = 1, 2, 3, 4, 5, 8
-_ENCODING, _ENCODING_V2 = 2, 4
+# Numbers of fields in `parquet.thrift` of Apache Parquet: of the head of a page.
+_TYPE, _UNCOMPRESSED, _PAGE_SIZE, _PAGE_CRC = 1, 2, 3, 4
 _TRUE, _FALSE = 1, 2
+# Heads of ours have no statistics; those of others may have long texts in them.
+_USUAL_HEAD, _LONGEST_HEAD = 128, 1 << 20
 # A list or struct in a head is not nested deeper, and no list in a footer is longer.
 _MOST_DEPTH = 16
 _MOST_ITEMS = 1 << 20
 
-DATA_PAGE, DICTIONARY_PAGE, DATA_PAGE_V2 = 0, 2, 3
-"""Types of pages."""
-PLAIN, RLE = 0, 3
-"""Encodings of values."""
+DICTIONARY_PAGE = 2
+"""The type of a page with values that others stand for."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +36,6 @@ class PageHead:
     """Their CRC-32, if it is stored."""
     type: int
     """What kind of page it is."""
-    encoding: int | None
-    """How its values are written; None of a page without values."""
 
 
 def page_head(data: bytes | bytearray, at: int, base: int = 0) -> PageHead:
@@ -54,7 +51,6 @@ def page_head(data: bytes | bytearray, at: int, base: int = 0) -> PageHead:
     """
     try:
         fields, after = thrift_struct(data, at)
-        values = fields.get(_DATA, {}).get(_ENCODING), fields.get(_DATA_V2, {}).get(_ENCODING_V2)
         crc = fields.get(_PAGE_CRC)
         head = PageHead(
             start=base + after,
@@ -62,7 +58,6 @@ def page_head(data: bytes | bytearray, at: int, base: int = 0) -> PageHead:
             uncompressed=int(fields[_UNCOMPRESSED]),
             crc=None if crc is None else crc & 0xFFFFFFFF,
             type=int(fields[_TYPE]),
-            encoding=next((value for value in values if value is not None), None),
         )
     except (IndexError, KeyError, TypeError, AttributeError, RecursionError) as err:
         raise ValueError(f"no head of a page: {err!r}") from err
@@ -71,20 +66,22 @@ def page_head(data: bytes | bytearray, at: int, base: int = 0) -> PageHead:
     return head
 
 
-def page_heads(read: Callable[[int, int], bytes], start: int, end: int, longest: int) -> Iterator[PageHead]:
+def page_heads(read: Callable[[int, int], bytes], start: int, end: int) -> Iterator[PageHead]:
     """Yield the heads of the pages between two places in a file.
 
     Args:
         read: Returns so many bytes from a place in the file, or fewer at its end.
         start: Where the first head begins.
         end: Where the last page ends.
-        longest: The length of a head at most [B]; with statistics of long texts it is long.
 
     Raises:
         ValueError: There is something else between them.
     """
     while start < end:
-        head = page_head(read(min(longest, end - start), start), 0, start)
+        try:
+            head = page_head(read(min(_USUAL_HEAD, end - start), start), 0, start)
+        except ValueError:
+            head = page_head(read(min(_LONGEST_HEAD, end - start), start), 0, start)
         if head.start + head.size > end:
             raise ValueError("a page goes on after its column")
         yield head

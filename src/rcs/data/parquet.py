@@ -15,7 +15,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rcs.data.page_heads import DATA_PAGE, DATA_PAGE_V2, DICTIONARY_PAGE, PLAIN, RLE, page_heads
+from rcs.data.page_heads import DICTIONARY_PAGE, page_heads
 from rcs.errors import CorruptEpisode, DatasetError
 
 UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError, OverflowError)
@@ -30,18 +30,16 @@ MOST_GROWTH = 64
 _MOST_FOOTER = 1 << 28
 _MAGIC = b"PAR1"
 _TAIL = 8
-# Heads of ours have no statistics; those of others may have long texts in them.
-_OWN_HEAD, _ANY_HEAD = 128, 1 << 16
-_OWN_PAGES = (DATA_PAGE, DATA_PAGE_V2)
-_OWN_CODECS = ("UNCOMPRESSED", "ZSTD")
-# What a dictionary of others may take: a few of its values can fill a column.
+# What a dictionary may take: each of its values can stand for any number of rows.
 _FREE_DICTIONARY, _MOST_DICTIONARY_GROWTH = 1 << 23, 4
+# Images of so many rows are read at a time, so that a dictionary cannot become more than so many times itself.
+_IMAGES_AT_A_TIME = 16
 
 
 class ParquetSource:
     """An open Parquet file, and how much of it may be read."""
 
-    def __init__(self, name: str, file: pq.ParquetFile, size: int, read: Callable[[int, int], bytes], *, is_own: bool):
+    def __init__(self, name: str, file: pq.ParquetFile, size: int, read: Callable[[int, int], bytes]) -> None:
         """Hold what `opened` opened.
 
         Args:
@@ -49,13 +47,11 @@ class ParquetSource:
             file: The file as Arrow has it.
             size: Its bytes.
             read: Returns so many bytes from a place in it.
-            is_own: Whether this library wrote it, or says so.
         """
         self.file = file
         self._name = name
         self._size = size
         self._read = read
-        self._is_own = is_own
 
     @property
     def rows(self) -> int:
@@ -92,6 +88,48 @@ class ParquetSource:
         if rows * sum(_width(field.type) for field in kept) > bound:
             raise CorruptEpisode(f"{self._name} has {self._size} bytes, and claims {rows} rows, more than it can have.")
 
+    def table(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> pa.Table:
+        """Read columns of some row groups.
+
+        Args:
+            columns: The columns; None for all.
+            groups: The row groups; None for all.
+
+        Raises:
+            CorruptEpisode: It is more than any recording has, or the file contradicts itself.
+            ArrowException, OSError: It does not read.
+        """
+        self.require(columns, groups)
+        names = None if columns is None else list(columns)
+        numbers = list(range(self.file.num_row_groups) if groups is None else groups)
+        kept = [field for field in self.file.schema_arrow if names is None or field.name in names]
+        if all(_is_fixed(field.type) for field in kept):
+            return self.file.read_row_groups(numbers, columns=names, use_threads=False)
+        return pa.Table.from_batches(self.batches(names, numbers), schema=pa.schema(kept))
+
+    def batches(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Iterator[Any]:
+        """Yield columns of some row groups, few rows at a time, up to as much as any recording has.
+
+        Args:
+            columns: The columns; None for all.
+            groups: The row groups; None for all.
+
+        Raises:
+            CorruptEpisode: It is more than that.
+            ArrowException, OSError: It does not read.
+        """
+        total = 0
+        for batch in self.file.iter_batches(
+            _IMAGES_AT_A_TIME,
+            row_groups=None if groups is None else list(groups),
+            columns=None if columns is None else list(columns),
+            use_threads=False,
+        ):
+            total += batch.nbytes
+            if total > bound_of(self._size):
+                raise CorruptEpisode(f"{self._name} has {self._size} bytes, and becomes {total} and more once read.")
+            yield batch
+
     def _chosen(self, columns: Sequence[str] | None) -> Iterator[int]:
         """Yield the numbers of columns; names may have dots, as the paths of nested columns do."""
         schema, names = self.file.metadata.schema, self.file.schema_arrow.names
@@ -110,16 +148,11 @@ class ParquetSource:
         end = start + chunk.total_compressed_size
         if not 0 < start <= end <= self._size:
             raise CorruptEpisode(f"{what} is said to be outside of the file.")
-        if self._is_own and chunk.compression not in _OWN_CODECS:
-            raise CorruptEpisode(f"{what} is compressed by {chunk.compression}, and {' or '.join(_OWN_CODECS)} is valid.")
         total = 0
         try:
-            for head in page_heads(self._read, start, end, _OWN_HEAD if self._is_own else _ANY_HEAD):
+            most = max(_FREE_DICTIONARY, _MOST_DICTIONARY_GROWTH * self._size)
+            for head in page_heads(self._read, start, end):
                 total += head.uncompressed
-                # A value in a dictionary can stand for a million rows, so a file of ours has none.
-                if self._is_own and (head.type not in _OWN_PAGES or head.encoding not in (PLAIN, RLE)):
-                    raise CorruptEpisode(f"{what} has pages that this library does not write.")
-                most = max(_FREE_DICTIONARY, _MOST_DICTIONARY_GROWTH * self._size)
                 if head.type == DICTIONARY_PAGE and head.uncompressed > most:
                     raise CorruptEpisode(f"{what} has a dictionary of {head.uncompressed} bytes.")
         except CorruptEpisode:
@@ -148,9 +181,9 @@ def opened(source: Path | pa.Buffer, *, verify: bool = True, mapped: bool = Fals
         _check_footer(source[-_TAIL:].to_pybytes() if source.size >= _TAIL else b"", source.size, "The mended file")
         with pq.ParquetFile(pa.BufferReader(source), page_checksum_verification=verify) as file:
             read: Callable[[int, int], bytes] = lambda count, at: source[at : at + count].to_pybytes()  # noqa: E731
-            yield ParquetSource("The mended file", file, source.size, read, is_own=True)
+            yield ParquetSource("The mended file", file, source.size, read)
         return
-    with _opened(source, mapped=mapped, verify=verify, is_own=True) as opened_source:
+    with _opened(source, mapped=mapped, verify=verify) as opened_source:
         yield opened_source
 
 
@@ -165,7 +198,7 @@ def opened_of_others(path: Path) -> Generator[ParquetSource]:
         CorruptEpisode: It is no Parquet file, or what is read of it inside does not read.
     """
     try:
-        with _opened(path, mapped=False, verify=False, is_own=False) as source:
+        with _opened(path, mapped=False, verify=False) as source:
             yield source
     except UNREADABLE as err:
         if isinstance(err, DatasetError):
@@ -179,16 +212,16 @@ def bound_of(size: int) -> int:
 
 
 @contextlib.contextmanager
-def _opened(path: Path, *, mapped: bool, verify: bool, is_own: bool) -> Generator[ParquetSource]:
+def _opened(path: Path, *, mapped: bool, verify: bool) -> Generator[ParquetSource]:
     if not path.is_file():  # a pipe would never end
-        raise CorruptEpisode(f"{path} is missing or no file.")
+        raise CorruptEpisode(f"{path} does not read: it is missing or no file.")
     fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         size = os.fstat(fd).st_size
         _check_footer(os.pread(fd, _TAIL, max(size - _TAIL, 0)), size, str(path))
         # Not `read_table`: that takes a folder named "seed=3" for a partition and adds a column.
         with pq.ParquetFile(path, memory_map=mapped, page_checksum_verification=verify) as file:
-            yield ParquetSource(str(path), file, size, lambda count, at: os.pread(fd, count, at), is_own=is_own)
+            yield ParquetSource(str(path), file, size, lambda count, at: os.pread(fd, count, at))
     finally:
         os.close(fd)
 
@@ -196,9 +229,16 @@ def _opened(path: Path, *, mapped: bool, verify: bool, is_own: bool) -> Generato
 def _check_footer(tail: bytes, size: int, name: str) -> None:
     length = int.from_bytes(tail[:4], "little")
     if len(tail) < _TAIL or tail[4:] != _MAGIC or length + _TAIL > size:
-        raise CorruptEpisode(f"{name} is no whole Parquet file of {size} bytes; its end is missing or damaged.")
+        raise CorruptEpisode(f"{name} does not read: its {size} bytes are no whole Parquet file.")
     if length > _MOST_FOOTER:
         raise CorruptEpisode(f"{name} claims to describe itself in {length} bytes, which no recording needs.")
+
+
+def _is_fixed(kind: pa.DataType) -> bool:
+    """Return whether each row takes the same memory, whatever is in it."""
+    if pa.types.is_fixed_size_list(kind):
+        return _is_fixed(kind.value_type)
+    return pa.types.is_primitive(kind)
 
 
 def _width(kind: pa.DataType) -> int:

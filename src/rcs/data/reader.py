@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rcs.data import parquet
@@ -29,11 +28,9 @@ from rcs.data.layout import (
     episode_folder,
     generation_folder,
 )
-from rcs.data.parquet import UNREADABLE
+from rcs.data.parquet import UNREADABLE, ParquetSource
 from rcs.data.rows import SIM_STATE, sim_state_schema, steps_schema
 from rcs.errors import CorruptEpisode, InvalidSetup
-
-_FRAMES_AT_A_TIME = 32
 
 
 class EpisodeRecord:
@@ -197,8 +194,9 @@ class EpisodeRecord:
         last: bytes | None = None
         path = self.path / STEPS_FILE
         try:
-            with self._opened(path, [key]) as file:
-                for batch in file.iter_batches(_FRAMES_AT_A_TIME, columns=[key], use_threads=False):
+            with self._opened(path) as source:
+                source.require([key])
+                for batch in source.batches([key]):
                     for image in batch.column(0).to_pylist():
                         last = image or last or blank_frame(feature, self.info)
                         yield last
@@ -220,13 +218,13 @@ class EpisodeRecord:
     def _read(self, name: str, columns: list[str] | None) -> pa.Table:
         path = self.path / name
         try:
-            with self._opened(path, columns) as file:
-                return file.read(columns=columns, use_threads=False)
+            with self._opened(path) as source:
+                return source.table(columns)
         except UNREADABLE as err:
             raise CorruptEpisode(f"{path} does not read: {err}.") from err
 
     @contextlib.contextmanager
-    def _opened(self, path: Path, columns: list[str] | None) -> Generator[pq.ParquetFile]:
+    def _opened(self, path: Path) -> Generator[ParquetSource]:
         """Open a file of this episode, if it has the rows and columns that are said."""
         schema = steps_schema(self.info)
         if path.name == SIM_STATE_FILE:
@@ -236,8 +234,7 @@ class EpisodeRecord:
                 raise CorruptEpisode(f"{path} has {source.rows} rows, and {EPISODE_FILE} says {self.length}.")
             if not source.file.schema_arrow.equals(schema):
                 raise CorruptEpisode(f"{path} has other columns than the dataset says.")
-            source.require(columns)
-            yield source.file
+            yield source
 
 
 class Dataset:

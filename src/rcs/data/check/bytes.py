@@ -115,8 +115,7 @@ class EpisodeBytes:
             columns: list[pa.ChunkedArray] = []
             for key in schema.names:
                 try:
-                    source.require([key], [group])
-                    column = file.read_row_group(group, columns=[key], use_threads=False).column(0)
+                    column = source.table([key], [group]).column(0)
                 except (*UNREADABLE, CorruptEpisode) as err:
                     is_whole = False
                     start, end = self._locate(name, key, group) or (0, rows - 1)
@@ -163,8 +162,7 @@ class EpisodeBytes:
         """Return the first and last row of a group whose image is broken, if reading past the checksum shows them."""
         try:
             with parquet.opened(self._place.folder / name, verify=False) as source:
-                source.require([key], [group])
-                column = source.file.read_row_group(group, columns=[key], use_threads=False).column(0)
+                column = source.table([key], [group]).column(0)
         except (*UNREADABLE, CorruptEpisode):
             return None
         if not pa.types.is_binary(column.type):

@@ -21,7 +21,7 @@ from rcs.data.check.report import CheckReport, Finding, counted
 from rcs.data.check.stored_quality import check_quality
 from rcs.data.check.times import check_times
 from rcs.data.head import Head
-from rcs.data.info import DatasetInfo
+from rcs.data.info import MERGED, DatasetInfo
 from rcs.data.layout import complete_ids, episode_folder, generation_folder
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def _check_episode(place: EpisodePlace, how: _How) -> _Checked:
 
 def _is_resampled(head: Head) -> bool:
     was_edited = any(edit.command == "resample" for edit in head.history)
-    return was_edited or not {"mix", "merged", "imported"}.isdisjoint(head.info.setup)
+    return was_edited or "imported" in head.info.setup or not {"mix", MERGED}.isdisjoint(head.info.origin)
 
 
 def _known(root: Path, head: Head) -> Iterator[str]:

@@ -25,8 +25,6 @@ from rcs.data.parquet import UNREADABLE
 from rcs.data.rows import SIM_STATE, sim_state_schema
 from rcs.errors import CorruptEpisode, DatasetError
 
-_ROWS_AT_A_TIME = 16
-
 
 @dataclass(frozen=True, kw_only=True)
 class Salvage:
@@ -256,8 +254,7 @@ def _prefix(source: Path | pa.Buffer, group: int, key: str, *, verify: bool = Tr
         kind = opened.file.schema_arrow.field(key).type
         try:
             opened.require([key], [group], is_damaged=True)
-            pieces = opened.file.iter_batches(_ROWS_AT_A_TIME, row_groups=[group], columns=[key], use_threads=False)
-            batches.extend(piece.column(0) for piece in pieces)  # up to the error
+            batches.extend(piece.column(0) for piece in opened.batches([key], [group]))  # up to the error
         except (*UNREADABLE, CorruptEpisode):
             pass  # what came before it is what is asked for
     return pa.chunked_array(batches, type=kind)

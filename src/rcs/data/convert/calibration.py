@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo
+from rcs.data.parquet import opened_of_others
 from rcs.data.reader import EpisodeRecord
 from rcs.errors import CorruptEpisode
 
@@ -89,7 +90,10 @@ def read_episode_calibration(
     values: dict[str, NDArray[Any]] = {}
     try:
         index = int(entry["episode_index"])
-        table = pq.read_table(root / _per_frame(index)) if entry["per_frame"] else pa.table({})
+        table = pa.table({})
+        if entry["per_frame"]:
+            with opened_of_others(root / _per_frame(index)) as source:
+                table = source.table()
         for camera, matrices in features.items():
             for name, feature in matrices.items():
                 constant = entry["cameras"][camera][name]

@@ -16,8 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rcs.data.codec import decode_frame
@@ -26,13 +24,15 @@ from rcs.data.convert.calibration import CALIBRATION_FILE, read_episode_calibrat
 from rcs.data.convert.lerobot import depth_path
 from rcs.data.convert.lerobot_layout import LAST_ROWS_FILE, PROVENANCE_FILE, RCS_FILE, SUCCESS
 from rcs.data.convert.lerobot_mapping import FeatureMapping, feature_mapping
-from rcs.data.convert.lerobot_source import LeRobotSource, SourceEpisode, read_json, read_json_lines
+from rcs.data.convert.lerobot_source import LeRobotSource, SourceEpisode
 from rcs.data.convert.options import ImportOptions, stored_as
-from rcs.data.convert.output import new_output
+from rcs.data.output import new_output
 from rcs.data.convert.video import VideoReader, decode_depth_video
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo
+from rcs.data.json_file import read_json, read_json_lines
 from rcs.data.layout import check_episode_id
+from rcs.data.parquet import opened_of_others
 from rcs.data.reader import Dataset
 from rcs.data.writer import DatasetWriter
 from rcs.errors import CorruptEpisode, InvalidSetup
@@ -117,11 +117,10 @@ class _Beside:
         if not self.has_last_rows:
             return {}
         path = self.root / LAST_ROWS_FILE
-        try:
-            with pq.ParquetFile(path) as file:
-                table = file.read_row_group(index)
-        except (pa.ArrowException, OSError) as err:
-            raise CorruptEpisode(f"{path} does not read: {err}.") from err
+        with opened_of_others(path) as source:
+            if not 0 <= index < source.file.num_row_groups:
+                raise CorruptEpisode(f"{path} has {source.file.num_row_groups} groups, and none for episode {index}.")
+            table = source.table(groups=[index])
         row: dict[str, Any] = {}
         for feature in features:
             if feature.key in table.column_names:
@@ -247,11 +246,10 @@ def _is_on_grid(source: LeRobotSource) -> bool:
     if "timestamp" not in source.features or "frame_index" not in source.features:
         return True
     for path in sorted((source.root / "data").glob("*/*.parquet")):
-        try:
-            with pq.ParquetFile(path) as file:
-                table = file.read(columns=["timestamp", "frame_index"])
-        except (pa.ArrowException, OSError) as err:
-            raise CorruptEpisode(f"{path} does not read: {err}.") from err
+        with opened_of_others(path) as opened:
+            table = opened.table(["timestamp", "frame_index"])
+        if table.num_columns < 2:
+            raise CorruptEpisode(f"{path} lacks a column timestamp or frame_index, which info.json has.")
         off = table.column("timestamp").to_numpy() - table.column("frame_index").to_numpy() / source.fps
         if len(off) and float(np.abs(off).max()) > _ON_GRID_S:
             return False

@@ -37,7 +37,7 @@ from rcs.data.convert.observations import (
     step_values,
 )
 from rcs.data.convert.options import ExportOptions, ExportReport, selected_episodes
-from rcs.data.convert.output import new_output, size_on_disk
+from rcs.data.output import new_output, size_on_disk
 from rcs.data.convert.png import encode_png
 from rcs.data.convert.provenance import episode_provenance
 from rcs.data.convert.rlds_features import Spec, features_json, image, numbers, tensor, text

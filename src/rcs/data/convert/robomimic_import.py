@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rcs.data.convert.hdf5 import load_h5py
 from rcs.data.convert.options import ImportOptions
-from rcs.data.convert.output import new_output
+from rcs.data.output import new_output
 from rcs.data.convert.robomimic import LAST_STATE, RCS
 from rcs.data.convert.robomimic_source import Column, DemoAbout, SourcePlan, demo_about, demo_names, source_plan
 from rcs.data.durable import disk_errors
