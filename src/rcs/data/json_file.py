@@ -81,17 +81,13 @@ def parsed_json(data: bytes | str, path: Path | str) -> dict[str, Any]:
 
 
 def depth_of(value: Any) -> int:
-    """Return how deep values are nested: 0 for a number, 1 for a list of numbers; more than `MOST_DEPTH` not exactly."""
-    level, depth = [value], 0
-    while level := [
-        inner
-        for outer in level
-        if isinstance(outer, dict | list)
-        for inner in (outer.values() if isinstance(outer, dict) else outer)
-    ]:
+    """Return how deep values are nested: 0 for a number, 1 for a list of numbers; beyond `MOST_DEPTH` not exactly."""
+    depth = 0
+    level = [value] if isinstance(value, dict | list | tuple) else []
+    while level and depth <= MOST_DEPTH:
         depth += 1
-        if depth > MOST_DEPTH:
-            break
+        inner = (part for outer in level for part in (outer.values() if isinstance(outer, dict) else outer))
+        level = [part for part in inner if isinstance(part, dict | list | tuple)]
     return depth
 
 

@@ -11,10 +11,12 @@ import hashlib
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from rcs.data.durable import unsealed
+from rcs.data.durable import is_sealed, unsealed
+from rcs.data.json_file import MOST_DEPTH
 from rcs.data.page_heads import page_head, thrift_struct
 from rcs.errors import CorruptEpisode
 
@@ -37,14 +39,22 @@ def mended_json(data: bytes, path: Path) -> dict[str, Any] | None:
         data: The bytes of the file.
         path: Where they came from.
     """
-    if len(data) > _MOST_BYTES:
+    if len(data) > _MOST_BYTES or _nesting(data) > 2 * MOST_DEPTH:
         return None
     for at in range(8 * len(data)):
+        changed = _changed(data, at // 8, 1 << at % 8)
         try:
-            return unsealed(_changed(data, at // 8, 1 << at % 8), path)
+            if not is_sealed(changed):  # which is faster to say no
+                continue
+            return unsealed(changed, path)
         except CorruptEpisode:
             continue
     return None
+
+
+def _nesting(data: bytes) -> int:
+    """Return how deep brackets are nested, those in texts counted too."""
+    return max(accumulate((byte in b"[{") - (byte in b"]}") for byte in data), default=0)
 
 
 def mended_parquet(data: bytes, sha256: str) -> bytes | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +19,7 @@ from rcs.data.check.report import Finding, counted
 from rcs.data.codec import decode_frame
 from rcs.data.content import ContentHash, flat_numbers
 from rcs.data.info import DatasetInfo
+from rcs.data.json_file import read_bytes
 from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
 from rcs.data.quality import QualityMeter
 from rcs.data.parquet import UNREADABLE, ParquetSource
@@ -63,7 +65,7 @@ class EpisodeBytes:
             yield self._damage("altered", str(err), EPISODE_FILE)
             return
         path = self._place.folder / EPISODE_FILE
-        if not is_as_written(path.read_bytes(), about):
+        if not is_as_written(read_bytes(path), about):
             yield self._damage("altered", "reads, but its bytes are not those that were written", EPISODE_FILE)
         self.rows.about = about
         for name, schema in schemas_of(self._info).items():
@@ -100,6 +102,7 @@ class EpisodeBytes:
                 length = self.rows.about["length"]
                 if source.rows != length:
                     yield self._damage("row_count", f"has {source.rows} rows, and episode.json says {length}", name)
+                source.require(is_damaged=True)  # of all columns, for what the checks need of them is kept
                 yield from self._check_groups(source, name, schema)
         except (*UNREADABLE, CorruptEpisode) as err:
             yield self._damage("unreadable", f"its footer does not read: {err}", name)
@@ -213,5 +216,7 @@ def sha256_of(path: Path) -> str:
     Raises:
         OSError: It cannot be read.
     """
+    if not path.is_file():  # a pipe would never end
+        raise FileNotFoundError(errno.ENOENT, "it is missing or no file", str(path))
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

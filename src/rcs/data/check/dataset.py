@@ -13,7 +13,7 @@ from rcs.data.check.arms import find_arms
 from rcs.data.check.bytes import EpisodeBytes
 from rcs.data.check.descriptions import check_head
 from rcs.data.check.episode_rows import EpisodePlace
-from rcs.data.check.generations import check_former, check_leftovers, known_damage
+from rcs.data.check.generations import check_former, check_leftovers, former_folders, known_damage
 from rcs.data.check.images import check_images
 from rcs.data.check.labels import check_labels, check_verdicts
 from rcs.data.check.motion import check_motion
@@ -126,7 +126,8 @@ def _is_resampled(head: Head) -> bool:
 
 
 def _known(root: Path, head: Head) -> Iterator[str]:
-    count = sum((root / folder).exists() for folder in known_damage(head))
+    folders = {str(folder.relative_to(root)) for folder in former_folders(root, head)}
+    count = len(folders & known_damage(head))
     if count:
         yield (
             f"{counted(count, 'damaged folder')} of former generations known from a repair: an undo can bring the "

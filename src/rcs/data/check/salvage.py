@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from rcs.data.json_file import read_bytes
 from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
 from rcs.data.parquet import UNREADABLE
 from rcs.data.rows import SIM_STATE, sim_state_schema
+from rcs.data.text import mended_text
 from rcs.errors import CorruptEpisode, DatasetError
 
 
@@ -127,7 +129,7 @@ def _as_it_was(path: Path, expected: Any, others: Sequence[Path]) -> tuple[Path 
         if _hash_or_none(other) == expected:
             return other, [f"{path.name} was taken from another generation"]
     try:
-        data = mended_parquet(path.read_bytes(), expected)
+        data = mended_parquet(path.read_bytes(), expected) if path.is_file() else None
     except OSError:
         return path, []
     if data is None:
@@ -157,10 +159,10 @@ def _with_states(rows: pa.Table, source: Path | pa.Buffer, size: int) -> tuple[p
 def _rebuilt(folder: Path, info: DatasetInfo) -> dict[str, Any]:
     """Return a description of which only the rows are known, and what the text of the old one still says."""
     try:
-        text = (folder / EPISODE_FILE).read_bytes().decode(errors="replace")
-    except OSError:
+        text = read_bytes(folder / EPISODE_FILE).decode(errors="replace")
+    except CorruptEpisode:
         text = ""
-    seed = re.search(r'^ "seed": (\d+),$', text, re.MULTILINE)
+    seed = re.search(r'^ "seed": (\d{1,38}),$', text, re.MULTILINE)
     words = re.search(r'^ "instruction": ("(?:[^"\\]|\\.)*"),$', text, re.MULTILINE)
     started = re.search(r'^ "started": "([0-9T:.+-]+)",$', text, re.MULTILINE)
     found = {"seed": seed, "instruction": words, "started": started}
@@ -180,8 +182,8 @@ def _rebuilt(folder: Path, info: DatasetInfo) -> dict[str, Any]:
 
 def _text(quoted: str, otherwise: str) -> str:
     try:
-        return str(json.loads(quoted))
-    except ValueError:
+        return mended_text(str(json.loads(quoted)))
+    except (ValueError, RecursionError):
         return otherwise
 
 
@@ -217,6 +219,7 @@ def _readable_states(source: Path | pa.Buffer, size: int) -> np.ndarray[Any, np.
 def _groups(source: Path | pa.Buffer, schema: pa.Schema) -> range:
     try:
         with parquet.opened(source) as opened:
+            opened.require(is_damaged=True)  # of a file that claims gigabytes no row is kept
             return range(opened.file.num_row_groups if opened.file.schema_arrow.equals(schema) else 0)
     except (*UNREADABLE, CorruptEpisode):
         return range(0)
@@ -252,6 +255,8 @@ def _prefix(source: Path | pa.Buffer, group: int, key: str, *, verify: bool = Tr
     batches: list[pa.Array] = []
     with parquet.opened(source, verify=verify) as opened:
         kind = opened.file.schema_arrow.field(key).type
+        with suppress(*UNREADABLE, CorruptEpisode):
+            return opened.table([key], [group]).column(0)
         try:
             opened.require([key], [group], is_damaged=True)
             batches.extend(piece.column(0) for piece in opened.batches([key], [group]))  # up to the error

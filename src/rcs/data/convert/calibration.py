@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from rcs.data.content import flat_numbers
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo
 from rcs.data.parquet import opened_of_others
@@ -100,7 +101,7 @@ def read_episode_calibration(
                 if constant is not None:
                     values[feature.key] = np.broadcast_to(np.array(constant, feature.dtype), (steps, *feature.shape))
                 else:
-                    flat = table.column(f"{camera}/{name}").combine_chunks().flatten().to_numpy()
+                    flat = flat_numbers(table.column(f"{camera}/{name}"))
                     values[feature.key] = flat.reshape(steps, *feature.shape).astype(feature.dtype)
     except (KeyError, TypeError, ValueError, OSError, pa.ArrowException) as err:
         raise CorruptEpisode(f"The camera matrices in {root} are damaged: {err!r}.") from err

@@ -57,9 +57,12 @@ class SourceEpisode:
         Raises:
             CorruptEpisode: There are too few or too many numbers.
         """
-        column = self.table.column(name).combine_chunks()
-        while not pa.types.is_fixed_size_list(column.type) and pa.types.is_nested(column.type):
+        column = self._column(name).combine_chunks()
+        while pa.types.is_list(column.type) or pa.types.is_large_list(column.type):
             column = column.flatten()
+        kind = column.type.value_type if pa.types.is_fixed_size_list(column.type) else column.type
+        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
+            raise CorruptEpisode(f"Column {name!r} of episode {self.index} has {column.type} and not numbers.")
         numbers = flat_numbers(column)
         if numbers.size != len(self.table) * int(np.prod(shape)):
             rows = len(self.table)
@@ -85,6 +88,11 @@ class SourceEpisode:
                 raise CorruptEpisode(f"An image of {name!r} in episode {self.index} is {image.shape}, not {shape}.")
             yield image
 
+    def _column(self, name: str) -> pa.ChunkedArray:
+        if name not in self.table.column_names:
+            raise CorruptEpisode(f"Episode {self.index} has no column {name!r}, which info.json describes.")
+        return self.table.column(name)
+
     def _decoded(self, name: str, readers: dict[str, VideoReader], fps: float) -> Iterator[NDArray[np.uint8]]:
         place = self.videos[name]
         if name in readers and readers[name].path != place.path:
@@ -94,9 +102,10 @@ class SourceEpisode:
         yield from readers[name].frames(place.start, len(self.table), fps)
 
     def _stored(self, name: str, shape: tuple[int, ...]) -> Iterator[NDArray[np.uint8]]:
-        for item in self.table.column(name):
-            data = (item.as_py() or {}).get("bytes")
-            if not data:
+        for item in self._column(name):
+            stored = item.as_py()
+            data = stored.get("bytes") if isinstance(stored, dict) else stored
+            if not data or not isinstance(data, bytes):
                 raise CorruptEpisode(
                     f"Column {name!r} of episode {self.index} names image files but does not have them."
                 )
@@ -270,6 +279,8 @@ def filled(pattern: object, values: Mapping[str, object]) -> Path:
 
     if not isinstance(pattern, str):
         raise CorruptEpisode(f"A pattern of paths must be text, not {pattern!r:.80}.")
+    if {"{", "}"} & set(_FIELD.sub("", pattern)):
+        raise CorruptEpisode(f"The pattern {pattern!r:.200} has more in braces than a name and a number of digits.")
     path = _FIELD.sub(value, pattern)
     words = path.split("/")
     if not all(word and word not in (".", "..") and word.isprintable() and "\\" not in word for word in words):

@@ -153,7 +153,7 @@ def own_parts(names: Sequence[str], datasets: Sequence[Dataset]) -> dict[str, di
 
 def _drawn(dataset: Dataset, parts: Mapping[str, float], seed: int) -> dict[str, list[str]]:
     total = sum(parts.values())
-    if not parts or min(parts.values()) < 0 or abs(total - 1) > 1e-6:
+    if not parts or min(parts.values()) < 0 or not abs(total - 1) <= 1e-6:  # of NaN nothing is true
         raise InvalidSetup(f"The shares {dict(parts)} sum up to {total:g}; they must not be negative and sum up to 1.")
     ids = [episode.id for episode in dataset.episodes]
     order = np.random.default_rng(seed).permutation(len(ids))
