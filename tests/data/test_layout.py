@@ -108,7 +108,15 @@ def test_an_open_episode_that_is_a_link_is_left_alone(dataset: Path, tmp_path: P
 
 @pytest.mark.parametrize(
     "pattern",
-    ["../{video_key}.mp4", "/etc/{video_key}", "{video_key.__class__}", "{episode_index:0999999999d}", "{other}", "", 3],
+    [
+        "../{video_key}.mp4",
+        "/etc/{video_key}",
+        "{video_key.__class__}",
+        "{episode_index:0999999999d}",
+        "{other}",
+        "",
+        3,
+    ],
 )
 def test_a_pattern_of_paths_stays_in_its_folder(pattern: Any) -> None:
     with pytest.raises(CorruptEpisode, match="pattern"):

@@ -75,9 +75,13 @@ def test_results_of_other_names_stay(tmp_path: Path) -> None:
 
 
 def test_an_error_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="mine"), new_output(tmp_path / "result") as partial:
-        partial.mkdir()
-        raise ValueError("mine")
+    def fail() -> None:
+        with new_output(tmp_path / "result") as partial:
+            partial.mkdir()
+            raise ValueError("mine")
+
+    with pytest.raises(ValueError, match="mine"):
+        fail()
     assert list(tmp_path.iterdir()) == []
 
 

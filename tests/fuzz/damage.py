@@ -132,7 +132,9 @@ def _json(path: Path, templates: Path, rng: random.Random) -> str:
     if not files:
         return "no description"
     file = rng.choice(files)
-    lines = file.read_text(errors="replace").split("\n") if file.suffix == ".jsonl" else [file.read_text(errors="replace")]
+    lines = (
+        file.read_text(errors="replace").split("\n") if file.suffix == ".jsonl" else [file.read_text(errors="replace")]
+    )
     number = rng.randrange(len(lines))
     try:
         values = json.loads(lines[number])
@@ -193,7 +195,9 @@ def _file(path: Path, templates: Path, rng: random.Random) -> str:
     if not files:
         return "no file"
     file = rng.choice(files)
-    how = rng.choice(("cut", "bits", "bits", "empty", "gone", "swap", "folder", "link", "link out", "loop", "pipe", "noise"))
+    how = rng.choice(
+        ("cut", "bits", "bits", "empty", "gone", "swap", "folder", "link", "link out", "loop", "pipe", "noise")
+    )
     data = file.read_bytes()
     if how == "cut":
         _replace(file, data[: rng.randrange(len(data) + 1)])

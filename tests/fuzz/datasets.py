@@ -144,7 +144,10 @@ class _Child:
                 self.is_dead = True
                 code = self._process.wait()
                 words = self._last_words.decode(errors="replace")[-600:]
-                return {"trial": what["trial"], "findings": [{"kind": f"crash {code} in {doing.split()[0]}", "said": doing + words}]}
+                return {
+                    "trial": what["trial"],
+                    "findings": [{"kind": f"crash {code} in {doing.split()[0]}", "said": doing + words}],
+                }
             told = json.loads(line)
             if "doing" in told:
                 doing = told["doing"]
@@ -222,7 +225,7 @@ def trial(number: int, seed: int, templates: Path, work: Path, tell: Any = lambd
             outcomes["refused" if words.getvalue().startswith("error:") else "done"] += 1
         except RcsError:
             outcomes["refused"] += 1
-        except BaseException as err:  # noqa: BLE001  this is what is looked for
+        except BaseException as err:  # this is what is looked for
             if isinstance(err, KeyboardInterrupt):
                 raise
             findings.append({"kind": _kind(err), "exercise": name, "trace": traceback.format_exc()[-1800:]})
@@ -252,7 +255,7 @@ def _snapshot(work: Path) -> set[tuple[str, str]]:
         place = os.path.relpath(folder, work)
         if place == "inner":
             folders[:] = [name for name in folders if name not in ("set", "out")]
-            files = [name for name in files if name != "set"]  # noqa: PLW2901
+            files = [name for name in files if name != "set"]
         found.update((os.path.join(place, name), "folder") for name in folders)
         for name in files:
             data = Path(folder, name).read_bytes()

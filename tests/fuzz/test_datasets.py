@@ -15,4 +15,6 @@ def test_a_damaged_dataset_is_read_or_refused() -> None:
     told = json.loads(done.stdout.splitlines()[-1])
     assert told["kinds"] == []
     assert told["trials"] == 100
-    assert min(told["outcomes"]["done"], told["outcomes"]["refused"]) > 50, "the damage is neither too small nor too large"
+    assert min(told["outcomes"]["done"], told["outcomes"]["refused"]) > 50, (
+        "the damage is neither too small nor too large"
+    )

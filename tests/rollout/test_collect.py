@@ -21,7 +21,6 @@ from rcs.errors import DatasetError, InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect, episode_id
 from rcs.rollout.replay import replay, setup_of
 
-
 COLLECT = """
 import sys, rcs
 from pathlib import Path

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from rcs.data import Dataset, DatasetInfo, DatasetWriter, Feature
+from rcs.data.durable import sealed, unsealed
 from rcs.errors import DatasetError
 from rcs.rollout import report
 from rcs.rollout.clip import encode_clip
-from rcs.data.durable import sealed, unsealed
 from rcs.rollout.report import write_report
 
 SIZES = {"wrist": (48, 64), "side": (36, 36)}

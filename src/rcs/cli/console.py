@@ -17,7 +17,8 @@ class PlainConsole(Console):
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Return a text to print, without control characters; markup, emoji names and numbers are left as they are."""
-        return super().render_str(text.translate(_CONTROLS), **{**options, "markup": False, "emoji": False})
+        how: dict[str, Any] = {**options, "markup": False, "emoji": False}
+        return super().render_str(text.translate(_CONTROLS), **how)
 
 
 def plain_console(*, stderr: bool = False, **options: Any) -> Console:
@@ -27,7 +28,8 @@ def plain_console(*, stderr: bool = False, **options: Any) -> Console:
         stderr: Whether it prints where errors go.
         options: Of `rich.console.Console`.
     """
-    return PlainConsole(stderr=stderr, markup=False, emoji=False, highlight=False, **{"soft_wrap": True, **options})
+    how: dict[str, Any] = {"soft_wrap": True, **options}
+    return PlainConsole(stderr=stderr, markup=False, emoji=False, highlight=False, **how)
 
 
 def let_all_text_out() -> None:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 from rich.table import Table
 
-from rcs.cli.console import plain_console
 from rcs._core import probe_gl
+from rcs.cli.console import plain_console
 
 EXTRAS = {"rl": "stable_baselines3", "pinocchio": "pinocchio"}
 """Extras by the module that shows that they are installed."""

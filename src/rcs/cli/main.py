@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import subcommand
 
-from rcs.cli.console import let_all_text_out, plain_console
 from rcs.cli.collect import CollectCommand
+from rcs.cli.console import let_all_text_out, plain_console
 from rcs.cli.data import DataCommand
 from rcs.cli.doctor import DoctorCommand
 from rcs.cli.gallery import GalleryCommand

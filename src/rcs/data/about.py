@@ -1,4 +1,4 @@
-"""`episode.json`: read in one place, where every field that this library uses is checked, so that all else may trust it."""
+"""`episode.json`: read in one place, which checks every field that is used, so that all else may trust it."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ MOST_ROWS = 1 << 32
 MOST_SEED = 1 << 128
 """Seeds are below this: `numpy.random.SeedSequence` makes 128 bits of them."""
 
+# Only what was made of another episode says from which.
+_OPTIONAL = ("source",)
 _HASH = re.compile(r"[0-9a-f]{64}")
 
 
@@ -45,7 +47,8 @@ def checked_about(values: dict[str, Any], path: Path) -> dict[str, Any]:
     """
     refuse_newer_schema(values.get("schema_version"), f"episode, {path.parent},")
     for name, (is_right, valid) in _FIELDS.items():
-        if not is_right(values.get(name)):
+        is_there = name in values or name in _OPTIONAL
+        if not is_there or not is_right(values.get(name)):
             given = repr(values[name])[:80] if name in values else "missing"
             raise CorruptEpisode(f"{path} is damaged: {name} is {given}; valid is {valid}.")
     return values

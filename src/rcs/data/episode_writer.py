@@ -141,7 +141,8 @@ class EpisodeWriter:
             quality: What the quality report is to say beside what is found in the rows.
 
         Raises:
-            InvalidSetup: There are no rows, the outcome is not JSON, or a text cannot be stored; the episode stays open.
+            InvalidSetup: There are no rows, the outcome is not JSON, or a text cannot be stored; the episode stays
+                open.
             DatasetError: The disk is full or fails; the episode is aborted, and `recover` can complete it later.
         """
         self._check_open("finish")

@@ -88,7 +88,8 @@ def _edit(values: Any) -> Edit:
         InvalidSetup: A field is missing, unknown or does not make sense.
     """
     try:
-        edit = Edit(**{**values, "episodes": tuple(values["episodes"])})
+        fields: dict[str, Any] = {**values, "episodes": tuple(values["episodes"])}
+        edit = Edit(**fields)
     except (KeyError, TypeError, ValueError) as err:
         raise InvalidSetup(f"Not a line of a dataset's history: {err!r}.") from err
     are_texts = isinstance(edit.command, str) and isinstance(edit.at, str)

@@ -88,7 +88,9 @@ class DatasetInfo:
             except (TypeError, ValueError, RecursionError) as err:
                 raise InvalidSetup(f"The {name} of a dataset must be JSON: {err}.") from err
             if depth_of(json.loads(text)) > MOST_DEPTH // 2:  # with room for what a merge puts around it
-                raise InvalidSetup(f"The {name} of a dataset must not be nested more than {MOST_DEPTH // 2} levels deep.")
+                raise InvalidSetup(
+                    f"The {name} of a dataset must not be nested more than {MOST_DEPTH // 2} levels deep."
+                )
             check_texts(values, f"the {name}")
         _check_origin(self.origin)
 

@@ -114,7 +114,9 @@ def generations(root: Path) -> list[int]:
         names = [path.name for path in (root / GENERATIONS_FOLDER).iterdir()]
     except (FileNotFoundError, NotADirectoryError):
         return []
-    return sorted(int(name) for name in names if name.isdecimal() and name.isascii() and len(name) <= len(str(MOST_GENERATIONS)))
+    return sorted(
+        int(name) for name in names if name.isdecimal() and name.isascii() and len(name) <= len(str(MOST_GENERATIONS))
+    )
 
 
 def episodes_folder(base: Path) -> Path:

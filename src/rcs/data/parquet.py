@@ -15,7 +15,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rcs.data.page_heads import DICTIONARY_PAGE, page_heads
+from rcs.data.page_heads import DICTIONARY_PAGE, page_heads, thrift_struct
 from rcs.errors import CorruptEpisode, DatasetError
 
 UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError, OverflowError)
@@ -30,8 +30,13 @@ MOST_GROWTH = 64
 _MOST_FOOTER = 1 << 28
 _MAGIC = b"PAR1"
 _TAIL = 8
+# Numbers of fields in `parquet.thrift` of Apache Parquet: of the footer, a row group, a column in it, its description,
+# and the sizes in that.
+_GROUPS, _COLUMNS, _META, _SIZES, _REPETITIONS, _DEFINITIONS = 4, 1, 3, 16, 2, 3
+_MOST_SOUND = 1 << 17
+_sound: set[tuple[int, int, int, int]] = set()
 # What a dictionary may take: each of its values can stand for any number of rows.
-_FREE_DICTIONARY, _MOST_DICTIONARY_GROWTH = 1 << 23, 4
+_FREE_DICTIONARY, _MOST_DICTIONARY_GROWTH = 1 << 21, 4
 # Images of so many rows are read at a time, so that a dictionary cannot become more than so many times itself.
 _IMAGES_AT_A_TIME = 16
 
@@ -177,9 +182,11 @@ def opened(source: Path | pa.Buffer, *, verify: bool = True, mapped: bool = Fals
         CorruptEpisode: It is no whole Parquet file.
         ArrowException, OSError: It is none, or does not read.
     """
-    if isinstance(source, pa.Buffer):
+    if not isinstance(source, Path):
         _check_footer(source[-_TAIL:].to_pybytes() if source.size >= _TAIL else b"", source.size, "The mended file")
         with pq.ParquetFile(pa.BufferReader(source), page_checksum_verification=verify) as file:
+            length = int.from_bytes(source[-_TAIL:].to_pybytes()[:4], "little")
+            _check_levels(source[-_TAIL - length : -_TAIL].to_pybytes(), file, "The mended file")
             read: Callable[[int, int], bytes] = lambda count, at: source[at : at + count].to_pybytes()  # noqa: E731
             yield ParquetSource("The mended file", file, source.size, read)
         return
@@ -217,10 +224,20 @@ def _opened(path: Path, *, mapped: bool, verify: bool) -> Generator[ParquetSourc
         raise CorruptEpisode(f"{path} does not read: it is missing or no file.")
     fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        size = os.fstat(fd).st_size
-        _check_footer(os.pread(fd, _TAIL, max(size - _TAIL, 0)), size, str(path))
+        about = os.fstat(fd)
+        size = about.st_size
+        tail = os.pread(fd, _TAIL, max(size - _TAIL, 0))
+        _check_footer(tail, size, str(path))
         # Not `read_table`: that takes a folder named "seed=3" for a partition and adds a column.
         with pq.ParquetFile(path, memory_map=mapped, page_checksum_verification=verify) as file:
+            # Once for each file and change of it: a footer of many row groups takes milliseconds.
+            version = (about.st_dev, about.st_ino, size, about.st_mtime_ns)
+            if version not in _sound:
+                length = int.from_bytes(tail[:4], "little")
+                _check_levels(os.pread(fd, length, size - _TAIL - length), file, str(path))
+                if len(_sound) >= _MOST_SOUND:
+                    _sound.clear()
+                _sound.add(version)
             yield ParquetSource(str(path), file, size, lambda count, at: os.pread(fd, count, at))
     finally:
         os.close(fd)
@@ -232,6 +249,29 @@ def _check_footer(tail: bytes, size: int, name: str) -> None:
         raise CorruptEpisode(f"{name} does not read: its {size} bytes are no whole Parquet file.")
     if length > _MOST_FOOTER:
         raise CorruptEpisode(f"{name} claims to describe itself in {length} bytes, which no recording needs.")
+
+
+def _check_levels(footer: bytes, file: pq.ParquetFile, name: str) -> None:
+    """Refuse counts of levels that do not go with the columns: Arrow would end the process where it looks at them."""
+    schema = file.metadata.schema
+    try:
+        fields, _ = thrift_struct(footer, 0)
+        for group in fields.get(_GROUPS, ()):
+            if len(group[_COLUMNS]) != file.metadata.num_columns:
+                raise ValueError("a row group has other columns")
+            for i, chunk in enumerate(group[_COLUMNS]):
+                sizes = chunk[_META].get(_SIZES)
+                if sizes is None:
+                    continue
+                column = schema.column(i)
+                for field, level in (
+                    (_REPETITIONS, column.max_repetition_level),
+                    (_DEFINITIONS, column.max_definition_level),
+                ):
+                    if len(sizes.get(field, ())) not in (0, level + 1):
+                        raise ValueError(f"column {column.path!r} counts levels that it does not have")
+    except (IndexError, KeyError, TypeError, AttributeError, ValueError) as err:
+        raise CorruptEpisode(f"{name} does not read: its footer contradicts itself: {err!r}.") from err
 
 
 def _is_fixed(kind: pa.DataType) -> bool:

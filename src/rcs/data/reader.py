@@ -198,8 +198,9 @@ class EpisodeRecord:
                 source.require([key])
                 for batch in source.batches([key]):
                     for image in batch.column(0).to_pylist():
-                        last = image or last or blank_frame(feature, self.info)
-                        yield last
+                        shown: bytes = image or last or blank_frame(feature, self.info)
+                        last = shown
+                        yield shown
         except UNREADABLE as err:
             raise CorruptEpisode(f"{path} does not read: {err}.") from err
 

@@ -195,8 +195,8 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
 def _remove_fragments(writer: DatasetWriter) -> int:
     """Remove the attempts that no task judged, and return how many there were.
 
-    These are attempts that a kill cut short and that were recovered since. An attempt depends on the seed and its number
-    alone, so all their rows are recorded again, and the dataset becomes that of a collection that nothing interrupted.
+    A kill cut these short, and they were recovered since. An attempt depends on the seed and its number alone, so all
+    their rows are recorded again, and the dataset becomes that of a collection that nothing ended.
     """
     fragments = [e.id for e in Dataset.open(writer.path) if e.success is None and _ATTEMPT.fullmatch(e.id)]
     for name in fragments:

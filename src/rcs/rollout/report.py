@@ -243,7 +243,8 @@ def _row(episode: _Facts, detail: str | None, *, is_live: bool) -> str:
     why = episode.failure or episode.about.get("outcome", {}).get("aborted") or episode.damage
     cells = (
         f'<span class="badge {kind}">{episode.verdict}</span><span class="id">{html.escape(episode.record.id)}</span>'
-        f'<span class="wide dim">{html.escape(seed)}</span><span>{episode.length} rows</span><span class="wide dim">{seconds}</span>'
+        f'<span class="wide dim">{html.escape(seed)}</span><span>{episode.length} rows</span>'
+        f'<span class="wide dim">{seconds}</span>'
         f'<span class="wide dim">{html.escape(str(why))}</span>'
     )
     text = html.escape(f"{episode.record.id} {seed} {why} {episode.verdict}".lower())

@@ -21,8 +21,8 @@ from rcs.data.content import ContentHash, flat_numbers
 from rcs.data.info import DatasetInfo
 from rcs.data.json_file import read_bytes
 from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
-from rcs.data.quality import QualityMeter
 from rcs.data.parquet import UNREADABLE, ParquetSource
+from rcs.data.quality import QualityMeter
 from rcs.data.rows import sim_state_schema, steps_schema
 from rcs.errors import CorruptEpisode, DatasetError
 

@@ -31,7 +31,7 @@ from rcs.data.recover import unreachable_generations
 from rcs.data.text import mended_text
 from rcs.errors import CorruptEpisode, DatasetError
 
-_UNPRINTABLE = {code: "\ufffd" for code in range(32)}
+_UNPRINTABLE = dict.fromkeys(range(32), "�")
 
 REPAIR = "repair"
 """The command of a repair in the history; its arguments name the damaged folders of former generations."""
@@ -59,7 +59,9 @@ def check_leftovers(root: Path, head: Head) -> Iterator[Finding]:
         yield _finding(root, "warning", "left_open", episode_id, folder, "open, and its writer is gone; run recover")
     for name in strange_names(base):
         file = episodes_folder(base) / mended_text(name).translate(_UNPRINTABLE)
-        yield _finding(root, "warning", "stranger", None, file, "cannot be an episode by its name, and nothing reads it")
+        yield _finding(
+            root, "warning", "stranger", None, file, "cannot be an episode by its name, and nothing reads it"
+        )
     for folder in links_out(root):
         message = f"a link to {folder.readlink()}, out of the dataset; it is read, and nothing is written through it"
         yield _finding(root, "warning", "link", None, folder, message)

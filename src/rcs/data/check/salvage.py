@@ -25,7 +25,7 @@ from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
 from rcs.data.parquet import UNREADABLE
 from rcs.data.rows import SIM_STATE, sim_state_schema
 from rcs.data.text import mended_text
-from rcs.errors import CorruptEpisode, DatasetError
+from rcs.errors import CorruptEpisode
 
 
 @dataclass(frozen=True, kw_only=True)

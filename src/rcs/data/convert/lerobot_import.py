@@ -28,12 +28,12 @@ from rcs.data.convert.lerobot_mapping import FeatureMapping, feature_mapping
 from rcs.data.convert.lerobot_source import LeRobotSource, SourceEpisode
 from rcs.data.convert.options import ImportOptions, stored_as
 from rcs.data.convert.provenance import by_episode, checked_provenance
-from rcs.data.output import new_output
 from rcs.data.convert.video import VideoReader, decode_depth_video
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo
 from rcs.data.json_file import read_json, read_json_lines
 from rcs.data.layout import check_episode_id
+from rcs.data.output import new_output
 from rcs.data.parquet import opened_of_others
 from rcs.data.reader import Dataset
 from rcs.data.writer import DatasetWriter

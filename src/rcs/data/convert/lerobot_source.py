@@ -220,7 +220,9 @@ class LeRobotSource:
             shape = about.get("shape") if isinstance(about, dict) else None
             is_shape = isinstance(shape, list) and all(type(n) is int and 0 < n < 1 << 31 for n in shape)
             if not is_shape or not isinstance(about.get("dtype"), str):
-                raise CorruptEpisode(f"The LeRobot dataset in {self.root} has a feature {name!r} that is {about!r:.200}.")
+                raise CorruptEpisode(
+                    f"The LeRobot dataset in {self.root} has a feature {name!r} that is {about!r:.200}."
+                )
         return features
 
     def _read_episodes(self) -> tuple[dict[int, int], dict[int, dict[str, Any]]]:

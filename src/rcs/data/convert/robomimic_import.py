@@ -16,9 +16,17 @@ from numpy.typing import NDArray
 
 from rcs.data.convert.hdf5 import reading_hdf5
 from rcs.data.convert.options import ImportOptions
-from rcs.data.output import new_output
 from rcs.data.convert.robomimic import LAST_STATE, RCS
-from rcs.data.convert.robomimic_source import Column, DemoAbout, SourcePlan, demo_about, demo_names, is_numeric, source_plan
+from rcs.data.convert.robomimic_source import (
+    Column,
+    DemoAbout,
+    SourcePlan,
+    demo_about,
+    demo_names,
+    is_numeric,
+    source_plan,
+)
+from rcs.data.output import new_output
 from rcs.data.parquet import bound_of
 from rcs.data.reader import Dataset
 from rcs.data.rows import Value
@@ -94,7 +102,7 @@ def _states(demo: Any, plan: SourcePlan, steps: int) -> NDArray[np.float64]:
 
 def _dataset(demo: Any, path: str) -> Any:
     """Return an array of numbers, of no more bytes than its file may become."""
-    values = demo[path] if path in demo else None
+    values: Any = demo.get(path)
     if not is_numeric(values):
         raise CorruptEpisode(f"{demo.name} has no array of numbers {path!r}.")
     if values.ndim < 3 and values.size * values.dtype.itemsize > bound_of(values.file.id.get_filesize()):

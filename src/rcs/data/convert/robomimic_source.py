@@ -217,7 +217,7 @@ def is_numeric(values: Any) -> bool:
 
 
 def _names_in(file: Any, path: str) -> list[Any]:
-    values = file[path] if path in file else None
+    values: Any = file.get(path)
     return list(values[()]) if getattr(values, "ndim", None) == 1 and values.size <= _MOST_NAMES else []
 
 

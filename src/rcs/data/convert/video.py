@@ -290,7 +290,7 @@ def decode_depth_video(path: Path) -> Iterator[NDArray[np.uint16]]:
         with av.open(str(path)) as source:
             for frame in source.decode(video=0):
                 yield np.asarray(frame.to_ndarray(), np.uint16)
-    except FFmpegError as err:
+    except (FFmpegError, IndexError) as err:  # the second where there is no video in it
         raise CorruptEpisode(f"{path} is missing or does not decode: {err}.") from err
 
 

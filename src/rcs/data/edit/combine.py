@@ -16,7 +16,6 @@ from rcs.data.layout import check_name, name_of
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.errors import DatasetError, InvalidSetup
 
-
 # What may differ between datasets that are merged.
 _OWN = ("setup", "instruction", "jpeg_quality", "jpeg_subsampling", "origin")
 

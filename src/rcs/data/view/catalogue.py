@@ -9,9 +9,9 @@ from typing import Any
 
 from rcs.data.feature import Feature
 from rcs.data.reader import Dataset, EpisodeRecord
+from rcs.data.verdicts import Verdicts
 from rcs.data.view.clips import pictures
 from rcs.data.view.episode_data import FLAWS, curves, is_faster_than_life
-from rcs.data.verdicts import Verdicts
 
 Entry = tuple[EpisodeRecord, dict[str, int], str]
 """An episode, how many rows each of its flaws has, and why it does not read."""

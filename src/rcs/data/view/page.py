@@ -122,7 +122,9 @@ class _Rendered:
 def _require_own(folder: Path) -> None:
     for path in (folder, folder / "episodes"):
         if path.is_symlink() or (path.exists() and not path.is_dir()):
-            raise DatasetError(f"{path} is a link or no folder, and nothing is written through it; choose another with out.")
+            raise DatasetError(
+                f"{path} is a link or no folder, and nothing is written through it; choose another with out."
+            )
     if folder.exists() and any(folder.iterdir()) and not (folder / _CATALOGUE).exists():
         raise DatasetError(f"{folder} has other things in it; choose an empty folder, or one of an earlier page.")
 
