@@ -114,7 +114,13 @@ def link_file(source: Path, target: Path) -> None:
 
 
 def copy_file(source: Path, target: Path) -> None:
-    """Copy a file's bytes and bring them to the disk."""
+    """Copy a file's bytes and bring them to the disk.
+
+    Raises:
+        OSError: There is no such file, or the disk fails.
+    """
+    if not source.is_file():  # a pipe would never end
+        raise FileNotFoundError(errno.ENOENT, "it is missing or no file", str(source))
     with source.open("rb") as given:
         fd = os.open(target, _NEW_FILE, 0o644)
         try:
