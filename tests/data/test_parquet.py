@@ -68,11 +68,11 @@ def test_check_and_readers_refuse_an_episode_that_is_a_bomb(dataset: Path) -> No
     }
     table = pa.table(columns, schema)
     with pq.ParquetWriter(folder / "steps.parquet", schema, compression="zstd") as writer:
-        for _ in range(4):
+        for _ in range(8):
             writer.write_table(table)
     about = unsealed((folder / "episode.json").read_bytes(), folder)
     digest = hashlib.sha256((folder / "steps.parquet").read_bytes()).hexdigest()
-    changes = {"length": 4 * ROWS, "sha256": {**about["sha256"], "steps.parquet": digest}}
+    changes = {"length": 8 * ROWS, "sha256": {**about["sha256"], "steps.parquet": digest}}
     (folder / "episode.json").write_bytes(sealed({**about, **changes}))
     with pytest.raises(CorruptEpisode, match=r"000001/steps\.parquet"):
         Dataset.open(dataset)["000001"].column("observation/joints")

@@ -47,8 +47,8 @@ def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions
     Raises:
         MissingDependency: h5py is not installed.
         InvalidSetup: It is no such file, its episodes differ in form, or its rate is unknown and not in the options.
-        CorruptEpisode: An episode has no steps, or its columns are not of one length.
-        DatasetError: The file cannot be read, something is at `out`, or the disk fails.
+        CorruptEpisode: The file does not read, an episode has no steps, or its columns are not of one length.
+        DatasetError: Something is at `out`, or the disk fails.
     """
     options = options or ImportOptions()
     with reading_hdf5(Path(source)) as file:

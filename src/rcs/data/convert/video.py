@@ -192,7 +192,7 @@ class VideoReader:
         """
         self.path = path
         if not path.is_file():  # a pipe would never end
-            raise CorruptEpisode(f"{path} is missing or no file.")
+            raise CorruptEpisode(f"{path} is missing or no video.")
         try:
             self._source = av.open(str(path))
             self._stream = self._source.streams.video[0]
@@ -285,7 +285,7 @@ def decode_depth_video(path: Path) -> Iterator[NDArray[np.uint16]]:
         CorruptEpisode: The file is missing or damaged.
     """
     if not path.is_file():
-        raise CorruptEpisode(f"{path} is missing or no file.")
+        raise CorruptEpisode(f"{path} is missing or no video.")
     try:
         with av.open(str(path)) as source:
             for frame in source.decode(video=0):
