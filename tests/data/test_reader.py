@@ -114,3 +114,12 @@ def test_a_table_has_held_values_in_every_row(tmp_path: Path) -> None:
     assert found.episodes[0].steps().column(matrix.key).null_count == 2
     held = [value[3] for value in found.to_arrow().column(matrix.key).to_pylist()]
     assert held == [1, 1, 1, 2, 2, 3, 3]
+
+
+def test_a_dataset_is_a_collection_of_its_episodes(dataset: Path) -> None:
+    opened = Dataset.open(dataset)
+    assert list(opened) == list(opened.episodes)
+    assert len(list(opened)) == len(opened) == 3
+    assert all(episode in opened and episode.id in opened and opened[episode.id] is episode for episode in opened)
+    assert "no such" not in opened
+    assert 0 not in opened

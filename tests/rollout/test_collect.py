@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rcs
-from rcs.data import Dataset, compare_steps
+from rcs.data import Dataset, compare_steps, edit, recover
+from rcs.data.compact import seal
+from rcs.data.edit import Part, mix
+from rcs.data.edit.rows import rows_of
 from rcs.errors import DatasetError, InvalidSetup
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.collect import Collection, Progress, collect, episode_id
 from rcs.rollout.replay import replay, setup_of
+
+COLLECT = """
+import sys, rcs
+from pathlib import Path
+from rcs.rollout.collect import Collection, Progress, collect
+for _ in collect(Collection(setup=rcs.Setup(), out=Path(sys.argv[1]), episodes=3, seed=7), Progress()):
+    pass
+"""
 
 
 def run(collection: Collection) -> Progress:
@@ -62,6 +77,60 @@ def test_an_interrupted_collection_is_resumed_to_the_same_dataset(dataset: Path,
     again = run(plan(tmp_path / "part"))
     assert (again.found, again.kept) == (1, 3)
     assert hashes(tmp_path / "part") == hashes(dataset)
+
+
+def fragment(path: Path, number: int, rows: int) -> None:
+    """Leave of an attempt what a kill and a recovery leave: its first rows, without a verdict."""
+    whole = Dataset.open(path)[episode_id(number)]
+    table = rows_of(whole).slice(0, rows)
+    about = {**whole.about, "success": None, "outcome": {"recovered": True}}
+    seal(whole.path, whole.info, [table.combine_chunks()], about)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_parts_of_attempts_do_not_count_and_are_collected_again(dataset: Path, tmp_path: Path, workers: int) -> None:
+    path = shutil.copytree(dataset, tmp_path / "part")
+    fragment(path, 1, 20)
+    progress = run(plan(path, workers=workers))
+    assert (progress.found, progress.again, progress.kept) == (2, 1, 3)
+    assert [attempt.number for attempt in progress.attempts] == [1]
+    assert hashes(path) == hashes(dataset)
+    assert all(episode.success is not None for episode in Dataset.open(path))
+
+
+def test_collections_killed_and_recovered_end_as_one_that_was_not(dataset: Path, tmp_path: Path) -> None:
+    path = tmp_path / "killed"
+    for seconds in (0.0, 0.7):
+        with subprocess.Popen([sys.executable, "-c", COLLECT, str(path)]) as process:
+            deadline = time.monotonic() + 60
+            while not list((path / "episodes").glob(".open-*/rows.arrows")):
+                assert time.monotonic() < deadline and process.poll() is None
+                time.sleep(0.01)
+            time.sleep(seconds)
+            process.kill()
+        recover(path)
+    run(plan(path))
+    assert hashes(path) == hashes(dataset)
+
+
+def test_episodes_that_no_attempt_made_stay(dataset: Path, tmp_path: Path) -> None:
+    path = shutil.copytree(dataset, tmp_path / "more")
+    fragment(path, 1, 20)
+    (path / "episodes/000001").rename(path / "episodes/by hand")
+    assert run(plan(path)).again == 0
+    assert "by hand" in Dataset.open(path)
+
+
+def test_a_mix_of_collections_replays_bit_for_bit(dataset: Path, tmp_path: Path) -> None:
+    run(plan(tmp_path / "other", episodes=2, seed=8))
+    mix([Part(path=dataset, episodes=2), Part(path=tmp_path / "other")], tmp_path / "mixed", seed=1)
+    results = list(replay(tmp_path / "mixed"))
+    assert len(results) == 4
+    assert all(result.is_equal for result in results)
+    assert setup_of(Dataset.open(tmp_path / "mixed")) == setup_of(Dataset.open(dataset))
+    split = edit.split(tmp_path / "mixed", tmp_path / "parts")
+    assert split["other"].digest() == Dataset.open(tmp_path / "other").digest()
+    assert split["other"].info == Dataset.open(tmp_path / "other").info
 
 
 def test_a_complete_collection_has_nothing_to_do(dataset: Path) -> None:

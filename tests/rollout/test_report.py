@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from rcs.data import Dataset, DatasetInfo, DatasetWriter, Feature
+from rcs.data.durable import sealed, unsealed
 from rcs.errors import DatasetError
 from rcs.rollout import report
 from rcs.rollout.clip import encode_clip
@@ -82,7 +83,7 @@ def test_the_page_is_whole_and_loads_nothing(tmp_path: Path) -> None:
 
 def test_the_numbers_are_those_of_the_dataset(tmp_path: Path) -> None:
     text = write_report(record(tmp_path, [True, True, False, None]), wall_time=24.0).read_text("utf-8")
-    assert "<b>2 of 3</b> episodes succeeded: 66.7 %, 95 % interval 20.8 to 93.9 %" in text
+    assert "<b>2 of 3</b> judged episodes succeeded: 66.7 %, 95 % interval 20.8 to 93.9 %" in text
     assert "nobody judged them or they are damaged: 1." in text
     assert "<b>600</b><span>episodes per hour" in text
     assert "<b>2</b><span>steps per second" in text
@@ -94,6 +95,22 @@ def test_words_from_the_dataset_are_not_taken_for_html(tmp_path: Path) -> None:
     assert "pick &lt;it&gt; &amp; go" in text
     assert "slip &amp; &lt;slide&gt;" in text
     assert text.count("<script>") == 1
+
+
+def test_no_value_of_an_episode_becomes_html(tmp_path: Path) -> None:
+    """Whatever a file says, and whatever of it is refused before: what is shown is text."""
+    path = record(tmp_path / "picks", [False, True])
+    evil = '<img src=x onerror="alert(1)">'
+    for number, folder in enumerate(sorted((path / "episodes").iterdir())):
+        about = unsealed((folder / "episode.json").read_bytes(), folder)
+        about |= {"instruction": evil, "started": evil, "outcome": {"failure": evil, evil: [evil], "aborted": evil}}
+        about |= {"seed": evil} if number else {}
+        (folder / "episode.json").write_bytes(sealed(about))
+    text = write_report(path).read_text("utf-8")
+    assert "<img" not in text
+    assert "&lt;img" in text
+    assert "seed is" in text, "an episode with a seed that is none is shown as damaged"
+    Page(text)
 
 
 def test_the_clip_shows_all_cameras_at_the_recorded_speed(tmp_path: Path) -> None:

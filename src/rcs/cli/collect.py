@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from rcs.cli.console import plain_console
 from rcs.data.wilson import wilson_interval
 from rcs.envs.observers.recorder import Colour
 from rcs.envs.setup import Setup
@@ -45,7 +46,7 @@ class CollectCommand:
     robot: str = "fr3"
     """Name of the robot."""
     episodes: int = 20
-    """How many episodes the dataset shall have in the end."""
+    """How many episodes the dataset shall have in the end; parts of episodes that a kill left do not count."""
     out: Path = field(default_factory=lambda: Path("datasets/collected"))
     """Folder of the dataset."""
     seed: int = 0
@@ -87,7 +88,7 @@ class CollectCommand:
 
     def run(self) -> int:
         """Collect, tell how it went and return the exit code."""
-        console = Console()
+        console = plain_console(soft_wrap=False)
         collection = self._collection()
         if self.viewer:
             from rcs.cli.watch import watch_collection
@@ -139,10 +140,10 @@ class CollectCommand:
 
     def _show(self, collection: Collection, progress: CollectionProgress, console: Console) -> Iterator[Any]:
         columns = (
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}"),
+            TextColumn("{task.fields[rate]}", markup=False),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
         )
@@ -186,6 +187,8 @@ def _summarise(collection: Collection, progress: CollectionProgress, console: Co
     made = len(progress.attempts)
     if progress.found:
         console.print(f"{progress.found} episodes were there already.")
+    if progress.again:
+        console.print(f"{progress.again} that a kill had cut short were collected again from their start.")
     if not made:
         console.print(f"Nothing to do: {collection.out} has {progress.kept} episodes.", soft_wrap=True)
         return

@@ -8,10 +8,10 @@ import os
 import platform
 from dataclasses import dataclass
 
-from rich.console import Console
 from rich.table import Table
 
 from rcs._core import probe_gl
+from rcs.cli.console import plain_console
 
 EXTRAS = {"rl": "stable_baselines3", "pinocchio": "pinocchio"}
 """Extras by the module that shows that they are installed."""
@@ -23,7 +23,7 @@ class DoctorCommand:
 
     def run(self) -> int:
         """Print it."""
-        console = Console(soft_wrap=True)
+        console = plain_console()
         table = Table(show_header=False, box=None, pad_edge=False)
         table.add_row("python", f"{platform.python_version()} on {platform.platform()}, {os.cpu_count()} CPUs")
         for name in ("robot-control-stack", "mujoco-core", "numpy", "gymnasium", "pyarrow"):
@@ -41,7 +41,7 @@ class DoctorCommand:
             found = importlib.util.find_spec(module) is not None
             table.add_row(
                 f"extra {extra}",
-                "installed" if found else f"not installed: pip install 'robot-control-stack\\[{extra}]'",
+                "installed" if found else f"not installed: pip install 'robot-control-stack[{extra}]'",
             )
         console.print(table)
         if chosen is None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rich.console import Console
-
+from rcs.cli.console import plain_console
 from rcs.rollout.gallery import gallery
 
 
@@ -21,9 +20,9 @@ class GalleryCommand:
 
     def run(self) -> int:
         """Draw and tell where the page is."""
-        console = Console(soft_wrap=True)
+        console = plain_console()
         with console.status("Drawing"):
             for shot in gallery(self.out, seed=self.seed):
-                console.print(f"{shot.title}: {shot.file}", highlight=False)
-        console.print(f"Page: {self.out / 'index.html'}", highlight=False)
+                console.print(f"{shot.title}: {shot.file}")
+        console.print(f"Page: {self.out / 'index.html'}")
         return 0

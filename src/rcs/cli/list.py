@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rich.console import Console
 from rich.table import Table
 
+from rcs.cli.console import plain_console
 from rcs.devices import lookup
 from rcs.robots.description import CameraDescription
 from rcs.setups.ids import ids
@@ -23,7 +23,7 @@ class ListCommand:
 
     def run(self) -> int:
         """Print them."""
-        console = Console(soft_wrap=True)
+        console = plain_console()
         if self.cameras:
             console.print(_modes_of_cameras())
             return 0
@@ -51,7 +51,8 @@ class ListCommand:
             cameras = ", ".join(f"{mount} {about.camera}" for mount, about in lab.cameras.items())
             table.add_row("robot", name, f"{arms} with {lab.end_effector}; cameras: {cameras}")
         for name in lookup.names("task"):
-            table.add_row("task", name, (lookup.find("task", name).__doc__ or "").strip().splitlines()[0])
+            words = (lookup.find("task", name).__doc__ or "").strip()
+            table.add_row("task", name, words.partition("\n")[0])
         for name in ids():
             table.add_row("id", name, "gymnasium.make")
         console.print(table)

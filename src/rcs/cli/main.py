@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
 from tyro.conf import subcommand
 
 from rcs.cli.collect import CollectCommand
+from rcs.cli.console import let_all_text_out, plain_console
 from rcs.cli.data import DataCommand
 from rcs.cli.doctor import DoctorCommand
 from rcs.cli.gallery import GalleryCommand
@@ -30,6 +31,7 @@ Command = (
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and exit: 0 for success, 1 for an error or a bad finding, 130 when interrupted."""
+    let_all_text_out()
     command: Any = tyro.cli(
         Command,  # pyright: ignore[reportArgumentType]  a union is a type to tyro
         prog="rcs",
@@ -45,8 +47,18 @@ def run(command: Any) -> int:
     try:
         return command.run()
     except RcsError as err:
-        console = Console(stderr=True, soft_wrap=True)
-        console.print(f"error: {type(err).__name__}: {err}", style="bold red", highlight=False, markup=False)
+        return _failed(err)
+    except BrokenPipeError:
+        # Who read the output has seen enough; what is left of it must not fail at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except OSError as err:  # of the file system, where no function said more of it
+        return _failed(err)
     except KeyboardInterrupt:
         return 130
+
+
+def _failed(error: Exception) -> int:
+    console = plain_console(stderr=True)
+    console.print(f"error: {type(error).__name__}: {error}", style="bold red")
+    return 1

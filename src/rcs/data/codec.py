@@ -111,6 +111,29 @@ def decode_jpeg(data: bytes, shape: tuple[int, ...], out: NDArray[np.uint8] | No
     return image
 
 
+def decode_small_jpeg(data: bytes, shape: tuple[int, ...], least_height: int) -> NDArray[np.uint8]:
+    """Return the image in a JPEG, smaller where the decoder can do so while it decodes, and good enough to look at.
+
+    Args:
+        data: The bytes of the file.
+        shape: The shape of the whole image, (H, W, 3).
+        least_height: The height that is wanted at least [px].
+
+    Raises:
+        CorruptEpisode: The bytes are no JPEG, or have another shape.
+    """
+    try:
+        # A file of some kilobytes can say that it has gigabytes of pixels.
+        height, width, *_ = simplejpeg.decode_jpeg_header(data)
+        if (height, width) != shape[:2]:
+            raise CorruptEpisode(f"The JPEG is {height} x {width}; expected is {shape[0]} x {shape[1]}.")
+        return simplejpeg.decode_jpeg(data, "RGB", fastdct=True, fastupsample=True, min_height=least_height)
+    except CorruptEpisode:
+        raise
+    except ValueError as err:
+        raise CorruptEpisode(f"The JPEG does not decode: {err}.") from err
+
+
 def encode_lossless(image: NDArray[np.uint8]) -> bytes:
     """Return the image compressed without loss, some 7 to 20 times as fast as PNG at its lowest level, and smaller.
 

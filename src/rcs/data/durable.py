@@ -12,10 +12,13 @@ from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Any
 
+from rcs.data.json_file import MOST_DEPTH, depth_of, parsed_json
+from rcs.data.text import check_texts, is_storable
 from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
 
 # A megabyte keeps the number of system calls small; more would not be faster.
 _CHUNK = 1 << 20
+_NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 
 
 @contextlib.contextmanager
@@ -65,7 +68,9 @@ def write_file(path: Path, data: bytes) -> None:
     The caller syncs the folder when the name itself must be on the disk.
     """
     temporary = path.with_name(path.name + ".tmp")
-    fd = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+    # What a kill left, or a link that somebody put there and that would be written through.
+    temporary.unlink(missing_ok=True)
+    fd = os.open(temporary, _NEW_FILE, 0o644)
     try:
         write_all(fd, data)
         os.fsync(fd)
@@ -82,7 +87,20 @@ def remove_folder(path: Path, trash: Path) -> None:
         trash: A free name beside it; what a kill leaves under that name is rubbish.
     """
     path.rename(trash)
-    shutil.rmtree(trash, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        remove_tree(trash)
+
+
+def remove_tree(path: Path) -> None:
+    """Remove a file, or a folder with what is in it; of a link the link and nothing behind it.
+
+    Raises:
+        OSError: Something in it cannot be removed.
+    """
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def link_file(source: Path, target: Path) -> None:
@@ -96,9 +114,15 @@ def link_file(source: Path, target: Path) -> None:
 
 
 def copy_file(source: Path, target: Path) -> None:
-    """Copy a file's bytes and bring them to the disk."""
+    """Copy a file's bytes and bring them to the disk.
+
+    Raises:
+        OSError: There is no such file, or the disk fails.
+    """
+    if not source.is_file():  # a pipe would never end
+        raise FileNotFoundError(errno.ENOENT, "it is missing or no file", str(source))
     with source.open("rb") as given:
-        fd = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        fd = os.open(target, _NEW_FILE, 0o644)
         try:
             while piece := given.read(_CHUNK):
                 write_all(fd, piece)
@@ -111,8 +135,9 @@ class HashedFile:
     """A new file whose SHA-256 is known when it is complete, without reading it again."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file, or empty the one that is there."""
-        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        """Create the file in the place of the one that may be there."""
+        path.unlink(missing_ok=True)  # never emptied: it may have other names, or be a link to elsewhere
+        self._fd = os.open(path, _NEW_FILE, 0o644)
         self._hash = hashlib.sha256()
         self._pending = bytearray()
         self.closed = False
@@ -153,9 +178,12 @@ def sealed(values: Mapping[str, Any]) -> bytes:
     """Return JSON that carries a checksum of itself.
 
     Raises:
-        InvalidSetup: A value is not JSON.
+        InvalidSetup: A value is not JSON, or a text that cannot be stored.
     """
-    return json.dumps({**values, "checksum": _checksum(values)}, indent=1, ensure_ascii=False).encode()
+    text = json.dumps({**values, "checksum": _checksum(values)}, indent=1, ensure_ascii=False)
+    if not is_storable(text):
+        check_texts(dict(values), "what is to be stored")
+    return text.encode()
 
 
 def unsealed(data: bytes, path: Path) -> dict[str, Any]:
@@ -166,28 +194,41 @@ def unsealed(data: bytes, path: Path) -> dict[str, Any]:
         path: Where they came from, for the message.
 
     Raises:
-        CorruptEpisode: The bytes are not JSON, or not the JSON that was written.
+        CorruptEpisode: The bytes are not JSON, not the JSON that was written, or more than any dataset has.
     """
-    try:
-        values = json.loads(data)
-        checksum = values.pop("checksum")
-    except (ValueError, KeyError, AttributeError, TypeError) as err:
-        raise CorruptEpisode(f"{path} is damaged: {err!r}.") from err
+    values = parsed_json(data, path)
+    checksum = values.pop("checksum", None)
+    if checksum is None:
+        raise CorruptEpisode(f"{path} is damaged: it has no checksum.")
     if checksum != _checksum(values):
         raise CorruptEpisode(f"{path} is not what was written: its checksum does not match.")
     return values
+
+
+def is_sealed(data: bytes) -> bool:
+    """Return whether JSON has the checksum of its values; of what else is in it nothing is said."""
+    try:
+        values = json.loads(data)
+        return values.pop("checksum") == _checksum(values)
+    except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
+        return False
 
 
 def as_json(value: Any) -> Any:
     """Return plain JSON values for what may hold numpy numbers and arrays.
 
     Raises:
-        InvalidSetup: A value is not JSON, or is NaN or infinite, which JSON does not have.
+        InvalidSetup: A value is not JSON, is NaN or infinite, which JSON does not have, is nested too deeply, or is a
+            text that cannot be stored.
     """
     try:
-        return json.loads(json.dumps(value, allow_nan=False, default=_plain))
-    except (TypeError, ValueError) as err:
+        plain = json.loads(json.dumps(value, allow_nan=False, default=_plain))
+    except (TypeError, ValueError, RecursionError) as err:
         raise InvalidSetup(f"Only JSON can be stored here: {err}. Given: {value!r}.") from err
+    if depth_of(plain) > MOST_DEPTH:
+        raise InvalidSetup(f"Only JSON of up to {MOST_DEPTH} levels can be stored here.")
+    check_texts(plain, "what is to be stored")
+    return plain
 
 
 def _plain(value: Any) -> Any:

@@ -12,6 +12,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs.data.about import MOST_SEED
 from rcs.data.compact import compact, library_versions
 from rcs.data.durable import as_json, disk_errors, remove_folder, sealed, write_file
 from rcs.data.info import DatasetInfo
@@ -19,6 +20,7 @@ from rcs.data.layout import ABORTED_FILE, ROWS_FILE, check_episode_id, episode_f
 from rcs.data.reader import EpisodeRecord
 from rcs.data.rows import RowBuffer, Value, stream_schema
 from rcs.data.stream import EpisodeHeader, StreamWriter
+from rcs.data.text import check_text, mended_text
 from rcs.errors import DatasetError, InvalidSetup
 
 _log = logging.getLogger(__name__)
@@ -48,10 +50,13 @@ class EpisodeWriter:
             instruction: What the robot is asked to do.
 
         Raises:
-            InvalidSetup: The id cannot be the name of a folder.
+            InvalidSetup: The id cannot be the name of a folder, or the instruction cannot be stored.
             DatasetError: There is an episode of that name, or the folder cannot be made.
         """
         check_episode_id(episode_id)
+        check_text(instruction, "The instruction")
+        if seed is not None and not abs(int(seed)) < MOST_SEED:
+            raise InvalidSetup(f"The seed is {seed}; valid are whole numbers below 2 ** 128.")
         self.id = episode_id
         self.state: State = "open"
         self.end: Callable[[str], object] = self.abort
@@ -136,13 +141,16 @@ class EpisodeWriter:
             quality: What the quality report is to say beside what is found in the rows.
 
         Raises:
-            InvalidSetup: There are no rows, or the outcome is not JSON; the episode stays open.
+            InvalidSetup: There are no rows, the outcome is not JSON, or a text cannot be stored; the episode stays
+                open.
             DatasetError: The disk is full or fails; the episode is aborted, and `recover` can complete it later.
         """
         self._check_open("finish")
         if self._rows == 0:
             raise InvalidSetup(f"Episode {self.id!r} has no rows; add the reset observation first, or discard it.")
-        kept = as_json(dict(outcome or {}))
+        kept, measured = as_json(dict(outcome or {})), as_json(dict(quality or {}))
+        if instruction is not None:
+            check_text(instruction, "The instruction")
         if not isinstance(success, (bool, np.bool_, type(None))):
             raise InvalidSetup(f"success is {success!r}; valid are True, False and None.")
         self._flush()
@@ -157,7 +165,7 @@ class EpisodeWriter:
                 outcome=kept,
                 ended=_now(),
                 instruction=instruction,
-                quality=as_json(dict(quality or {})),
+                quality=measured,
             )
         except BaseException as err:  # a failing disk, or Ctrl-C
             if self._folder.exists():
@@ -225,7 +233,7 @@ class EpisodeWriter:
         self.state = "aborted"
         self._stream.close()
         try:
-            write_file(self._folder / ABORTED_FILE, sealed({"reason": reason}))
+            write_file(self._folder / ABORTED_FILE, sealed({"reason": mended_text(reason)}))
         except OSError as err:
             # On a full disk the reason has no place either; the rows before it are still there.
             _log.warning("Episode %r is aborted, and the reason could not be stored: %s", self.id, err)

@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import pyarrow as pa
 
+from rcs.data.text import check_text
 from rcs.errors import InvalidSetup
 
 Encoding = Literal["plain", "held", "jpeg", "lossless", "depth"]
@@ -25,6 +26,10 @@ _OPTIONAL_AT_RESET = ("terminated", "truncated", "time/")
 # How the recording went, not what was recorded: two runs that are otherwise alike differ in these.
 _CIRCUMSTANCES = ("time/", "flags/")
 _IMAGES = ("jpeg", "lossless", "depth")
+# What one row may have: an image of 6 000 x 7 000 pixels. A description can claim any size, and memory is made for it.
+_MOST_BYTES = 1 << 27
+_MOST_AXES = 32
+_LONGEST_KEY = 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,13 +55,16 @@ class Feature:
 
     def __post_init__(self) -> None:
         """Refuse what could not be stored."""
-        object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
-        if not self.key or not all(self.key.split("/")):
-            raise InvalidSetup(f"A feature's key must be words with '/' between them, not {self.key!r}.")
+        for name, text in (("key", self.key), ("dtype", self.dtype), ("unit", self.unit)):
+            check_text(text, f"The {name} of a feature")
+        self._check_key()
+        self._check_shape()
         if self.dtype not in DTYPES:
             raise InvalidSetup(f"Feature {self.key!r} has dtype {self.dtype!r}; valid are {', '.join(DTYPES)}.")
-        if any(n < 1 for n in self.shape):
-            raise InvalidSetup(f"Feature {self.key!r} has shape {self.shape}; every length must be at least 1.")
+        if self.size * self.numpy_dtype.itemsize > _MOST_BYTES:
+            raise InvalidSetup(
+                f"Feature {self.key!r} is {self._form}, which is more than {_MOST_BYTES >> 20} MB in every row."
+            )
         if self.encoding not in get_args(Encoding):
             raise InvalidSetup(
                 f"Feature {self.key!r} has encoding {self.encoding!r}; valid are {', '.join(get_args(Encoding))}."
@@ -70,6 +78,27 @@ class Feature:
             raise InvalidSetup(f"Feature {self.key!r} is a time and must be a single float64, not {self._form}.")
         if self.is_flags and (self.dtype != "uint8" or self.shape != () or self.encoding != "plain"):
             raise InvalidSetup(f"Feature {self.key!r} is of flags and must be a single plain uint8, not {self._form}.")
+
+    def _check_key(self) -> None:
+        words = self.key.split("/")
+        # Exports make folders of these words.
+        if not all(word and word not in (".", "..") and word.isprintable() and "\\" not in word for word in words):
+            raise InvalidSetup(
+                f"A feature's key must be words of printable text with '/' between them, not {self.key!r}."
+            )
+        if len(self.key.encode()) > _LONGEST_KEY:
+            raise InvalidSetup(f"A feature's key must have at most {_LONGEST_KEY} bytes, not {len(self.key.encode())}.")
+
+    def _check_shape(self) -> None:
+        given: Any = self.shape
+        is_shape = isinstance(given, tuple | list) and all(
+            isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= 1 for n in given
+        )
+        if not is_shape or len(given) > _MOST_AXES:
+            raise InvalidSetup(
+                f"Feature {self.key!r} has shape {given!r}; valid are up to {_MOST_AXES} whole numbers of at least 1."
+            )
+        object.__setattr__(self, "shape", tuple(int(n) for n in given))
 
     @property
     def is_time(self) -> bool:
@@ -149,5 +178,7 @@ class Feature:
         try:
             fields: dict[str, Any] = {**values, "shape": tuple(values["shape"])}
             return cls(**fields)
-        except (KeyError, TypeError) as err:
-            raise InvalidSetup(f"Not a description of a feature: {dict(values)}.") from err
+        except (KeyError, TypeError, ValueError, AttributeError) as err:
+            if isinstance(err, InvalidSetup):
+                raise
+            raise InvalidSetup(f"Not a description of a feature: {values!r:.200}.") from err

@@ -16,14 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from rcs.data import parquet
 from rcs.data.cache import ByteCache
 from rcs.data.codec import decode_frame, pixel_buffer
 from rcs.data.feature import Feature
 from rcs.data.layout import STEPS_FILE
-from rcs.data.reader import UNREADABLE, EpisodeRecord
+from rcs.data.parquet import UNREADABLE
+from rcs.data.reader import EpisodeRecord
 from rcs.errors import CorruptEpisode, InvalidSetup
 
 # An image follows on the one before, or on the header of a page, which takes some 50 bytes and a bit per row.
@@ -212,7 +213,8 @@ def _with_size(index: FrameIndex) -> tuple[FrameIndex, int]:
 def _chunks(path: Path, key: str) -> dict[int, int]:
     """Return where the column begins in each row group [B], by the group's first row."""
     try:
-        metadata = pq.read_metadata(path)
+        with parquet.opened(path) as source:
+            metadata = source.file.metadata
     except UNREADABLE as err:
         raise CorruptEpisode(f"{path} does not read: {err}.") from err
     names = [metadata.schema.column(i).path for i in range(metadata.num_columns)]

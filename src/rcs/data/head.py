@@ -15,7 +15,8 @@ from typing import Any
 
 from rcs.data.durable import disk_errors, sealed, sync_folder, unsealed, write_file
 from rcs.data.info import SCHEMA_VERSION, DatasetInfo
-from rcs.data.layout import COPY_FILE, DATASET_FILE, generation_folder
+from rcs.data.json_file import read_bytes
+from rcs.data.layout import COPY_FILE, DATASET_FILE, MOST_GENERATIONS, generation_folder
 from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
 
 _log = logging.getLogger(__name__)
@@ -70,13 +71,33 @@ class Head:
         """
         own = ("generation", "history")
         info = DatasetInfo.from_json({key: value for key, value in values.items() if key not in own})
-        try:
-            edits: list[dict[str, Any]] = [
-                {**edit, "episodes": tuple(edit["episodes"])} for edit in values.get("history", ())
-            ]
-            return cls(info=info, generation=int(values.get("generation", 0)), history=tuple(Edit(**e) for e in edits))
-        except (KeyError, TypeError, ValueError) as err:
-            raise InvalidSetup(f"Not a history of a dataset: {err!r}.") from err
+        generation, history = values.get("generation", 0), values.get("history", [])
+        if not _is_generation(generation) or not isinstance(history, list):
+            raise InvalidSetup(f"The generation is {generation!r:.80}, and the history a {type(history).__name__}.")
+        return cls(info=info, generation=generation, history=tuple(map(_edit, history)))
+
+
+def _is_generation(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MOST_GENERATIONS
+
+
+def _edit(values: Any) -> Edit:
+    """Build a line of the history from JSON.
+
+    Raises:
+        InvalidSetup: A field is missing, unknown or does not make sense.
+    """
+    try:
+        fields: dict[str, Any] = {**values, "episodes": tuple(values["episodes"])}
+        edit = Edit(**fields)
+    except (KeyError, TypeError, ValueError) as err:
+        raise InvalidSetup(f"Not a line of a dataset's history: {err!r}.") from err
+    are_texts = isinstance(edit.command, str) and isinstance(edit.at, str)
+    are_objects = isinstance(edit.arguments, dict) and isinstance(edit.info, dict)
+    has_ids = isinstance(values["episodes"], list) and all(isinstance(name, str) for name in edit.episodes)
+    if not (are_texts and are_objects and has_ids and _is_generation(edit.before) and _is_generation(edit.after)):
+        raise InvalidSetup(f"Not a line of a dataset's history: {values!r:.200}.")
+    return edit
 
 
 def read_head(root: Path) -> Head:
@@ -117,7 +138,7 @@ def read_head_file(path: Path) -> Head:
     if not path.exists():
         raise DatasetError(f"There is no dataset in {path.parent}: {path.name} is missing.")
     with disk_errors("read the dataset", path):
-        values = unsealed(path.read_bytes(), path)
+        values = unsealed(read_bytes(path), path)
     try:
         return Head.from_json(values)
     except InvalidSetup as err:

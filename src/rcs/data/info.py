@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
-import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from rcs.data.feature import Feature
+from rcs.data.json_file import MOST_DEPTH, depth_of
+from rcs.data.layout import check_name
+from rcs.data.text import check_text, check_texts
 from rcs.errors import DatasetError, InvalidSetup
 
 SCHEMA_VERSION = 2
@@ -18,6 +23,12 @@ SCHEMA_VERSION = 2
 2. is this one.
 """
 
+MERGED = "merged"
+"""Key of an origin: of each source by its name, what its episodes shared and the merged dataset's do not."""
+
+_LOWEST_FPS, _HIGHEST_FPS = 0.001, 1e6
+# Numbers in the state of a simulation: hundreds of robots have some ten thousand.
+_LARGEST_STATE = 1 << 20
 _MEANING_OF_ACTIONS = ("control", "relative")
 
 Subsampling = Literal["444", "422", "420"]
@@ -49,14 +60,17 @@ class DatasetInfo:
     """Numbers in the simulation's state per step; None where there is no simulation."""
     versions: dict[str, str] = field(default_factory=dict[str, str])
     """Versions of the software that recorded; only for people, not compared when a recording is resumed."""
+    origin: dict[str, Any] = field(default_factory=dict[str, Any])
+    """How the episodes came together, as JSON: by which `collection`, `merged` or in a `mix` of which datasets."""
 
     def __post_init__(self) -> None:
         """Refuse what could not be recorded."""
         object.__setattr__(self, "features", tuple(self.features))
-        if not math.isfinite(self.fps) or self.fps <= 0:
-            raise InvalidSetup(f"fps is {self.fps}; it must be a positive number.")
-        keys = [feature.key for feature in self.features]
-        twice = sorted({key for key in keys if keys.count(key) > 1})
+        _check_types(self)
+        if not _LOWEST_FPS <= self.fps <= _HIGHEST_FPS:
+            raise InvalidSetup(f"fps is {self.fps}; it must be from {_LOWEST_FPS} to {_HIGHEST_FPS}.")
+        keys = Counter(feature.key for feature in self.features)
+        twice = sorted(key for key, count in keys.items() if count > 1)
         if not keys or twice:
             raise InvalidSetup(f"Features must have different keys; twice: {twice}." if twice else "No features given.")
         if not 1 <= self.jpeg_quality <= 100:
@@ -65,12 +79,20 @@ class DatasetInfo:
             raise InvalidSetup(
                 f"jpeg_subsampling is {self.jpeg_subsampling!r}; valid are {', '.join(get_args(Subsampling))}."
             )
-        if self.sim_state_size is not None and self.sim_state_size < 1:
-            raise InvalidSetup(f"sim_state_size is {self.sim_state_size}; it must be at least 1, or None.")
-        try:
-            json.dumps(self.setup, allow_nan=False)
-        except (TypeError, ValueError) as err:
-            raise InvalidSetup(f"The setup of a dataset must be JSON: {err}.") from err
+        if self.sim_state_size is not None and not 1 <= self.sim_state_size <= _LARGEST_STATE:
+            raise InvalidSetup(f"sim_state_size is {self.sim_state_size}; valid is 1 to {_LARGEST_STATE}, or None.")
+        check_text(self.instruction, "The instruction")
+        for name, values in (("setup", self.setup), ("origin", self.origin), ("versions", self.versions)):
+            try:
+                text = json.dumps(values, allow_nan=False)
+            except (TypeError, ValueError, RecursionError) as err:
+                raise InvalidSetup(f"The {name} of a dataset must be JSON: {err}.") from err
+            if depth_of(json.loads(text)) > MOST_DEPTH // 2:  # with room for what a merge puts around it
+                raise InvalidSetup(
+                    f"The {name} of a dataset must not be nested more than {MOST_DEPTH // 2} levels deep."
+                )
+            check_texts(values, f"the {name}")
+        _check_origin(self.origin)
 
     def feature(self, key: str) -> Feature:
         """Return the feature with this key.
@@ -102,7 +124,7 @@ class DatasetInfo:
             fields: dict[str, Any] = {**values, "features": tuple(Feature.from_json(f) for f in values["features"])}
             return cls(**fields)
         except (KeyError, TypeError) as err:
-            raise InvalidSetup(f"Not a description of a dataset: {err}.") from err
+            raise InvalidSetup(f"Not a description of a dataset: {err!r}.") from err
 
 
 def refuse_newer_schema(version: object, what: str) -> None:
@@ -122,6 +144,44 @@ def refuse_newer_schema(version: object, what: str) -> None:
             f"This {what} has schema version {version}, and the newest known here is {SCHEMA_VERSION}. "
             "It was written by a newer version of this library; update to read it."
         )
+
+
+def _check_types(info: DatasetInfo) -> None:
+    def refuse(name: str, valid: str) -> None:
+        raise InvalidSetup(f"{name} is {getattr(info, name)!r:.80}; it must be {valid}.")
+
+    if isinstance(info.fps, bool) or not isinstance(info.fps, int | float | np.number):
+        refuse("fps", "a number")
+    if not all(isinstance(feature, Feature) for feature in info.features):
+        refuse("features", "features")
+    for name in ("jpeg_quality", "sim_state_size"):
+        value = getattr(info, name)
+        is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not is_whole and not (value is None and name == "sim_state_size"):
+            refuse(name, "a whole number")
+    for name in ("setup", "origin", "versions"):
+        if not isinstance(getattr(info, name), Mapping):
+            refuse(name, "a dictionary")
+    if not isinstance(info.jpeg_subsampling, str):
+        refuse("jpeg_subsampling", "text")
+    if not all(isinstance(version, str) for version in info.versions.values()):
+        refuse("versions", "a dictionary of texts")
+
+
+def _check_origin(origin: Mapping[str, Any]) -> None:
+    for name, part in _objects(origin, MERGED).items():
+        check_name(name, "a dataset")
+        if not isinstance(part, Mapping):
+            raise InvalidSetup(f"The origin of a dataset has {part!r:.80} in the place of what {name!r} had.")
+        _objects(part, "setup")
+        _check_origin(_objects(part, "origin"))
+
+
+def _objects(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    value = values.get(name, {})
+    if not isinstance(value, Mapping):
+        raise InvalidSetup(f"{name!r} of a dataset's origin is {value!r:.80}; it must be a dictionary.")
+    return value
 
 
 def differences(
@@ -165,6 +225,7 @@ def feature_differences(
     alike = replace(
         given,
         setup=stored.setup,
+        origin=stored.origin,
         instruction=stored.instruction,
         jpeg_quality=stored.jpeg_quality,
         jpeg_subsampling=stored.jpeg_subsampling,

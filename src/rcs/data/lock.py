@@ -16,12 +16,15 @@ from pathlib import Path
 from typing import Self
 
 from rcs.data.durable import disk_errors, write_all
+from rcs.data.layout import links_out
 from rcs.errors import DatasetError
 
 _WRITER_FILE = ".writer.lock"
 _WORKERS_FILE = ".workers.lock"
 LOCK_FILES = (_WRITER_FILE, _WORKERS_FILE)
 _ATTEMPTS = 5
+# Not through a link: who holds the lock is written into the file.
+_LOCK_FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
 
 
 class DatasetLock:
@@ -41,16 +44,17 @@ class DatasetLock:
             DatasetError: Another process writes to this dataset, or the lock file cannot be made.
         """
         with disk_errors("lock the dataset", root):
-            fd = os.open(root / _WRITER_FILE, os.O_RDWR | os.O_CREAT, 0o644)
+            _refuse_links_out(root)
+            fd = os.open(root / _WRITER_FILE, _LOCK_FILE, 0o644)
             try:
-                if not _try_lock(fd, fcntl.LOCK_EX):
+                if not try_lock(fd, fcntl.LOCK_EX):
                     raise DatasetError(
                         f"Another writer, process {_holder(root)}, has {root} open. Wait for it to end, stop it, "
                         "or choose another folder."
                     )
-                workers = os.open(root / _WORKERS_FILE, os.O_RDWR | os.O_CREAT, 0o644)
+                workers = os.open(root / _WORKERS_FILE, _LOCK_FILE, 0o644)
                 try:
-                    if not _try_lock(workers, fcntl.LOCK_EX):
+                    if not try_lock(workers, fcntl.LOCK_EX):
                         raise DatasetError(
                             f"Worker processes of an earlier collection still write to {root}. Wait for them to end."
                         )
@@ -73,8 +77,8 @@ class DatasetLock:
         with disk_errors("join the writers of the dataset", root):
             if not is_locked(root):
                 raise DatasetError(f"No writer has {root} open; open it with DatasetWriter.open before workers join.")
-            fd = os.open(root / _WORKERS_FILE, os.O_RDWR | os.O_CREAT, 0o644)
-            if not _try_lock(fd, fcntl.LOCK_SH):
+            fd = os.open(root / _WORKERS_FILE, _LOCK_FILE, 0o644)
+            if not try_lock(fd, fcntl.LOCK_SH):
                 os.close(fd)
                 raise DatasetError(f"{root} is being opened by a writer just now; join it after that.")
         return cls(fd)
@@ -97,16 +101,22 @@ class DatasetLock:
 def is_locked(root: Path) -> bool:
     """Return whether a living process has the dataset open as its writer."""
     try:
-        fd = os.open(root / _WRITER_FILE, os.O_RDONLY)
-    except FileNotFoundError:
+        fd = os.open(root / _WRITER_FILE, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:  # there is none, or none that a writer could hold
         return False
     try:
-        return not _try_lock(fd, fcntl.LOCK_SH)
+        return not try_lock(fd, fcntl.LOCK_SH)
     finally:
         os.close(fd)
 
 
-def _try_lock(fd: int, kind: int) -> bool:
+def try_lock(fd: int, kind: int) -> bool:
+    """Take a lock on an open file unless another process has it; return whether it was taken.
+
+    Args:
+        fd: The open file.
+        kind: `fcntl.LOCK_EX` or `fcntl.LOCK_SH`.
+    """
     # Whoever asks `is_locked` has the lock for some microseconds: one refusal proves nothing.
     for attempt in range(_ATTEMPTS):
         if attempt:
@@ -119,8 +129,20 @@ def _try_lock(fd: int, kind: int) -> bool:
     return False
 
 
+def _refuse_links_out(root: Path) -> None:
+    found = links_out(root)
+    if found:
+        names = ", ".join(f"{path.relative_to(root)} to {path.readlink()}" for path in found)
+        raise DatasetError(
+            f"{root} has links that lead out of it: {names}. Nothing is written through them. Put the folders "
+            "themselves in their place, or link the whole dataset."
+        )
+
+
 def _holder(root: Path) -> str:
-    return (root / _WRITER_FILE).read_text().strip() or "with an unknown id"
+    with (root / _WRITER_FILE).open("rb") as file:
+        text = file.read(32).decode(errors="replace").strip()
+    return text if text.isdecimal() else "with an unknown id"
 
 
 def _releasing(lock: weakref.ref[DatasetLock]) -> Callable[[], None]:

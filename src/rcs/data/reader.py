@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from rcs.data import parquet
+from rcs.data.about import read_about
 from rcs.data.codec import blank_frame, decode_frame
 from rcs.data.content import flat_numbers
-from rcs.data.durable import unsealed
 from rcs.data.flags import FrameFlag, flags_key
 from rcs.data.head import Head, read_head
-from rcs.data.info import DatasetInfo, refuse_newer_schema
+from rcs.data.info import DatasetInfo
 from rcs.data.layout import (
     EPISODE_FILE,
     SIM_STATE_FILE,
@@ -27,13 +28,9 @@ from rcs.data.layout import (
     episode_folder,
     generation_folder,
 )
-from rcs.data.rows import SIM_STATE
+from rcs.data.parquet import UNREADABLE, ParquetSource
+from rcs.data.rows import SIM_STATE, sim_state_schema, steps_schema
 from rcs.errors import CorruptEpisode, InvalidSetup
-
-_FRAMES_AT_A_TIME = 32
-
-UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError)
-"""What reading a damaged Parquet file raises; the last where the name of a column is damaged."""
 
 
 class EpisodeRecord:
@@ -64,14 +61,7 @@ class EpisodeRecord:
     @cached_property
     def about(self) -> dict[str, Any]:
         """All that `episode.json` says."""
-        path = self.path / EPISODE_FILE
-        try:
-            data = path.read_bytes()
-        except OSError as err:
-            raise CorruptEpisode(f"Episode {self.id!r} has no readable {path}: {err.strerror}.") from err
-        about = unsealed(data, path)
-        refuse_newer_schema(about.get("schema_version"), f"episode, {self.path},")
-        return about
+        return read_about(self.path)
 
     @property
     def seed(self) -> int | None:
@@ -204,11 +194,13 @@ class EpisodeRecord:
         last: bytes | None = None
         path = self.path / STEPS_FILE
         try:
-            with pq.ParquetFile(path, memory_map=True, page_checksum_verification=True) as file:
-                for batch in file.iter_batches(_FRAMES_AT_A_TIME, columns=[key], use_threads=False):
+            with self._opened(path) as source:
+                source.require([key])
+                for batch in source.batches([key]):
                     for image in batch.column(0).to_pylist():
-                        last = image or last or blank_frame(feature, self.info)
-                        yield last
+                        shown: bytes = image or last or blank_frame(feature, self.info)
+                        last = shown
+                        yield shown
         except UNREADABLE as err:
             raise CorruptEpisode(f"{path} does not read: {err}.") from err
 
@@ -227,11 +219,23 @@ class EpisodeRecord:
     def _read(self, name: str, columns: list[str] | None) -> pa.Table:
         path = self.path / name
         try:
-            # Not `read_table`: that takes a folder named "seed=3" for a partition and adds a column.
-            with pq.ParquetFile(path, memory_map=True, page_checksum_verification=True) as file:
-                return file.read(columns=columns, use_threads=False)
+            with self._opened(path) as source:
+                return source.table(columns)
         except UNREADABLE as err:
             raise CorruptEpisode(f"{path} does not read: {err}.") from err
+
+    @contextlib.contextmanager
+    def _opened(self, path: Path) -> Generator[ParquetSource]:
+        """Open a file of this episode, if it has the rows and columns that are said."""
+        schema = steps_schema(self.info)
+        if path.name == SIM_STATE_FILE:
+            schema = sim_state_schema(self.info.sim_state_size or 1)
+        with parquet.opened(path, mapped=True) as source:
+            if source.rows != self.length:
+                raise CorruptEpisode(f"{path} has {source.rows} rows, and {EPISODE_FILE} says {self.length}.")
+            if not source.file.schema_arrow.equals(schema):
+                raise CorruptEpisode(f"{path} has other columns than the dataset says.")
+            yield source
 
 
 class Dataset:
@@ -306,6 +310,16 @@ class Dataset:
             tables.append(pa.Table.from_arrays([*place, *whole], schema=tables[0].schema))
         return pa.concat_tables(tables)
 
+    def __iter__(self) -> Iterator[EpisodeRecord]:
+        """Yield the complete episodes, sorted by id."""
+        return iter(self.episodes)
+
+    def __contains__(self, episode: object) -> bool:
+        """Return whether there is a complete episode of an id, or a record is one of them."""
+        if isinstance(episode, EpisodeRecord):
+            return episode in self.episodes
+        return episode in self._by_id
+
     def __len__(self) -> int:
         """Return how many complete episodes there are."""
         return len(self.episodes)
@@ -316,10 +330,15 @@ class Dataset:
         Raises:
             InvalidSetup: There is none.
         """
-        for episode in self.episodes:
-            if episode.id == episode_id:
-                return episode
-        raise InvalidSetup(f"There is no episode {episode_id!r} in {self.path}, which has {len(self)} episodes.")
+        try:
+            return self._by_id[episode_id]
+        except KeyError:
+            known = f"which has {len(self)} episodes"
+            raise InvalidSetup(f"There is no episode {episode_id!r} in {self.path}, {known}.") from None
+
+    @cached_property
+    def _by_id(self) -> dict[str, EpisodeRecord]:
+        return {episode.id: episode for episode in self.episodes}
 
 
 def _last_valid(column: pa.ChunkedArray) -> NDArray[np.intp]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from rcs.data.compact import compact, publish
-from rcs.data.durable import disk_errors, remove_folder, sync_folder, unsealed, write_file
+from rcs.data.durable import disk_errors, remove_folder, remove_tree, sync_folder, unsealed, write_file
 from rcs.data.head import Head, read_head, read_head_file
 from rcs.data.info import DatasetInfo
+from rcs.data.json_file import read_bytes
 from rcs.data.layout import (
     ABORTED_FILE,
     COPY_FILE,
@@ -84,7 +84,7 @@ def settle_leftovers(root: Path, head: Head, leftovers: Leftovers) -> RecoverRep
     with disk_errors("remove what discarded episodes left", root):
         base = generation_folder(root, head.generation)
         for folder in (*trash_folders(base), *unreachable_generations(root, head)):
-            shutil.rmtree(folder)
+            remove_tree(folder)
         for name in (DATASET_FILE, COPY_FILE):
             (root / f"{name}.tmp").unlink(missing_ok=True)
         _renew_copy(root)
@@ -107,8 +107,8 @@ def _renew_copy(root: Path) -> None:
         read_head_file(root / DATASET_FILE)
     except (CorruptEpisode, DatasetError):
         return  # the copy is what is left
-    data = (root / DATASET_FILE).read_bytes()
-    if not (root / COPY_FILE).exists() or (root / COPY_FILE).read_bytes() != data:
+    data = read_bytes(root / DATASET_FILE)
+    if not (root / COPY_FILE).is_file() or (root / COPY_FILE).read_bytes() != data:
         write_file(root / COPY_FILE, data)
         sync_folder(root)
 
@@ -121,6 +121,8 @@ def unreachable_generations(root: Path, head: Head) -> list[Path]:
 
 def _settle(base: Path, info: DatasetInfo, episode_id: str, leftovers: Leftovers) -> str:
     folder = open_folder(base, episode_id)
+    if folder.is_symlink() or not folder.is_dir():
+        raise CorruptEpisode(f"{folder} is no folder but {'a link' if folder.is_symlink() else 'a file'}")
     with disk_errors(f"recover episode {episode_id!r}", folder):
         (folder / f"{EPISODE_FILE}.tmp").unlink(missing_ok=True)
         (folder / f"{ABORTED_FILE}.tmp").unlink(missing_ok=True)
@@ -143,8 +145,8 @@ def _settle(base: Path, info: DatasetInfo, episode_id: str, leftovers: Leftovers
 def _aborted(folder: Path) -> dict[str, Any]:
     path = folder / ABORTED_FILE
     try:
-        return {"aborted": unsealed(path.read_bytes(), path)["reason"]}
-    except FileNotFoundError:
-        return {}
-    except (CorruptEpisode, KeyError, DatasetError):
+        if not path.exists():
+            return {}
+        return {"aborted": str(unsealed(read_bytes(path), path)["reason"])}
+    except (CorruptEpisode, KeyError):
         return {"aborted": "for a reason that was not stored"}

@@ -15,7 +15,10 @@ from typing import Any
 
 import pyarrow as pa
 
+from rcs.data.about import MOST_SEED
 from rcs.data.durable import disk_errors, write_all
+from rcs.data.text import mended_text
+from rcs.errors import CorruptEpisode
 
 _HEADER = b"rcs"
 
@@ -43,13 +46,23 @@ class EpisodeHeader:
     def from_metadata(cls, metadata: dict[bytes, bytes]) -> EpisodeHeader:
         """Build the header from what `to_metadata` returned.
 
+        What is no text in it, as versions before this one let in, is replaced, so that the rows are not lost for it.
+
         Raises:
-            ValueError: There is no header in the metadata.
+            ValueError: There is no header in the metadata, or one that says what cannot be.
         """
+        given = json.loads(mended_text(json.dumps(json.loads(metadata.get(_HEADER, b"{}")), ensure_ascii=False)))
         try:
-            return cls(**json.loads(metadata[_HEADER]))
-        except (KeyError, TypeError) as err:
+            header = cls(**given)
+        except TypeError as err:
             raise ValueError(f"no header of an episode: {err!r}") from err
+        texts = [header.id, header.instruction, header.started]
+        has_seed = header.seed is None or (type(header.seed) is int and abs(header.seed) < MOST_SEED)
+        if not (has_seed and isinstance(header.versions, dict)):
+            raise ValueError(f"no header of an episode: {given!r:.200}")
+        if not all(isinstance(text, str) for text in [*texts, *header.versions.values()]):
+            raise ValueError(f"no header of an episode: {given!r:.200}")
+        return header
 
 
 class StreamWriter:
@@ -119,13 +132,15 @@ class StreamReader:
         with disk_errors("read the rows of an open episode", path):
             if path.stat().st_size == 0:
                 return
+            if not path.is_file():
+                raise CorruptEpisode(f"{path} is no file.")
             source = pa.memory_map(str(path), "r")
         try:
             self._reader = pa.ipc.open_stream(source)
             schema = self._reader.schema
             self.header = EpisodeHeader.from_metadata(schema.metadata or {})
             self.schema = schema.remove_metadata()
-        except (pa.ArrowException, OSError, ValueError):
+        except (pa.ArrowException, OSError, ValueError, RecursionError):
             self._reader = None
             self.is_torn = True
 

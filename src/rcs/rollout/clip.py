@@ -8,10 +8,10 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-import simplejpeg
 from numpy.typing import NDArray
 
 from rcs.data import EpisodeRecord
+from rcs.data.codec import decode_small_jpeg
 
 HEIGHT = 224
 """The largest height of a clip [px]."""
@@ -38,14 +38,14 @@ def encode_clip(episode: EpisodeRecord) -> bytes | None:
     if not keys:
         return None
     stride = max(1, round(episode.info.fps / _FPS))
-    heights = [episode.info.feature(key).shape[0] for key in keys]
+    shapes = [episode.info.feature(key).shape for key in keys]
     columns = [list(episode.encoded_frames(key))[::stride] for key in keys]
     rate = Fraction(max(1, round(1000 * episode.info.fps / stride)), 1000)
     target = io.BytesIO()
     with av.open(target, "w", format="mp4") as container:
         stream: Any = None
         for jpegs in zip(*columns, strict=True):
-            image = _side_by_side([_small(jpeg, height) for jpeg, height in zip(jpegs, heights, strict=True)])
+            image = _side_by_side([_small(jpeg, shape) for jpeg, shape in zip(jpegs, shapes, strict=True)])
             if stream is None:
                 options = {"preset": "veryfast", "crf": "30", "tune": "fastdecode"}
                 stream = container.add_stream("libx264", rate=rate, options=options)
@@ -58,11 +58,11 @@ def encode_clip(episode: EpisodeRecord) -> bytes | None:
     return target.getvalue() or None
 
 
-def _small(jpeg: bytes, height: int) -> NDArray[np.uint8]:
+def _small(jpeg: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     # The decoder can shrink to any eighth while it decodes, which is faster and finer than leaving out pixels later.
-    eighths = [-(-height * k // 8) for k in range(1, 9)]
+    eighths = [-(-shape[0] * k // 8) for k in range(1, 9)]
     wanted = max([h for h in eighths if h <= HEIGHT], default=eighths[0])
-    image = simplejpeg.decode_jpeg(jpeg, "RGB", fastdct=True, fastupsample=True, min_height=wanted)
+    image = decode_small_jpeg(jpeg, shape, wanted)
     stride = -(-image.shape[0] // HEIGHT)
     return image[::stride, ::stride]
 

@@ -7,6 +7,7 @@ resumption change nothing in the data.
 from __future__ import annotations
 
 import logging
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -28,6 +29,9 @@ from rcs.spatial import Pose
 
 _log = logging.getLogger(__name__)
 
+# The id of an attempt, as `episode_id` makes it.
+_ATTEMPT = re.compile(r"\d{6,}")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Collection:
@@ -37,7 +41,7 @@ class Collection:
     out: Path
     """The dataset's folder."""
     episodes: int
-    """How many episodes the dataset shall have in the end."""
+    """How many episodes the dataset shall have in the end; those count that the task has judged."""
     seed: int = 0
     """Same seed, same data."""
     only_success: bool = False
@@ -81,7 +85,9 @@ class Progress:
     kept: int = 0
     """Episodes in the dataset, with those of earlier runs."""
     found: int = 0
-    """Episodes that were there at the start."""
+    """Episodes that were there at the start, and complete."""
+    again: int = 0
+    """Attempts that were there in part, cut short by a kill, and are made again from their start."""
     attempts: list[Attempt] = field(default_factory=list[Attempt])
     """Attempts of this run, in the order in which they ended."""
     is_interrupted: bool = False
@@ -150,6 +156,8 @@ def expert_for(env: Env, setup: Setup) -> Agent:
 def collect(collection: Collection, progress: Progress, env: Env | None = None) -> Iterator[Attempt]:
     """Collect until the dataset is complete, yielding every attempt as it ends.
 
+    Attempts that an earlier collection left half done, recovered or not, are made again from their start.
+
     Closing the iterator, or setting `progress.is_interrupted`, ends the collection after the episodes at work; the
     dataset stays resumable.
 
@@ -169,9 +177,10 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
         info = dataset_info(env, collection.setup, colour=collection.colour, jpeg_quality=collection.jpeg_quality)
         # How an episode is numbered and seeded is part of what makes two collections the same.
         made = {"seed": collection.seed, "only_success": collection.only_success}
-        info = replace(info, setup={**info.setup, "collection": made})
+        info = replace(info, origin={"collection": made})
         with DatasetWriter.open(collection.out, info, resume=True, leftovers="discard") as writer:
-            taken = {episode.id for episode in Dataset.open(collection.out).episodes}
+            progress.again = _remove_fragments(writer)
+            taken = {episode.id for episode in Dataset.open(collection.out)}
             progress.kept = progress.found = len(taken)
             start = time.perf_counter()
             numbers = _numbers(collection, progress, taken)
@@ -185,6 +194,18 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
                 progress.seconds = time.perf_counter() - start
     finally:
         env.close()
+
+
+def _remove_fragments(writer: DatasetWriter) -> int:
+    """Remove the attempts that no task judged, and return how many there were.
+
+    A kill cut these short, and they were recovered since. An attempt depends on the seed and its number alone, so all
+    their rows are recorded again, and the dataset becomes that of a collection that nothing ended.
+    """
+    fragments = [e.id for e in Dataset.open(writer.path) if e.success is None and _ATTEMPT.fullmatch(e.id)]
+    for name in fragments:
+        writer.remove_episode(name)
+    return len(fragments)
 
 
 def _numbers(collection: Collection, progress: Progress, taken: set[str]) -> Iterator[int]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rcs.data import DatasetInfo, DatasetWriter, EpisodeRecord
-from rcs.data.convert.output import new_output
+from rcs.data.output import new_output
 from rcs.errors import InvalidSetup
 from rcs.rollout.pool import Worker, WorkerPool
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from rcs.data import Dataset, DatasetInfo
-from rcs.data.edit.combine import MERGED
+from rcs.data.info import MERGED
 from rcs.envs.assemble import Parts, assemble
 from rcs.envs.draws import Draws
 from rcs.envs.env import Env
@@ -30,8 +30,6 @@ LOOKS = (
 """Fields of a randomisation that change pictures and nothing else."""
 RECORDED = "recorded"
 """Key in a dataset's setup: the setup that the states came from, where frames were drawn anew with another one."""
-EXTRAS = ("collection", MERGED, RECORDED)
-"""Keys in a dataset's setup that are not fields of `Setup`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,14 +192,14 @@ def setup_of(dataset: Dataset) -> Setup:
         InvalidSetup: The dataset has none, or one of another version, or was merged from datasets of several.
     """
     setup = dataset.info.setup
-    for name, part in setup.get(MERGED, {}).items():
-        different = [key for key in part["setup"] if key not in setup and key != "collection"]
+    for name, part in dataset.info.origin.get(MERGED, {}).items():
+        different = [key for key in part.get("setup", {}) if key not in setup]
         if different:
             raise InvalidSetup(
                 f"{dataset.path} was merged from datasets whose setups differ in {', '.join(different)} ({name} is one "
                 "of them). Split it and replay each part."
             )
-    return Setup.from_json({key: value for key, value in setup.items() if key not in EXTRAS})
+    return Setup.from_json({key: value for key, value in setup.items() if key != RECORDED})
 
 
 def physics_of(dataset: Dataset) -> Setup:

@@ -20,12 +20,10 @@ from numpy.typing import NDArray
 
 from rcs.data import Dataset, EpisodeRecord
 from rcs.data.durable import disk_errors, write_file
-from rcs.data.wilson import wilson_interval
+from rcs.data.verdicts import Verdicts
 from rcs.errors import CorruptEpisode
 from rcs.rollout.clip import colour_cameras, encode_clip
 from rcs.rollout.plot import line_plot
-
-__all__ = ["wilson_interval", "write_report"]
 
 _TEMPLATE = Path(__file__).with_name("report_template.html")
 # Up to here every episode has its clip and plots in the page; above, the first ones and failures have.
@@ -131,11 +129,11 @@ def _in_detail(facts: Sequence[_Facts]) -> list[int]:
 
 
 def _tiles(dataset: Dataset, facts: Sequence[_Facts], wall_time: float | None) -> Iterable[str]:
-    judged = [episode for episode in facts if episode.success is not None]
-    wins = sum(episode.success is True for episode in judged)
+    verdicts = _verdicts(facts)
     rows = sum(episode.length for episode in facts)
     yield _tile(f"{len(facts)}", "episodes")
-    yield _tile(f"{100 * wins / len(judged):.1f} %" if judged else "\N{EN DASH}", f"success, {wins} of {len(judged)}")
+    rate = "\N{EN DASH}" if verdicts.rate is None else f"{100 * verdicts.rate:.1f} %"
+    yield _tile(rate, f"success, {verdicts.succeeded} of {verdicts.judged} judged")
     yield _tile(f"{rows:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"), f"rows at {dataset.info.fps:g} Hz")
     cameras = len(colour_cameras(facts[0].record)) if facts else 0
     yield _tile(str(cameras), "colour camera" if cameras == 1 else "colour cameras")
@@ -150,18 +148,20 @@ def _tile(value: str, name: str) -> str:
     return f'<div class="tile"><b>{html.escape(value)}</b><span>{html.escape(name)}</span></div>'
 
 
+def _verdicts(facts: Sequence[_Facts]) -> Verdicts:
+    return Verdicts.of(episode.success for episode in facts)
+
+
 def _success(facts: Sequence[_Facts]) -> str:
-    judged = [episode for episode in facts if episode.success is not None]
-    if not judged:
+    verdicts = _verdicts(facts)
+    if verdicts.rate is None:
         return '<p class="note">No episode was judged.</p>'
-    wins = sum(episode.success is True for episode in judged)
-    low, high = wilson_interval(wins, len(judged))
-    rate = wins / len(judged)
+    (low, high), rate = verdicts.interval, verdicts.rate
     words = (
-        f"<b>{wins} of {len(judged)}</b> episodes succeeded: {100 * rate:.1f} %, "
+        f"<b>{verdicts.succeeded} of {verdicts.judged}</b> judged episodes succeeded: {100 * rate:.1f} %, "
         f"95 % interval {100 * low:.1f} to {100 * high:.1f} % (Wilson)."
     )
-    others = len(facts) - len(judged)
+    others = verdicts.not_judged
     note = f'<p class="note">Not counted, for nobody judged them or they are damaged: {others}.</p>' if others else ""
     return (
         f'{words}<div class="interval"><i style="left:{100 * low:.2f}%;right:{100 - 100 * high:.2f}%"></i>'
@@ -174,9 +174,9 @@ def _failures(facts: Sequence[_Facts]) -> str:
     classes = Counter(episode.failure for episode in facts if episode.failure is not None)
     if not classes:
         return '<p class="note">No episode failed.</p>'
-    most = max(classes.values())
+    most, judged = max(classes.values()), _verdicts(facts).judged
     rows = [
-        f"<tr><td>{html.escape(name)}</td><td>{n}</td><td>{100 * n / len(facts):.1f} %</td>"
+        f"<tr><td>{html.escape(name)}</td><td>{n}</td><td>{100 * n / judged:.1f} %</td>"
         f'<td class="bar"><i style="width:{100 * n / most:.1f}%"></i></td></tr>'
         for name, n in classes.most_common()
     ]
@@ -186,8 +186,8 @@ def _failures(facts: Sequence[_Facts]) -> str:
 def _quality(facts: Sequence[_Facts], *, is_live: bool) -> str:
     qualities = [episode.about["quality"] for episode in facts if not episode.damage]
     periods = [episode.period for episode in facts if episode.period]
-    cameras = [camera for quality in qualities for camera in quality["cameras"].values()]
-    captures = [camera["repeated_captures"] for camera in cameras if camera["repeated_captures"] is not None]
+    cameras = [camera for quality in qualities for camera in (quality.get("cameras") or {}).values()]
+    captures = [camera["repeated_captures"] for camera in cameras if camera.get("repeated_captures") is not None]
     rows: list[tuple[str, str]] = []
     mean = float(np.mean([period["mean"] for period in periods])) if periods else 0.0
     if periods and not is_live:
@@ -207,7 +207,7 @@ def _quality(facts: Sequence[_Facts], *, is_live: bool) -> str:
     else:
         rows.append(("Period", "not measured"))
     if cameras:
-        rows.append(("Images like the one before", str(sum(camera["repeated_images"] for camera in cameras))))
+        rows.append(("Images like the one before", str(sum(camera.get("repeated_images") or 0 for camera in cameras))))
         rows.append(("Captures recorded twice", str(sum(captures)) if captures else "not measured"))
     recovered = sum(bool(episode.about["outcome"].get("recovered")) for episode in facts if not episode.damage)
     rows.append(("Recovered after a crash", str(recovered)))
@@ -243,7 +243,8 @@ def _row(episode: _Facts, detail: str | None, *, is_live: bool) -> str:
     why = episode.failure or episode.about.get("outcome", {}).get("aborted") or episode.damage
     cells = (
         f'<span class="badge {kind}">{episode.verdict}</span><span class="id">{html.escape(episode.record.id)}</span>'
-        f'<span class="wide dim">{seed}</span><span>{episode.length} rows</span><span class="wide dim">{seconds}</span>'
+        f'<span class="wide dim">{html.escape(seed)}</span><span>{episode.length} rows</span>'
+        f'<span class="wide dim">{seconds}</span>'
         f'<span class="wide dim">{html.escape(str(why))}</span>'
     )
     text = html.escape(f"{episode.record.id} {seed} {why} {episode.verdict}".lower())

@@ -224,11 +224,10 @@ def _info(recorded: DatasetInfo, env: Env, stage: Stage, physics: Setup) -> Data
     cameras = [*camera_names(recorded), *camera_names(fresh)]
     kept = {f.key: f for f in recorded.features if not is_of_camera(f.key, cameras)}
     features = [kept.pop(f.key, f) for f in fresh.features if f.key in kept or is_of_camera(f.key, cameras)]
-    others = {key: value for key, value in recorded.setup.items() if key == "collection"}
     return replace(
         recorded,
         features=(*features, *kept.values()),
-        setup={**others, **fresh.setup},
+        setup=fresh.setup,
         jpeg_quality=fresh.jpeg_quality,
         versions={**recorded.versions, **versions()},
     )

@@ -220,12 +220,12 @@ def test_what_is_no_file_of_robomimic_is_told(dataset: Path, tmp_path: Path) -> 
     with pytest.raises(InvalidSetup, match="no episodes"):
         import_robomimic(tmp_path / "empty.hdf5", tmp_path / "back")
     (tmp_path / "text.hdf5").write_text("words")
-    with pytest.raises(DatasetError, match="Could not read"):
+    with pytest.raises(CorruptEpisode, match="does not read"):
         import_robomimic(tmp_path / "text.hdf5", tmp_path / "back")
     export_robomimic(Dataset.open(dataset), tmp_path / "cut.hdf5")
     cut = (tmp_path / "cut.hdf5").read_bytes()
     (tmp_path / "cut.hdf5").write_bytes(cut[: len(cut) // 2])
-    with pytest.raises(DatasetError, match="Could not read"):
+    with pytest.raises(CorruptEpisode, match="does not read"):
         import_robomimic(tmp_path / "cut.hdf5", tmp_path / "back")
     assert not (tmp_path / "back").exists()
 

@@ -47,7 +47,7 @@ def test_a_mix_has_as_many_of_each_as_asked_and_says_where_each_came_from(
         assert source["digest"] == datasets[source["dataset"]].digest()
         assert episode.content_hash == before.content_hash
         np.testing.assert_array_equal(episode.column(RGB), before.column(RGB))
-    assert mixed.info.setup["mix"] == {"seed": 5, "parts": {"real": 3, "sim": 4}}
+    assert mixed.info.origin["mix"] == {"seed": 5, "parts": {"real": 3, "sim": 4}}
     assert mixed.info.sim_state_size is None  # states of two simulations are in no one
 
 
@@ -62,7 +62,7 @@ def test_the_seed_decides_which(tmp_path: Path, real: Path, sim: Path) -> None:
 
 def test_shares_are_of_the_total(tmp_path: Path, real: Path, sim: Path) -> None:
     mixed = mix([Part(path=real, share=1), Part(path=sim, share=2)], tmp_path / "mix", total=6)
-    assert mixed.info.setup["mix"]["parts"] == {"real": 2, "sim": 4}
+    assert mixed.info.origin["mix"]["parts"] == {"real": 2, "sim": 4}
 
 
 @pytest.mark.parametrize(

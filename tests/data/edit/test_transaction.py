@@ -54,7 +54,7 @@ def test_a_killed_merge_leaves_nothing_or_all_of_the_new_dataset(tmp_path: Path,
     source = make_dataset(tmp_path / "set", [4, 3])
     subprocess.run([sys.executable, HERE / "kill_every_edit.py", source, tmp_path, "merge"], check=True, timeout=100)
     merged = [path for path in tmp_path.iterdir() if path.name.endswith("-merged")]
-    assert 1 <= len(merged) <= 3
+    assert 1 <= len(merged) <= 6  # of kills after it was put in place
     for path in merged:
         assert check(path).is_ok
         assert len(Dataset.open(path)) == 4

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
+from rcs.cli.console import plain_console
 from rcs.data import CheckReport, check
 from rcs.data.check.dataset import OnProgress
 from rcs.data.check.repair import RepairReport, repair
@@ -62,11 +62,11 @@ def _document(report: CheckReport, mended: RepairReport | None) -> dict[str, obj
 
 
 def _show(report: CheckReport, mended: RepairReport | None) -> None:
-    console = Console(soft_wrap=True)
+    console = plain_console()
     if not console.is_terminal:
-        console = Console(width=_WIDE, soft_wrap=True)
+        console = plain_console(width=_WIDE)
     if mended is not None:
-        console.print(str(mended), highlight=False, markup=False)
+        console.print(str(mended))
     if report.findings:
         table = Table("", "episode", "file", "rows", "what", box=None, pad_edge=False)
         for finding in report.findings:
@@ -75,12 +75,12 @@ def _show(report: CheckReport, mended: RepairReport | None) -> None:
             table.add_row(kind, *map(Text, (finding.episode or "", finding.file, place, finding.message)))
         console.print(table)
     for note in report.notes:
-        console.print(f"note: {note}", highlight=False, markup=False)
-    console.print(report.summary, highlight=False, markup=False)
+        console.print(f"note: {note}")
+    console.print(report.summary)
 
 
 @contextmanager
 def _progress(doing: str) -> Generator[OnProgress]:
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with Progress(console=plain_console(stderr=True, soft_wrap=False), transient=True) as bar:
         task = bar.add_task(doing, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)

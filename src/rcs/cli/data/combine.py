@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
+from rcs.cli.console import plain_console
 from rcs.cli.data.edit import progress
 from rcs.data import Dataset, edit
+from rcs.data.verdicts import Verdicts
 from rcs.errors import InvalidSetup
 
 
@@ -96,10 +97,10 @@ def _number(text: str, share: str) -> float:
 
 
 def _tell(made: list[Dataset]) -> int:
-    table = Table("dataset", "episodes", "rows", "successful", box=None, pad_edge=False)
+    table = Table("dataset", "episodes", "rows", "succeeded", "failed", "not judged", box=None, pad_edge=False)
     for dataset in made:
         rows = sum(episode.length for episode in dataset.episodes)
-        good = sum(episode.success is True for episode in dataset.episodes)
-        table.add_row(str(dataset.path), str(len(dataset)), str(rows), str(good))
-    Console(soft_wrap=True).print(table)
+        how = Verdicts.of(episode.success for episode in dataset)
+        table.add_row(*map(str, (dataset.path, len(dataset), rows, how.succeeded, how.failed, how.not_judged)))
+    plain_console().print(table)
     return 0

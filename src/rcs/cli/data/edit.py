@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Literal
 
 import tyro
-from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from rcs.cli.console import plain_console
 from rcs.data import Dataset, edit
 from rcs.data.edit.transaction import OnProgress
 from rcs.errors import InvalidSetup
 
-Which = Literal["listed", "failed", "successful", "unknown"]
-_VERDICTS: dict[str, bool | None] = {"failed": False, "successful": True, "unknown": None}
+Which = Literal["listed", "failed", "successful", "unjudged"]
+_VERDICTS: dict[str, bool | None] = {"failed": False, "successful": True, "unjudged": None}
 
 
 @dataclass(kw_only=True)
@@ -159,7 +159,7 @@ class UndoCommand:
     def run(self) -> int:
         """Undo and say what."""
         line = edit.undo(self.path)
-        Console(soft_wrap=True).print(f"Took back {line.command} of {line.at}.", highlight=False, markup=False)
+        plain_console().print(f"Took back {line.command} of {line.at}.")
         return _tell(self.path)
 
 
@@ -176,7 +176,7 @@ class HistoryCommand:
         for line in Dataset.open(self.path).head.history:
             given = ", ".join(f"{key}={value}" for key, value in line.arguments.items() if value is not None)
             table.add_row(line.at, line.command, given, str(len(line.episodes)))
-        Console(soft_wrap=True).print(table, markup=False)
+        plain_console().print(table)
         return 0
 
 
@@ -190,14 +190,14 @@ class PruneCommand:
     def run(self) -> int:
         """Prune and say how much became free."""
         freed = edit.prune(self.path)
-        Console(soft_wrap=True).print(f"{freed / 1e6:.1f} MB are free.", highlight=False)
+        plain_console().print(f"{freed / 1e6:.1f} MB are free.")
         return 0
 
 
 @contextmanager
 def progress(doing: str) -> Generator[OnProgress]:
     """Show a bar while the block runs; give what moves it."""
-    with Progress(console=Console(stderr=True)) as bar:
+    with Progress(console=plain_console(stderr=True, soft_wrap=False)) as bar:
         task = bar.add_task(doing, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
@@ -206,5 +206,5 @@ def _tell(path: Path) -> int:
     dataset = Dataset.open(path)
     rows = sum(episode.length for episode in dataset.episodes)
     text = f"{len(dataset)} episodes, {rows} rows at {dataset.info.fps:g} Hz. `rcs data undo {path}` takes it back."
-    Console(soft_wrap=True).print(text, highlight=False, markup=False)
+    plain_console().print(text)
     return 0

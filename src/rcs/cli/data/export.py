@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import tyro
-from rich.console import Console
 from rich.progress import Progress
 
+from rcs.cli.console import plain_console
 from rcs.data import Dataset
 from rcs.data.convert.formats import export_format
 from rcs.data.convert.options import ExportOptions
@@ -28,7 +28,7 @@ class ExportCommand:
 
     def run(self) -> int:
         """Export and print what was written."""
-        console = Console(soft_wrap=True)
+        console = plain_console()
         write = export_format(self.format)
         with Progress(console=console, transient=True) as progress:
             bar = progress.add_task(f"Exporting to {self.format}", total=None)
@@ -41,8 +41,7 @@ class ExportCommand:
         console.print(
             f"{report.episodes} episodes, {report.steps} steps, {report.frames} images, "
             f"{report.bytes_written / 1e6:.1f} MB: {report.path}",
-            highlight=False,
         )
         for note in report.notes:
-            console.print(f"Note: {note}", highlight=False, markup=False)
+            console.print(f"Note: {note}")
         return 0

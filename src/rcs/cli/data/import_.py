@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from rich.console import Console
 from rich.progress import Progress
 
+from rcs.cli.console import plain_console
 from rcs.data.convert.formats import import_format
 from rcs.data.convert.options import ImportOptions
+from rcs.data.verdicts import Verdicts
 
 
 @dataclass(kw_only=True)
@@ -28,7 +29,7 @@ class ImportCommand:
 
     def run(self) -> int:
         """Import and print what was made."""
-        console = Console(soft_wrap=True)
+        console = plain_console()
         read = import_format(self.format, self.source)
         with Progress(console=console, transient=True) as progress:
             bar = progress.add_task("Importing", total=None)
@@ -38,8 +39,9 @@ class ImportCommand:
             )
             dataset = read(self.source, self.out, options)
         rows = sum(episode.length for episode in dataset.episodes)
-        console.print(f"{len(dataset)} episodes, {rows} rows: {dataset.path}", highlight=False, markup=False)
+        console.print(f"{len(dataset)} episodes, {rows} rows: {dataset.path}")
+        console.print(f"Success: {Verdicts.of(episode.success for episode in dataset)}")
         imported: dict[str, Any] = dataset.info.setup.get("imported", {})
         for name, reason in imported.get("left_out", {}).items():
-            console.print(f"Note: {name} was left out: {reason}.", highlight=False, markup=False)
+            console.print(f"Note: {name} was left out: {reason}.")
         return 0

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
+from rcs.cli.console import plain_console
 from rcs.data import Dataset
-from rcs.data.wilson import wilson_interval
+from rcs.data.verdicts import Verdicts
 
 
 @dataclass(kw_only=True)
@@ -23,19 +23,23 @@ class InfoCommand:
 
     def run(self) -> int:
         """Print it."""
-        console = Console(soft_wrap=True)
+        console = plain_console()
         dataset = Dataset.open(self.path)
         episodes = dataset.episodes
-        good = sum(episode.success is True for episode in episodes)
+        verdicts = Verdicts.of(episode.success for episode in episodes)
         steps = sum(episode.length for episode in episodes)
-        low, high = wilson_interval(good, len(episodes)) if episodes else (0.0, 1.0)
-        failures = Counter(str(episode.outcome.get("failure")) for episode in episodes if episode.success is False)
+        failures = Counter(
+            str(episode.outcome.get("failure") or "not classified") for episode in episodes if episode.success is False
+        )
         table = Table(show_header=False, box=None, pad_edge=False)
         table.add_row("dataset", str(dataset.path))
         table.add_row("instruction", dataset.info.instruction)
         table.add_row("episodes", str(len(episodes)))
-        table.add_row("success", f"{good} (95 % Wilson interval {100 * low:.1f} to {100 * high:.1f} %)")
-        table.add_row("failures", ", ".join(f"{name} {count}" for name, count in failures.most_common()) or "none")
+        table.add_row("success", str(verdicts))
+        if verdicts.judged and verdicts.not_judged:
+            table.add_row("not judged", str(verdicts.not_judged))
+        if verdicts.judged:
+            table.add_row("failures", ", ".join(f"{name} {count}" for name, count in failures.most_common()) or "none")
         table.add_row("rows", f"{steps} at {dataset.info.fps:g} Hz = {steps / dataset.info.fps / 60:.1f} min")
         table.add_row("content", f"sha256 {dataset.digest()}")
         console.print(table)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.console import Console
 
+from rcs.cli.console import plain_console
 from rcs.data import recover
 
 
@@ -21,5 +21,5 @@ class RecoverCommand:
     def run(self) -> int:
         """Recover and print what was done."""
         report = recover(self.path)
-        Console(soft_wrap=True).print(str(report), highlight=False, markup=False)
+        plain_console().print(str(report))
         return 0

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from rcs.cli.console import plain_console
 from rcs.data import Dataset
 from rcs.envs.setup import Relative
 from rcs.envs.spaces import Control
@@ -104,12 +105,12 @@ class ReplayCommand:
     def run(self) -> int:
         """Replay, tell how it went and return the exit code."""
         self._check_options()
-        told = Console(soft_wrap=True)
+        told = plain_console()
         started = time.perf_counter()
-        results = list(self._track(self._replay(), Console(stderr=True) if self.json else told))
+        results = list(self._track(self._replay(), plain_console(stderr=True, soft_wrap=False) if self.json else told))
         seconds = time.perf_counter() - started
         if self.json:
-            told.out(json.dumps(self._as_json(results, seconds), indent=1), highlight=False)
+            told.out(json.dumps(self._as_json(results, seconds), indent=1))
         else:
             self._tell(results, seconds, told)
         return 1 if self.mode == "check" and not all(result.is_equal for result in results) else 0
@@ -204,14 +205,14 @@ class ReplayCommand:
         else:
             _print_wide(success_table(ordered), console)
             told = _count(ordered)
-        console.print(told, highlight=False)
+        console.print(told)
         if self.out is not None:
-            console.print(f"Dataset: {self.out}", highlight=False)
+            console.print(f"Dataset: {self.out}")
 
 
 def _print_wide(table: Table, console: Console) -> None:
     """Print a table in full, also where the terminal is narrow or there is none."""
-    Console(width=max(console.width, WIDTH), soft_wrap=True).print(table, highlight=False)
+    plain_console(width=max(console.width, WIDTH)).print(table)
 
 
 def divergence_table(results: list[ReexecutionResult]) -> Table:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.console import Console
 from rich.progress import Progress
 
+from rcs.cli.console import plain_console
 from rcs.data import Dataset
 from rcs.data.view import ClipOptions, Codec, write_view
 from rcs.data.view.rerun import write_rerun
@@ -40,7 +40,7 @@ class ViewCommand:
 
     def run(self) -> int:
         """Write the page, or the recording, and say where it is."""
-        console = Console(soft_wrap=True)
+        console = plain_console()
         dataset = Dataset.open(self.path)
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("Writing" if self.rerun else "Rendering", total=None)
@@ -50,7 +50,7 @@ class ViewCommand:
 
             lines = self._record(dataset, self.rerun, tell) if self.rerun else self._render(dataset, tell)
         for line in lines:
-            console.print(line, highlight=False, markup=False)
+            console.print(line)
         return 0
 
     def _record(self, dataset: Dataset, path: Path, tell: Callable[[int, int], None]) -> list[str]:

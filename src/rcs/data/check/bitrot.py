@@ -11,10 +11,13 @@ import hashlib
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from rcs.data.durable import unsealed
+from rcs.data.durable import is_sealed, unsealed
+from rcs.data.json_file import MOST_DEPTH
+from rcs.data.page_heads import page_head, thrift_struct
 from rcs.errors import CorruptEpisode
 
 # More than this is not tried bit by bit: each of 8 bits of 8192 bytes is a second or two.
@@ -25,11 +28,8 @@ _MAGIC = 4
 _TAIL = 8
 # Longer than the head of any page here, which has no statistics.
 _PAGE_HEAD = 48
-# Numbers of fields in `parquet.thrift` of Apache Parquet: of the footer, a row group, a column in it, its description,
-# and the head of a page.
+# Numbers of fields in `parquet.thrift` of Apache Parquet: of the footer, a row group, a column in it, its description.
 _GROUPS, _COLUMNS, _META, _SIZE, _START = 4, 1, 3, 7, 9
-_PAGE_SIZE, _PAGE_CRC = 3, 4
-_TRUE, _FALSE = 1, 2
 
 
 def mended_json(data: bytes, path: Path) -> dict[str, Any] | None:
@@ -39,14 +39,22 @@ def mended_json(data: bytes, path: Path) -> dict[str, Any] | None:
         data: The bytes of the file.
         path: Where they came from.
     """
-    if len(data) > _MOST_BYTES:
+    if len(data) > _MOST_BYTES or _nesting(data) > 2 * MOST_DEPTH:
         return None
     for at in range(8 * len(data)):
+        changed = _changed(data, at // 8, 1 << at % 8)
         try:
-            return unsealed(_changed(data, at // 8, 1 << at % 8), path)
+            if not is_sealed(changed):  # which is faster to say no
+                continue
+            return unsealed(changed, path)
         except CorruptEpisode:
             continue
     return None
+
+
+def _nesting(data: bytes) -> int:
+    """Return how deep brackets are nested, those in texts counted too."""
+    return max(accumulate((byte in b"[{") - (byte in b"]}") for byte in data), default=0)
 
 
 def mended_parquet(data: bytes, sha256: str) -> bytes | None:
@@ -97,7 +105,7 @@ def _chunks(data: bytes) -> list[tuple[int, int]]:
     The footer is read here and not by Arrow, which ends the process where some of its fields contradict each other.
     """
     try:
-        footer, _ = _thrift_struct(data, len(data) - _TAIL - int.from_bytes(data[-_TAIL:-_MAGIC], "little"))
+        footer, _ = thrift_struct(data, len(data) - _TAIL - int.from_bytes(data[-_TAIL:-_MAGIC], "little"))
         columns = [column[_META] for group in footer[_GROUPS] for column in group[_COLUMNS]]
         places = [(column[_START], column[_START] + column[_SIZE]) for column in columns]
     except (IndexError, KeyError, TypeError, ValueError, RecursionError):
@@ -109,83 +117,14 @@ def _pages(data: bytes | bytearray, start: int, end: int) -> Iterator[_Page]:
     """Yield the pages between two places, up to the first whose head does not read."""
     while start < end:
         try:
-            fields, after = _thrift_struct(data, start)
-            page = _Page(head=start, start=after, end=after + fields[_PAGE_SIZE], crc=fields[_PAGE_CRC] & 0xFFFFFFFF)
-        except (IndexError, KeyError, TypeError, ValueError, RecursionError):
+            head = page_head(data, start)
+        except ValueError:
             return
-        if not after <= page.end <= end:
+        page_end = head.start + head.size
+        if head.crc is None or page_end > end:
             return
-        yield page
-        start = page.end
-
-
-def _thrift_struct(data: bytes | bytearray, at: int) -> tuple[dict[int, Any], int]:
-    """Read a struct of Thrift's compact protocol: its fields by their numbers, and where it ends.
-
-    Source: the specification of the compact protocol in the documentation of Apache Thrift.
-
-    Raises:
-        ValueError: This is no such struct.
-        IndexError: It goes on after the end of the data.
-    """
-    fields: dict[int, Any] = {}
-    number = 0
-    if at < 0:
-        raise ValueError("a struct cannot begin before the file")
-    while head := data[at]:
-        at += 1
-        if head >> 4:
-            number += head >> 4
-        else:
-            folded, at = _varint(data, at)
-            number = _unfolded(folded)
-        kind = head & 0xF
-        # Of a field, unlike of what is in a list, a truth value is its type.
-        fields[number], at = (kind == _TRUE, at) if kind in (_TRUE, _FALSE) else _thrift_value(data, at, kind)
-    return fields, at + 1
-
-
-def _thrift_value(data: bytes | bytearray, at: int, kind: int) -> tuple[Any, int]:
-    match kind:
-        case 1 | 2 | 3:
-            return data[at], at + 1
-        case 4 | 5 | 6:
-            folded, at = _varint(data, at)
-            return _unfolded(folded), at
-        case 7:
-            return None, at + 8
-        case 8:
-            size, at = _varint(data, at)
-            return data[at : at + size], at + size
-        case 9 | 10:
-            head, at = data[at], at + 1
-            size, at = (head >> 4, at) if head >> 4 < 15 else _varint(data, at)
-            values: list[Any] = []
-            for _ in range(size):
-                value, at = _thrift_value(data, at, head & 0xF)
-                values.append(value)
-            return values, at
-        case 12:
-            return _thrift_struct(data, at)
-        case other:
-            raise ValueError(f"nothing here has the type {other}")
-
-
-def _varint(data: bytes | bytearray, at: int) -> tuple[int, int]:
-    value = shift = 0
-    while True:
-        byte = data[at]
-        at += 1
-        value |= (byte & 0x7F) << shift
-        shift += 7
-        if byte < 0x80:
-            return value, at
-        if shift > 63:
-            raise ValueError("a number of more than 64 bits")
-
-
-def _unfolded(value: int) -> int:
-    return (value >> 1) ^ -(value & 1)
+        yield _Page(head=start, start=head.start, end=page_end, crc=head.crc)
+        start = page_end
 
 
 def _with_right_page(data: bytes, page: _Page) -> Iterator[bytes]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,18 +10,19 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from rcs.data import parquet
+from rcs.data.about import read_about
 from rcs.data.check.descriptions import is_as_written
 from rcs.data.check.episode_rows import EpisodePlace, EpisodeRows
 from rcs.data.check.report import Finding, counted
 from rcs.data.codec import decode_frame
 from rcs.data.content import ContentHash, flat_numbers
-from rcs.data.durable import unsealed
-from rcs.data.info import DatasetInfo, refuse_newer_schema
+from rcs.data.info import DatasetInfo
+from rcs.data.json_file import read_bytes
 from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
+from rcs.data.parquet import UNREADABLE, ParquetSource
 from rcs.data.quality import QualityMeter
-from rcs.data.reader import UNREADABLE
 from rcs.data.rows import sim_state_schema, steps_schema
 from rcs.errors import CorruptEpisode, DatasetError
 
@@ -55,28 +57,24 @@ class EpisodeBytes:
     def findings(self) -> Iterator[Finding]:
         """Yield all damage; and numbers that are not finite, as warnings."""
         try:
-            about = read_description(self._place.folder)
-        except OSError as err:
-            kind = "newer_layout" if isinstance(err, DatasetError) else "unreadable"
-            yield self._damage(kind, f"{err.strerror or err}" if kind == "unreadable" else str(err), EPISODE_FILE)
+            about = read_about(self._place.folder)
+        except DatasetError as err:
+            yield self._damage("newer_layout", str(err), EPISODE_FILE)
             return
         except CorruptEpisode as err:
             yield self._damage("altered", str(err), EPISODE_FILE)
             return
         path = self._place.folder / EPISODE_FILE
-        if not is_as_written(path.read_bytes(), about):
+        if not is_as_written(read_bytes(path), about):
             yield self._damage("altered", "reads, but its bytes are not those that were written", EPISODE_FILE)
-        if not isinstance(about.get("sha256"), dict) or not isinstance(about.get("length"), int):
-            yield self._damage("incomplete", "has no hashes or no length", EPISODE_FILE)
-            return
         self.rows.about = about
         for name, schema in schemas_of(self._info).items():
             yield from self._check_file(name, schema)
 
     def _check_file(self, name: str, schema: pa.Schema) -> Iterator[Finding]:
         path = self._place.folder / name
-        if not path.exists():
-            yield self._damage("missing", "missing", name)
+        if not path.is_file():
+            yield self._damage("missing", "no file" if path.exists() else "missing", name)
             return
         try:
             is_altered = sha256_of(path) != self.rows.about["sha256"].get(name)
@@ -97,21 +95,20 @@ class EpisodeBytes:
     def _check_parquet(self, name: str, schema: pa.Schema) -> Iterator[Finding]:
         path = self._place.folder / name
         try:
-            file = pq.ParquetFile(path, page_checksum_verification=True)
-        except UNREADABLE as err:
+            with parquet.opened(path) as source:
+                if not source.file.schema_arrow.equals(schema):
+                    yield self._damage("schema", "has other columns than dataset.json says", name)
+                    return
+                length = self.rows.about["length"]
+                if source.rows != length:
+                    yield self._damage("row_count", f"has {source.rows} rows, and episode.json says {length}", name)
+                source.require(is_damaged=True)  # of all columns, for what the checks need of them is kept
+                yield from self._check_groups(source, name, schema)
+        except (*UNREADABLE, CorruptEpisode) as err:
             yield self._damage("unreadable", f"its footer does not read: {err}", name)
-            return
-        with file:
-            if not file.schema_arrow.equals(schema):
-                yield self._damage("schema", "has other columns than dataset.json says", name)
-                return
-            length = self.rows.about["length"]
-            if file.metadata.num_rows != length:
-                message = f"has {file.metadata.num_rows} rows, and episode.json says {length}"
-                yield self._damage("row_count", message, name)
-            yield from self._check_groups(file, name, schema)
 
-    def _check_groups(self, file: pq.ParquetFile, name: str, schema: pa.Schema) -> Iterator[Finding]:
+    def _check_groups(self, source: ParquetSource, name: str, schema: pa.Schema) -> Iterator[Finding]:
+        file = source.file
         content, meter = (ContentHash(self._info), QualityMeter(self._info)) if name == STEPS_FILE else (None, None)
         not_finite = _NotFinite()
         is_whole = True
@@ -121,8 +118,8 @@ class EpisodeBytes:
             columns: list[pa.ChunkedArray] = []
             for key in schema.names:
                 try:
-                    column = file.read_row_group(group, columns=[key], use_threads=False).column(0)
-                except UNREADABLE as err:
+                    column = source.table([key], [group]).column(0)
+                except (*UNREADABLE, CorruptEpisode) as err:
                     is_whole = False
                     start, end = self._locate(name, key, group) or (0, rows - 1)
                     place = (first + start, first + end)
@@ -167,9 +164,9 @@ class EpisodeBytes:
     def _locate(self, name: str, key: str, group: int) -> tuple[int, int] | None:
         """Return the first and last row of a group whose image is broken, if reading past the checksum shows them."""
         try:
-            with pq.ParquetFile(self._place.folder / name) as file:
-                column = file.read_row_group(group, columns=[key], use_threads=False).column(0)
-        except UNREADABLE:
+            with parquet.opened(self._place.folder / name, verify=False) as source:
+                column = source.table([key], [group]).column(0)
+        except (*UNREADABLE, CorruptEpisode):
             return None
         if not pa.types.is_binary(column.type):
             return None
@@ -205,20 +202,6 @@ class _NotFinite:
             self.found[key] = (number + len(bad), start, first + int(bad[-1]))
 
 
-def read_description(folder: Path) -> dict[str, Any]:
-    """Read an episode's `episode.json`.
-
-    Raises:
-        CorruptEpisode: It is not what was written.
-        DatasetError: Its layout is newer than this code.
-        OSError: It cannot be read.
-    """
-    path = folder / EPISODE_FILE
-    about = unsealed(path.read_bytes(), path)
-    refuse_newer_schema(about.get("schema_version"), f"episode, {folder},")
-    return about
-
-
 def schemas_of(info: DatasetInfo) -> dict[str, pa.Schema]:
     """Return the schema of each Parquet file of an episode by its name."""
     schemas = {STEPS_FILE: steps_schema(info)}
@@ -233,5 +216,7 @@ def sha256_of(path: Path) -> str:
     Raises:
         OSError: It cannot be read.
     """
+    if not path.is_file():  # a pipe would never end
+        raise FileNotFoundError(errno.ENOENT, "it is missing or no file", str(path))
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -13,7 +13,7 @@ from rcs.data.check.arms import find_arms
 from rcs.data.check.bytes import EpisodeBytes
 from rcs.data.check.descriptions import check_head
 from rcs.data.check.episode_rows import EpisodePlace
-from rcs.data.check.generations import check_former, check_leftovers, known_damage
+from rcs.data.check.generations import check_former, check_leftovers, former_folders, known_damage
 from rcs.data.check.images import check_images
 from rcs.data.check.labels import check_labels, check_verdicts
 from rcs.data.check.motion import check_motion
@@ -21,7 +21,7 @@ from rcs.data.check.report import CheckReport, Finding, counted
 from rcs.data.check.stored_quality import check_quality
 from rcs.data.check.times import check_times
 from rcs.data.head import Head
-from rcs.data.info import DatasetInfo
+from rcs.data.info import MERGED, DatasetInfo
 from rcs.data.layout import complete_ids, episode_folder, generation_folder
 
 if TYPE_CHECKING:
@@ -122,11 +122,12 @@ def _check_episode(place: EpisodePlace, how: _How) -> _Checked:
 
 def _is_resampled(head: Head) -> bool:
     was_edited = any(edit.command == "resample" for edit in head.history)
-    return was_edited or not {"mix", "merged", "imported"}.isdisjoint(head.info.setup)
+    return was_edited or "imported" in head.info.setup or not {"mix", MERGED}.isdisjoint(head.info.origin)
 
 
 def _known(root: Path, head: Head) -> Iterator[str]:
-    count = sum((root / folder).exists() for folder in known_damage(head))
+    folders = {str(folder.relative_to(root)) for folder in former_folders(root, head)}
+    count = len(folders & known_damage(head))
     if count:
         yield (
             f"{counted(count, 'damaged folder')} of former generations known from a repair: an undo can bring the "

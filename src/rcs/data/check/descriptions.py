@@ -8,6 +8,7 @@ from typing import Any
 from rcs.data.check.report import Finding
 from rcs.data.durable import sealed, unsealed
 from rcs.data.head import Head, read_head_file
+from rcs.data.json_file import read_bytes
 from rcs.data.layout import COPY_FILE, DATASET_FILE
 from rcs.data.lock import is_locked
 from rcs.errors import CorruptEpisode, DatasetError
@@ -47,7 +48,7 @@ def check_head(root: Path) -> tuple[Head | None, list[Finding]]:
         except CorruptEpisode as err:
             findings.append(_finding(name, "altered", str(err)))
             continue
-        data = (root / name).read_bytes()
+        data = read_bytes(root / name)
         if not is_as_written(data, unsealed(data, root / name)):
             findings.append(_finding(name, "altered", "reads, but its bytes are not those that were written"))
     if len(heads) == 2 and heads[DATASET_FILE] != heads[COPY_FILE] and not is_locked(root):

@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from rcs.data.check.bytes import read_description, sha256_of
+from rcs.data.about import read_about
+from rcs.data.check.bytes import sha256_of
 from rcs.data.check.descriptions import is_as_written
 from rcs.data.check.report import Finding, Severity
 from rcs.data.head import Head
+from rcs.data.json_file import read_bytes
 from rcs.data.layout import (
     EPISODE_FILE,
     complete_ids,
@@ -18,13 +20,18 @@ from rcs.data.layout import (
     generation_folder,
     generations,
     incomplete_ids,
+    links_out,
     open_folder,
     open_ids,
+    strange_names,
     trash_folders,
 )
 from rcs.data.lock import is_locked
 from rcs.data.recover import unreachable_generations
-from rcs.errors import CorruptEpisode
+from rcs.data.text import mended_text
+from rcs.errors import CorruptEpisode, DatasetError
+
+_UNPRINTABLE = dict.fromkeys(range(32), "�")
 
 REPAIR = "repair"
 """The command of a repair in the history; its arguments name the damaged folders of former generations."""
@@ -50,6 +57,14 @@ def check_leftovers(root: Path, head: Head) -> Iterator[Finding]:
     for episode_id in open_ids(base):
         folder = open_folder(base, episode_id)
         yield _finding(root, "warning", "left_open", episode_id, folder, "open, and its writer is gone; run recover")
+    for name in strange_names(base):
+        file = episodes_folder(base) / mended_text(name).translate(_UNPRINTABLE)
+        yield _finding(
+            root, "warning", "stranger", None, file, "cannot be an episode by its name, and nothing reads it"
+        )
+    for folder in links_out(root):
+        message = f"a link to {folder.readlink()}, out of the dataset; it is read, and nothing is written through it"
+        yield _finding(root, "warning", "link", None, folder, message)
     for folder in trash_folders(base):
         yield _finding(root, "warning", "left_over", None, folder, "left of a discard; run recover")
     for folder in unreachable_generations(root, head):
@@ -67,7 +82,7 @@ def check_former(root: Path, head: Head) -> Iterator[Finding]:
     """
     known = known_damage(head)
     base = generation_folder(root, head.generation)
-    current = {file.stat().st_ino for file in episodes_folder(base).glob("*/*")}
+    current = {number for file in episodes_folder(base).glob("*/*") if (number := _number(file)) is not None}
     for folder in former_folders(root, head):
         if str(folder.relative_to(root)) in known:
             continue
@@ -84,7 +99,9 @@ def damaged_former(root: Path, head: Head) -> list[str]:
 
 def known_damage(head: Head) -> set[str]:
     """Return the episode folders that repairs have listed as damaged, relative to the dataset's folder."""
-    return {str(folder) for edit in head.history if edit.command == REPAIR for folder in edit.arguments[DAMAGED]}
+    repairs = (edit for edit in head.history if edit.command == REPAIR)
+    listed = (edit.arguments.get(DAMAGED) for edit in repairs)
+    return {folder for folders in listed if isinstance(folders, list) for folder in folders if isinstance(folder, str)}
 
 
 def former_folders(root: Path, head: Head) -> list[Path]:
@@ -102,23 +119,30 @@ def former_folders(root: Path, head: Head) -> list[Path]:
 def _damage(folder: Path, skip: set[int]) -> Iterator[tuple[Path, str]]:
     """Yield the files of an episode that are not what was written, each with what is wrong with it."""
     path = folder / EPISODE_FILE
+    is_shared = _number(path) in skip  # then it is told where it is current
     try:
-        about: dict[str, Any] = read_description(folder)
-        if path.stat().st_ino not in skip and not is_as_written(path.read_bytes(), about):
+        about: dict[str, Any] = read_about(folder)
+        if not is_shared and not is_as_written(read_bytes(path), about):
             yield path, "its bytes are not those that were written"
-        hashes: dict[str, str] = dict(about["sha256"])
-    except (CorruptEpisode, OSError, KeyError, TypeError) as err:
-        # One that a current episode shares is told there.
-        if not (path.exists() and path.stat().st_ino in skip):
+    except (CorruptEpisode, DatasetError) as err:
+        if not is_shared:
             yield path, f"does not read: {err}"
         return
-    for name, expected in hashes.items():
+    for name, expected in about["sha256"].items():
         file = folder / name
         try:
-            if file.stat().st_ino not in skip and sha256_of(file) != expected:
+            if _number(file) not in skip and sha256_of(file) != expected:
                 yield file, "its SHA-256 is not the one that was written"
         except OSError as err:
             yield file, f"does not read: {err.strerror or err}"
+
+
+def _number(file: Path) -> int | None:
+    """Return the number of a file on the disk, which all its names share; None of what leads nowhere."""
+    try:
+        return file.stat().st_ino
+    except OSError:
+        return None
 
 
 def _finding(root: Path, severity: Severity, kind: str, episode: str | None, path: Path, message: str) -> Finding:

@@ -31,6 +31,7 @@ from rcs.data.edit.transaction import Transaction, editing
 from rcs.data.flags import companion
 from rcs.data.head import Head, read_head, write_head
 from rcs.data.info import DatasetInfo
+from rcs.data.json_file import read_bytes
 from rcs.data.layout import (
     COPY_FILE,
     DATASET_FILE,
@@ -43,7 +44,7 @@ from rcs.data.layout import (
 from rcs.data.lock import DatasetLock
 from rcs.data.reader import EpisodeRecord
 from rcs.data.recover import recover
-from rcs.errors import CorruptEpisode
+from rcs.errors import CorruptEpisode, InvalidSetup
 
 What = Literal["restored", "recovered", "removed", "rewritten", "recomputed", "quarantined", "noted", "failed"]
 _REWRITTEN = ("quality", "flags", "wrong_id")
@@ -142,9 +143,12 @@ def _mend_head(root: Path) -> list[Mending]:
 def _healed_head(root: Path) -> Head | None:
     for name in (DATASET_FILE, COPY_FILE):
         if (root / name).exists():
-            values = mended_json((root / name).read_bytes(), root / name)
-            if values is not None:
-                return Head.from_json(values)
+            try:
+                values = mended_json(read_bytes(root / name), root / name)
+                if values is not None:
+                    return Head.from_json(values)
+            except (CorruptEpisode, InvalidSetup):
+                continue
     return None
 
 

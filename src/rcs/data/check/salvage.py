@@ -5,25 +5,27 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from rcs.data import parquet
+from rcs.data.about import checked_about, read_about
 from rcs.data.check.bitrot import mended_json, mended_parquet
-from rcs.data.check.bytes import read_description, schemas_of, sha256_of
+from rcs.data.check.bytes import schemas_of, sha256_of
 from rcs.data.codec import decode_frame
 from rcs.data.content import ContentHash
 from rcs.data.info import DatasetInfo
+from rcs.data.json_file import read_bytes
 from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
-from rcs.data.reader import UNREADABLE
+from rcs.data.parquet import UNREADABLE
 from rcs.data.rows import SIM_STATE, sim_state_schema
-from rcs.errors import CorruptEpisode, DatasetError
-
-_ROWS_AT_A_TIME = 16
+from rcs.data.text import mended_text
+from rcs.errors import CorruptEpisode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,24 +95,30 @@ def _description(folder: Path, others: Sequence[Path]) -> tuple[dict[str, Any] |
     """Return what `episode.json` said, whether that is certain, and how it is known."""
     path = folder / EPISODE_FILE
     try:
-        return read_description(folder), True, []
-    except DatasetError:
-        raise
+        return read_about(folder), True, []
     except CorruptEpisode:
-        about = mended_json(path.read_bytes(), path)
+        about = _mended_about(path)
         if about is not None:
             return about, True, [f"the one bit of {EPISODE_FILE} that had changed was put back"]
-    except OSError:
-        pass  # it is gone; another generation may have it
+        # Or it is gone; another generation may have it.
     for other in others:
         try:
-            about = read_description(other)
+            about = read_about(other)
             if all(sha256_of(folder / name) == expected for name, expected in about["sha256"].items()):
                 # An edit in between may have changed the words in it, if not the rows.
                 return about, False, [f"{EPISODE_FILE} was taken from another generation"]
         except (CorruptEpisode, OSError):
             continue
     return None, False, []
+
+
+def _mended_about(path: Path) -> dict[str, Any] | None:
+    """Return what an `episode.json` said before one bit of it changed; None if that is not what happened."""
+    try:
+        about = mended_json(read_bytes(path), path)
+        return None if about is None else checked_about(about, path)
+    except CorruptEpisode:
+        return None
 
 
 def _as_it_was(path: Path, expected: Any, others: Sequence[Path]) -> tuple[Path | pa.Buffer, list[str]]:
@@ -121,7 +129,7 @@ def _as_it_was(path: Path, expected: Any, others: Sequence[Path]) -> tuple[Path 
         if _hash_or_none(other) == expected:
             return other, [f"{path.name} was taken from another generation"]
     try:
-        data = mended_parquet(path.read_bytes(), expected)
+        data = mended_parquet(path.read_bytes(), expected) if path.is_file() else None
     except OSError:
         return path, []
     if data is None:
@@ -151,10 +159,10 @@ def _with_states(rows: pa.Table, source: Path | pa.Buffer, size: int) -> tuple[p
 def _rebuilt(folder: Path, info: DatasetInfo) -> dict[str, Any]:
     """Return a description of which only the rows are known, and what the text of the old one still says."""
     try:
-        text = (folder / EPISODE_FILE).read_bytes().decode(errors="replace")
-    except OSError:
+        text = read_bytes(folder / EPISODE_FILE).decode(errors="replace")
+    except CorruptEpisode:
         text = ""
-    seed = re.search(r'^ "seed": (\d+),$', text, re.MULTILINE)
+    seed = re.search(r'^ "seed": (\d{1,38}),$', text, re.MULTILINE)
     words = re.search(r'^ "instruction": ("(?:[^"\\]|\\.)*"),$', text, re.MULTILINE)
     started = re.search(r'^ "started": "([0-9T:.+-]+)",$', text, re.MULTILINE)
     found = {"seed": seed, "instruction": words, "started": started}
@@ -174,8 +182,8 @@ def _rebuilt(folder: Path, info: DatasetInfo) -> dict[str, Any]:
 
 def _text(quoted: str, otherwise: str) -> str:
     try:
-        return str(json.loads(quoted))
-    except ValueError:
+        return mended_text(str(json.loads(quoted)))
+    except (ValueError, RecursionError):
         return otherwise
 
 
@@ -210,15 +218,16 @@ def _readable_states(source: Path | pa.Buffer, size: int) -> np.ndarray[Any, np.
 
 def _groups(source: Path | pa.Buffer, schema: pa.Schema) -> range:
     try:
-        with pq.ParquetFile(_opened(source)) as file:
-            return range(file.num_row_groups if file.schema_arrow.equals(schema) else 0)
-    except UNREADABLE:
+        with parquet.opened(source) as opened:
+            opened.require(is_damaged=True)  # of a file that claims gigabytes no row is kept
+            return range(opened.file.num_row_groups if opened.file.schema_arrow.equals(schema) else 0)
+    except (*UNREADABLE, CorruptEpisode):
         return range(0)
 
 
 def _length(source: Path | pa.Buffer, group: int) -> int:
-    with pq.ParquetFile(_opened(source)) as file:
-        return file.metadata.row_group(group).num_rows
+    with parquet.opened(source) as opened:
+        return opened.file.metadata.row_group(group).num_rows
 
 
 def _readable(source: Path | pa.Buffer, group: int, key: str, info: DatasetInfo) -> pa.ChunkedArray:
@@ -244,15 +253,13 @@ def _readable(source: Path | pa.Buffer, group: int, key: str, info: DatasetInfo)
 def _prefix(source: Path | pa.Buffer, group: int, key: str, *, verify: bool = True) -> pa.ChunkedArray:
     """Return the values of a column in a row group before the first page that does not read."""
     batches: list[pa.Array] = []
-    with pq.ParquetFile(_opened(source), page_checksum_verification=verify) as file:
-        kind = file.schema_arrow.field(key).type
+    with parquet.opened(source, verify=verify) as opened:
+        kind = opened.file.schema_arrow.field(key).type
+        with suppress(*UNREADABLE, CorruptEpisode):
+            return opened.table([key], [group]).column(0)
         try:
-            pieces = file.iter_batches(_ROWS_AT_A_TIME, row_groups=[group], columns=[key], use_threads=False)
-            batches.extend(piece.column(0) for piece in pieces)  # up to the error
-        except UNREADABLE:
+            opened.require([key], [group], is_damaged=True)
+            batches.extend(piece.column(0) for piece in opened.batches([key], [group]))  # up to the error
+        except (*UNREADABLE, CorruptEpisode):
             pass  # what came before it is what is asked for
     return pa.chunked_array(batches, type=kind)
-
-
-def _opened(source: Path | pa.Buffer) -> Any:
-    return pa.BufferReader(source) if isinstance(source, pa.Buffer) else source

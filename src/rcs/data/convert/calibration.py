@@ -15,8 +15,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from rcs.data.content import flat_numbers
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo
+from rcs.data.parquet import opened_of_others
 from rcs.data.reader import EpisodeRecord
 from rcs.errors import CorruptEpisode
 
@@ -89,14 +91,17 @@ def read_episode_calibration(
     values: dict[str, NDArray[Any]] = {}
     try:
         index = int(entry["episode_index"])
-        table = pq.read_table(root / _per_frame(index)) if entry["per_frame"] else pa.table({})
+        table = pa.table({})
+        if entry["per_frame"]:
+            with opened_of_others(root / _per_frame(index)) as source:
+                table = source.table()
         for camera, matrices in features.items():
             for name, feature in matrices.items():
                 constant = entry["cameras"][camera][name]
                 if constant is not None:
                     values[feature.key] = np.broadcast_to(np.array(constant, feature.dtype), (steps, *feature.shape))
                 else:
-                    flat = table.column(f"{camera}/{name}").combine_chunks().flatten().to_numpy()
+                    flat = flat_numbers(table.column(f"{camera}/{name}"))
                     values[feature.key] = flat.reshape(steps, *feature.shape).astype(feature.dtype)
     except (KeyError, TypeError, ValueError, OSError, pa.ArrowException) as err:
         raise CorruptEpisode(f"The camera matrices in {root} are damaged: {err!r}.") from err

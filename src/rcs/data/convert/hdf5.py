@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
-from rcs.errors import MissingDependency
+from rcs.errors import CorruptEpisode, MissingDependency, RcsError
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 
@@ -29,3 +31,27 @@ def is_hdf5(path: Path) -> bool:
         return False
     with path.open("rb") as file:
         return file.read(len(_MAGIC)) == _MAGIC
+
+
+@contextlib.contextmanager
+def reading_hdf5(path: Path) -> Generator[Any]:
+    """Open a file to read; whatever the package says of damage in it, this says as one error.
+
+    Args:
+        path: The file.
+
+    Raises:
+        MissingDependency: h5py is not installed.
+        CorruptEpisode: It is no such file, or something in it does not read.
+    """
+    h5py = load_h5py()
+    if not path.is_file():  # a pipe would never end
+        raise CorruptEpisode(f"{path} is missing or no file.")
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except RcsError:
+        raise
+    # h5py has no error of its own: of the HDF5 library's it makes these, by what was being done.
+    except (OSError, RuntimeError, KeyError) as err:
+        raise CorruptEpisode(f"{path} does not read: {err}.") from err

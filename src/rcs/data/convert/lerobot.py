@@ -40,10 +40,10 @@ from rcs.data.convert.lerobot_stats import ImageHistogram, Moments, quantiles
 from rcs.data.convert.lerobot_v3 import V3Writer
 from rcs.data.convert.lerobot_v21 import V21Writer
 from rcs.data.convert.options import ExportOptions, ExportReport, selected_episodes
-from rcs.data.convert.output import new_output, size_on_disk
 from rcs.data.convert.provenance import episode_provenance
 from rcs.data.convert.video import encode_depth_video, encode_video
 from rcs.data.feature import Feature
+from rcs.data.output import new_output, size_on_disk
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.trajectory import step_frames
 from rcs.errors import InvalidSetup

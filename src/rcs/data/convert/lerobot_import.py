@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rcs.data.codec import decode_frame
@@ -26,13 +25,16 @@ from rcs.data.convert.calibration import CALIBRATION_FILE, read_episode_calibrat
 from rcs.data.convert.lerobot import depth_path
 from rcs.data.convert.lerobot_layout import LAST_ROWS_FILE, PROVENANCE_FILE, RCS_FILE, SUCCESS
 from rcs.data.convert.lerobot_mapping import FeatureMapping, feature_mapping
-from rcs.data.convert.lerobot_source import LeRobotSource, SourceEpisode, read_json, read_json_lines
+from rcs.data.convert.lerobot_source import LeRobotSource, SourceEpisode
 from rcs.data.convert.options import ImportOptions, stored_as
-from rcs.data.convert.output import new_output
+from rcs.data.convert.provenance import by_episode, checked_provenance
 from rcs.data.convert.video import VideoReader, decode_depth_video
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo
+from rcs.data.json_file import read_json, read_json_lines
 from rcs.data.layout import check_episode_id
+from rcs.data.output import new_output
+from rcs.data.parquet import opened_of_others
 from rcs.data.reader import Dataset
 from rcs.data.writer import DatasetWriter
 from rcs.errors import CorruptEpisode, InvalidSetup
@@ -96,8 +98,10 @@ class _Beside:
     def of(cls, source: LeRobotSource, ours: Mapping[str, Any] | None, mapping: FeatureMapping) -> _Beside:
         provenance: dict[int, dict[str, Any]] = {}
         calibration: dict[int, dict[str, Any]] = {}
-        if ours is not None and (source.root / PROVENANCE_FILE).is_file():
-            provenance = {row["episode_index"]: row for row in read_json_lines(source.root / PROVENANCE_FILE)}
+        path = source.root / PROVENANCE_FILE
+        if ours is not None and path.is_file():
+            rows = [checked_provenance(row, path) for row in read_json_lines(path)]
+            provenance = by_episode(rows, path)
         # Someone may have taken episodes out or put some in since; then nothing beside them can be trusted.
         if {index: row["rows"] - 1 for index, row in provenance.items()} != source.lengths:
             if mapping.depths or mapping.matrices:
@@ -107,8 +111,8 @@ class _Beside:
                 )
             return cls(root=source.root, provenance={}, calibration={}, has_last_rows=False)
         if mapping.matrices:
-            entries = read_json(source.root / CALIBRATION_FILE).get("episodes", ())
-            calibration = {entry["episode_index"]: entry for entry in entries}
+            path = source.root / CALIBRATION_FILE
+            calibration = by_episode(read_json(path).get("episodes", []), path)
         has_last_rows = (source.root / LAST_ROWS_FILE).is_file()
         return cls(root=source.root, provenance=provenance, calibration=calibration, has_last_rows=has_last_rows)
 
@@ -117,15 +121,16 @@ class _Beside:
         if not self.has_last_rows:
             return {}
         path = self.root / LAST_ROWS_FILE
-        try:
-            with pq.ParquetFile(path) as file:
-                table = file.read_row_group(index)
-        except (pa.ArrowException, OSError) as err:
-            raise CorruptEpisode(f"{path} does not read: {err}.") from err
+        with opened_of_others(path) as source:
+            if not 0 <= index < source.file.num_row_groups:
+                raise CorruptEpisode(f"{path} has {source.file.num_row_groups} groups, and none for episode {index}.")
+            table = source.table(groups=[index])
         row: dict[str, Any] = {}
         for feature in features:
             if feature.key in table.column_names:
                 column = table.column(feature.key)
+                if len(column) != 1 or column.type != feature.arrow_type or column.null_count:
+                    raise CorruptEpisode(f"{path} has {len(column)} rows of {column.type} as {feature.key!r}.")
                 row[feature.key] = (
                     decode_frame(feature, column[0].as_py())
                     if feature.is_image
@@ -231,13 +236,13 @@ def _info(
     }
     own = ours or {}
     if own:
-        imported |= {"dataset": own["dataset"], "setup": own["setup"]}
+        imported |= {"dataset": own.get("dataset"), "setup": own.get("setup")}
     words = chain([own.get("instruction"), options.instruction], source.tasks.values())
     return DatasetInfo(
-        fps=float(own.get("fps", source.fps)),
+        fps=own.get("fps", source.fps),
         features=tuple(stored_as(feature, options) for feature in mapping.features),
         setup={"imported": imported},
-        instruction=next((text for text in words if text), ""),
+        instruction=next((text for text in words if isinstance(text, str) and text), ""),
         jpeg_quality=options.jpeg_quality,
     )
 
@@ -247,11 +252,12 @@ def _is_on_grid(source: LeRobotSource) -> bool:
     if "timestamp" not in source.features or "frame_index" not in source.features:
         return True
     for path in sorted((source.root / "data").glob("*/*.parquet")):
-        try:
-            with pq.ParquetFile(path) as file:
-                table = file.read(columns=["timestamp", "frame_index"])
-        except (pa.ArrowException, OSError) as err:
-            raise CorruptEpisode(f"{path} does not read: {err}.") from err
+        with opened_of_others(path) as opened:
+            table = opened.table(["timestamp", "frame_index"])
+        if table.num_columns < 2:
+            raise CorruptEpisode(f"{path} lacks a column timestamp or frame_index, which info.json has.")
+        if not all(pa.types.is_integer(kind) or pa.types.is_floating(kind) for kind in table.schema.types):
+            raise CorruptEpisode(f"{path} has {table.schema.types} as timestamp and frame_index; valid are numbers.")
         off = table.column("timestamp").to_numpy() - table.column("frame_index").to_numpy() / source.fps
         if len(off) and float(np.abs(off).max()) > _ON_GRID_S:
             return False

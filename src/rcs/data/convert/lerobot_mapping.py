@@ -16,10 +16,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from rcs.data.convert.lerobot_layout import DONE, INDICES, REWARD, SUCCESS, Column
+from rcs.data.convert.lerobot_layout import DONE, INDICES, RCS_FILE, REWARD, SUCCESS, Column
 from rcs.data.convert.lerobot_source import LeRobotSource
 from rcs.data.feature import DTYPES, Feature
+from rcs.data.layout import is_name
 from rcs.data.trajectory import VectorLayout
+from rcs.errors import CorruptEpisode
 
 Matrices = dict[str, dict[str, Feature]]
 
@@ -58,8 +60,12 @@ def feature_mapping(source: LeRobotSource, ours: Mapping[str, Any] | None, *, ke
             continue
         dtype = str(about["dtype"])
         shape = tuple(int(n) for n in about["shape"])
-        info = about.get("info") or about.get("video_info") or {}
+        info = about.get("info") or about.get("video_info")
+        info = info if isinstance(info, dict) else {}
         if dtype in ("video", "image"):
+            if len(shape) != 3:
+                left_out[name] = f"its images have the shape {shape}"
+                continue
             height, width, channels = _sizes(shape, about.get("names"))
             if info.get("video.is_depth_map") or info.get("is_depth_map") or channels != 3:
                 left_out[name] = "its images are not in colour"
@@ -74,7 +80,9 @@ def feature_mapping(source: LeRobotSource, ours: Mapping[str, Any] | None, *, ke
             columns.append(_single(name, _feature(name, shape, "float32" if dtype == "float16" else dtype)))
     parts = [f for column in columns for f in column.parts.features]
     parts += [*cameras.values(), *depths.values(), *(f for m in matrices.values() for f in m.values())]
-    order = list((ours or {}).get("order", ()))
+    order = (ours or {}).get("order", [])
+    if not isinstance(order, list):
+        raise CorruptEpisode(f"{source.root / RCS_FILE} is damaged: its order is {order!r:.80}.")
     features = sorted(parts, key=lambda f: order.index(f.key) if f.key in order else len(order))
     return FeatureMapping(
         columns=tuple(columns),
@@ -97,22 +105,39 @@ def camera_name(column: str) -> str:
 def _own(
     source: LeRobotSource, ours: Mapping[str, Any]
 ) -> tuple[list[Column], dict[str, Feature], dict[str, Feature], Matrices]:
-    columns = [
-        Column(
-            name=column["name"],
-            dtype=str(source.features[column["name"]]["dtype"]),
-            parts=VectorLayout(features=tuple(Feature.from_json(f) for f in column["features"])),
-        )
-        for column in ours.get("columns", ())
-        if column["name"] in source.features
-    ]
-    cameras = {n: Feature.from_json(f) for n, f in ours.get("cameras", {}).items() if n in source.features}
-    depths = {name: Feature.from_json(f) for name, f in ours.get("depths", {}).items()}
-    matrices = {
-        camera: {name: Feature.from_json(f) for name, f in known.items()}
-        for camera, known in ours.get("calibration", {}).items()
-    }
+    try:
+        columns = [
+            Column(
+                name=column["name"],
+                dtype=source.features[column["name"]]["dtype"],
+                parts=VectorLayout(features=tuple(Feature.from_json(f) for f in column["features"])),
+            )
+            for column in ours.get("columns", ())
+            if column["name"] in source.features
+        ]
+        cameras = {n: Feature.from_json(f) for n, f in ours.get("cameras", {}).items() if n in source.features}
+        depths = {name: Feature.from_json(f) for name, f in ours.get("depths", {}).items()}
+        matrices = {
+            camera: {name: Feature.from_json(f) for name, f in known.items()}
+            for camera, known in ours.get("calibration", {}).items()
+        }
+    except (KeyError, TypeError, AttributeError) as err:
+        raise CorruptEpisode(f"{source.root / RCS_FILE} is damaged: {err!r}.") from err
+    _check_own(source, columns, cameras, depths)
     return columns, cameras, depths, matrices
+
+
+def _check_own(
+    source: LeRobotSource, columns: list[Column], cameras: dict[str, Feature], depths: dict[str, Feature]
+) -> None:
+    """Refuse a description of ours that does not go with LeRobot's own, or whose names would lead elsewhere."""
+    wrong = [column.name for column in columns if not column.parts.features or column.dtype not in (*DTYPES, "float16")]
+    wrong += [f.key for column in columns for f in column.parts.features if f.is_image]
+    wrong += [name for name, feature in cameras.items() if feature.encoding not in ("jpeg", "lossless")]
+    wrong += [name for name, feature in depths.items() if feature.encoding != "depth"]
+    wrong += [name for name in depths if not all(is_name(word) for word in name.split("/"))]
+    if wrong:
+        raise CorruptEpisode(f"{source.root / RCS_FILE} is damaged: what it says of {', '.join(wrong)} cannot be.")
 
 
 def _feature(name: str, shape: tuple[int, ...], dtype: str) -> Feature:

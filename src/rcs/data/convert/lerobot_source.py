@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
+import math
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -11,16 +12,20 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rcs.data.codec import decode_jpeg
 from rcs.data.content import flat_numbers
 from rcs.data.convert.video import VideoReader, decode_image
+from rcs.data.json_file import read_json, read_json_lines
+from rcs.data.parquet import opened_of_others
+from rcs.data.text import mended_text
 from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
 
 _VERSIONS = ("v2.0", "v2.1", "v3.0")
-_ROWS_AT_A_TIME = 1024
+_HIGHEST_FPS = 1e6
+# A name in a pattern of paths, and with how many digits a number is written.
+_FIELD = re.compile(r"\{(?P<name>[a-z_]+)(?::0(?P<digits>\d)d)?\}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,9 +57,12 @@ class SourceEpisode:
         Raises:
             CorruptEpisode: There are too few or too many numbers.
         """
-        column = self.table.column(name).combine_chunks()
-        while not pa.types.is_fixed_size_list(column.type) and pa.types.is_nested(column.type):
+        column = self._column(name).combine_chunks()
+        while pa.types.is_list(column.type) or pa.types.is_large_list(column.type):
             column = column.flatten()
+        kind = column.type.value_type if pa.types.is_fixed_size_list(column.type) else column.type
+        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
+            raise CorruptEpisode(f"Column {name!r} of episode {self.index} has {column.type} and not numbers.")
         numbers = flat_numbers(column)
         if numbers.size != len(self.table) * int(np.prod(shape)):
             rows = len(self.table)
@@ -80,6 +88,11 @@ class SourceEpisode:
                 raise CorruptEpisode(f"An image of {name!r} in episode {self.index} is {image.shape}, not {shape}.")
             yield image
 
+    def _column(self, name: str) -> pa.ChunkedArray:
+        if name not in self.table.column_names:
+            raise CorruptEpisode(f"Episode {self.index} has no column {name!r}, which info.json describes.")
+        return self.table.column(name)
+
     def _decoded(self, name: str, readers: dict[str, VideoReader], fps: float) -> Iterator[NDArray[np.uint8]]:
         place = self.videos[name]
         if name in readers and readers[name].path != place.path:
@@ -89,9 +102,10 @@ class SourceEpisode:
         yield from readers[name].frames(place.start, len(self.table), fps)
 
     def _stored(self, name: str, shape: tuple[int, ...]) -> Iterator[NDArray[np.uint8]]:
-        for item in self.table.column(name):
-            data = (item.as_py() or {}).get("bytes")
-            if not data:
+        for item in self._column(name):
+            stored = item.as_py()
+            data = stored.get("bytes") if isinstance(stored, dict) else stored
+            if not data or not isinstance(data, bytes):
                 raise CorruptEpisode(
                     f"Column {name!r} of episode {self.index} names image files but does not have them."
                 )
@@ -119,13 +133,18 @@ class LeRobotSource:
         self.version = str(self.info.get("codebase_version"))
         if self.version not in _VERSIONS:
             raise DatasetError(f"{root} is a LeRobot dataset {self.version}; readable are {', '.join(_VERSIONS)}.")
+        self.fps = self._rate()
+        self.features = self._features()
+        frames, chunks = self.info.get("total_frames", 0), self.info.get("chunks_size", 1000)
+        if type(frames) is not int or type(chunks) is not int or frames < 0 or chunks < 1:
+            raise CorruptEpisode(f"{path} is damaged: total_frames is {frames!r:.80} and chunks_size {chunks!r:.80}.")
+        self.frames, self._chunks_size = frames, chunks
         try:
-            self.fps = float(self.info["fps"])
-            self.features: dict[str, Any] = dict(self.info["features"])
-            self.frames = int(self.info.get("total_frames", 0))
             self._lengths, self._about = self._read_episodes()
             self.tasks = self._read_tasks()
-        except (KeyError, TypeError, ValueError, OSError, pa.ArrowException) as err:
+        except DatasetError:
+            raise
+        except (KeyError, TypeError, OSError, pa.ArrowException) as err:
             raise CorruptEpisode(f"What describes the LeRobot dataset in {root} is damaged: {err!r}.") from err
         if not self._lengths:
             raise InvalidSetup(f"The LeRobot dataset in {root} has no episodes.")
@@ -161,30 +180,50 @@ class LeRobotSource:
         parts: list[pa.Table] = []
         current: int | None = None
         for path in sorted((self.root / "data").glob("*/*.parquet")):
-            try:
-                with pq.ParquetFile(path) as file:
-                    for batch in file.iter_batches(_ROWS_AT_A_TIME, use_threads=False):
-                        for index, part in _by_episode(pa.Table.from_batches([batch])):
-                            if index != current and parts and current is not None:
-                                yield current, pa.concat_tables(parts)
-                                parts = []
-                            current = index
-                            parts.append(part)
-            except (pa.ArrowException, OSError) as err:
-                raise CorruptEpisode(f"{path} does not read: {err}.") from err
+            with opened_of_others(path) as source:
+                source.require()
+                for batch in source.batches():
+                    for index, part in _by_episode(pa.Table.from_batches([batch]), path):
+                        if index != current and parts and current is not None:
+                            yield current, pa.concat_tables(parts)
+                            parts = []
+                        current = index
+                        parts.append(part)
         if parts and current is not None:
             yield current, pa.concat_tables(parts)
 
     def _video(self, name: str, index: int) -> VideoPlace:
-        pattern = str(self.info["video_path"])
+        pattern = self.info.get("video_path")
         if self.version == "v3.0":
             about = self._about[index]
-            where = {f"{part}_index": about[f"videos/{name}/{part}_index"] for part in ("chunk", "file")}
-            path, start = pattern.format(video_key=name, **where), float(about[f"videos/{name}/from_timestamp"])
+            where = {f"{part}_index": about.get(f"videos/{name}/{part}_index") for part in ("chunk", "file")}
+            start = about.get(f"videos/{name}/from_timestamp")
         else:
-            chunk = index // int(self.info.get("chunks_size", 1000))
-            path, start = pattern.format(video_key=name, episode_chunk=chunk, episode_index=index), 0.0
-        return VideoPlace(path=self.root / path, start=start)
+            chunk = index // self._chunks_size
+            where, start = {"episode_chunk": chunk, "episode_index": index}, 0.0
+        if not isinstance(start, int | float) or not 0 <= start < math.inf:
+            raise CorruptEpisode(f"The video {name!r} of episode {index} in {self.root} begins at {start!r} s.")
+        return VideoPlace(path=self.root / filled(pattern, {"video_key": name, **where}), start=float(start))
+
+    def _rate(self) -> float:
+        fps = self.info.get("fps")
+        if not isinstance(fps, int | float) or isinstance(fps, bool) or not 0 < fps < _HIGHEST_FPS:
+            raise CorruptEpisode(f"The LeRobot dataset in {self.root} has {fps!r:.80} frames per second.")
+        return float(fps)
+
+    def _features(self) -> dict[str, Any]:
+        """Return what `info.json` says of each column, of which dtype and shape can be trusted."""
+        features = self.info.get("features")
+        if not isinstance(features, dict):
+            raise CorruptEpisode(f"The LeRobot dataset in {self.root} has no features but {features!r:.80}.")
+        for name, about in features.items():
+            shape = about.get("shape") if isinstance(about, dict) else None
+            is_shape = isinstance(shape, list) and all(type(n) is int and 0 < n < 1 << 31 for n in shape)
+            if not is_shape or not isinstance(about.get("dtype"), str):
+                raise CorruptEpisode(
+                    f"The LeRobot dataset in {self.root} has a feature {name!r} that is {about!r:.200}."
+                )
+        return features
 
     def _read_episodes(self) -> tuple[dict[int, int], dict[int, dict[str, Any]]]:
         if self.version != "v3.0":
@@ -192,52 +231,69 @@ class LeRobotSource:
         else:
             rows = []
             for path in sorted((self.root / "meta" / "episodes").glob("*/*.parquet")):
-                with pq.ParquetFile(path) as file:
-                    names = [name for name in file.schema_arrow.names if not name.startswith("stats/")]
-                    rows += file.read(columns=names).to_pylist()
-        about = {int(row["episode_index"]): row for row in rows}
-        return {index: int(row["length"]) for index, row in about.items()}, about
+                with opened_of_others(path) as source:
+                    names = [name for name in source.file.schema_arrow.names if not name.startswith("stats/")]
+                    rows += source.table(names).to_pylist()
+        about: dict[int, dict[str, Any]] = {}
+        for row in rows:
+            index, length = row.get("episode_index"), row.get("length")
+            if type(index) is not int or type(length) is not int or index < 0 or length < 0:
+                raise CorruptEpisode(f"{self.root} describes an episode {index!r} of length {length!r}.")
+            about[index] = row
+        return {index: row["length"] for index, row in about.items()}, about
 
     def _read_tasks(self) -> dict[int, str]:
         if self.version != "v3.0":
             rows = read_json_lines(self.root / "meta" / "tasks.jsonl")
-            return {int(row["task_index"]): str(row["task"]) for row in rows}
-        table = pq.read_table(self.root / "meta" / "tasks.parquet")
+            return {row["task_index"]: str(row["task"]) for row in rows}
+        path = self.root / "meta" / "tasks.parquet"
+        with opened_of_others(path) as source:
+            table = source.table()
         # The instruction is the index of a pandas frame, whose column has whatever name.
-        words = next(name for name in table.column_names if name != "task_index")
-        return dict(zip(table.column("task_index").to_pylist(), table.column(words).to_pylist(), strict=True))
+        words = [name for name in table.column_names if name != "task_index"]
+        if "task_index" not in table.column_names or not words:
+            raise CorruptEpisode(f"{path} has columns {table.column_names}; it must have task_index and the words.")
+        tasks = zip(table.column("task_index").to_pylist(), table.column(words[0]).to_pylist(), strict=True)
+        return {index: mended_text(str(task)) for index, task in tasks}
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON file.
+def filled(pattern: object, values: Mapping[str, object]) -> Path:
+    """Return the path that a pattern such as "videos/{video_key}/episode_{episode_index:06d}.mp4" stands for.
 
-    Raises:
-        CorruptEpisode: It is missing or no JSON object.
-    """
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as err:
-        raise CorruptEpisode(f"{path} is missing or damaged: {err}.") from err
-    if not isinstance(values, dict):
-        raise CorruptEpisode(f"{path} is damaged: it is no JSON object.")
-    return values
+    Not by `str.format`, which would follow attributes and make texts of any length for whoever wrote the pattern.
 
-
-def read_json_lines(path: Path) -> list[dict[str, Any]]:
-    """Read a file with a JSON object per line.
+    Args:
+        pattern: The pattern, from a file.
+        values: What its names stand for.
 
     Raises:
-        CorruptEpisode: It is missing, or a line is no JSON.
+        CorruptEpisode: It is no pattern, or leads out of its folder.
     """
-    try:
-        # Not `splitlines`, which also takes a line separator within an instruction for the end of a line.
-        return [json.loads(line) for line in path.read_text(encoding="utf-8").split("\n") if line.strip()]
-    except (OSError, ValueError) as err:
-        raise CorruptEpisode(f"{path} is missing or damaged: {err}.") from err
+
+    def value(match: re.Match[str]) -> str:
+        name, digits = match["name"], match["digits"]
+        given = values.get(name)
+        if digits is None and isinstance(given, str | int):
+            return str(given)
+        if digits is not None and type(given) is int and given >= 0:
+            return f"{given:0{int(digits)}d}"
+        raise CorruptEpisode(f"The pattern {pattern!r:.200} needs a {name}, and that is {given!r:.80}.")
+
+    if not isinstance(pattern, str):
+        raise CorruptEpisode(f"A pattern of paths must be text, not {pattern!r:.80}.")
+    if {"{", "}"} & set(_FIELD.sub("", pattern)):
+        raise CorruptEpisode(f"The pattern {pattern!r:.200} has more in braces than a name and a number of digits.")
+    path = _FIELD.sub(value, pattern)
+    words = path.split("/")
+    if not all(word and word not in (".", "..") and word.isprintable() and "\\" not in word for word in words):
+        raise CorruptEpisode(f"The pattern {pattern!r:.200} stands for {path!r:.200}, which is no path in its folder.")
+    return Path(path)
 
 
-def _by_episode(table: pa.Table) -> Iterator[tuple[int, pa.Table]]:
-    numbers = table.column("episode_index").to_numpy()
+def _by_episode(table: pa.Table, path: Path) -> Iterator[tuple[int, pa.Table]]:
+    if "episode_index" not in table.column_names or not pa.types.is_integer(table.schema.field("episode_index").type):
+        raise CorruptEpisode(f"{path} has no column of whole numbers episode_index.")
+    numbers = table.column("episode_index").fill_null(-1).to_numpy()
     edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
     for start, stop in pairwise(edges):
         if stop > start:

@@ -37,13 +37,13 @@ from rcs.data.convert.observations import (
     step_values,
 )
 from rcs.data.convert.options import ExportOptions, ExportReport, selected_episodes
-from rcs.data.convert.output import new_output, size_on_disk
 from rcs.data.convert.png import encode_png
 from rcs.data.convert.provenance import episode_provenance
 from rcs.data.convert.rlds_features import Spec, features_json, image, numbers, tensor, text
 from rcs.data.convert.tfrecord import ShardWriter, Values, encode_example
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo
+from rcs.data.output import new_output, size_on_disk
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.trajectory import Trajectory, VectorLayout, action_layout, state_layout, trajectory
 from rcs.errors import InvalidSetup

@@ -28,10 +28,10 @@ from rcs.data.codec import decode_frame
 from rcs.data.convert.hdf5 import load_h5py
 from rcs.data.convert.observations import FrameKey, describe_layout, kept_info, named, observed
 from rcs.data.convert.options import ExportOptions, ExportReport, selected_episodes
-from rcs.data.convert.output import new_output, size_on_disk
 from rcs.data.convert.provenance import episode_provenance
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo
+from rcs.data.output import new_output, size_on_disk
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.trajectory import VectorLayout, action_layout, state_layout, trajectory
 

@@ -14,12 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.data.convert.hdf5 import load_h5py
+from rcs.data.convert.hdf5 import reading_hdf5
 from rcs.data.convert.options import ImportOptions
-from rcs.data.convert.output import new_output
 from rcs.data.convert.robomimic import LAST_STATE, RCS
-from rcs.data.convert.robomimic_source import Column, DemoAbout, SourcePlan, demo_about, demo_names, source_plan
-from rcs.data.durable import disk_errors
+from rcs.data.convert.robomimic_source import (
+    Column,
+    DemoAbout,
+    SourcePlan,
+    demo_about,
+    demo_names,
+    is_numeric,
+    source_plan,
+)
+from rcs.data.output import new_output
+from rcs.data.parquet import bound_of
 from rcs.data.reader import Dataset
 from rcs.data.rows import Value
 from rcs.data.writer import DatasetWriter
@@ -39,12 +47,11 @@ def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions
     Raises:
         MissingDependency: h5py is not installed.
         InvalidSetup: It is no such file, its episodes differ in form, or its rate is unknown and not in the options.
-        CorruptEpisode: An episode has no steps, or its columns are not of one length.
-        DatasetError: The file cannot be read, something is at `out`, or the disk fails.
+        CorruptEpisode: The file does not read, an episode has no steps, or its columns are not of one length.
+        DatasetError: Something is at `out`, or the disk fails.
     """
-    h5py = load_h5py()
     options = options or ImportOptions()
-    with disk_errors("read", Path(source)), h5py.File(source, "r") as file:
+    with reading_hdf5(Path(source)) as file:
         demos = demo_names(file)
         plan = source_plan(file, options)
         lengths = [_steps(file["data"][name]) for name in demos]
@@ -64,7 +71,7 @@ def _record(writer: DatasetWriter, demo: Any, steps: int, plan: SourcePlan, abou
     columns = [(column.feature, _rows(demo, column, steps)) for column in plan.columns]
     states = None
     if plan.states is not None:
-        states = np.concatenate([demo[plan.states][()], demo[f"{RCS}/{LAST_STATE}"][()][None]])
+        states = _states(demo, plan, steps)
     with writer.episode(about.id, seed=about.seed, instruction=about.instruction) as episode:
         for i in range(steps + 1):
             row: dict[str, Value] = {}
@@ -84,6 +91,25 @@ def _record(writer: DatasetWriter, demo: Any, steps: int, plan: SourcePlan, abou
         episode.finish(about.success, {**about.outcome, "imported": imported})
 
 
+def _states(demo: Any, plan: SourcePlan, steps: int) -> NDArray[np.float64]:
+    """Return the simulation's states, shape (steps + 1, size)."""
+    size = plan.info.sim_state_size or 0
+    given, last = (_dataset(demo, path) for path in (plan.states or "", f"{RCS}/{LAST_STATE}"))
+    if given.shape != (steps, size) or last.shape != (size,):
+        raise CorruptEpisode(f"{demo.name} has states of {given.shape} and {last.shape}; expected are {(steps, size)}.")
+    return np.concatenate([np.asarray(given[()], np.float64), np.asarray(last[()], np.float64)[None]])
+
+
+def _dataset(demo: Any, path: str) -> Any:
+    """Return an array of numbers, of no more bytes than its file may become."""
+    values: Any = demo.get(path)
+    if not is_numeric(values):
+        raise CorruptEpisode(f"{demo.name} has no array of numbers {path!r}.")
+    if values.ndim < 3 and values.size * values.dtype.itemsize > bound_of(values.file.id.get_filesize()):
+        raise CorruptEpisode(f"{values.name} claims {values.shape}, which is more than its file can have.")
+    return values
+
+
 def _rows(demo: Any, column: Column, steps: int) -> Iterator[NDArray[Any]]:
     """Yield the value of each row of an episode, images one by one from the file."""
     feature = column.feature
@@ -93,7 +119,7 @@ def _rows(demo: Any, column: Column, steps: int) -> Iterator[NDArray[Any]]:
 
     given = _array(demo, column.path, column, steps)
     after = None if column.after is None else _array(demo, column.after, column, steps)
-    rows = given if feature.is_image else given[()]
+    rows = given if given.ndim > 2 else given[()]  # images one by one
     if column.is_done and not column.is_whole:
         yield value(np.zeros(feature.shape))
     for i in range(len(given)):
@@ -105,7 +131,7 @@ def _rows(demo: Any, column: Column, steps: int) -> Iterator[NDArray[Any]]:
 def _array(demo: Any, path: str, column: Column, steps: int) -> Any:
     if path not in demo:
         raise InvalidSetup(f"{demo.name} has no {path!r}, which other episodes have.")
-    values = demo[path]
+    values = _dataset(demo, path)
     expected = steps + 1 if column.is_whole else steps
     if len(values) != expected:
         raise CorruptEpisode(f"{values.name} has {len(values)} rows; expected are {expected}.")
@@ -115,6 +141,12 @@ def _array(demo: Any, path: str, column: Column, steps: int) -> Any:
 
 
 def _steps(demo: Any) -> int:
-    if "actions" not in demo or len(demo["actions"]) < 1:
+    if not hasattr(demo, "keys") or "actions" not in demo:
         raise CorruptEpisode(f"{demo.name} has no actions.")
-    return int(demo.attrs.get("num_samples", len(demo["actions"])))
+    count = len(_dataset(demo, "actions"))
+    told = demo.attrs.get("num_samples", count)
+    if count < 1:
+        raise CorruptEpisode(f"{demo.name} has no actions.")
+    if np.ndim(told) or told != count:
+        raise CorruptEpisode(f"{demo.name} has {count} actions, and num_samples says {told!r:.80}.")
+    return count

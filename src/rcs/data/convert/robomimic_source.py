@@ -8,7 +8,6 @@ episode succeeded is known only where the file has a mask "success" or "failure"
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -17,11 +16,15 @@ from typing import Any
 import numpy as np
 
 from rcs.data.convert.options import ImportOptions, stored_as
+from rcs.data.convert.provenance import checked_provenance
 from rcs.data.convert.robomimic import PROVENANCE, RCS
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo
-from rcs.errors import InvalidSetup
+from rcs.data.json_file import parsed_json
+from rcs.data.text import mended_text
+from rcs.errors import CorruptEpisode, InvalidSetup
 
+_MOST_NAMES = 1 << 20
 _KNOWN = ("obs", "next_obs", "rewards", "dones", "states", RCS)
 
 
@@ -85,7 +88,7 @@ def demo_names(file: Any) -> list[str]:
     Raises:
         InvalidSetup: There are none.
     """
-    names = list(file["data"]) if "data" in file else []
+    names = list(file["data"]) if "data" in file and hasattr(file["data"], "keys") else []
     if not names:
         raise InvalidSetup(f"{file.filename} is no file for robomimic: it has no episodes in a group 'data'.")
     return sorted(names, key=lambda name: (int((re.findall(r"\d+$", name) or ["0"])[0]), name))
@@ -117,28 +120,31 @@ def demo_about(file: Any, name: str, index: int, plan: SourcePlan) -> DemoAbout:
     demo = file["data"][name]
     words = plan.info.instruction
     if PROVENANCE in demo.attrs:
-        came = json.loads(demo.attrs[PROVENANCE])
+        came = checked_provenance(_own_attribute(file, demo, PROVENANCE), demo.name)
         return DemoAbout(
             id=came["episode"],
-            instruction=came.get("instruction", words),
-            seed=came.get("seed"),
-            success=came.get("success"),
-            outcome=came.get("outcome") or {},
+            instruction=came["instruction"],
+            seed=came["seed"],
+            success=came["success"],
+            outcome=came["outcome"],
             provenance=came,
         )
     success = None
     for mask, value in (("success", True), ("successful", True), ("failure", False)):
-        if f"mask/{mask}" in file and name.encode() in file[f"mask/{mask}"][()]:
+        if name.encode() in _names_in(file, f"mask/{mask}"):
             success = value
     return DemoAbout(id=f"{index:06d}", instruction=_instruction(file["data"], demo) or words, success=success)
 
 
 def _own_plan(file: Any, options: ImportOptions) -> SourcePlan:
-    about = json.loads(file["data"].attrs[RCS])
-    info = DatasetInfo.from_json(about["info"])
+    about = _own_attribute(file, file["data"], RCS)
+    described, observations = about.get("info"), about.get("observations")
+    if not isinstance(described, dict) or not isinstance(observations, dict):
+        raise CorruptEpisode(f"{file.filename} is damaged: it does not say what its episodes share.")
+    info = DatasetInfo.from_json(described)
     features = tuple(stored_as(feature, options) for feature in info.features)
     info = replace(info, features=features, jpeg_quality=options.jpeg_quality)
-    names = {key: name for name, key in about["observations"].items()}
+    names = {key: name for name, key in observations.items() if isinstance(key, str)}
     columns = (
         Column(feature=f, path=f"obs/{names[f.key]}", after=f"next_obs/{names[f.key]}")
         if f.key in names
@@ -151,12 +157,14 @@ def _own_plan(file: Any, options: ImportOptions) -> SourcePlan:
 def _foreign_plan(file: Any, demo: Any, options: ImportOptions) -> SourcePlan:
     data = file["data"]
     environment = _json_attribute(data, "env_args")
-    fps = (environment.get("env_kwargs") or {}).get("control_freq") or options.fps
-    if not fps:
+    kwargs = environment.get("env_kwargs")
+    fps = (kwargs.get("control_freq") if isinstance(kwargs, dict) else None) or options.fps
+    if not isinstance(fps, int | float) or not fps:
         raise InvalidSetup(f"{file.filename} does not say how many steps a second has; give fps.")
-    arrays = {f"obs/{name}": values for name, values in demo.get("obs", {}).items()}
+    seen = demo.get("obs", {})
+    arrays = {f"obs/{name}": values for name, values in seen.items()} if hasattr(seen, "items") else {}
     arrays |= {name: values for name, values in demo.items() if name not in _KNOWN}
-    left_out = {path: "it is no array of numbers" for path, values in arrays.items() if not _is_numeric(values)}
+    left_out = {path: "it is no array of numbers" for path, values in arrays.items() if not is_numeric(values)}
     columns: list[Column] = []
     for path, values in arrays.items():
         if path in left_out:
@@ -175,7 +183,7 @@ def _foreign_plan(file: Any, demo: Any, options: ImportOptions) -> SourcePlan:
         columns.append(Column(feature=Feature(key="reward", shape=(), dtype="float64"), path="rewards"))
     if "dones" in demo:
         columns.append(Column(feature=Feature(key="terminated", shape=(), dtype="bool"), path="dones"))
-    if "states" in demo and demo["states"].size:
+    if "states" in demo and is_numeric(demo["states"]) and demo["states"].size:
         columns.append(Column(feature=_feature("simulation/states", demo["states"]), path="states"))
     info = DatasetInfo(
         fps=float(fps),
@@ -203,20 +211,34 @@ def _feature(key: str, values: Any) -> Feature:
     return Feature(key=key, shape=values.shape[1:], dtype=dtype)
 
 
-def _is_numeric(values: Any) -> bool:
-    return hasattr(values, "shape") and values.ndim > 0 and values.dtype.kind in "fiub"
+def is_numeric(values: Any) -> bool:
+    """Return whether this is an array of numbers, not a group, a text, or a single number."""
+    return getattr(values, "shape", None) is not None and values.ndim > 0 and values.dtype.kind in "fiub"
+
+
+def _names_in(file: Any, path: str) -> list[Any]:
+    values: Any = file.get(path)
+    return list(values[()]) if getattr(values, "ndim", None) == 1 and values.size <= _MOST_NAMES else []
+
+
+def _own_attribute(file: Any, group: Any, name: str) -> dict[str, Any]:
+    """Return what this library wrote beside a group."""
+    text = group.attrs[name]
+    if not isinstance(text, str | bytes):
+        raise CorruptEpisode(f"{file.filename} is damaged: {group.name} says {text!r:.80} as {name!r}.")
+    return parsed_json(text, f"{file.filename}, {group.name}, {name!r}")
 
 
 def _instruction(data: Any, demo: Any) -> str | None:
     """Return what the robot was asked to do: RoboCasa and LIBERO say so, each in its own place."""
     words = _json_attribute(demo, "ep_meta").get("lang")
     words = words or _json_attribute(data, "problem_info").get("language_instruction")
-    return str(words) if words else None
+    return mended_text(str(words)) if words else None
 
 
 def _json_attribute(group: Any, name: str) -> Mapping[str, Any]:
+    text = group.attrs.get(name, "{}")
     try:
-        values = json.loads(group.attrs.get(name, "{}"))
-    except ValueError:
+        return parsed_json(text, name) if isinstance(text, str | bytes) else {}
+    except CorruptEpisode:
         return {}
-    return values if isinstance(values, dict) else {}

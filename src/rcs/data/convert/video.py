@@ -191,6 +191,8 @@ class VideoReader:
             CorruptEpisode: It is missing, or is no video.
         """
         self.path = path
+        if not path.is_file():  # a pipe would never end
+            raise CorruptEpisode(f"{path} is missing or no video.")
         try:
             self._source = av.open(str(path))
             self._stream = self._source.streams.video[0]
@@ -282,11 +284,13 @@ def decode_depth_video(path: Path) -> Iterator[NDArray[np.uint16]]:
     Raises:
         CorruptEpisode: The file is missing or damaged.
     """
+    if not path.is_file():
+        raise CorruptEpisode(f"{path} is missing or no video.")
     try:
         with av.open(str(path)) as source:
             for frame in source.decode(video=0):
                 yield np.asarray(frame.to_ndarray(), np.uint16)
-    except FFmpegError as err:
+    except (FFmpegError, IndexError) as err:  # the second where there is no video in it
         raise CorruptEpisode(f"{path} is missing or does not decode: {err}.") from err
 
 

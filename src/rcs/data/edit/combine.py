@@ -11,12 +11,13 @@ import numpy as np
 
 from rcs.data.edit.episodes import require_ids
 from rcs.data.edit.transaction import OnProgress, making
-from rcs.data.info import DatasetInfo, differences, feature_differences, shared_setup
+from rcs.data.info import MERGED, DatasetInfo, differences, feature_differences, shared_setup
+from rcs.data.layout import check_name, name_of
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.errors import DatasetError, InvalidSetup
 
-MERGED = "merged"
-"""Key of a merged dataset's setup: what its sources shared each, by name."""
+# What may differ between datasets that are merged.
+_OWN = ("setup", "instruction", "jpeg_quality", "jpeg_subsampling", "origin")
 
 
 def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProgress | None = None) -> Dataset:
@@ -89,6 +90,8 @@ def split(
     for ids in chosen.values():
         require_ids(dataset, ids)
     made: dict[str, Dataset] = {}
+    for name in chosen:
+        check_name(name, "a part")
     for name, ids in chosen.items():
         with making(Path(out) / name, dataset.info) as part:
             for episode in (dataset[episode_id] for episode_id in sorted(ids)):
@@ -118,7 +121,7 @@ def source_names(datasets: Sequence[Dataset]) -> list[str]:
     """Return a name for each dataset: that of its folder, with a number where two are alike."""
     names: list[str] = []
     for dataset in datasets:
-        stem = name = dataset.path.resolve().name
+        stem = name = name_of(dataset.path)
         number = 2
         while name in names:
             name = f"{stem}-{number}"
@@ -137,21 +140,19 @@ def _merged_info(names: Sequence[str], datasets: Sequence[Dataset]) -> DatasetIn
     first = datasets[0].info
     if all(not differences(first, dataset.info) for dataset in datasets[1:]):
         return first
-    kept = {
-        name: {
-            "setup": dataset.info.setup,
-            "instruction": dataset.info.instruction,
-            "jpeg_quality": dataset.info.jpeg_quality,
-            "jpeg_subsampling": dataset.info.jpeg_subsampling,
-        }
-        for name, dataset in zip(names, datasets, strict=True)
-    }
-    return replace(first, setup={**shared_setup([d.info.setup for d in datasets]), MERGED: kept})
+    setup = shared_setup([dataset.info.setup for dataset in datasets])
+    return replace(first, setup=setup, origin={MERGED: own_parts(names, datasets)})
+
+
+def own_parts(names: Sequence[str], datasets: Sequence[Dataset]) -> dict[str, dict[str, Any]]:
+    """Return by its name what each dataset has for itself, where it is merged with others."""
+    infos = zip(names, (dataset.info for dataset in datasets), strict=True)
+    return {name: {field: getattr(info, field) for field in _OWN} for name, info in infos}
 
 
 def _drawn(dataset: Dataset, parts: Mapping[str, float], seed: int) -> dict[str, list[str]]:
     total = sum(parts.values())
-    if not parts or min(parts.values()) < 0 or abs(total - 1) > 1e-6:
+    if not parts or min(parts.values()) < 0 or not abs(total - 1) <= 1e-6:  # of NaN nothing is true
         raise InvalidSetup(f"The shares {dict(parts)} sum up to {total:g}; they must not be negative and sum up to 1.")
     ids = [episode.id for episode in dataset.episodes]
     order = np.random.default_rng(seed).permutation(len(ids))
@@ -175,7 +176,9 @@ def _split_by_source(dataset: Dataset, out: Path) -> dict[str, Dataset]:
         by_name.setdefault(episode.source["dataset"], []).append(episode)
     made: dict[str, Dataset] = {}
     for name, episodes in by_name.items():
-        former: dict[str, Any] = dataset.info.setup.get(MERGED, {}).get(name, {})
+        check_name(name, "a dataset")
+        parts: dict[str, dict[str, Any]] = dataset.info.origin.get(MERGED, {})
+        former = {field: value for field, value in parts.get(name, {}).items() if field in _OWN}
         with making(out / name, replace(dataset.info, **former)) as part:
             for episode in episodes:
                 assert episode.source is not None

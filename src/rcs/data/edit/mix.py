@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from rcs.data.edit.combine import MERGED, provenance, source_names
+from rcs.data.edit.combine import own_parts, provenance, source_names
 from rcs.data.edit.images import cameras_of, renamed, resized, with_names, with_size
 from rcs.data.edit.rate import at_rate, resampled
 from rcs.data.edit.rows import rows_of
 from rcs.data.edit.transaction import OnProgress, making
-from rcs.data.info import DatasetInfo, feature_differences, shared_setup
+from rcs.data.info import MERGED, DatasetInfo, feature_differences, shared_setup
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.rows import stream_schema
 from rcs.errors import DatasetError, InvalidSetup
@@ -94,15 +94,15 @@ def mix(
         _drawn(dataset, number, np.random.default_rng([seed, i]))
         for i, (dataset, number) in enumerate(zip(datasets, numbers, strict=True))
     ]
-    setup: dict[str, Any] = {
-        **shared_setup([dataset.info.setup for dataset in datasets]),
+    setup = shared_setup([dataset.info.setup for dataset in datasets])
+    origin: dict[str, Any] = {
         "mix": {"seed": seed, "parts": dict(zip(names, numbers, strict=True))},
-        MERGED: {name: {"setup": d.info.setup} for name, d in zip(names, datasets, strict=True)},
+        MERGED: own_parts(names, datasets),
     }
     ids = [episode.id for episodes in chosen for episode in episodes]
     is_unique = len(set(ids)) == len(ids)
     done = 0
-    with making(out, replace(infos[0], setup=setup)) as made:
+    with making(out, replace(infos[0], setup=setup, origin=origin)) as made:
         for name, dataset, info, episodes in zip(names, datasets, infos, chosen, strict=True):
             digest = dataset.digest()
             for episode in episodes:

@@ -7,7 +7,6 @@ Episodes are never changed. In a new generation an unchanged one is a folder of 
 from __future__ import annotations
 
 import contextlib
-import secrets
 import shutil
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import replace
@@ -18,7 +17,7 @@ from typing import Any
 import pyarrow as pa
 
 from rcs.data.compact import cut, seal
-from rcs.data.durable import copy_file, disk_errors, link_file, sealed, sync_folder, write_file
+from rcs.data.durable import copy_file, disk_errors, link_file, remove_tree, sealed, sync_folder, write_file
 from rcs.data.head import Edit, Head, read_head, write_head
 from rcs.data.info import DatasetInfo
 from rcs.data.layout import (
@@ -34,6 +33,7 @@ from rcs.data.layout import (
     open_ids,
 )
 from rcs.data.lock import DatasetLock
+from rcs.data.output import new_output
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.recover import unreachable_generations
 from rcs.errors import DatasetError, InvalidSetup
@@ -156,7 +156,7 @@ def editing(
             raise DatasetError(f"Episodes {still_open} of {root} were left open by a recording; run recover first.")
         with disk_errors(command, root):
             for folder in unreachable_generations(root, head):
-                shutil.rmtree(folder)
+                remove_tree(folder)
             known = {head.generation, *generations(root), *(edit.after for edit in head.history)}
             generation = max(known) + 1
             base = generation_folder(root, generation)
@@ -199,25 +199,12 @@ def making(out: str | Path, info: DatasetInfo) -> Generator[EpisodeFolder]:
     Raises:
         DatasetError: There is something in the folder, or the disk fails; then nothing is left.
     """
-    root = Path(out)
-    with disk_errors("make a dataset", root):
-        if root.exists() and (not root.is_dir() or any(root.iterdir())):
-            raise DatasetError(f"{root} is not empty; choose another folder.")
-        root.parent.mkdir(parents=True, exist_ok=True)
-        partial = root.with_name(f".{root.name}.partial-{secrets.token_hex(4)}")
-        try:
-            episodes_folder(partial).mkdir(parents=True)
-            yield EpisodeFolder(partial, replace(info), copy_file)
-            write_head(partial, Head(info=info))
-            for folder in (episodes_folder(partial), partial):
-                sync_folder(folder)
-            if root.exists():
-                root.rmdir()
-            partial.rename(root)
-            sync_folder(root.parent)
-        except BaseException:
-            shutil.rmtree(partial, ignore_errors=True)
-            raise
+    with new_output(out) as partial:
+        episodes_folder(partial).mkdir(parents=True)
+        yield EpisodeFolder(partial, replace(info), copy_file)
+        write_head(partial, Head(info=info))
+        for folder in (episodes_folder(partial), partial):
+            sync_folder(folder)
 
 
 def now() -> str:

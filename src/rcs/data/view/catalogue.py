@@ -9,9 +9,9 @@ from typing import Any
 
 from rcs.data.feature import Feature
 from rcs.data.reader import Dataset, EpisodeRecord
+from rcs.data.verdicts import Verdicts
 from rcs.data.view.clips import pictures
 from rcs.data.view.episode_data import FLAWS, curves, is_faster_than_life
-from rcs.data.wilson import wilson_interval
 
 Entry = tuple[EpisodeRecord, dict[str, int], str]
 """An episode, how many rows each of its flaws has, and why it does not read."""
@@ -46,11 +46,11 @@ def catalogue(dataset: Dataset, entries: Sequence[Entry], clips: Sequence[str]) 
 
 
 def _counts(entries: Sequence[Entry]) -> dict[str, Any]:
-    verdicts = [record.success for record, _, damage in entries if not damage]
-    judged = [verdict for verdict in verdicts if verdict is not None]
-    rows = sum(record.length for record, _, damage in entries if not damage)
-    low, high = wilson_interval(sum(judged), len(judged))
-    return {"judged": len(judged), "successes": sum(judged), "low": low, "high": high, "rows": rows}
+    whole = [record for record, _, damage in entries if not damage]
+    verdicts = Verdicts.of(record.success for record in whole)
+    low, high = verdicts.interval
+    rows = sum(record.length for record in whole)
+    return {"judged": verdicts.judged, "successes": verdicts.succeeded, "low": low, "high": high, "rows": rows}
 
 
 def _episode(record: EpisodeRecord, flaws: dict[str, int], damage: str) -> dict[str, Any]:

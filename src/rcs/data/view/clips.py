@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-import simplejpeg
 from numpy.typing import NDArray
 
-from rcs.data.codec import decode_frame
+from rcs.data.codec import decode_frame, decode_small_jpeg
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo
 from rcs.data.reader import EpisodeRecord
@@ -130,9 +129,9 @@ def _images(
     for row, data in enumerate(episode.encoded_frames(feature.key)):
         if data is not last:
             try:
-                image = simplejpeg.decode_jpeg(data, "RGB", fastdct=True, fastupsample=True, min_height=rows)
-            except ValueError as err:
-                raise CorruptEpisode(f"{feature.key}, row {row}: the JPEG does not decode: {err}.") from err
+                image = decode_small_jpeg(data, feature.shape, rows)
+            except CorruptEpisode as err:
+                raise CorruptEpisode(f"{feature.key}, row {row}: {err}") from err
             last = data
         yield image
 

@@ -6,15 +6,15 @@ import hashlib
 import json
 import os
 import re
-import shutil
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from rcs.data.durable import disk_errors
+from rcs.data.durable import disk_errors, remove_tree
 from rcs.data.feature import Feature
+from rcs.data.json_file import parsed_json
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.view.catalogue import catalogue
 from rcs.data.view.choice import chosen_episodes
@@ -30,6 +30,8 @@ _CATALOGUE = "dataset.js"
 _EPISODE = "episode.js"
 # Part of the hash that decides whether an episode must be rendered anew: count up when what is rendered changes.
 _FORMAT = 1
+# The first line of an episode's file has a hash and some counts.
+_LONGEST_HEAD = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +120,11 @@ class _Rendered:
 
 
 def _require_own(folder: Path) -> None:
+    for path in (folder, folder / "episodes"):
+        if path.is_symlink() or (path.exists() and not path.is_dir()):
+            raise DatasetError(
+                f"{path} is a link or no folder, and nothing is written through it; choose another with out."
+            )
     if folder.exists() and any(folder.iterdir()) and not (folder / _CATALOGUE).exists():
         raise DatasetError(f"{folder} has other things in it; choose an empty folder, or one of an earlier page.")
 
@@ -125,8 +132,8 @@ def _require_own(folder: Path) -> None:
 def _sweep(folder: Path, ids: set[str]) -> None:
     """Remove the episodes that the page no longer shows, and what an interrupted call left."""
     for path in list((folder / "episodes").iterdir()):
-        if path.name not in ids:
-            shutil.rmtree(path)
+        if path.name not in ids or path.is_symlink() or not path.is_dir():
+            remove_tree(path)
 
 
 def _render(record: EpisodeRecord, folder: Path, options: ClipOptions) -> _Rendered:
@@ -138,7 +145,7 @@ def _render(record: EpisodeRecord, folder: Path, options: ClipOptions) -> _Rende
             return _Rendered(record=record, flaws=flaws)
         # Ids do not start with a dot, so the next call takes what a kill leaves of this for rubbish.
         partial = place.with_name(f".partial-{hashlib.sha256(record.id.encode()).hexdigest()[:16]}")
-        shutil.rmtree(partial, ignore_errors=True)
+        remove_tree(partial)
         partial.mkdir()
         values = episode_data(record)
         values["limits"] = [
@@ -148,11 +155,11 @@ def _render(record: EpisodeRecord, folder: Path, options: ClipOptions) -> _Rende
         head = json.dumps({"key": key, "flaws": values["flaws"]})
         body = _script("rcsEpisode", {"id": record.id, **values})
         (partial / _EPISODE).write_bytes(f"// {head}\n".encode() + body)
-        shutil.rmtree(place, ignore_errors=True)
+        remove_tree(place)
         partial.rename(place)
         return _Rendered(record=record, flaws=values["flaws"], is_new=True)
     except CorruptEpisode as err:
-        shutil.rmtree(place, ignore_errors=True)
+        remove_tree(place)
         # Where the dataset lies on this machine is nothing for a page that is passed on.
         return _Rendered(record=record, flaws={}, damage=str(err).replace(f"{record.path}/", ""))
 
@@ -178,10 +185,12 @@ def _flaws_of(path: Path, key: str) -> dict[str, int] | None:
     """Return the flaws that a rendered episode names in its first line; None if it is not there or out of date."""
     try:
         with path.open("rb") as file:
-            head = json.loads(file.readline().removeprefix(b"// "))
-    except (OSError, ValueError):
+            head = parsed_json(file.readline(_LONGEST_HEAD).removeprefix(b"// "), path)
+    except (OSError, CorruptEpisode):
         return None
-    return head["flaws"] if head.get("key") == key else None
+    flaws = head.get("flaws")
+    is_right = isinstance(flaws, dict) and all(type(count) is int for count in flaws.values())
+    return flaws if head.get("key") == key and is_right else None
 
 
 def _script(function: str, values: dict[str, Any]) -> bytes:
@@ -193,5 +202,6 @@ def _script(function: str, values: dict[str, Any]) -> bytes:
 def _put(path: Path, data: bytes) -> None:
     """Replace a file in one step; a page can be made again, so it need not outlive a power cut."""
     temporary = path.with_name(f".{path.name}.tmp")
+    temporary.unlink(missing_ok=True)  # never through a link
     temporary.write_bytes(data)
     temporary.replace(path)

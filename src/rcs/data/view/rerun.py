@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.data.durable import disk_errors
 from rcs.data.feature import Feature
+from rcs.data.output import new_output
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.view.choice import chosen_episodes
 from rcs.data.view.clips import pictures
-from rcs.errors import DatasetError, MissingDependency
+from rcs.errors import MissingDependency
 
 # So long between two episodes that the end of one and the start of the next are told apart on the time line [s].
 _PAUSE = 0.5
@@ -49,27 +49,18 @@ def write_rerun(
     rr = _rerun()
     dataset = dataset if isinstance(dataset, Dataset) else Dataset.open(dataset)
     chosen = chosen_episodes(dataset, episodes)
-    path = Path(out)
-    if path.exists():
-        raise DatasetError(f"{path} is there already; choose another name, or remove it.")
-    partial = path.with_name(f"{path.name}.partial")
-    with disk_errors("write the recording", path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            recording = rr.RecordingStream(dataset.path.resolve().name)
-            recording.save(partial)
-            first_row, start = 0, 0.0
-            for done, episode in enumerate(chosen):
-                _Episode(rr, recording, episode, first_row, start).send()
-                first_row += episode.length
-                start += episode.length / dataset.info.fps + _PAUSE
-                if on_progress is not None:
-                    on_progress(done + 1, len(chosen))
-            recording.flush()
-            recording.disconnect()
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
+    with new_output(out) as partial:
+        recording = rr.RecordingStream(dataset.path.resolve().name)
+        recording.save(partial)
+        first_row, start = 0, 0.0
+        for done, episode in enumerate(chosen):
+            _Episode(rr, recording, episode, first_row, start).send()
+            first_row += episode.length
+            start += episode.length / dataset.info.fps + _PAUSE
+            if on_progress is not None:
+                on_progress(done + 1, len(chosen))
+        recording.flush()
+        recording.disconnect()
     return len(chosen)
 
 

@@ -11,6 +11,11 @@ function verdict(episode) {
   return episode.success === null ? "unknown" : episode.success ? "success" : "failure";
 }
 
+// The same in words.
+function told(episode) {
+  return verdict(episode).replace("unknown", "not judged");
+}
+
 function table(rows) {
   const cells = (row) => [element("th", { textContent: row[0] }), element("td", { textContent: row[1] })];
   return element("table", {}, ...rows.map((row) => element("tr", {}, ...cells(row))));
@@ -84,7 +89,7 @@ class EpisodeList {
     const button = element("button", { textContent: "⇄", title: "Compare with this one" });
     button.addEventListener("click", (event) => { event.stopPropagation(); compare(episode.id); });
     const item = element("li", {},
-      element("span", { className: "dot " + verdict(episode), title: verdict(episode) }),
+      element("span", { className: "dot " + verdict(episode), title: told(episode) }),
       element("span", { className: "id", textContent: episode.id, title: episode.id }),
       element("span", { className: "length" }, flaws, episode.damaged ? "damaged" : seconds(episode.rows, dataset.fps)),
       button);

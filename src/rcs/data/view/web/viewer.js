@@ -101,7 +101,7 @@ function showHeads(entries) {
   document.getElementById("heads").replaceChildren(...entries.map((entry, number) => {
     const facts = [entry.seed !== null && `seed ${entry.seed}`, `${entry.rows} frames, ${seconds(entry.rows, dataset.fps)}`, entry.note];
     const head = element("div", { className: "head" }, ...(entries.length > 1 ? [tag(number)] : []),
-      element("b", { textContent: entry.id }), element("span", { className: "badge " + verdict(entry), textContent: verdict(entry) }),
+      element("b", { textContent: entry.id }), element("span", { className: "badge " + verdict(entry), textContent: told(entry) }),
       ...facts.filter(Boolean).map((fact) => element("span", { className: "fact", textContent: fact })),
       element("span", { textContent: "“" + entry.instruction + "”" }));
     if (number) {

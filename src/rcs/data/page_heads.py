@@ -1,0 +1,163 @@
+"""The heads of pages in a Parquet file, as the file has them: Arrow does not tell them, and believes them.
+
+A head says how large its page becomes when it is decompressed, which the footer need not say truly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+# Numbers of fields in `parquet.thrift` of Apache Parquet: of the head of a page.
+_TYPE, _UNCOMPRESSED, _PAGE_SIZE, _PAGE_CRC = 1, 2, 3, 4
+_TRUE, _FALSE = 1, 2
+# Heads of ours have no statistics; those of others may have long texts in them.
+_USUAL_HEAD, _LONGEST_HEAD = 128, 1 << 20
+# A list or struct in a head is not nested deeper, and no list in a footer is longer.
+_MOST_DEPTH = 16
+_MOST_ITEMS = 1 << 20
+
+DICTIONARY_PAGE = 2
+"""The type of a page with values that others stand for."""
+
+
+@dataclass(frozen=True)
+class PageHead:
+    """What stands before a page."""
+
+    start: int
+    """Where the page's data begin, after the head [B]."""
+    size: int
+    """Their length in the file [B]."""
+    uncompressed: int
+    """Their length when decompressed [B]."""
+    crc: int | None
+    """Their CRC-32, if it is stored."""
+    type: int
+    """What kind of page it is."""
+
+
+def page_head(data: bytes | bytearray, at: int, base: int = 0) -> PageHead:
+    """Read the head of a page.
+
+    Args:
+        data: Bytes of the file.
+        at: Where the head begins in them.
+        base: Where these bytes begin in the file.
+
+    Raises:
+        ValueError: This is no head of a page, or it goes on after the end of the data.
+    """
+    try:
+        fields, after = thrift_struct(data, at)
+        crc = fields.get(_PAGE_CRC)
+        head = PageHead(
+            start=base + after,
+            size=int(fields[_PAGE_SIZE]),
+            uncompressed=int(fields[_UNCOMPRESSED]),
+            crc=None if crc is None else crc & 0xFFFFFFFF,
+            type=int(fields[_TYPE]),
+        )
+    except (IndexError, KeyError, TypeError, AttributeError, RecursionError) as err:
+        raise ValueError(f"no head of a page: {err!r}") from err
+    if head.size < 0 or head.uncompressed < 0:
+        raise ValueError("a page of less than no bytes")
+    return head
+
+
+def page_heads(read: Callable[[int, int], bytes], start: int, end: int) -> Iterator[PageHead]:
+    """Yield the heads of the pages between two places in a file.
+
+    Args:
+        read: Returns so many bytes from a place in the file, or fewer at its end.
+        start: Where the first head begins.
+        end: Where the last page ends.
+
+    Raises:
+        ValueError: There is something else between them.
+    """
+    while start < end:
+        try:
+            head = page_head(read(min(_USUAL_HEAD, end - start), start), 0, start)
+        except ValueError:
+            head = page_head(read(min(_LONGEST_HEAD, end - start), start), 0, start)
+        if head.start + head.size > end:
+            raise ValueError("a page goes on after its column")
+        yield head
+        start = head.start + head.size
+
+
+def thrift_struct(data: bytes | bytearray, at: int, depth: int = 0) -> tuple[dict[int, Any], int]:
+    """Read a struct of Thrift's compact protocol: its fields by their numbers, and where it ends.
+
+    Source: the specification of the compact protocol in the documentation of Apache Thrift.
+
+    Raises:
+        ValueError: This is no such struct.
+        IndexError: It goes on after the end of the data.
+    """
+    fields: dict[int, Any] = {}
+    number = 0
+    if at < 0:
+        raise ValueError("a struct cannot begin before the file")
+    if depth > _MOST_DEPTH:
+        raise ValueError(f"structs are nested more than {_MOST_DEPTH} levels deep")
+    while head := data[at]:
+        at += 1
+        if head >> 4:
+            number += head >> 4
+        else:
+            folded, at = _varint(data, at)
+            number = _unfolded(folded)
+        kind = head & 0xF
+        # Of a field, unlike of what is in a list, a truth value is its type.
+        fields[number], at = (kind == _TRUE, at) if kind in (_TRUE, _FALSE) else _thrift_value(data, at, kind, depth)
+    return fields, at + 1
+
+
+def _thrift_value(data: bytes | bytearray, at: int, kind: int, depth: int) -> tuple[Any, int]:
+    match kind:
+        case 1 | 2 | 3:
+            return data[at], at + 1
+        case 4 | 5 | 6:
+            folded, at = _varint(data, at)
+            return _unfolded(folded), at
+        case 7:
+            return None, at + 8
+        case 8:
+            size, at = _varint(data, at)
+            if at + size > len(data):
+                raise IndexError("a text goes on after the end")
+            return data[at : at + size], at + size
+        case 9 | 10:
+            head, at = data[at], at + 1
+            size, at = (head >> 4, at) if head >> 4 < 15 else _varint(data, at)
+            if size > _MOST_ITEMS:
+                raise ValueError(f"a list of {size} items")
+            values: list[Any] = []
+            for _ in range(size):
+                value, at = _thrift_value(data, at, head & 0xF, depth + 1)
+                values.append(value)
+            return values, at
+        case 12:
+            return thrift_struct(data, at, depth + 1)
+        case other:
+            raise ValueError(f"nothing here has the type {other}")
+
+
+def _varint(data: bytes | bytearray, at: int) -> tuple[int, int]:
+    value = shift = 0
+    while True:
+        byte = data[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        shift += 7
+        if byte < 0x80:
+            return value, at
+        if shift > 63:
+            raise ValueError("a number of more than 64 bits")
+
+
+def _unfolded(value: int) -> int:
+    return (value >> 1) ^ -(value & 1)
