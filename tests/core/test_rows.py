@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from rcs._core import limit_rows
+from rcs._core import clip_rows, limit_rows
 from rcs.errors import InvalidSetup
 
 
