@@ -53,6 +53,14 @@ class TestFreeWithSynchronousSteps(Made):
     options: ClassVar[dict[str, Any]] = {"task": "Free", "mode": "sync", "binary_gripper": False}
 
 
+class TestLiftBarWithTwoRobots(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "LiftBar", "robot": "dual_fr3"}
+
+
+class TestTwoRobotsWithAbsolutePoses(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "Free", "robot": "dual_fr3", "control": "tquat", "relative": False}
+
+
 class TestRandomisedPickCuboid(Made):
     options: ClassVar[dict[str, Any]] = {"task": "PickCuboid", "randomisation": True}
 
@@ -93,3 +101,8 @@ class TestFakeDevices(EnvContract):
 class TestFakeDevicesWithSynchronousSteps(TestFakeDevices):
     def make_env(self) -> Any:
         return self.make_bench(is_synchronous=True).env
+
+
+class TestFakeDevicesOfTwoRobots(TestFakeDevices):
+    def make_env(self) -> Any:
+        return self.make_bench(robots=("left", "right")).env

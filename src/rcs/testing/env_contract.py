@@ -16,20 +16,22 @@ from rcs.errors import InvalidAction, WrongOrder
 
 AnyEnv = gymnasium.Env[Any, Any]
 Action = dict[str, Any]
+Boxes = Mapping[str, spaces.Box]
+"""The spaces of one robot's action."""
 
 
-def _change(key_and_value: Callable[[str, spaces.Box, Any], Any]) -> Callable[[AnyEnv, Action], Any]:
+def _change(new: Callable[[spaces.Box, Any], Any]) -> Callable[[Boxes, Action], Any]:
     """Make a function that spoils the first entry of a valid action."""
 
-    def spoil(env: AnyEnv, action: Action) -> Any:
+    def spoil(boxes: Boxes, action: Action) -> Any:
         key = next(iter(action))
-        return {**action, key: key_and_value(key, _boxes(env)[key], action[key])}
+        return {**action, key: new(boxes[key], action[key])}
 
     return spoil
 
 
-def _with_first(value: Callable[[spaces.Box], float]) -> Callable[[AnyEnv, Action], Any]:
-    def replace(key: str, box: spaces.Box, array: Any) -> Any:
+def _with_first(value: Callable[[spaces.Box], float]) -> Callable[[Boxes, Action], Any]:
+    def replace(box: spaces.Box, array: Any) -> Any:
         changed = np.array(array)
         changed[0] = value(box)
         return changed
@@ -37,32 +39,32 @@ def _with_first(value: Callable[[spaces.Box], float]) -> Callable[[AnyEnv, Actio
     return _change(replace)
 
 
-BAD_ACTIONS: dict[str, Callable[[AnyEnv, Action], Any]] = {
-    "nothing": lambda env, action: None,
-    "an array instead of a dictionary": lambda env, action: next(iter(action.values())),
-    "no keys": lambda env, action: {},
-    "a missing key": lambda env, action: dict(list(action.items())[1:]),
-    "an unknown key": lambda env, action: {**action, "no such key": np.zeros(1)},
-    "too short": _change(lambda key, box, array: array[1:]),
-    "too long": _change(lambda key, box, array: np.append(array, array[:1])),
-    "an axis too many": _change(lambda key, box, array: array[None]),
-    "a number instead of an array": _change(lambda key, box, array: 0.0),
-    "text": _change(lambda key, box, array: ["0.0"] * len(array)),
-    "objects": _change(lambda key, box, array: np.array([None] * len(array))),
-    "booleans": _change(lambda key, box, array: np.zeros(box.shape, np.bool_)),
-    "complex numbers": _change(lambda key, box, array: array.astype(np.complex128)),
-    "rows of different lengths": _change(lambda key, box, array: [[0.0], [0.0, 0.0]]),
+BAD_ACTIONS: dict[str, Callable[[Boxes, Action], Any]] = {
+    "nothing": lambda boxes, action: None,
+    "an array instead of a dictionary": lambda boxes, action: next(iter(action.values())),
+    "no keys": lambda boxes, action: {},
+    "a missing key": lambda boxes, action: dict(list(action.items())[1:]),
+    "an unknown key": lambda boxes, action: {**action, "no such key": np.zeros(1)},
+    "too short": _change(lambda box, array: array[1:]),
+    "too long": _change(lambda box, array: np.append(array, array[:1])),
+    "an axis too many": _change(lambda box, array: array[None]),
+    "a number instead of an array": _change(lambda box, array: 0.0),
+    "text": _change(lambda box, array: ["0.0"] * len(array)),
+    "objects": _change(lambda box, array: np.array([None] * len(array))),
+    "booleans": _change(lambda box, array: np.zeros(box.shape, np.bool_)),
+    "complex numbers": _change(lambda box, array: array.astype(np.complex128)),
+    "rows of different lengths": _change(lambda box, array: [[0.0], [0.0, 0.0]]),
     "not a number": _with_first(lambda box: np.nan),
     "infinite": _with_first(lambda box: np.inf),
     "minus infinite": _with_first(lambda box: -np.inf),
     "above the bounds": _with_first(lambda box: float(box.high[0]) + 0.01),
     "below the bounds": _with_first(lambda box: float(box.low[0]) - 0.01),
 }
-"""Actions that no environment may accept."""
+"""Actions of a robot that no environment may accept."""
 
 
 class EnvContract:
-    """Checks an environment whose actions and observations are dictionaries of arrays."""
+    """Checks an environment whose actions and observations are dictionaries of arrays, one for each robot of several."""
 
     steps: int = 4
     """How many steps a comparison takes."""
@@ -109,10 +111,11 @@ class EnvContract:
         """So that an action can be drawn and checked."""
         with self.env() as env:
             assert isinstance(env.observation_space, spaces.Dict)
-            for box in _boxes(env).values():
-                assert np.isfinite(box.low).all()
-                assert np.isfinite(box.high).all()
-                assert (box.low < box.high).all()
+            for boxes in _robots(env).values():
+                for box in boxes.values():
+                    assert np.isfinite(box.low).all()
+                    assert np.isfinite(box.high).all()
+                    assert (box.low < box.high).all()
 
     def test_observations_are_in_their_space(self) -> None:
         """Keys, shapes, dtypes and bounds, from reset on."""
@@ -189,13 +192,18 @@ class EnvContract:
 
     @pytest.mark.parametrize("kind", BAD_ACTIONS)
     def test_a_bad_action_is_refused_and_changes_nothing(self, kind: str) -> None:
-        """What follows it is, bit for bit, what follows without it."""
+        """What follows it is, bit for bit, what follows without it; of several robots it is the last one's."""
         with self.env() as env, self.env() as untouched:
 
             def try_it(_: Any) -> None:
-                action = {key: box.low.copy() for key, box in _boxes(env).items()}
+                robots = _robots(env)
+                actions: dict[str, Any] = {
+                    name: {key: box.low.copy() for key, box in boxes.items()} for name, boxes in robots.items()
+                }
+                last = list(robots)[-1]
+                actions[last] = BAD_ACTIONS[kind](robots[last], actions[last])
                 with pytest.raises(InvalidAction):
-                    env.step(BAD_ACTIONS[kind](env, action))
+                    env.step(actions.get(ONLY, actions))
 
             require_same_bits(self.run(env, between=try_it), self.run(untouched))
 
@@ -250,9 +258,19 @@ def require_same_bits(a: Any, b: Any, path: str = "") -> None:
         assert a == b or (a != a and b != b), f"{path}: {a} and {b}"
 
 
-def _boxes(env: AnyEnv) -> dict[str, spaces.Box]:
+ONLY = ""
+"""What stands for the name of a robot that is alone."""
+
+
+def _robots(env: AnyEnv) -> dict[str, Boxes]:
+    """Return the spaces of every robot's action."""
     space = env.action_space
     assert isinstance(space, spaces.Dict)
+    inner = {name: one for name, one in space.spaces.items() if isinstance(one, spaces.Dict)}
+    return {name: _boxes(one) for name, one in inner.items()} if inner else {ONLY: _boxes(space)}
+
+
+def _boxes(space: spaces.Dict) -> Boxes:
     boxes = {key: box for key, box in space.spaces.items() if isinstance(box, spaces.Box)}
     assert boxes.keys() == space.spaces.keys()
     return boxes
