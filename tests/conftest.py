@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import signal
 import subprocess
 import sys
 import textwrap
@@ -19,6 +20,12 @@ def why_nothing_draws() -> str:
 
     probes = probe_gl()
     return "" if any(probe.ok for probe in probes) else "; ".join(f"{probe.name}: {probe.detail}" for probe in probes)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Take Ctrl-C as usual: under `nohup make test &` it is ignored, and the programs that tests start inherit that."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

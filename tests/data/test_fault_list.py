@@ -129,19 +129,12 @@ def test_2_sigkill_while_an_episode_is_completed_leaves_it_open_or_complete(tmp_
         assert not list((path / "episodes").glob(".*"))
 
 
-def listening_to_ctrl_c() -> None:
-    """Take Ctrl-C as usual in a child: under `nohup make test &` tests ignore it, and children would inherit that."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_3_ctrl_c_and_sigterm_close_within_five_seconds(tmp_path: Path, number: signal.Signals) -> None:
     path = tmp_path / "set"
     command = [sys.executable, "-c", "from rcs.cli.main import main; main()", "collect", "PickCuboid"]
     command += ["--episodes", "500", "--workers", "1", "--cameras", "none", "--out", str(path)]
-    with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, preexec_fn=listening_to_ctrl_c
-    ) as process:
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 30
         while not list((path / "episodes").glob("0*/episode.json")):
             assert time.monotonic() < deadline, "no episode within 30 s"

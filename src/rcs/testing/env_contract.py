@@ -64,7 +64,7 @@ BAD_ACTIONS: dict[str, Callable[[Boxes, Action], Any]] = {
 
 
 class EnvContract:
-    """Checks an environment whose actions and observations are dictionaries of arrays, one for each robot of several."""
+    """Checks an environment whose actions and observations are dictionaries of arrays, of several robots one each."""
 
     steps: int = 4
     """How many steps a comparison takes."""
