@@ -11,6 +11,10 @@ from rcs.data.reader import EpisodeRecord
 from rcs.errors import CorruptEpisode
 
 
+FIELDS = ("episode", "seed", "success", "outcome", "instruction", "rows")
+"""What an import relies on."""
+
+
 def episode_provenance(episode: EpisodeRecord, digest: str) -> dict[str, Any]:
     """Return as JSON values where an exported episode came from, and what its format has no place for.
 
@@ -50,18 +54,20 @@ def checked_provenance(values: Any, path: Path | str) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise CorruptEpisode(f"{path} is damaged: of an episode it has {values!r:.80}.")
     given: dict[str, Any] = values
-    seed, rows, name = given.get("seed"), given.get("rows"), given.get("episode")
+    if missing := [field for field in FIELDS if field not in given]:
+        raise CorruptEpisode(f"{path} is damaged: of an episode it does not say {', '.join(missing)}.")
+    seed, rows, name = given["seed"], given["rows"], given["episode"]
     is_right = {
         "episode": isinstance(name, str) and is_name(name),
         "seed": seed is None or (type(seed) is int and abs(seed) < MOST_SEED),
-        "success": given.get("success") in (True, False, None) and type(given.get("success")) is not int,
-        "outcome": isinstance(given.get("outcome"), dict),
-        "instruction": isinstance(given.get("instruction"), str),
+        "success": given["success"] is None or isinstance(given["success"], bool),
+        "outcome": isinstance(given["outcome"], dict),
+        "instruction": isinstance(given["instruction"], str),
         "rows": type(rows) is int and 1 <= rows <= MOST_ROWS,
     }
     for field, right in is_right.items():
         if not right:
-            raise CorruptEpisode(f"{path} is damaged: {field} of an episode is {given.get(field)!r:.80}.")
+            raise CorruptEpisode(f"{path} is damaged: {field} of an episode is {given[field]!r:.80}.")
     return given
 
 
