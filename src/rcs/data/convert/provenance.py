@@ -10,7 +10,6 @@ from rcs.data.layout import is_name
 from rcs.data.reader import EpisodeRecord
 from rcs.errors import CorruptEpisode
 
-
 FIELDS = ("episode", "seed", "success", "outcome", "instruction", "rows")
 """What an import relies on."""
 
