@@ -66,6 +66,20 @@ def test_an_action_with_masked_values_is_refused() -> None:
         env.step(action)
 
 
+@pytest.mark.parametrize("option", ["state", "robot", "objects"])
+def test_reset_options_with_masked_values_are_refused(option: str) -> None:
+    env = rcs.make("PickCuboid")
+    observation, _ = env.reset(seed=0)
+    state = env.scenario.world.states()
+    given: dict[str, Any] = {
+        "state": np.ma.masked_greater(state, -np.inf),
+        "robot": {"joints": np.ma.masked_greater(observation["joints"], -np.inf)},
+        "objects": {"cuboid": np.ma.masked_greater(env.scenario.object_poses()["cuboid"], -np.inf)},
+    }
+    with pytest.raises(InvalidSetup, match="masked"):
+        env.reset(options={option: given[option]})
+
+
 def test_a_device_that_is_in_fault_is_told_at_reset(make_bench) -> None:
     bench = make_bench()
     bench.env.reset(seed=0)
@@ -143,7 +157,7 @@ def test_a_simulation_that_diverges_raises_and_reset_starts_anew(
     env = rcs.make("Free")
     expected, _ = env.reset(seed=0)
     env.scenario.world.qvel[0] = np.nan
-    with pytest.raises(Diverged, match="reset"):
+    with pytest.raises(Diverged, match=r"huge value in QVEL at DOF 0.*reset"):
         env.step(env.action_space.sample())
     with pytest.raises(WrongOrder):
         env.step(env.action_space.sample())

@@ -197,7 +197,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             InvalidAction: The action is not valid; no device saw it. Only when a device itself refuses it may others
                 have seen it; then all hold, and the episode goes on.
             WrongOrder: The environment was not reset, its episode is over, it is closed, or another thread uses it.
-            Diverged: The simulation left the range of finite numbers; reset starts anew.
+            Diverged: The simulation left the range of finite numbers, in MuJoCo's words; reset starts anew.
+            SimulationError: MuJoCo has given a step up, in its words, such as for want of memory for contacts.
         """
         with self._turn.take("step"):
             if not self._is_running:
@@ -238,7 +239,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         assert measured is not None, "without a fault, everything was measured"
         end = int(self._clock.ends[0])
         if end == StepEnd.failed.value:
-            raise Diverged("The simulation left the range of finite numbers (see MuJoCo's log); call reset.")
+            why = self._scenario.world.why_diverged() if self._scenario is not None else ""
+            raise Diverged(f"The simulation diverged: {why or 'a step failed.'} Call reset to start anew.")
         observation = self._stack.lift(measured)
         self._last_observation = observation
         self._steps += 1

@@ -68,6 +68,8 @@ def check_state(state: Any, size: int) -> NDArray[np.float64]:
     Raises:
         InvalidSetup: It has a wrong shape, or a value that MuJoCo takes for divergence.
     """
+    if np.ma.is_masked(state):
+        raise InvalidSetup("The option 'state' has masked values; valid is an array without a mask.")
     try:
         array = np.asarray(state, np.float64)
     except (TypeError, ValueError) as err:
@@ -130,6 +132,8 @@ def _check_pose(name: str, pose: Any) -> NDArray[np.float64]:
 
 
 def _as_array(what: str, value: Any) -> NDArray[np.float64]:
+    if np.ma.is_masked(value):
+        raise InvalidSetup(f"{what} has masked values; valid is an array without a mask.")
     try:
         return np.asarray(value, np.float64)
     except (TypeError, ValueError) as err:

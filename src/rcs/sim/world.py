@@ -31,6 +31,14 @@ LOWEST_FREQUENCY = 1e-6
 SHORTEST_PHYSICS_STEP = 1e-9
 """Shortest time step of the physics [s]: the finest that a control period is counted in."""
 
+DIVERGENCE = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+    mujoco.mjtWarning.mjWARN_BADCTRL,
+)
+"""Warnings of MuJoCo after which a step counts as failed."""
+
 
 class World:
     """One scene, in one or many copies."""
@@ -62,14 +70,14 @@ class World:
         """
         if copies is not None and data is not None:
             raise InvalidSetup("Give data for one copy or copies for many, not both.")
-        if copies is not None and copies < 1:
-            raise InvalidSetup(f"copies is {copies}; it must be at least 1.")
+        if copies is not None and (not isinstance(copies, int | np.integer) or isinstance(copies, bool) or copies < 1):
+            raise InvalidSetup(f"copies is {copies!r}; valid is a whole number from 1, or None.")
         period = control_period(frequency, model.opt.timestep)
         timing = (period.numerator, period.denominator, mode == "sync", max_substeps)
         self.model = model
         self.frequency = frequency
         self.mode: Mode = mode
-        self.leading: tuple[int, ...] = () if copies is None else (copies,)
+        self.leading: tuple[int, ...] = () if copies is None else (int(copies),)
         """Leading shape of every array: () or (copies,)."""
         if copies is None:
             self.data = mujoco.MjData(model) if data is None else data
@@ -157,6 +165,13 @@ class World:
             self.core.advance()
         else:
             self.core.advance(copies)
+
+    def why_diverged(self) -> str:
+        """Return MuJoCo's words on why the last step failed, of a world of one copy; empty if it did not diverge."""
+        if self.data is None:
+            return ""
+        warnings = [(kind.value, self.data.warning[kind.value]) for kind in DIVERGENCE]
+        return " ".join(mujoco.mju_warningText(kind, stat.lastinfo) for kind, stat in warnings if stat.number)
 
     def reset(self, copies: Copies = None) -> None:
         """Return copies to the initial state; call `refresh` when the state is written."""
