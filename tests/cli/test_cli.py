@@ -12,8 +12,11 @@ from pathlib import Path
 
 import pytest
 
+import rcs
 from rcs.cli.main import main
 from rcs.data import Dataset
+from rcs.setups.ids import ids
+from rcs.setups.lab import lab_of
 
 RCS = [sys.executable, "-c", "from rcs.cli.main import main; main()"]
 
@@ -93,6 +96,29 @@ def test_collect_records_the_frames_of_tactile_sensors(capsys: pytest.CaptureFix
     code, _ = call(capsys, "collect", "PickCuboid", *options, "--no-report", "--out", out)
     assert code == 0
     assert "observation/frames/so101_left/rgb" in (tmp_path / "touch" / "dataset.json").read_text()
+
+
+PAIRS = [(task, robot) for task, robot in ids().values() if task != "Free"]
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(("task", "robot"), PAIRS)
+def test_every_task_is_collected_with_the_cameras_of_its_robots_lab(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, task: str, robot: str
+) -> None:
+    options = ("--robot", robot, "--episodes", "1", "--workers", "1", "--size", "32", "--out", str(tmp_path / "set"))
+    code, told = call(capsys, "collect", task, *options)
+    assert code == 0, told
+    dataset = Dataset.open(tmp_path / "set")
+    assert dataset.info.setup["cameras"] == list(lab_of(robot).cameras)
+    assert dataset.episodes[0].success
+
+
+@pytest.mark.parametrize("command", [["rcs"], [sys.executable, "-m", "rcs"]])
+def test_the_version_is_told(command: list[str]) -> None:
+    program = [str(Path(sys.executable).with_name("rcs"))] if command == ["rcs"] else command
+    told = subprocess.run([*program, "--version"], capture_output=True, text=True, check=True).stdout
+    assert told == f"rcs {rcs.__version__}\n"
 
 
 def test_list_names_robots_cameras_tasks_and_ids(capsys: pytest.CaptureFixture[str]) -> None:

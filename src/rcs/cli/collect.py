@@ -26,6 +26,7 @@ from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, collect
 from rcs.rollout.collect import Progress as CollectionProgress
 from rcs.rollout.report import write_report
+from rcs.setups.lab import lab_of
 from rcs.sim.detail import Assets
 from rcs.sim.randomisation import Randomisation
 
@@ -51,8 +52,8 @@ class CollectCommand:
     """Folder of the dataset."""
     seed: int = 0
     """Same seed, same data."""
-    cameras: tuple[str, ...] = ("wrist", "side")
-    """Cameras to record; `none` for none."""
+    cameras: tuple[str, ...] | None = None
+    """Cameras to record; those of the robot's lab when not given, `none` for none."""
     size: int = 224
     """Width and height of every frame in pixels."""
     camera_mode: str | None = None
@@ -109,7 +110,8 @@ class CollectCommand:
     def _collection(self) -> Collection:
         if not isinstance(self.workers, int) or self.workers < 0:
             raise InvalidSetup(f"workers is {self.workers}; valid is 0 (one per core) and more.")
-        cameras = () if self.cameras in ((), ("none",)) else self.cameras
+        cameras = tuple(lab_of(self.robot).cameras) if self.cameras is None else self.cameras
+        cameras = () if cameras == ("none",) else cameras
         setup = Setup(
             task=self.task,
             robot=self.robot,

@@ -13,7 +13,14 @@ from rich.table import Table
 from rcs._core import probe_gl
 from rcs.cli.console import plain_console
 
-EXTRAS = {"rl": "stable_baselines3", "pinocchio": "pinocchio"}
+EXTRAS = {
+    "menagerie": "mujoco_menagerie",
+    "tacto": "tacto",
+    "hdf5": "h5py",
+    "rerun": "rerun",
+    "torch": "torch",
+    "rl": "stable_baselines3",
+}
 """Extras by the module that shows that they are installed."""
 
 

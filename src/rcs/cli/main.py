@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import subcommand
 
+import rcs
 from rcs.cli.collect import CollectCommand
 from rcs.cli.console import let_all_text_out, plain_console
 from rcs.cli.data import DataCommand
@@ -32,6 +33,10 @@ Command = (
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and exit: 0 for success, 1 for an error or a bad finding, 130 when interrupted."""
     let_all_text_out()
+    given = sys.argv[1:] if arguments is None else arguments
+    if given == ["--version"]:
+        print(f"rcs {rcs.__version__}")
+        sys.exit(0)
     command: Any = tyro.cli(
         Command,  # pyright: ignore[reportArgumentType]  a union is a type to tyro
         prog="rcs",
