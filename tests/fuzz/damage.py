@@ -285,6 +285,8 @@ def _bomb(path: Path, templates: Path, rng: random.Random) -> str:
 
 def _rehash(file: Path, length: int | None) -> None:
     about = file.with_name("episode.json")
+    if not about.is_file():  # an earlier blow may have made a pipe of it, which nobody ever writes to
+        return
     try:
         values = json.loads(about.read_bytes())
         values["sha256"][file.name] = hashlib.sha256(file.read_bytes()).hexdigest()

@@ -131,7 +131,7 @@ class _Child:
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.write(json.dumps(what).encode() + b"\n")
             self._process.stdin.flush()
-        doing = ""
+        doing = "damage"
         deadline = time.monotonic() + TIMEOUT_S
         while True:
             try:
