@@ -11,6 +11,7 @@ import pytest
 
 import rcs
 from rcs.envs.env import Env
+from rcs.envs.layers import Layer
 from rcs.errors import DeviceFault, UnknownName, WrongOrder
 from rcs.setups.ids import ids
 from rcs.testing import SafetyContract
@@ -178,6 +179,40 @@ def test_two_threads_in_one_environment_are_told_apart(make_bench: Callable[...,
     env.step(stay(env, lift(env)))
     np.testing.assert_allclose(joints_of(env)[""], before, atol=1e-9)
     env.close()
+
+
+@pytest.mark.parametrize("where", ["map_action", "map_executed"])
+def test_hold_from_another_thread_is_not_undone_by_the_step_under_way(
+    make_bench: Callable[..., Any], where: str
+) -> None:
+    bench = make_bench()
+    env = bench.env
+
+    class HeldMeanwhile(Layer):
+        is_armed = False
+
+        def map_action(self, action: Any) -> Any:
+            return self._hold("map_action", action)
+
+        def map_executed(self, executed: Any) -> Any:
+            return self._hold("map_executed", executed)
+
+        def _hold(self, here: str, action: Any) -> Any:
+            if self.is_armed and here == where:
+                thread = threading.Thread(target=env.hold)
+                thread.start()
+                thread.join(10)
+            return action
+
+    layer = HeldMeanwhile()
+    env.stack.layers.append(layer)
+    observation, _ = env.reset(seed=0)
+    layer.is_armed = True
+    env.step(go(env, observation))
+    layer.is_armed = False
+    np.testing.assert_allclose(joints_of(env)[""], observation["joints"], atol=1e-9)
+    env.step(stay(env, lift(env)))
+    np.testing.assert_allclose(joints_of(env)[""], observation["joints"], atol=1e-9)
 
 
 def test_close_from_another_thread_holds_at_once_and_closes_after_the_step(make_bench: Callable[..., Any]) -> None:

@@ -222,11 +222,13 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         measured: Observation | None = None
         try:
             if self._must_rebase:
+                self._must_rebase = False  # before, for another thread may set it meanwhile
                 self._stack.rebase()
-                self._must_rebase = False
             mapped = self._stack.map(action)
             self._is_commanded = True
             self._stack.send(mapped)
+            if self._must_rebase:
+                self._stack.hold()  # another thread has said so before the targets were sent
             self._clock.advance()
             measured = self._stack.measure()
             faults = self._stack.faults()
