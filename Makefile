@@ -92,7 +92,8 @@ test-cpp: build
 SANITIZE := build/sanitize
 # Sanitized code is three times as slow; how long a frame takes is no question here.
 SANITIZED_TESTS := --deselect tests/sim/test_tactile.py::test_a_frame_is_ready_in_time_for_the_sensors_rate \
-  tests/core tests/sim tests/envs tests/devices tests/kinematics tests/fuzz
+  tests/core tests/sim tests/envs tests/devices tests/kinematics \
+  tests/fuzz/test_fuzz_core.py
 LIBRARY_OF_GCC = $(shell gcc -print-file-name=$(1))
 # Leaks: Python keeps what it allocates to the end. Handlers of the tests would hide a crash from the sanitizer.
 RUN_SANITIZED = env LD_PRELOAD="$(call LIBRARY_OF_GCC,libasan.so) $(call LIBRARY_OF_GCC,libubsan.so)" \
