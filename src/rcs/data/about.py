@@ -99,13 +99,20 @@ def _are_hashes(value: Any) -> bool:
     return _of(value, _is_hash) and STEPS_FILE in value and not set(value) - {STEPS_FILE, SIM_STATE_FILE}
 
 
+PERIOD = (
+    *("expected", "mean", "p50", "p99", "max", "jitter_p50", "jitter_p99", "jitter_max"),
+    *("gaps", "missed_steps", "backwards"),
+)
+"""What the quality report says of the periods, as `QualityMeter` measures them."""
+
+
 def _is_quality(value: Any) -> bool:
     if not isinstance(value, dict):
         return False
     period, cameras, writer = (value.get(name) for name in ("period", "cameras", "writer"))
     is_count = lambda count: count is None or (_is_whole(count) and count >= 0)  # noqa: E731  a word for one line
     return (
-        (period is None or _of(period, _is_number))
+        (period is None or (_of(period, _is_number) and set(PERIOD) <= set(period)))
         and (cameras is None or _of(cameras, lambda camera: _of(camera, is_count)))
         and (writer is None or _of(writer, _is_number))
     )

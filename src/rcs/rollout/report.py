@@ -194,7 +194,7 @@ def _quality(facts: Sequence[_Facts], *, is_live: bool) -> str:
         # A simulation that does not wait has no rate to keep: how fast it was is what there is to say.
         rows += [
             ("Simulated period", f"{1e3 * periods[0]['expected']:.2f} ms, exact"),
-            ("Wall time per step", f"{1e3 * mean:.2f} ms: {periods[0]['expected'] / mean:.1f} times faster than life"),
+            ("Wall time per step", f"{1e3 * mean:.2f} ms{_speed(periods[0]['expected'], mean)}"),
             ("Longest step", f"{1e3 * max(period['max'] for period in periods):.2f} ms"),
         ]
     elif periods:
@@ -213,6 +213,11 @@ def _quality(facts: Sequence[_Facts], *, is_live: bool) -> str:
     rows.append(("Recovered after a crash", str(recovered)))
     rows.append(("Damaged", str(sum(bool(episode.damage) for episode in facts))))
     return _table(rows)
+
+
+def _speed(expected: float, mean: float) -> str:
+    """Return how fast a simulation was; a clock that stood still says nothing of that."""
+    return f": {expected / mean:.1f} times faster than life" if mean > 0 else ""
 
 
 def _setup(dataset: Dataset) -> str:

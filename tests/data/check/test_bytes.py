@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import random
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from rcs.data import Dataset, DatasetWriter, check
@@ -50,6 +52,20 @@ def test_a_file_that_was_cut_or_removed_is_found(dataset: Path, file: str) -> No
     assert {f.episode for f in check(dataset).findings} == {"000001"}
     path.unlink()
     assert {(f.episode, f.file) for f in check(dataset).findings} == {("000001", f"episodes/000001/{file}")}
+
+
+def test_a_group_without_rows_is_no_error_of_the_check(dataset: Path) -> None:
+    about = dataset / "episodes/000001/episode.json"
+    values = unsealed(about.read_bytes(), about)
+    for file in ("steps.parquet", "sim_state.parquet"):
+        path = about.with_name(file)
+        table = pq.read_table(path)
+        with pq.ParquetWriter(path, table.schema) as writer:
+            for part in (table.slice(0, 0), table):
+                writer.write_table(part)
+        values["sha256"][file] = hashlib.sha256(path.read_bytes()).hexdigest()
+    about.write_bytes(sealed(values))
+    assert {finding.episode for finding in check(dataset).damage} <= {"000001"}
 
 
 def test_a_broken_image_is_located_by_row(dataset: Path) -> None:

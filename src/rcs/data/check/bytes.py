@@ -193,6 +193,8 @@ class _NotFinite:
 
     def add(self, key: str, column: pa.ChunkedArray, first: int) -> None:
         """Take the next rows of a column; `first` is the number of the first of them."""
+        if not len(column):
+            return  # without rows, numpy cannot tell how many numbers one has
         numbers = flat_numbers(column).reshape(len(column), -1)
         if numbers.dtype.kind != "f":
             return
