@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import ctypes
-import gc
 import hashlib
 import io
 import json
@@ -34,6 +32,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 MOST_MEMORY_MB = 500
+KEPT_MB = 240
+"""What a child may keep from trial to trial; giving back more often would cost more than the trials."""
 TIMEOUT_S = 30.0
 # Beyond this a child gets no memory, so that a bomb ends a trial and not the machine.
 _ADDRESS_SPACE = 6 << 30
@@ -266,21 +266,23 @@ def _snapshot(work: Path) -> set[tuple[str, str]]:
 
 
 def _forget_peak() -> None:
-    # What allocators keep of the trials before is not what this one needs: a command has a process of its own.
-    gc.collect()
-    import pyarrow as pa
+    if _status_mb("VmRSS") > KEPT_MB:
+        # What allocators keep of the trials before is not what this one needs: a command has a process of its own.
+        import pyarrow as pa
 
-    pa.default_memory_pool().release_unused()
-    with contextlib.suppress(OSError, AttributeError):  # where the C library has no such call
-        ctypes.CDLL(None).malloc_trim(0)
+        pa.default_memory_pool().release_unused()
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
 def _peak_mb() -> float:
+    return _status_mb("VmHWM")
+
+
+def _status_mb(field: str) -> float:
     try:
         text = Path("/proc/self/status").read_text()
-        return int(text.split("VmHWM:")[1].split()[0]) / 1024
+        return int(text.split(f"{field}:")[1].split()[0]) / 1024
     except (OSError, IndexError):
         return 0.0
 
