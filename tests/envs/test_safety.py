@@ -153,10 +153,8 @@ class TestFakes(SafetyContract):
             self.require_that_stay_moves_nothing(env, joints_of(env))
 
 
-def test_two_threads_in_one_environment_are_told_apart(make_bench: Callable[..., Any]) -> None:
-    bench = make_bench()
-    env = bench.env
-    observation, _ = env.reset(seed=0)
+def stop_inside_of_the_next_step(bench: Any) -> tuple[threading.Event, threading.Event]:
+    """Have a step wait in its clock; return what tells that it does, and what lets it go on."""
     is_inside, may_go_on = threading.Event(), threading.Event()
 
     def wait(seconds: float) -> None:
@@ -164,7 +162,15 @@ def test_two_threads_in_one_environment_are_told_apart(make_bench: Callable[...,
         assert may_go_on.wait(10)
         bench.clock.now += seconds
 
-    env._clock._sleep = wait
+    bench.env._clock._sleep = wait
+    return is_inside, may_go_on
+
+
+def test_two_threads_in_one_environment_are_told_apart(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench()
+    env = bench.env
+    observation, _ = env.reset(seed=0)
+    is_inside, may_go_on = stop_inside_of_the_next_step(bench)
     thread = threading.Thread(target=env.step, args=(go(env, observation),))
     thread.start()
     assert is_inside.wait(10)
@@ -219,14 +225,7 @@ def test_close_from_another_thread_holds_at_once_and_closes_after_the_step(make_
     bench = make_bench()
     env = bench.env
     observation, _ = env.reset(seed=0)
-    is_inside, may_go_on = threading.Event(), threading.Event()
-
-    def wait(seconds: float) -> None:
-        is_inside.set()
-        assert may_go_on.wait(10)
-        bench.clock.now += seconds
-
-    env._clock._sleep = wait
+    is_inside, may_go_on = stop_inside_of_the_next_step(bench)
     stepping = threading.Thread(target=env.step, args=(go(env, observation),))
     stepping.start()
     assert is_inside.wait(10)

@@ -25,7 +25,7 @@ OURS = (NATIVE, IMAGES, EDITED, MERGED)
 KINDS = (*OURS, LEROBOT_3, LEROBOT_2, ROBOMIMIC)
 HOSTILE: list[Any] = [
     None, True, False, 0, -1, 1, 3, 0.5, -1.5, 10**18, 2**31, 2**63, 10**30, 10**60, 1e308, float("nan"), float("inf"),
-    "", "yes", "0", "../../escaped", "../escaped", "/tmp/escaped", "..", ".", "a/b", "\udcff", "\0", "[/bold] x",
+    "", "yes", "0", "../../escaped", "../escaped", "/escaped", "..", ".", "a/b", "\udcff", "\0", "[/bold] x",
     "<script>alert(1)</script>", "{0.__class__}", "{episode_index:0999999999d}", "x" * 5000, [], {}, [1], ["x"], [[]],
     {"a": 1}, [10**18], [10**9, 10**9], [0], [-1], [1.5], ["../x"], {"../../escaped": "0" * 64}, {"": {}}, [{}], [None],
 ]  # fmt: skip

@@ -113,8 +113,8 @@ class Recorder(Observer):
 
     A new reset while an episode is open discards it: it is done again. An episode that was broken off, by a fault or an
     error, is different: its outcome says `end` and `reasons`, and unless it is discarded on purpose it is kept, by the
-    next reset or by `close`, without a verdict. So does `close` with an episode that is still open. A frame with the
-    capture time of the row before is stored once and flagged as repeated.
+    next reset or by `close`, without a verdict. `close` keeps an episode that is still open in the same way. A frame
+    with the capture time of the row before is stored once and flagged as repeated.
     """
 
     def __init__(
