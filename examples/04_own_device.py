@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rcs.devices import Arm, ArmLimits, ArmState
 from rcs.devices.fakes import FakeGripper
-from rcs.envs.clock import WallClock
+from rcs.envs.clock import Clock
 from rcs.envs.env import Env
 from rcs.envs.layers import BinaryGripper, CartesianControl, LimitStep, Relative
 from rcs.envs.ports import ArmPort, GripperPort
@@ -63,7 +63,7 @@ kinematics = kinematics_of(FR3, FRANKA_HAND)
 ports = [ArmPort(MyArm(), kinematics), GripperPort(FakeGripper())]
 max_step = 0.2 * np.array(FR3.velocity_limit) / FREQUENCY
 layers = [LimitStep(max_step), CartesianControl(kinematics), Relative("xyzrpy"), BinaryGripper()]
-env = Env(Stack(ports, layers), WallClock(ports, frequency=FREQUENCY), title="my robot")
+env = Env(Stack(Chain(ports, layers)), Clock(ports=ports, frequency=FREQUENCY), title="my robot")
 print(env)
 
 observation, info = env.reset()

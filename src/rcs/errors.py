@@ -55,6 +55,10 @@ def _unknown_name(kind: type[UnknownName], message: str) -> UnknownName:
     return error
 
 
+class Refused(RcsError, RuntimeError):
+    """A gate lets an action through to no device; all devices hold."""
+
+
 class WrongOrder(RcsError, RuntimeError):
     """A call came at a time when it has no meaning: a step before reset, a use after close."""
 

@@ -7,7 +7,8 @@ import pytest
 
 import rcs
 from rcs.agents.action_writer import ActionWriter
-from rcs.envs.clock import SimClock
+from rcs.envs.chain import Chain
+from rcs.envs.clock import Clock
 from rcs.envs.env import Env
 from rcs.envs.layers import CartesianControl, Layer, LimitStep, Relative
 from rcs.envs.setup import Setup
@@ -47,7 +48,7 @@ def test_an_arm_arrives_also_above_a_layer_that_halves_every_step(control: Any) 
     layers: list[Layer] = [LimitStep(STEP), Halve()]
     layers += [CartesianControl(kinematics)] if control == TQUAT else []
     layers += [Relative(control, max_joint_step=STEP)]
-    env = Env(Stack(made.stack.ports, layers), SimClock(scenario.world), scenario)
+    env = Env(Stack(Chain(made.stack.ports, layers)), Clock(scenario.world), scenario)
     observation, info = env.reset(seed=0)
     writer = ActionWriter(setup, env.stack.action_space, kinematics)
     writer.reset(observation)

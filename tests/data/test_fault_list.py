@@ -57,8 +57,8 @@ class Loop:
     def __init__(self, path: Path, **settings: Any) -> None:
         setup = rcs.Setup(task="Free", cameras=())
         self.env = rcs.make(setup)
-        self.writer = DatasetWriter.open(path, dataset_info(self.env, setup))
-        self.recorder = Recorder(self.env, self.writer, **settings)
+        self.writer = DatasetWriter.open(path, dataset_info(self.env))
+        self.recorder = Recorder(self.writer, **settings)
         self.env.add_observer(self.recorder)
 
     def steps(self, n: int) -> None:

@@ -10,9 +10,9 @@ import pytest
 from rcs.devices import ArmLimits
 from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.envs.assemble import layers_of
-from rcs.envs.clock import WallClock
+from rcs.envs.chain import Chain
+from rcs.envs.clock import Clock
 from rcs.envs.env import Env
-from rcs.envs.group import StackGroup
 from rcs.envs.ports import ArmPort, GripperPort
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Control
@@ -56,14 +56,14 @@ class Bench:
         self.arms: list[FakeArm] = []
         self.grippers: list[FakeGripper] = []
         stacks = [self._make_robot(f"{name} " if name else "") for name in robots or ("",)]
-        stack = StackGroup(dict(zip(robots, stacks, strict=True)), Stack([], [])) if robots else stacks[0]
-        clock = WallClock(
-            stack.ports, frequency=30.0, is_synchronous=is_synchronous, now=self.clock, sleep=self.clock.sleep
+        stack = Stack(dict(zip(robots, stacks, strict=True)) if robots else stacks[0])
+        clock = Clock(
+            ports=stack.ports, frequency=30.0, is_synchronous=is_synchronous, now=self.clock, sleep=self.clock.sleep
         )
         self.arm, self.gripper = self.arms[0], self.grippers[0]
-        self.env = Env(stack, clock, max_episode_steps=max_episode_steps)
+        self.env = Env(stack, clock, setup=self.setup, max_episode_steps=max_episode_steps)
 
-    def _make_robot(self, prefix: str) -> Stack:
+    def _make_robot(self, prefix: str) -> Chain:
         limits = ArmLimits(list(FR3.joint_lower), list(FR3.joint_upper), list(FR3.velocity_limit))
         arm = FakeArm(limits, start=np.array(FR3.home), clock=self.clock, name=f"{prefix}fake arm")
         gripper = FakeGripper(clock=self.clock, name=f"{prefix}fake gripper")
@@ -71,7 +71,7 @@ class Bench:
         self.grippers.append(gripper)
         placement = RobotPlacement(name=prefix or "fr3", arm=FR3, gripper=FRANKA_HAND)
         ports = [ArmPort(arm, kinematics_of(FR3, FRANKA_HAND)), GripperPort(gripper)]
-        return Stack(ports, layers_of(self.setup, placement))
+        return Chain(ports, layers_of(self.setup, placement))
 
 
 @pytest.fixture

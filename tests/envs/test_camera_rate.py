@@ -105,8 +105,8 @@ def test_the_rate_of_a_webcam_rolls_by_the_seed() -> None:
 def test_a_recorded_frame_that_came_again_keeps_its_time_and_is_flagged(tmp_path: Path) -> None:
     setup = rcs.Setup(task="PickCuboid", cameras=("wrist",), size=(48, 48), frequency=100, fps=30)
     env = rcs.make(setup)
-    with DatasetWriter.open(tmp_path / "dataset", dataset_info(env, setup, colour="lossless")) as writer:
-        recorder = Recorder(env, writer)
+    with DatasetWriter.open(tmp_path / "dataset", dataset_info(env, colour="lossless")) as writer:
+        recorder = Recorder(writer)
         env.add_observer(recorder)
         recorder.name_next("one")
         seen = frames(env, 20, seed=0)

@@ -6,7 +6,7 @@ import pytest
 import rcs
 from rcs._core import StepEnd
 from rcs.envs import clock as clock_module
-from rcs.envs.clock import SimClock, WallClock
+from rcs.envs.clock import Clock
 from rcs.envs.ports import Port
 from rcs.errors import InvalidSetup
 
@@ -31,7 +31,7 @@ class Lift(Port):
 
 
 def test_a_loop_keeps_its_rate_exactly_in_the_mean(clock) -> None:
-    wall = WallClock([], frequency=30.0, now=clock, sleep=clock.sleep)
+    wall = Clock(frequency=30.0, now=clock, sleep=clock.sleep)
     wall.reset()
     for _ in range(300):
         clock.now += 0.013  # what the step itself takes
@@ -41,7 +41,7 @@ def test_a_loop_keeps_its_rate_exactly_in_the_mean(clock) -> None:
 
 
 def test_a_late_step_is_not_caught_up(clock) -> None:
-    wall = WallClock([], frequency=10.0, now=clock, sleep=clock.sleep)
+    wall = Clock(frequency=10.0, now=clock, sleep=clock.sleep)
     wall.reset()
     clock.now += 0.75
     wall.advance()
@@ -52,7 +52,7 @@ def test_a_late_step_is_not_caught_up(clock) -> None:
 
 
 def test_time_before_reset_does_not_count(clock) -> None:
-    wall = WallClock([], frequency=10.0, now=clock, sleep=clock.sleep)
+    wall = Clock(frequency=10.0, now=clock, sleep=clock.sleep)
     clock.now += 5.0
     wall.reset()
     wall.advance()
@@ -61,14 +61,14 @@ def test_time_before_reset_does_not_count(clock) -> None:
 
 def test_a_synchronous_step_waits_for_the_slowest_device(clock) -> None:
     ports = [Lift(clock, 100.2), Lift(clock, 100.5)]
-    wall = WallClock(ports, is_synchronous=True, now=clock, sleep=clock.sleep)
+    wall = Clock(ports=ports, is_synchronous=True, now=clock, sleep=clock.sleep)
     wall.advance()
     assert wall.ends[0] == StepEnd.converged.value
     assert clock.now == pytest.approx(100.5, abs=2e-3)
 
 
 def test_a_synchronous_step_ends_at_its_time_limit(clock) -> None:
-    wall = WallClock([Lift(clock, 1e9)], is_synchronous=True, time_limit=0.5, now=clock, sleep=clock.sleep)
+    wall = Clock(ports=[Lift(clock, 1e9)], is_synchronous=True, time_limit=0.5, now=clock, sleep=clock.sleep)
     wall.advance()
     assert wall.ends[0] == StepEnd.limit.value
     assert clock.now == pytest.approx(100.5, abs=2e-3)
@@ -79,7 +79,7 @@ def test_a_synchronous_step_ends_at_its_time_limit(clock) -> None:
 )
 def test_numbers_that_are_not_positive_are_refused(numbers: dict[str, float]) -> None:
     with pytest.raises(InvalidSetup, match="must be positive"):
-        WallClock([], **numbers)
+        Clock(**numbers)
 
 
 def test_a_simulation_in_real_time_waits_for_the_wall_clock(clock, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,10 +7,10 @@ import pytest
 
 import rcs
 from rcs.data import Dataset
-from rcs.envs.clock import SimClock
-from rcs.envs.sim_ports import SimArmPort, SimCameraPort
+from rcs.envs.chain import Chain
+from rcs.envs.clock import Clock
+from rcs.envs.sim_ports import SimArmPort, SimCameraPort, SimTactilePort
 from rcs.envs.stack import Stack
-from rcs.envs.tactile_port import SimTactilePort
 from rcs.errors import InvalidSetup
 from rcs.robots.description import Mount
 from rcs.robots.digit.description import DIGIT
@@ -49,11 +49,11 @@ def test_frames_of_the_sensors_are_in_the_observation(copies: int | None) -> Non
     world = World(scene_.compile(), copies=copies, threads=1)
     robot = SimRobot(world, ROBOT)
     sensors = [SimTactile(world, placement) for placement in scene_.tactile]
-    stack = Stack([SimArmPort(robot), SimTactilePort(sensors)], [], world.leading)
+    stack = Stack(Chain([SimArmPort(robot), SimTactilePort(sensors)], [], world.leading))
     robot.go_home()
     world.refresh()
-    SimClock(world).advance()
-    observation = stack.measure()
+    Clock(world).advance()
+    observation = stack.lift(stack.measure())
     assert set(observation["frames"]) == {"fr3_left", "fr3_right"}
     if copies is None:
         assert stack.observation_space.contains(observation)
@@ -68,23 +68,23 @@ def test_frames_of_sensors_and_cameras_stand_next_to_each_other() -> None:
     scene_ = scene()
     world = World(scene_.compile())
     sensors = [SimTactile(world, placement) for placement in scene_.tactile]
-    port = SimTactilePort(sensors, SimCameraPort(SimCameras(world, [EYE], size=(32, 24))))
+    stack = Stack(Chain([SimTactilePort(sensors), SimCameraPort(SimCameras(world, [EYE], size=(32, 24)))]))
     world.refresh()
-    frames = port.observe()["frames"]
+    frames = stack.measure()[""]["frames"]
     assert set(frames) == {"eye", "fr3_left", "fr3_right"}
-    assert port.observation_spaces["frames"].contains(frames)
-    assert set(port.capture_times()) == {"frames/eye", "frames/fr3_left", "frames/fr3_right"}
+    assert stack.observation_space["frames"].contains(frames)
+    assert set(stack.capture_times()) == {"frames/eye", "frames/fr3_left", "frames/fr3_right"} == set(stack.timed)
     assert frames["eye"]["rgb"].dtype == np.uint8
-    port.close()
-    port.close()
+    stack.close()
+    stack.close()
 
 
 def test_two_of_one_name_are_refused() -> None:
     scene_ = scene()
     world = World(scene_.compile())
-    sensor = SimTactile(world, scene_.tactile[0])
-    with pytest.raises(InvalidSetup, match="named 'fr3_left'"):
-        SimTactilePort([sensor, sensor])
+    ports = [SimTactilePort([SimTactile(world, scene_.tactile[0])]) for _ in range(2)]
+    with pytest.raises(InvalidSetup, match="'frames/fr3_left'"):
+        Chain(ports)
 
 
 def test_a_setup_with_digits_on_its_pads_is_collected_and_replayed(tmp_path: Path) -> None:

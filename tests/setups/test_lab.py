@@ -11,13 +11,14 @@ import rcs
 from rcs.devices import lookup
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.fr3.description import FR3
-from rcs.setups.ids import LABS
+from rcs.setups.ids import ids
 from rcs.setups.lab import lab_of, looking, plain_lab
 from rcs.spatial import Pose
 
 
 def test_the_ids_are_those_of_the_labs() -> None:
-    assert {name: (lab_of(name).label, lab_of(name).tasks) for name in lookup.names("lab")} == LABS
+    assert {robot for _, robot in ids().values()} == set(lookup.names("lab"))
+    assert {task for task, _ in ids().values()} == set(lookup.names("task"))
 
 
 @pytest.mark.parametrize("name", lookup.names("lab"))

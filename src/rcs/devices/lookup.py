@@ -1,13 +1,17 @@
-"""Find an arm, a gripper, a camera or a task by name among the entry points of installed packages."""
+"""Find an arm, a gripper, a camera or a task by name, by `module:Class`, or as the object that is given."""
 
 from __future__ import annotations
 
+import importlib
+import sys
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal
 
-from rcs.errors import UnknownName
+from rcs.errors import InvalidSetup, UnknownName
 
-Kind = Literal["arm", "gripper", "hand", "camera", "tactile", "lab", "task", "operator", "policy"]
+Kind = Literal[
+    "arm", "gripper", "hand", "camera", "tactile", "lab", "task", "agent", "layer", "gate", "driver", "operator", "policy"
+]  # fmt: skip
 
 
 def names(kind: Kind) -> list[str]:
@@ -15,21 +19,55 @@ def names(kind: Kind) -> list[str]:
     return sorted(_entries(kind))
 
 
-def find(kind: Kind, name: str) -> Any:
-    """Import and return the object that an installed package offers under a name.
+def find(kind: Kind, given: Any) -> Any:
+    """Import and return what a name stands for.
 
     Args:
         kind: What it is; the entry-point group is `rcs.` and its plural.
-        name: Name of the entry point.
+        given: Name of an entry point, or `module:Class`; whatever is no text is returned as it is.
 
     Raises:
-        UnknownName: Nothing installed has the name; the message has the nearest match.
+        UnknownName: Nothing installed has the name, or the module has no such class; the message has the nearest match.
     """
+    if not isinstance(given, str):
+        return given
+    if ":" in given:
+        return _import(kind, given)
     entries = _entries(kind)
-    if name not in entries:
-        hint = f"A package adds one through the entry-point group {_group(kind)!r}."
-        raise UnknownName(kind, name, entries, hint)
-    return entries[name].load()
+    if given not in entries:
+        hint = f"A package adds one through the entry-point group {_group(kind)!r}; `module:Class` is valid too."
+        raise UnknownName(kind, given, entries, hint)
+    return entries[given].load()
+
+
+def name_of(kind: Kind, given: Any) -> str:
+    """Return the name under which `find` finds something again: the text that is given, or `module:Class`.
+
+    Raises:
+        InvalidSetup: It is neither a name nor a class.
+    """
+    if isinstance(given, str):
+        return given
+    if not isinstance(given, type):
+        raise InvalidSetup(f"{kind} is {given!r}; valid is a name, 'module:Class', or a class.")
+    for name, entry in _entries(kind).items():
+        if entry.value == f"{given.__module__}:{given.__qualname__}":
+            return name
+    return f"{given.__module__}:{given.__qualname__}"
+
+
+def _import(kind: Kind, given: str) -> Any:
+    module, _, path = given.partition(":")
+    try:
+        found: Any = sys.modules.get(module) or importlib.import_module(module)
+    except ImportError as err:
+        raise UnknownName(kind, given, _entries(kind), f"The module {module!r} cannot be imported: {err}.") from err
+    for part in path.split("."):
+        if not hasattr(found, part):
+            hint = f"The module {module!r} has no {path!r}; a class inside of a function cannot be found by name."
+            raise UnknownName(kind, given, [name for name in vars(found) if not name.startswith("_")], hint)
+        found = getattr(found, part)
+    return found
 
 
 def _group(kind: Kind) -> str:

@@ -2,26 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from rcs.envs.clock import SimClock
+from rcs.devices import Arm, Gripper
+from rcs.envs.camera_port import CameraPort, FreshFrames
+from rcs.envs.chain import Chain
+from rcs.envs.clock import Clock
 from rcs.envs.env import Env
-from rcs.envs.group import StackGroup
-from rcs.envs.layers import BinaryGripper, CartesianControl, GraspHand, Layer, LimitStep, Relative, XyzrpyControl
-from rcs.envs.ports import Port
+from rcs.envs.follow_port import FollowPort
+from rcs.envs.gate import Gate
+from rcs.envs.layers import (
+    BinaryGripper,
+    CartesianControl,
+    GraspHand,
+    Layer,
+    LimitStep,
+    Relative,
+    WristCamera,
+    XyzrpyControl,
+)
+from rcs.envs.observers import Observer
+from rcs.envs.ports import ArmPort, GripperPort, HandPort, Port
 from rcs.envs.randomiser import Randomiser
 from rcs.envs.scenario import Scenario
 from rcs.envs.setup import Setup
-from rcs.envs.sim_ports import SimArmPort, SimCameraPort, SimGripperPort, SimHandPort
+from rcs.envs.sim_ports import SimArmPort, SimCameraPort, SimGripperPort, SimHandPort, SimTactilePort
 from rcs.envs.spaces import TQUAT, XYZRPY
-from rcs.envs.stack import Stack
-from rcs.envs.tactile_port import SimTactilePort
+from rcs.envs.stack import NAMELESS, Stack
+from rcs.envs.start import base_in_scene
 from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv
+from rcs.errors import InvalidSetup
+from rcs.hardware import Devices
 from rcs.kinematics import kinematics_of
 from rcs.sim.camera import SimCameras
 from rcs.sim.frame_clock import FrameClock, FrameRate
@@ -32,6 +48,7 @@ from rcs.sim.tactile import SimTactile
 from rcs.sim.tactile_placement import TactilePlacement
 from rcs.sim.textures import add_textures
 from rcs.sim.world import World
+from rcs.spatial import Pose, inverse, tquat_to_matrix
 
 GRASP = "power"
 """The grasp of a hand that is used like a gripper."""
@@ -39,7 +56,7 @@ GRASP = "power"
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """What a setup names, looked up."""
+    """What an environment is put together from: what a setup names, looked up, and what a user adds."""
 
     setup: Setup
     """The setup itself: numbers and options."""
@@ -47,29 +64,65 @@ class Parts:
     cameras: tuple[CameraPlacement, ...]
     tactile: tuple[TactilePlacement, ...] = ()
     task: Task
+    devices: Devices = field(default_factory=Devices)
+    """What is real; all else is simulated."""
+    layers: Mapping[str, Sequence[Layer]] = field(default_factory=dict[str, Sequence[Layer]])
+    """The user's own layers by robot, on top of those of the setup."""
+    gates: Sequence[Gate] = ()
+    observers: Sequence[Observer] = ()
+
+    @property
+    def title(self) -> str:
+        """First line of the printed environment."""
+        return f"rcs {self.setup.task} with {self.setup.robot}"
 
 
 def assemble(
-    parts: Parts, *, has_picture: bool = False, is_blind: bool = False, drawn: Sequence[str] | None = None
+    parts: Parts, *, render_mode: str | None = None, is_blind: bool = False, drawn: Sequence[str] | None = None
 ) -> Env:
-    """Put one simulated environment together.
+    """Put one environment together, simulated, real, or some of each.
 
     Args:
         parts: What it is made of.
-        has_picture: Whether `render` draws.
+        render_mode: What `render` does; None for nothing.
         is_blind: Leave the cameras in the scene, whose state they are part of, but observe no frames.
         drawn: Names of the cameras to observe, in this order; the others stay in the scene. None for all.
+
+    Raises:
+        InvalidSetup: Synchronous steps of simulated and real devices together, or pictures without a simulation.
     """
-    setup = parts.setup
-    world = World(compose(parts).compile(), frequency=setup.frequency, mode=setup.mode)
-    scenario, stack = _populate(parts, world, is_blind=is_blind, drawn=drawn)
+    setup, devices = parts.setup, parts.devices
+    by_name = {camera.name: camera for camera in parts.cameras}
+    cameras = [] if is_blind else [by_name[name] for name in (by_name if drawn is None else drawn)]
+    world: World | None = None
+    if not _is_all_real(parts, cameras):
+        if devices and setup.mode == "sync":
+            raise InvalidSetup("Synchronous steps are of simulated or of real devices alone; use mode='realtime'.")
+        world = World(compose(parts).compile(), frequency=setup.frequency, mode=setup.mode)
+    elif render_mode is not None:
+        raise InvalidSetup("Real devices have no picture to render; use the frames of a camera.")
+    scenario, stack = _populate(parts, world, cameras)
+    picture = None if render_mode is None or world is None else Picture(world, quality=setup.quality)
+    simulated = [robot.name for robot in parts.robots] + [camera.name for camera in cameras]
     return Env(
         stack,
-        SimClock(world),
+        Clock(
+            world,
+            stack.ports if devices else (),
+            frequency=setup.frequency,
+            is_real=bool(devices) or setup.mode == "realtime",
+            is_synchronous=setup.mode == "sync",
+        ),
         scenario,
+        setup=setup,
+        robots=parts.robots,
+        platform={**dict.fromkeys(simulated, "simulation"), **devices.platform},
+        instruction=parts.task.instruction,
         max_episode_steps=setup.max_episode_steps,
-        picture=Picture(world) if has_picture else None,
-        title=f"rcs {setup.task} with {setup.robot}",
+        observers=parts.observers,
+        picture=picture,
+        render_mode=render_mode,
+        title=parts.title,
     )
 
 
@@ -78,14 +131,16 @@ def assemble_vec(parts: Parts, *, copies: int, threads: int, autoreset: Autorese
     setup = parts.setup
     model = compose(parts).compile()
     world = World(model, copies=copies, threads=threads, frequency=setup.frequency, mode=setup.mode)
-    scenario, stack = _populate(parts, world)
+    scenario, stack = _populate(parts, world, parts.cameras)
+    assert scenario is not None, "there is a world"
     return VecEnv(
         stack,
-        SimClock(world),
+        Clock(world),
         scenario,
+        setup=setup,
         max_episode_steps=setup.max_episode_steps,
         autoreset=autoreset,
-        title=f"rcs {setup.task} with {setup.robot}",
+        title=parts.title,
     )
 
 
@@ -104,27 +159,77 @@ def compose(parts: Parts) -> Scene:
     return scene
 
 
-def _populate(
-    parts: Parts, world: World, *, is_blind: bool = False, drawn: Sequence[str] | None = None
-) -> tuple[Scenario, Stack | StackGroup]:
-    setup = parts.setup
-    robots = [SimRobot(world, placement) for placement in parts.robots]
-    if setup.mode == "sync":
-        for robot in robots:
-            robot.wait_for_arrival()
-    by_name = {camera.name: camera for camera in parts.cameras}
-    cameras = list(parts.cameras) if drawn is None else [by_name[name] for name in drawn]
-    clock = _frame_clock(setup, cameras, world)
-    scenario = Scenario(world, robots, parts.task, _randomiser(parts, world), clock)
-    shared = [] if is_blind else _sensors_of(parts, cameras, world, robots, clock)
-    if len(robots) == 1:
-        stack = Stack([*_ports_of(robots[0]), *shared], layers_of(setup, robots[0].placement), world.leading)
-        return scenario, stack
-    stacks = {
-        robot.placement.name: Stack(_ports_of(robot), layers_of(setup, robot.placement), world.leading)
-        for robot in robots
-    }
-    return scenario, StackGroup(stacks, Stack(shared, [], world.leading))
+def _is_all_real(parts: Parts, cameras: Sequence[CameraPlacement]) -> bool:
+    devices = parts.devices
+    return (
+        not parts.tactile
+        and all(robot.name in devices.arms for robot in parts.robots)
+        and all(robot.end_effector is None or robot.name in devices.effectors for robot in parts.robots)
+        and all(camera.name in devices.cameras for camera in cameras)
+    )
+
+
+def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlacement]) -> tuple[Scenario | None, Stack]:
+    """Return the simulated part, if there is one, and the stack over all parts."""
+    setup, devices = parts.setup, parts.devices
+    leading = () if world is None else world.leading
+    simulated = [camera for camera in cameras if camera.name not in devices.cameras]
+    real = [camera for camera in cameras if camera.name in devices.cameras]
+    scenario: Scenario | None = None
+    shared: list[Port] = []
+    bodies: dict[str, SimRobot] = {}
+    if world is not None:
+        bodies = {placement.name: SimRobot(world, placement) for placement in parts.robots}
+        if setup.mode == "sync":
+            for robot in bodies.values():
+                robot.wait_for_arrival()
+        clock = _frame_clock(setup, simulated, world)
+        scenario = Scenario(world, list(bodies.values()), parts.task, _randomiser(parts, world), clock)
+        shared += _simulated_sensors(parts, simulated, world, list(bodies.values()), clock)
+    gates = list(parts.gates)
+    if real:
+        port = _real_cameras(parts, real)
+        shared.append(port)
+        if devices.on_stale == "hold":
+            gates.append(FreshFrames(port))
+    chains: dict[str, Chain] = {}
+    for placement in parts.robots:
+        name = placement.name
+        ports, layers = _ports_of(placement, devices, bodies.get(name)), layers_of(setup, placement)
+        if len(parts.robots) == 1:
+            name, ports = NAMELESS, [*ports, *shared]
+            mounts = [WristCamera(camera.name, _in_tcp(camera, placement)) for camera in real if _moves(camera)]
+            layers = [*mounts, *layers]
+        chains[name] = Chain(ports, [*layers, *parts.layers.get(placement.name, ())], leading)
+    if len(parts.robots) != 1:
+        chains[NAMELESS] = Chain(shared, [], leading)
+    return scenario, Stack(chains, gates)
+
+
+def _ports_of(placement: RobotPlacement, devices: Devices, body: SimRobot | None) -> list[Port]:
+    """Return the ports of one robot: real devices where there are any, and its body in the world for the rest."""
+    arm, effector = devices.arms.get(placement.name), devices.effectors.get(placement.name)
+    ports: list[Port] = []
+    if arm is not None:
+        _require_fit(placement, arm)
+        ports.append(ArmPort(arm, kinematics_of(placement.arm, placement.end_effector)))
+    elif body is not None:
+        ports.append(SimArmPort(body))
+    if effector is not None:
+        ports.append(GripperPort(effector) if isinstance(effector, Gripper) else HandPort(effector))
+    elif body is not None and placement.gripper is not None:
+        ports.append(SimGripperPort(body))
+    elif body is not None and placement.hand is not None:
+        ports.append(SimHandPort(body))
+    real = [port for port in ports if port.device is not None]
+    if body is not None and real:
+        ports = [FollowPort(body, port) if port in real else port for port in ports]
+    return ports
+
+
+def _require_fit(placement: RobotPlacement, arm: Arm) -> None:
+    if arm.dof != placement.arm.dof:
+        raise InvalidSetup(f"{arm.name} has {arm.dof} joints; {placement.arm.label} has {placement.arm.dof}.")
 
 
 def _frame_clock(setup: Setup, cameras: Sequence[CameraPlacement], world: World) -> FrameClock:
@@ -133,12 +238,12 @@ def _frame_clock(setup: Setup, cameras: Sequence[CameraPlacement], world: World)
     return FrameClock(world, rates)
 
 
-def _sensors_of(
+def _simulated_sensors(
     parts: Parts, observed: list[CameraPlacement], world: World, robots: list[SimRobot], clock: FrameClock
 ) -> list[Port]:
-    """Return the port of everything that gives frames, or none."""
+    """Return the ports of everything simulated that gives frames."""
     setup = parts.setup
-    port: SimCameraPort | None = None
+    ports: list[Port] = []
     if observed:
         cameras = SimCameras(
             world,
@@ -149,10 +254,40 @@ def _sensors_of(
             has_noise=setup.camera_noise,
             frame_body=robots[0].layout.base_body if len(robots) == 1 else 0,
         )
-        port = SimCameraPort(cameras, clock)
+        ports.append(SimCameraPort(cameras, clock))
     if parts.tactile:
-        return [SimTactilePort([SimTactile(world, sensor) for sensor in parts.tactile], port)]
-    return [] if port is None else [port]
+        ports.append(SimTactilePort([SimTactile(world, sensor) for sensor in parts.tactile]))
+    return ports
+
+
+def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPort:
+    """Return the port of real cameras; those that stand still have the poses of the lab."""
+    scene_in_frame = tquat_to_matrix(inverse(base_in_scene(parts.robots)))
+    fixed = {
+        camera.name: scene_in_frame @ Pose(camera.optical_in_parent.translation, camera.optical_in_parent.quaternion).matrix
+        for camera in cameras
+        if not _moves(camera)
+    }
+    return CameraPort(
+        {camera.name: parts.devices.cameras[camera.name] for camera in cameras},
+        {camera.name: camera.camera for camera in cameras},
+        size=parts.setup.size,
+        fovy={camera.name: camera.fovy for camera in cameras},
+        extrinsics=fixed,
+        stale_after=parts.devices.stale_after,
+        on_stale=parts.devices.on_stale,
+    )
+
+
+def _moves(camera: CameraPlacement) -> bool:
+    return camera.parent_body != "world"
+
+
+def _in_tcp(camera: CameraPlacement, robot: RobotPlacement) -> Pose:
+    """Return the pose of a camera on a gripper in the TCP frame."""
+    assert robot.end_effector is not None, "a camera that moves is on a gripper"
+    tcp, optical = robot.end_effector.tcp_in_base, camera.optical_in_parent
+    return Pose(tcp.translation, tcp.quaternion).inverse() * Pose(optical.translation, optical.quaternion)
 
 
 def _randomiser(parts: Parts, world: World) -> Randomiser | None:
@@ -160,15 +295,6 @@ def _randomiser(parts: Parts, world: World) -> Randomiser | None:
     if ranges is None:
         return None
     return Randomiser(world, ranges, objects=parts.task.objects(), robots=parts.robots, cameras=parts.cameras)
-
-
-def _ports_of(robot: SimRobot) -> list[Port]:
-    ports: list[Port] = [SimArmPort(robot)]
-    if robot.placement.gripper is not None:
-        ports.append(SimGripperPort(robot))
-    if robot.placement.hand is not None:
-        ports.append(SimHandPort(robot))
-    return ports
 
 
 def layers_of(setup: Setup, robot: RobotPlacement) -> list[Layer]:

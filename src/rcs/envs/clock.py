@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -17,84 +16,37 @@ from rcs.sim.world import Copies, World
 FAULT_POLL = 5e-3
 """How often a clock that waits asks the devices for faults [s]."""
 
-
 ROUNDING = 1e-9
 """Nobody waits for less than this [s]."""
 
 
-class Clock(ABC):
-    """Advances everything by one control step."""
+class Clock:
+    """Lets a control step pass: steps a world, waits for devices, or keeps the rate of the wall clock.
 
-    @abstractmethod
-    def advance(self, copies: Copies = None) -> None:
-        """Let one control step pass."""
-
-    @abstractmethod
-    def reset(self) -> None:
-        """Start an episode now."""
-
-    @property
-    @abstractmethod
-    def ends(self) -> NDArray[np.uint8]:
-        """Why the last step ended, `StepEnd` values per copy."""
-
-
-class SimClock(Clock):
-    """Steps a world; in real time it then waits until the wall clock has caught up."""
-
-    def __init__(self, world: World) -> None:
-        """Use the world's mode and frequency."""
-        self._world = world
-        self._is_realtime = world.mode == "realtime"
-        self._start = 0.0
-        self._steps = 0
-        self._ends: NDArray[np.uint8] = world.core.ends
-
-    def advance(self, copies: Copies = None) -> None:
-        """Step the world."""
-        self._world.advance(copies)
-        if self._is_realtime:
-            self._steps += 1
-            rest = self._start + self._steps * self._world.period - time.perf_counter()
-            if rest > 0:
-                time.sleep(rest)
-            else:
-                # Late: the missed time is not caught up, which would be faster than real time.
-                self._start -= rest
-
-    def reset(self) -> None:
-        """Count time from now."""
-        self._start = time.perf_counter()
-        self._steps = 0
-
-    @property
-    def ends(self) -> NDArray[np.uint8]:
-        """Why the last step ended, per copy."""
-        return self._ends
-
-
-class WallClock(Clock):
-    """Waits for real devices: until they have arrived, or for one control period.
-
-    A device that enters its fault state ends the wait at once; the environment sees the fault and ends the episode.
+    A device that enters its fault state ends a wait at once; the environment sees the fault and ends the episode. Time
+    that was missed is not caught up: later steps keep their full period.
     """
 
     def __init__(
         self,
-        ports: Sequence[Port],
+        world: World | None = None,
+        ports: Sequence[Port] = (),
         *,
         frequency: float = 30.0,
+        is_real: bool = False,
         is_synchronous: bool = False,
         time_limit: float = 10.0,
         now: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Keep the rate of a loop.
+        """Keep time.
 
         Args:
-            ports: Devices that a synchronous step waits for.
-            frequency: Control steps per second [Hz].
-            is_synchronous: Wait for the devices instead of for a period.
+            world: Is stepped by its own mode and frequency; None without a simulation.
+            ports: Devices to be watched for faults while waiting, and that a synchronous step waits for.
+            frequency: Control steps per second [Hz]; that of the world where there is one.
+            is_real: Whether to keep the rate of the wall clock; always so without a world.
+            is_synchronous: Wait until the devices have arrived instead of for a period; without a world.
             time_limit: Longest synchronous step [s].
             now: Monotonic time [s].
             sleep: Waits for some seconds.
@@ -104,29 +56,41 @@ class WallClock(Clock):
         """
         if not frequency > 0 or not time_limit > 0:
             raise InvalidSetup(f"frequency ({frequency}) and time_limit ({time_limit}) must be positive.")
+        self.is_real = is_real or world is None
+        """Whether steps take real time."""
+        self.late = 0.0
+        """How much later than due the last step ended [s]."""
+        self.frequency = frequency if world is None else world.frequency
+        """Control steps per second [Hz]."""
+        self.ends: NDArray[np.uint8] = np.zeros(1, np.uint8) if world is None else world.core.ends
+        """Why the last step ended, `StepEnd` values per copy."""
+        self._world = world
         self._ports = list(ports)
         self._fallible = [port for port in ports if type(port).faults is not Port.faults]
-        self._period = 1.0 / frequency
-        self._is_synchronous = is_synchronous
+        self._waits_for_devices = is_synchronous and world is None
         self._time_limit = time_limit
         self._now = now
         self._sleep = sleep
         self._next = now()
-        self._ends = np.zeros(1, np.uint8)
 
     def advance(self, copies: Copies = None) -> None:
-        """Wait."""
-        self._ends[0] = self._wait_for_devices() if self._is_synchronous else self._wait_for_tick()
+        """Let one control step pass, of some copies or of all."""
+        if self._world is not None:
+            self._world.advance(copies)
+        if self._waits_for_devices:
+            self.ends[0] = self._wait_for_devices()
+        elif self.is_real:
+            self._wait_for_tick()
 
-    def _wait_for_tick(self) -> int:
-        self._next += self._period
+    def _wait_for_tick(self) -> None:
+        self._next += 1.0 / self.frequency
         rest = self._next - self._now()
+        self.late = max(-rest, 0.0)
         if rest <= 0:
-            self._next = self._now()  # late: later steps keep their full period
+            self._next = self._now()
         while rest > ROUNDING and not self._has_fault():
             self._sleep(min(rest, FAULT_POLL) if self._fallible else rest)
             rest = self._next - self._now()
-        return StepEnd.period.value
 
     def _has_fault(self) -> bool:
         return any(port.faults() for port in self._fallible)
@@ -144,8 +108,4 @@ class WallClock(Clock):
     def reset(self) -> None:
         """Count time from now."""
         self._next = self._now()
-
-    @property
-    def ends(self) -> NDArray[np.uint8]:
-        """Why the last step ended."""
-        return self._ends
+        self.late = 0.0

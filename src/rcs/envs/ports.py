@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from rcs.devices import Arm, Gripper
+from rcs.devices import Arm, Gripper, Hand
 from rcs.envs import spaces as keys
 from rcs.envs.spaces import Arrays, Observation
 from rcs.kinematics import Kinematics
@@ -29,6 +29,10 @@ class Port(ABC):
     """Space of every key that the port takes."""
     observation_spaces: Mapping[str, spaces.Space[Any]]
     """Space of every key that the port gives."""
+    timed: tuple[str, ...] = ()
+    """What `capture_times` has an entry for, such as `joints` or `frames/wrist`."""
+    device: Arm | Gripper | Hand | None = None
+    """The device that the port opens, holds and closes, where it is one behind a device interface."""
 
     @abstractmethod
     def command(self, action: Arrays) -> None:
@@ -38,32 +42,46 @@ class Port(ABC):
     def observe(self) -> Observation:
         """Return the present observation, in arrays of its own."""
 
-    def open(self) -> None:  # noqa: B027  most simulated devices have nothing to open
-        """Connect the device."""
-
     def capture_times(self) -> dict[str, float]:
-        """Return when each slow sensor was last read [s, monotonic clock], by its key such as `frames/wrist`."""
+        """Return when each sensor was last read [s, monotonic clock of the host], by its key."""
         return {}
+
+    def open(self) -> None:
+        """Connect the device; it does not move."""
+        if self.device is not None:
+            self.device.open()
 
     def has_arrived(self) -> bool:
         """Return whether the device has reached its last target."""
-        return True
+        return self.device is None or self.device.has_arrived()
 
-    def hold(self) -> None:  # noqa: B027  a camera has nothing to hold
+    def hold(self) -> None:
         """Make the device stay where it is."""
+        if self.device is None or not self.device.is_open:
+            return
+        try:
+            self.device.hold()
+        except Exception:
+            # A device was held when it entered its fault state, and may refuse it now; the fault's reason says more.
+            if not self.device.fault:
+                raise
 
     def faults(self) -> Mapping[str, str]:
         """Return the reason of every device that is in its fault state, by the device's name.
 
         The environment asks for it while it waits, so it must answer at once.
         """
-        return {}
+        return {} if self.device is None or not self.device.fault else {self.device.name: self.device.fault}
 
-    def recover(self) -> None:  # noqa: B027  a simulated device has no faults
+    def recover(self) -> None:
         """Clear the fault, if there is one; the device does not move."""
+        if self.device is not None and self.device.is_open and self.device.fault:
+            self.device.recover()
 
-    def close(self) -> None:  # noqa: B027
+    def close(self) -> None:
         """Let go of the device; closing twice is harmless."""
+        if self.device is not None:
+            self.device.close()
 
 
 def arm_observation_spaces(joints: spaces.Box) -> dict[str, spaces.Space[Any]]:
@@ -79,6 +97,8 @@ def arm_observation_spaces(joints: spaces.Box) -> dict[str, spaces.Space[Any]]:
 class ArmPort(Port):
     """Any arm behind the device interface, written in C++ or Python, simulated or real."""
 
+    timed = (keys.JOINTS,)
+
     def __init__(self, arm: Arm, kinematics: Kinematics) -> None:
         """Use an arm; it is opened by `open`.
 
@@ -86,10 +106,10 @@ class ArmPort(Port):
             arm: The device.
             kinematics: Gives the TCP pose from the measured joints.
         """
-        limits = arm.limits
-        box = keys.joints_space(limits.joint_lower, limits.joint_upper)
-        self._arm = arm
+        box = keys.joints_space(arm.limits.joint_lower, arm.limits.joint_upper)
+        self.device = self._arm = arm
         self._kinematics = kinematics
+        self._time = 0.0
         self.action_spaces = {keys.JOINTS: box}
         self.observation_spaces = arm_observation_spaces(box)
 
@@ -100,46 +120,29 @@ class ArmPort(Port):
     def observe(self) -> Observation:
         """Measure joints and compute the TCP pose."""
         state = self._arm.state()
+        self._time = state.time
         pose = self._kinematics.forward(state.joints)
         return {
-            keys.JOINTS: state.joints,
+            keys.JOINTS: np.array(state.joints),
             keys.TQUAT: pose.tquat,
             keys.XYZRPY: pose.xyzrpy,
-            keys.JOINT_VELOCITIES: state.joint_velocities,
+            keys.JOINT_VELOCITIES: np.array(state.joint_velocities),
         }
 
-    def open(self) -> None:
-        """Connect the arm; it does not move."""
-        self._arm.open()
-
-    def has_arrived(self) -> bool:
-        """Return whether the arm stands at its target."""
-        return self._arm.has_arrived()
-
-    def hold(self) -> None:
-        """Stop the arm where it is."""
-        _hold(self._arm)
-
-    def faults(self) -> Mapping[str, str]:
-        """Return why the arm stands still, if it is in its fault state."""
-        return _fault_of(self._arm)
-
-    def recover(self) -> None:
-        """Clear the arm's fault."""
-        if self._arm.is_open and self._arm.fault:
-            self._arm.recover()
-
-    def close(self) -> None:
-        """Let go of the arm."""
-        self._arm.close()
+    def capture_times(self) -> dict[str, float]:
+        """Return when the joints were measured."""
+        return {keys.JOINTS: self._time}
 
 
 class GripperPort(Port):
     """Any gripper behind the device interface."""
 
+    timed = (keys.GRIPPER,)
+
     def __init__(self, gripper: Gripper) -> None:
         """Use a gripper; it is opened (connected) by `open`."""
-        self._gripper = gripper
+        self.device = self._gripper = gripper
+        self._time = 0.0
         self.action_spaces = {keys.GRIPPER: keys.normalised_space(1)}
         self.observation_spaces = {keys.GRIPPER: keys.normalised_space(1)}
 
@@ -149,45 +152,37 @@ class GripperPort(Port):
 
     def observe(self) -> Observation:
         """Measure the opening."""
-        opening = min(max(self._gripper.state().opening, 0.0), 1.0)
-        return {keys.GRIPPER: np.array([opening], np.float32)}
+        state = self._gripper.state()
+        self._time = state.time
+        return {keys.GRIPPER: np.clip(np.array([state.opening], np.float32), 0.0, 1.0)}
 
-    def open(self) -> None:
-        """Connect the gripper; it does not move."""
-        self._gripper.open()
-
-    def has_arrived(self) -> bool:
-        """Return whether the fingers stand still."""
-        return self._gripper.has_arrived()
-
-    def hold(self) -> None:
-        """Stop the fingers where they are."""
-        _hold(self._gripper)
-
-    def faults(self) -> Mapping[str, str]:
-        """Return why the gripper stands still, if it is in its fault state."""
-        return _fault_of(self._gripper)
-
-    def recover(self) -> None:
-        """Clear the gripper's fault."""
-        if self._gripper.is_open and self._gripper.fault:
-            self._gripper.recover()
-
-    def close(self) -> None:
-        """Let go of the gripper."""
-        self._gripper.close()
+    def capture_times(self) -> dict[str, float]:
+        """Return when the opening was measured."""
+        return {keys.GRIPPER: self._time}
 
 
-def _hold(device: Arm | Gripper) -> None:
-    if not device.is_open:
-        return
-    try:
-        device.hold()
-    except Exception:
-        # A device was held when it entered its fault state, and may refuse it now; the fault's reason says more.
-        if not device.fault:
-            raise
+class HandPort(Port):
+    """Any hand behind the device interface."""
 
+    timed = (keys.HAND,)
 
-def _fault_of(device: Arm | Gripper) -> dict[str, str]:
-    return {device.name: device.fault} if device.fault else {}
+    def __init__(self, hand: Hand) -> None:
+        """Use a hand; it is opened (connected) by `open`."""
+        self.device = self._hand = hand
+        self._time = 0.0
+        self.action_spaces = {keys.HAND: keys.normalised_space(hand.joint_count)}
+        self.observation_spaces = {keys.HAND: keys.normalised_space(hand.joint_count)}
+
+    def command(self, action: Arrays) -> None:
+        """Send the joint targets."""
+        self._hand.command_joints(action[keys.HAND].astype(np.float64))
+
+    def observe(self) -> Observation:
+        """Measure the joints."""
+        state = self._hand.state()
+        self._time = state.time
+        return {keys.HAND: np.clip(np.array(state.joints, np.float32), 0.0, 1.0)}
+
+    def capture_times(self) -> dict[str, float]:
+        """Return when the joints were measured."""
+        return {keys.HAND: self._time}

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypedDict, get_args
 
 import numpy as np
 
 from rcs.envs.spaces import Control
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.camera_mode import parse_mode
 from rcs.sim.camera import MAX_SIZE, Quality
 from rcs.sim.detail import Assets
@@ -136,8 +136,33 @@ class Setup:
         """
         fields = {field.name for field in dataclasses.fields(Setup)}
         if unknown := sorted(set(values) - fields):
-            raise InvalidSetup(f"A setup has no fields {unknown}; it has {sorted(fields)}.")
+            raise UnknownName("option", unknown[0], fields)
         return Setup(**values)
+
+
+class Options(TypedDict, total=False):
+    """The fields of `Setup` besides the task, as `rcs.make` takes them."""
+
+    robot: str
+    end_effector: str | None
+    cameras: Sequence[str]
+    calibration: str | None
+    size: int | tuple[int, int]
+    camera_mode: str | None
+    fps: float | Mapping[str, float] | None
+    depth: bool
+    tactile: str | None
+    camera_noise: bool
+    quality: Quality
+    assets: Assets
+    control: Control
+    relative: Relative | bool
+    binary_gripper: bool
+    frequency: float
+    mode: Mode
+    max_episode_steps: int | None
+    physics_step: float
+    randomisation: Randomisation | bool | None
 
 
 def _ranges(value: Any) -> Randomisation | None:

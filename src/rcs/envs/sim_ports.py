@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
+
 from gymnasium import spaces
 
 from rcs.envs import spaces as keys
@@ -11,6 +14,7 @@ from rcs.sim.camera import SimCameras
 from rcs.sim.camera_feed import CameraFeed
 from rcs.sim.frame_clock import FrameClock, FrameRate
 from rcs.sim.robot import SimRobot
+from rcs.sim.tactile import SimTactile
 
 
 class SimArmPort(Port):
@@ -98,6 +102,7 @@ class SimCameraPort(Port):
             rates = {placement.name: FrameRate.of(placement.camera, cameras.size) for placement in cameras.placements}
             clock = FrameClock(cameras.world, rates)
         self.cameras = cameras
+        self.timed = tuple(f"{keys.FRAMES}/{name}" for name in cameras.names)
         self._feed = CameraFeed(cameras, clock)
         self.action_spaces = {}
         self.observation_spaces = {keys.FRAMES: cameras_space(cameras)}
@@ -116,6 +121,39 @@ class SimCameraPort(Port):
     def close(self) -> None:
         """Free the renderer."""
         self.cameras.close()
+
+
+class SimTactilePort(Port):
+    """Tactile sensors of a scene, as `frames`/sensor/`rgb`."""
+
+    def __init__(self, sensors: Sequence[SimTactile]) -> None:
+        """Use the sensors of a world."""
+        self.sensors = {sensor.placement.name: sensor for sensor in sensors}
+        self.timed = tuple(f"{keys.FRAMES}/{name}" for name in self.sensors)
+        self._times: dict[str, float] = {}
+        self.action_spaces = {}
+        frames = {name: spaces.Dict({keys.RGB: keys.rgb_space(*one.gel.size)}) for name, one in self.sensors.items()}
+        self.observation_spaces = {keys.FRAMES: spaces.Dict(dict(frames))}
+
+    def observe(self) -> Observation:
+        """Read every sensor."""
+        frames: Observation = {}
+        for name, sensor in self.sensors.items():
+            frames[name] = {keys.RGB: sensor.read()[keys.RGB]}
+            self._times[f"{keys.FRAMES}/{name}"] = time.perf_counter()
+        return {keys.FRAMES: frames}
+
+    def capture_times(self) -> dict[str, float]:
+        """Return when each sensor was read."""
+        return dict(self._times)
+
+    def command(self, action: Arrays) -> None:
+        """Do nothing: a sensor takes no commands."""
+
+    def close(self) -> None:
+        """Free what drawing needed."""
+        for sensor in self.sensors.values():
+            sensor.close()
 
 
 def cameras_space(cameras: SimCameras) -> spaces.Dict:

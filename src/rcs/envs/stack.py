@@ -1,115 +1,181 @@
-"""The stack of ports and layers under an environment: one for a single environment and for a batch."""
+"""The chains of all robots of an environment side by side, and the gates between them and the devices."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
+from rcs.envs.chain import Chain
+from rcs.envs.gate import Gate
 from rcs.envs.layers import Action, Layer, Where
 from rcs.envs.ports import Port
-from rcs.envs.spaces import ActionCheck, Observation
+from rcs.envs.spaces import Observation
+from rcs.errors import InvalidAction, InvalidSetup, Refused, UnknownName
+
+NAMELESS = ""
+"""Name of the chain whose keys stay at the top: that of a robot alone, or of what several robots share."""
+
+Nested = dict[str, dict[str, Any]]
+"""Actions or observations by chain."""
 
 
 class Stack:
-    """Ports at the bottom, layers on top of each other; actions go down, observations go up."""
+    """Chains by name. Keys are one level down under the chain's name; those of the nameless chain stay at the top."""
 
-    def __init__(self, ports: Sequence[Port], layers: Sequence[Layer], leading: tuple[int, ...] = ()) -> None:
-        """Put a stack together.
+    def __init__(self, chains: Chain | Mapping[str, Chain], gates: Sequence[Gate] = ()) -> None:
+        """Put chains side by side.
 
         Args:
-            ports: What talks to the devices.
-            layers: From the lowest to the highest.
-            leading: Leading shape of all arrays: () or (copies,).
-        """
-        self.ports = list(ports)
-        self.layers = list(layers)
-        self.leading = leading
-        boxes = {key: box for port in ports for key, box in port.action_spaces.items()}
-        observations = {key: space for port in ports for key, space in port.observation_spaces.items()}
-        self.executed_spaces = dict(boxes)
-        """Space of what is sent to the ports."""
-        for layer in layers:
-            boxes = layer.action_spaces(boxes)
-            observations = layer.observation_spaces(observations)
-        self.check = ActionCheck(boxes, leading)
-        """Checks an action of the highest level; raises InvalidAction."""
-        self.action_space = spaces.Dict(dict(boxes))
-        self.observation_space = spaces.Dict(dict(observations))
-        self.executed: dict[str, NDArray[Any]] = {}
-        """The last action as it was sent to the ports."""
-        self.target: dict[str, NDArray[Any]] = {}
-        """What the last action came to, on the highest level: absolute targets, cut where a layer has cut them."""
-        self._measured: Observation = {}
-        self._fallible = [port for port in self.ports if type(port).faults is not Port.faults]
-
-    def map(self, action: Any) -> Action:
-        """Check an action and map it down; no device sees it, and no layer remembers it.
+            chains: The chain of the only robot, or those of several by name; "" is for what they share, such as
+                cameras.
+            gates: What every action must pass, in this order.
 
         Raises:
-            InvalidAction: The action is not valid.
+            InvalidSetup: A robot has the name of a key that the robots share.
         """
-        mapped = self.check(action)
-        for layer in reversed(self.layers):
-            mapped = layer.map_action(mapped)
+        self.chains: dict[str, Chain] = {NAMELESS: chains} if isinstance(chains, Chain) else dict(chains)
+        self.gates = list(gates)
+        self._names = [name for name in self.chains if name != NAMELESS]
+        self._shared = self.chains.get(NAMELESS) or Chain([])
+        if clash := sorted(set(self._names) & {*self._shared.action_spaces, *self._shared.observation_spaces}):
+            raise InvalidSetup(f"A robot is named {clash[0]!r}, which is a key of all robots; give it another name.")
+        self.action_space = _space({name: chain.action_spaces for name, chain in self.chains.items()})
+        self.observation_space = _space({name: chain.observation_spaces for name, chain in self.chains.items()})
+        self.executed_spaces = _space({name: chain.executed_spaces for name, chain in self.chains.items()}).spaces
+        """Space of what is sent to the ports."""
+        self._fallible = [(self._prefix(name), port) for name, one in self.chains.items() for port in one.fallible]
+
+    @property
+    def ports(self) -> list[Port]:
+        """All ports, those of the robots first."""
+        return [port for chain in self.chains.values() for port in chain.ports]
+
+    @property
+    def layers(self) -> list[Layer]:
+        """All layers, chain by chain, from the lowest to the highest."""
+        return [layer for chain in self.chains.values() for layer in chain.layers]
+
+    @property
+    def timed(self) -> list[str]:
+        """What `capture_times` has an entry for, such as `frames/wrist` and `joints`."""
+        return [
+            self._prefix(name) + key for name, one in self.chains.items() for port in one.ports for key in port.timed
+        ]
+
+    @property
+    def executed(self) -> dict[str, Any]:
+        """The last action as it was sent to the ports, in the form of an action."""
+        return self.squeeze({name: chain.executed for name, chain in self.chains.items()})
+
+    @property
+    def target(self) -> dict[str, Any]:
+        """What the last action came to, on the highest level, in the form of an action."""
+        return self.squeeze({name: chain.target for name, chain in self.chains.items()})
+
+    def squeeze(self, nested: Nested) -> dict[str, Any]:
+        """Return values by chain in the form that users see."""
+        if not self._names:
+            return nested[NAMELESS]
+        return {**{name: nested[name] for name in self._names}, **nested.get(NAMELESS, {})}
+
+    def map(self, action: Any) -> Nested:
+        """Check the action and map it down; no device sees it, and no layer remembers it.
+
+        Raises:
+            InvalidAction: The action, or that of one robot, is not valid.
+        """
+        if not self._names:
+            return {NAMELESS: self._shared.map(action)}
+        robots = [name for name in self._names if self.chains[name].action_spaces]
+        if not isinstance(action, Mapping) or action.keys() != {*robots, *self._shared.action_spaces}:
+            given = sorted(map(str, action)) if isinstance(action, Mapping) else type(action).__name__
+            raise InvalidAction(f"Expected one action per robot, {sorted(robots)}; got {given}.")
+        mapped: Nested = {}
+        for name, chain in self.chains.items():
+            given = {key: action[key] for key in chain.action_spaces} if name == NAMELESS else action.get(name, {})
+            try:
+                mapped[name] = chain.map(given)
+            except InvalidAction as err:
+                raise InvalidAction(f"Robot {name!r}: {err}") from err
         return mapped
 
-    def send(self, mapped: Action) -> None:
-        """Set the devices' targets, and tell the layers from the lowest up what they came to; nothing moves yet."""
-        for port in self.ports:
-            port.command(mapped)
-        self.executed = mapped
-        for layer in self.layers:
-            mapped = layer.map_executed(mapped)
-        self.target = mapped
+    def admit(self, mapped: Nested) -> Nested:
+        """Return what the gates let through.
 
-    def measure(self) -> Observation:
-        """Return the observation of the lowest level."""
-        observation: Observation = {}
-        for port in self.ports:
-            observation.update(port.observe())
-        self._measured = observation
-        return observation
+        Raises:
+            Refused: A gate refuses, or its deadline has passed.
+        """
+        if not self.gates:
+            return mapped
+        targets: Mapping[str, Action] = mapped
+        measured = {name: chain.measure_devices() for name, chain in self.chains.items()}
+        for gate in self.gates:
+            start = time.perf_counter()
+            targets = gate.admit(targets, measured)
+            taken = time.perf_counter() - start
+            if not taken <= gate.deadline:
+                raise Refused(f"{gate} answered after {1e3 * taken:.1f} ms; its deadline is {1e3 * gate.deadline:g} ms.")
+            for name, chain in self.chains.items():
+                _require_target(gate, name, chain, targets)
+        return {name: dict(targets[name]) for name in self.chains}
 
-    def rebase(self) -> None:
-        """Make all layers count from the measured state."""
-        observation = dict(self._measured)
-        for port in self.ports:
-            if port.action_spaces:  # what only observes, such as a camera, need not be read for this
-                observation.update(port.observe())
-        for layer in self.layers:
-            layer.rebase(observation)
-            observation = layer.map_observation(observation)
+    def send(self, mapped: Nested) -> None:
+        """Set the targets of all devices; nothing moves yet."""
+        for name, chain in self.chains.items():
+            chain.send(mapped[name])
+
+    def stay(self) -> None:
+        """Hold all devices where they are measured, and take that for what the last action came to."""
+        for_all([chain.stay for chain in self.chains.values()])
+
+    def measure(self) -> Nested:
+        """Return the observations of the lowest level."""
+        return {name: chain.measure() for name, chain in self.chains.items()}
+
+    def lift(self, measured: Nested) -> Observation:
+        """Map the observations of the lowest level up through all layers, into the form that users see."""
+        return self.squeeze({name: chain.lift(measured[name]) for name, chain in self.chains.items()})
+
+    def reset(self, measured: Nested, where: Where) -> None:
+        """Tell all layers that some copies start anew, with the lowest level's observations."""
+        for name, chain in self.chains.items():
+            chain.reset(measured[name], where)
+
+    def rebase(self, robot: str | None = None) -> None:
+        """Make the layers of one robot, or of all, count from the measured state.
+
+        Raises:
+            UnknownName: There is no robot of this name.
+        """
+        if robot is not None and robot not in self._names:
+            hint = "" if self._names else "This environment has one robot; call rebase()."
+            raise UnknownName("robot", robot, self._names, hint=hint)
+        for name, chain in self.chains.items():
+            if robot in (None, name):
+                chain.rebase()
 
     def faults(self) -> dict[str, str]:
-        """Return the reason of every device that is in its fault state, by the device's name."""
-        return {name: reason for port in self._fallible for name, reason in port.faults().items()}
+        """Return the reason of every device that is in its fault state, by the device's name or `robot/device`."""
+        return {prefix + key: why for prefix, port in self._fallible for key, why in port.faults().items()}
 
-    def lift(self, observation: Observation) -> Observation:
-        """Map an observation of the lowest level up through all layers."""
-        for layer in self.layers:
-            observation = layer.map_observation(observation)
-        return observation
-
-    def reset(self, observation: Observation, where: Where) -> None:
-        """Tell all layers that some copies start anew, with the lowest level's observation."""
-        for layer in self.layers:
-            layer.reset(observation, where)
-            observation = layer.map_observation(observation)
-
-    def info(self) -> dict[str, NDArray[Any]]:
-        """Return what the layers tell of the last action."""
-        told: dict[str, NDArray[Any]] = {}
-        for layer in self.layers:
-            told.update(layer.info())
-        return told
+    def info(self) -> dict[str, Any]:
+        """Return what the layers tell of the last action; of several robots, `robot/key`."""
+        if not self._names:
+            return self._shared.info()
+        return {self._prefix(name) + key: v for name, one in self.chains.items() for key, v in one.info().items()}
 
     def capture_times(self) -> dict[str, float]:
-        """Return when each slow sensor was last read [s, monotonic clock]."""
-        return {key: time for port in self.ports for key, time in port.capture_times().items()}
+        """Return when each sensor was last read [s, monotonic clock], by its key such as `frames/wrist`."""
+        return {
+            self._prefix(name) + key: when
+            for name, chain in self.chains.items()
+            for port in chain.ports
+            for key, when in port.capture_times().items()
+        }
 
     def hold(self) -> None:
         """Make every device stay where it is, also when one of them fails to."""
@@ -123,13 +189,29 @@ class Stack:
         """Close all ports, also when one of them fails to."""
         for_all([port.close for port in self.ports])
 
+    def _prefix(self, name: str) -> str:
+        return f"{name}/" if name else ""
+
     def __str__(self) -> str:
-        """Return the stack from top to bottom, a line each."""
-        lines = [f"  {layer}" for layer in reversed(self.layers)]
-        for port in self.ports:
-            taken, given = ", ".join(port.action_spaces) or "-", ", ".join(port.observation_spaces)
-            lines.append(f"  {type(port).__name__}: {taken} -> {given}")
+        """Return the gates, then chain after chain from top to bottom."""
+        lines = [f"  gate: {gate}" for gate in self.gates]
+        for name, chain in self.chains.items():
+            lines += [f"  {name}:"] if name else []
+            lines += [str(chain)] if chain.ports else []
         return "\n".join(lines)
+
+
+def _space(boxes: Mapping[str, Mapping[str, spaces.Space[Any]]]) -> spaces.Dict:
+    named: dict[str, spaces.Space[Any]] = {name: spaces.Dict(dict(own)) for name, own in boxes.items() if name and own}
+    return spaces.Dict({**named, **boxes.get(NAMELESS, {})})
+
+
+def _require_target(gate: Gate, name: str, chain: Chain, targets: Mapping[str, Action]) -> None:
+    """Check what a gate returned: it must be as complete and finite as what it was given."""
+    for key, box in chain.executed_spaces.items():
+        value = targets.get(name, {}).get(key)
+        if not isinstance(value, np.ndarray) or value.shape[-1:] != box.shape[-1:] or not np.isfinite(value).all():
+            raise Refused(f"{gate} returned {value!r} for {name or 'the robot'}'s {key!r}; valid: {box.shape} finite.")
 
 
 def for_all(calls: Sequence[Callable[[], None]]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rcs.envs import spaces as keys
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
+from rcs.sim.scene import RobotPlacement
 from rcs.spatial import compose, inverse, normalize
 
 MINIMAL_NORM = 0.1
@@ -57,7 +58,7 @@ def check_start(robots: list[SimRobot], known: Mapping[str, Any], robot: Any, ob
     }
     if objects is not None and (not isinstance(objects, Mapping) or not objects.keys() <= known.keys()):
         raise InvalidSetup(f"The option 'objects' is {_form(objects)}; valid are poses of {sorted(known)}.")
-    base = base_in_scene(robots)
+    base = base_in_scene([one.placement for one in robots])
     poses = {name: compose(base, _check_pose(name, pose)) for name, pose in (objects or {}).items()}
     return Start(robots=states, objects=poses)
 
@@ -81,11 +82,11 @@ def check_state(state: Any, size: int) -> NDArray[np.float64]:
     return array
 
 
-def base_in_scene(robots: list[SimRobot]) -> NDArray[np.float64]:
+def base_in_scene(robots: Sequence[RobotPlacement]) -> NDArray[np.float64]:
     """Return the frame in which objects are told, (7,): the robot's base, or of several robots the scene itself."""
     pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     if len(robots) == 1:
-        base = robots[0].placement.base_in_scene
+        base = robots[0].base_in_scene
         pose[:3], pose[3:] = base.translation, base.quaternion
     return pose
 
@@ -94,7 +95,7 @@ def in_frame_of(robots: list[SimRobot], poses: Mapping[str, NDArray[np.float64]]
     """Return poses in the scene as they are told to people: in the base frame, or of several robots in the scene."""
     if len(robots) != 1:
         return dict(poses)
-    scene_in_base = inverse(base_in_scene(robots))
+    scene_in_base = inverse(base_in_scene([one.placement for one in robots]))
     return {name: compose(scene_in_base, pose) for name, pose in poses.items()}
 
 

@@ -107,7 +107,7 @@ class Collector:
         """Make the environment and the expert."""
         self._collection = collection
         self._env = env or make(collection.setup)
-        self._recorder = Recorder(self._env, writer)
+        self._recorder = Recorder(writer)
         self._env.add_observer(self._recorder)
         self._agent = expert_for(self._env, collection.setup)
 
@@ -174,7 +174,7 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
     env = env or make(collection.setup)
     try:
         expert_for(env, collection.setup)
-        info = dataset_info(env, collection.setup, colour=collection.colour, jpeg_quality=collection.jpeg_quality)
+        info = dataset_info(env, colour=collection.colour, jpeg_quality=collection.jpeg_quality)
         # How an episode is numbered and seeded is part of what makes two collections the same.
         made = {"seed": collection.seed, "only_success": collection.only_success}
         info = replace(info, origin={"collection": made})

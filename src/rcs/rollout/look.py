@@ -141,7 +141,6 @@ class Stage:
         is_lossless = any(feature.encoding == "lossless" for feature in recorded.features)
         info = dataset_info(
             env,
-            self.setup,
             colour="lossless" if is_lossless else "jpeg",
             jpeg_quality=self.looks.jpeg_quality or recorded.jpeg_quality,
         )

@@ -174,7 +174,7 @@ class _Replayer:
         self._stage = _stage(replay, self._dataset)
         self._writer = DatasetWriter.join(out)
         self._env, self._looks = self._stage.env()
-        self._recorder = Recorder(self._env, self._writer)
+        self._recorder = Recorder(self._writer)
         self._env.add_observer(self._recorder)
 
     def attempt(self, number: int) -> RealToSimResult:

@@ -142,7 +142,7 @@ class _Reexecutor:
         self._setup = stage.setup
         self._writer = DatasetWriter.join(out)
         self._env, self._looks = stage.env()
-        self._recorder = Recorder(self._env, self._writer)
+        self._recorder = Recorder(self._writer)
         self._env.add_observer(self._recorder)
         source = compose(resolve(replace(physics_of(self._dataset), assets="builtin"))).compile()
         self._transfer = StateTransfer(source, self._env.scenario.world.model)

@@ -19,7 +19,6 @@ from rcs.envs.env import Env
 from rcs.envs.observers.recorder import OBSERVATION, TIME_MONOTONIC, versions
 from rcs.envs.setup import Setup
 from rcs.envs.sim_ports import SimCameraPort
-from rcs.envs.tactile_port import SimTactilePort
 from rcs.errors import InvalidSetup
 from rcs.rollout.derive import SOURCE, derive, source_of
 from rcs.rollout.look import Look, Stage, physics_of, require_states, setup_of, varied
@@ -235,7 +234,6 @@ def _info(recorded: DatasetInfo, env: Env, stage: Stage, physics: Setup) -> Data
 
 def _cameras_of(env: Env) -> SimCameraPort | None:
     for port in env.stack.ports:
-        found = port.cameras if isinstance(port, SimTactilePort) else port
-        if isinstance(found, SimCameraPort):
-            return found
+        if isinstance(port, SimCameraPort):
+            return port
     return None

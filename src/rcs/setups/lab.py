@@ -44,8 +44,6 @@ class CameraMount:
 class Lab:
     """What usually stands around a robot."""
 
-    label: str
-    """How it is written in ids, such as `FR3`."""
     stands: tuple[Stand, ...]
     """Its robots."""
     end_effector: str | None
@@ -54,8 +52,6 @@ class Lab:
     """Where tasks take place."""
     cameras: dict[str, CameraMount] = field(default_factory=dict[str, CameraMount])
     """Camera mounts by name."""
-    tasks: tuple[str, ...] = ("PickCuboid",)
-    """Names of the tasks that are at home here; each gets an id."""
 
 
 def lab_of(robot: str) -> Lab:
@@ -80,7 +76,6 @@ def plain_lab(name: str, arm: ArmDescription) -> Lab:
         optical=looking((0.8 * reach, 1.1 * reach, 0.6 * reach), (0.4 * reach, 0.0, 0.15 * reach)),
     )
     return Lab(
-        label=arm.name.upper(),
         stands=(Stand(name=name, arm=name),),
         end_effector=None,
         area=area,

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from rcs.devices import lookup
+from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
 from rcs.envs.assemble import Parts, assemble, assemble_vec
 from rcs.envs.env import Env
-from rcs.envs.setup import Setup
+from rcs.envs.gate import Gate
+from rcs.envs.layers import Layer
+from rcs.envs.observers import Observer
+from rcs.envs.setup import Options, Setup
 from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup, UnknownName
+from rcs.hardware import DeviceAddress, Devices, Site
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
 from rcs.robots.tactile import TactileDescription
 from rcs.setups.calibration import calibrated
@@ -25,17 +32,42 @@ from rcs.sim.tactile_placement import TactilePlacement
 NO_END_EFFECTOR = "none"
 """Asks for a bare flange."""
 
+RENDER_MODES = (None, "rgb_array", "rgb_array_list", "human")
 
-def make(task: str | Setup = "PickCuboid", *, render_mode: str | None = None, **options: Any) -> Env:
-    """Make an environment.
+AnyLayer = Layer | type[Layer] | str
+"""A layer, its class, the name of its entry point, or `module:Class`."""
+
+Hardware = str | Path | DeviceAddress | Arm | Gripper | Hand | Camera
+"""A device, or how it is reached."""
+
+
+def make(
+    task: str | type[Task] | Setup = "PickCuboid",
+    *,
+    hardware: Site | Hardware | Mapping[str, Hardware] | None = None,
+    layers: Sequence[AnyLayer] | Mapping[str, Sequence[AnyLayer]] = (),
+    gates: Sequence[Gate | type[Gate] | str] = (),
+    observers: Sequence[Observer] = (),
+    render_mode: Literal["rgb_array", "rgb_array_list", "human"] | None = None,
+    **options: Unpack[Options],
+) -> Env:
+    """Make an environment, simulated, real, or some of each.
 
     Args:
-        task: Name of the task, or a whole setup.
-        render_mode: `rgb_array` for an environment whose `render` draws; None for none.
-        options: Fields of `Setup`.
+        task: A task by name, as a class or as `module:Class`; or a whole setup.
+        hardware: What is real: a `Site` or the path of its file, `driver:address` for all arms with their end
+            effectors, or a mapping from names of robots and cameras to addresses or devices. All else is simulated, in
+            real time and in one world. None for simulation alone.
+        layers: Your own layers on top of those of the setup, from the lowest to the highest, as objects, classes or
+            names; of several robots, a sequence per robot by name.
+        gates: What the targets of all robots must pass before a device sees them, as objects, classes or names.
+        observers: See every step.
+        render_mode: `rgb_array` for an environment whose `render` draws, `rgb_array_list` for one that draws every
+            step, `human` for a window; None for none.
+        options: Fields of `Setup`; their defaults and units are listed there.
 
     Raises:
-        UnknownName: A task, robot, end effector or camera that does not exist.
+        UnknownName: A task, robot, end effector, camera, layer or driver that does not exist.
         InvalidSetup: An option that does not make sense.
 
     Example:
@@ -44,27 +76,38 @@ def make(task: str | Setup = "PickCuboid", *, render_mode: str | None = None, **
         >>> observation, info = env.reset(seed=0)
         >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
     """
-    if render_mode not in (None, "rgb_array"):
-        raise InvalidSetup(f"render_mode is {render_mode!r}; valid: None, 'rgb_array'.")
-    return assemble(resolve(_setup(task, options)), has_picture=render_mode is not None)
+    if render_mode not in RENDER_MODES:
+        raise InvalidSetup(f"render_mode is {render_mode!r}; valid: {', '.join(map(repr, RENDER_MODES))}.")
+    parts = resolve(_setup(task, dict(options)))
+    given = layers if isinstance(layers, Mapping) else {robot.name: layers for robot in parts.robots}
+    parts = replace(
+        parts,
+        devices=_devices(hardware, parts),
+        layers=_layers(given, [robot.name for robot in parts.robots]),
+        gates=[_one("gate", gate, Gate) for gate in gates],
+        observers=list(observers),
+    )
+    return assemble(parts, render_mode=render_mode)
 
 
 def make_vec(
-    task: str | Setup = "PickCuboid",
+    task: str | type[Task] | Setup = "PickCuboid",
     *,
     copies: int = 2,
     threads: int = 0,
     autoreset: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-    **options: Any,
+    layers: Sequence[AnyLayer] | Mapping[str, Sequence[AnyLayer]] = (),
+    **options: Unpack[Options],
 ) -> VecEnv:
     """Make many copies of an environment that are stepped together on native threads.
 
     Args:
-        task: Name of the task, or a whole setup.
+        task: A task by name, as a class or as `module:Class`; or a whole setup.
         copies: Number of copies.
         threads: Threads for physics and rendering, 0 for one per CPU.
         autoreset: When a copy starts its next episode: `NextStep`, `SameStep` or `Disabled` (gymnasium's).
-        options: Fields of `Setup`.
+        layers: Your own layers, as in `make`.
+        options: Fields of `Setup`; their defaults and units are listed there.
 
     Raises:
         UnknownName: A task, robot, end effector or camera that does not exist.
@@ -79,7 +122,7 @@ def make_vec(
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
             raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least}.")
     copies, threads = int(copies), int(threads)
-    setup = _setup(task, options)
+    setup = _setup(task, dict(options))
     if setup.mode == "realtime":
         raise InvalidSetup("Copies have no common wall clock; use mode='async' or 'sync'.")
     try:
@@ -87,15 +130,56 @@ def make_vec(
     except ValueError as err:
         valid = ", ".join(repr(one.value) for one in AutoresetMode)
         raise InvalidSetup(f"autoreset is {autoreset!r}; valid: {valid}.") from err
-    return assemble_vec(resolve(setup), copies=copies, threads=threads, autoreset=mode)
+    parts = resolve(setup)
+    given = layers if isinstance(layers, Mapping) else {robot.name: layers for robot in parts.robots}
+    parts = replace(parts, layers=_layers(given, [robot.name for robot in parts.robots]))
+    return assemble_vec(parts, copies=copies, threads=threads, autoreset=mode)
 
 
-def _setup(task: str | Setup, options: dict[str, Any]) -> Setup:
+def _setup(task: str | type[Task] | Setup, options: dict[str, Any]) -> Setup:
     if isinstance(task, Setup):
         if options:
             raise InvalidSetup(f"A setup was given and also {sorted(options)}; use dataclasses.replace on the setup.")
         return task
-    return Setup.from_json({"task": task, **options})
+    return Setup.from_json({"task": lookup.name_of("task", task), **options})
+
+
+def _layers(given: Mapping[str, Sequence[AnyLayer]], robots: Sequence[str]) -> dict[str, list[Layer]]:
+    """Return the user's layers by robot, made where they are classes or names."""
+    if unknown := sorted(set(given) - set(robots)):
+        raise UnknownName("robot of this setup", unknown[0], robots)
+    made = {name: [_one("layer", layer, Layer) for layer in own] for name, own in given.items()}
+    every = [id(layer) for own in made.values() for layer in own]
+    if len(set(every)) != len(every):
+        raise InvalidSetup("A layer remembers the targets of one robot; give each robot its own, or the layer's class.")
+    return made
+
+
+def _one(kind: Literal["layer", "gate"], given: Any, wanted: type[Any]) -> Any:
+    found = lookup.find(kind, given)
+    found = found() if isinstance(found, type) else found
+    if not isinstance(found, wanted):
+        raise InvalidSetup(f"{given!r} is no {kind}; valid is an object or class of {wanted.__name__}, or its name.")
+    return found
+
+
+def _devices(hardware: Any, parts: Parts) -> Devices:
+    if hardware is None:
+        return Devices()
+    robots = {robot.name: (robot.arm, robot.end_effector) for robot in parts.robots}
+    site = Site.of(hardware, robots, {camera.name: camera.camera for camera in parts.cameras})
+    cameras = {camera.name: (camera.camera, _mode(parts.setup, camera)) for camera in parts.cameras}
+    return site.devices(robots, cameras)
+
+
+def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:
+    """Return the mode of a real camera that frames of a setup are cut out of: the smallest that is large enough."""
+    width, height = setup.size
+    rate = camera.camera.frame_rate(setup.size, setup.fps_of(camera.name))
+    large = [mode for mode in camera.camera.modes if mode.width >= width and mode.height >= height and rate in mode.rates]
+    large = large or [mode for mode in camera.camera.modes if rate in mode.rates]
+    mode = min(large, key=lambda mode: mode.width * mode.height)
+    return CameraMode(mode.width, mode.height, rate, setup.depth)
 
 
 def resolve(setup: Setup) -> Parts:
@@ -108,7 +192,9 @@ def resolve(setup: Setup) -> Parts:
     lab = lab_of(setup.robot)
     if setup.calibration is not None:
         lab = calibrated(lab, setup.calibration)
-    task: type[Task] = lookup.find("task", setup.task)
+    task: Any = lookup.find("task", setup.task)
+    if not (isinstance(task, type) and issubclass(task, Task)):
+        raise InvalidSetup(f"{setup.task!r} is {task!r}; valid is a subclass of rcs.envs.task.Task.")
     robots = tuple(_place(stand, setup.end_effector or lab.end_effector) for stand in lab.stands)
     cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras)
     tactile = tuple(sensor for robot in robots for sensor in _feel(setup.tactile, robot))

@@ -10,13 +10,14 @@ from rcs._core import Renderer
 from rcs.errors import InvalidSetup
 from rcs.sim.camera import Quality
 from rcs.sim.scene import OVERVIEW
+from rcs.sim.viewer import Viewer
 from rcs.sim.world import World
 
 
 class Picture:
     """Draws a world of one copy from the overview camera."""
 
-    def __init__(self, world: World, *, size: tuple[int, int] = (640, 480), quality: Quality = "full") -> None:
+    def __init__(self, world: World, *, size: tuple[int, int] = (640, 480), quality: Quality = "fast") -> None:
         """Look at a world.
 
         Args:
@@ -35,6 +36,7 @@ class Picture:
         self._quality: Quality = quality
         self._camera = world.model.camera(OVERVIEW).id
         self._renderer: Renderer | None = None
+        self._viewer: Viewer | None = None
 
     def draw(self) -> NDArray[np.uint8]:
         """Return a picture, (H, W, 3), rows from the top."""
@@ -48,8 +50,22 @@ class Picture:
         self._renderer.render(self._camera, picture)
         return picture
 
+    def show(self) -> None:
+        """Show the present state in a window, which is opened at the first call.
+
+        Raises:
+            MissingDependency: There is no display.
+        """
+        if self._viewer is None:
+            self._viewer = Viewer(self._world)
+            self._viewer.open()
+        self._viewer.sync()
+
     def close(self) -> None:
-        """Free the renderer. Closing twice is harmless."""
+        """Free the renderer and close the window. Closing twice is harmless."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None

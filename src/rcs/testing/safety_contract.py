@@ -11,12 +11,11 @@ import pytest
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from rcs.envs.chain import Chain
 from rcs.envs.env import Env
-from rcs.envs.group import StackGroup
 from rcs.envs.layers import Layer, Relative
 from rcs.envs.observers import Observer, Transition
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS, TQUAT, XYZRPY
-from rcs.envs.stack import Stack
 from rcs.errors import InvalidAction, WrongOrder
 from rcs.testing.env_contract import require_same_bits
 
@@ -327,8 +326,8 @@ def lift(env: Env) -> Any:
     return env.stack.lift(env.stack.measure())
 
 
-def _stacks(env: Env) -> dict[str, Stack]:
-    return dict(env.stack.robots) if isinstance(env.stack, StackGroup) else {"": env.stack}
+def _stacks(env: Env) -> dict[str, Chain]:
+    return {name: chain for name, chain in env.stack.chains.items() if chain.action_spaces}
 
 
 def _act(env: Env, observation: Mapping[str, Any], *, moves: bool) -> Action:
@@ -339,10 +338,10 @@ def _act(env: Env, observation: Mapping[str, Any], *, moves: bool) -> Action:
     return action.get("", action)
 
 
-def _act_of_one(stack: Stack, observation: Mapping[str, Any], *, moves: bool) -> Action:
+def _act_of_one(stack: Chain, observation: Mapping[str, Any], *, moves: bool) -> Action:
     is_relative = any(isinstance(layer, Relative) for layer in stack.layers)
     action: Action = {}
-    for key, box in stack.action_space.spaces.items():
+    for key, box in stack.action_spaces.items():
         assert isinstance(box, spaces.Box)
         if key in (GRIPPER, HAND):
             value = np.round(observation[key]) if key == GRIPPER else np.array(observation[key])

@@ -10,7 +10,7 @@ from rcs.envs.layers import LimitStep, Relative
 from rcs.envs.layers.relative import shift
 from rcs.envs.ports import Port
 from rcs.envs.spaces import JOINTS, TQUAT, joints_space, tquat_space
-from rcs.envs.stack import Stack
+from rcs.envs.chain import Chain
 from rcs.spatial import Pose, compose, distance
 
 
@@ -99,7 +99,7 @@ class Blocked(Port):
 
 def test_the_target_of_a_blocked_arm_does_not_wind_up() -> None:
     port = Blocked(2)
-    stack = Stack([port], [LimitStep(np.full(2, 0.1), max_lead=0.6), Relative(JOINTS, max_joint_step=0.1)])
+    stack = Chain([port], [LimitStep(np.full(2, 0.1), max_lead=0.6), Relative(JOINTS, max_joint_step=0.1)])
     stack.reset(stack.measure(), ...)
     for _ in range(100):
         stack.send(stack.map({JOINTS: np.full(2, 0.1)}))

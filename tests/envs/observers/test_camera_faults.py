@@ -47,7 +47,7 @@ class Loop:
         self.path = path
         self.writer = DatasetWriter.open(path, INFO)
         env: Any = SimpleNamespace(is_simulated=False)
-        self.recorder = Recorder(env, self.writer, **settings)
+        self.recorder = Recorder(self.writer, **settings)
         self.recorder.name_next("a")
         self.waits: list[float] = []
         self._rng = np.random.default_rng(0)

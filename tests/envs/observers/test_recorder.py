@@ -58,7 +58,7 @@ def env() -> Any:
 @pytest.fixture(params=[False, True], ids=["here", "background"])
 def recorder(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
     with DatasetWriter.open(tmp_path, INFO) as writer:
-        yield Recorder(env(), writer, background=request.param, stale_after=0.1)
+        yield Recorder(writer, background=request.param, stale_after=0.1)
 
 
 def capture_time(i: int) -> float:
@@ -106,9 +106,9 @@ def test_an_episode_can_begin_in_the_middle_of_a_run(recorder: Any) -> None:
 @pytest.mark.gl
 def test_a_camera_on_the_table_has_its_matrices_once_one_on_the_wrist_in_every_row(tmp_path: Path) -> None:
     setup_env = rcs.make("PickCuboid", robot="fr3", cameras=("wrist", "side"), size=64)
-    info = dataset_info(setup_env, rcs.Setup(task="PickCuboid", robot="fr3", cameras=("wrist", "side"), size=64))
+    info = dataset_info(setup_env)
     with DatasetWriter.open(tmp_path, info) as writer:
-        recorder = Recorder(setup_env, writer)
+        recorder = Recorder(writer)
         setup_env.add_observer(recorder)
         recorder.name_next("a")
         setup_env.reset(seed=1)
@@ -128,8 +128,8 @@ def test_a_camera_on_the_table_has_its_matrices_once_one_on_the_wrist_in_every_r
 
 def test_where_the_objects_were_at_the_start_is_kept_with_the_episode(tmp_path: Path) -> None:
     setup_env = rcs.make("PickCuboid", robot="fr3")
-    with DatasetWriter.open(tmp_path, dataset_info(setup_env, rcs.Setup())) as writer:
-        recorder = Recorder(setup_env, writer)
+    with DatasetWriter.open(tmp_path, dataset_info(setup_env)) as writer:
+        recorder = Recorder(writer)
         setup_env.add_observer(recorder)
         recorder.name_next("a")
         _, info = setup_env.reset(seed=1)

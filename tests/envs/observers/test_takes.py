@@ -21,8 +21,8 @@ class Session:
         setup = rcs.Setup(task="Free", robot="fr3", cameras=())
         self.path = path
         self.env: Env = rcs.make(setup)
-        self.writer = DatasetWriter.open(path, dataset_info(self.env, setup), resume=True)
-        recorder = Recorder(self.env, self.writer, background=background)
+        self.writer = DatasetWriter.open(path, dataset_info(self.env), resume=True)
+        recorder = Recorder(self.writer, background=background)
         self.env.add_observer(recorder)
         self.takes = Takes(recorder, self.writer)
         self.env.reset(seed=0)

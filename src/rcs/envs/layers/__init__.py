@@ -6,6 +6,7 @@ from rcs.envs.layers.grasp_hand import GraspHand
 from rcs.envs.layers.layer import Action, ActionSpaces, Layer, Where, everywhere
 from rcs.envs.layers.limit_step import LimitStep
 from rcs.envs.layers.relative import Relative
+from rcs.envs.layers.wrist_camera import WristCamera
 from rcs.envs.layers.wrapper import LayerWrapper
 from rcs.envs.layers.xyzrpy import XyzrpyControl
 
@@ -20,6 +21,7 @@ __all__ = [
     "LimitStep",
     "Relative",
     "Where",
+    "WristCamera",
     "XyzrpyControl",
     "everywhere",
 ]

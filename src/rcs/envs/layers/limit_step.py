@@ -30,7 +30,7 @@ class LimitStep(Layer):
             max_lead: Largest distance of the target from the measured joint [rad]; above the lag of the servo at full
                 speed.
         """
-        self._max_step = np.asarray(max_step, np.float64)
+        self.max_step = np.asarray(max_step, np.float64)
         self._max_lead = max_lead
         self._target: NDArray[np.float64] | None = None
         self._measured: NDArray[np.float64] | None = None
@@ -59,7 +59,7 @@ class LimitStep(Layer):
         if self._target is None or self._measured is None:
             raise RuntimeError("LimitStep.map_action was called before reset")
         asked = action[JOINTS]
-        cut = limit_rows(asked, self._target, self._measured, self._max_step, self._max_lead, ROUNDING)
+        cut = limit_rows(asked, self._target, self._measured, self.max_step, self._max_lead, ROUNDING)
         if cut is None:
             # The very array that was asked for tells the layers above that nothing was cut.
             self._is_cut = np.zeros_like(self._is_limited)

@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rcs.envs.spaces import Arrays, Observation
 
 
@@ -27,6 +30,13 @@ class Transition:
     """When the observation was complete [s], on the monotonic clock."""
     capture_times: dict[str, float] = field(default_factory=dict[str, float])
     """When each sensor was read [s], on the monotonic clock, by the sensor's key such as `frames/wrist`."""
+    sim_state: NDArray[np.float64] | None = None
+    """The simulation's whole state, (state_size,); None on hardware."""
+    objects: dict[str, NDArray[np.float64]] = field(default_factory=dict[str, NDArray[np.float64]])
+    """Where the task's objects are by name, (7,): translation [m] and quaternion xyzw in the base frame (of several
+    robots: in the scene); empty on hardware."""
+    notes: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """What was told with `env.note` since the last step."""
 
 
 class Observer(ABC):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Literal
@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 
 from rcs.data import DatasetInfo, DatasetWriter, Encoding, EpisodeRecord, EpisodeWriter, Feature
 from rcs.data.background import BackgroundEpisode
-from rcs.data.flags import FrameFlag, camera_of, flags_key, time_key
+from rcs.data.flags import FrameFlag, camera_of, flags_key
 from rcs.envs import spaces as keys
 from rcs.envs.env import Env
 from rcs.envs.observers.observer import Observer, Transition
 from rcs.envs.setup import Setup
+from rcs.envs.vector import VecEnv
 from rcs.errors import DeviceFault, InvalidSetup, WrongOrder
 
-OBSERVATION, ACTION, EXECUTED = "observation", "action", "executed"
+OBSERVATION, ACTION, EXECUTED, NOTES = "observation", "action", "executed", "notes"
 TIME_MONOTONIC, TIME_PERIOD = "time/monotonic", "time/period"
 SIMULATED_TIME = "simulated_time"
 OBJECTS = "objects"
@@ -33,24 +34,35 @@ END, REASONS = "end", "reasons"
 """Keys of the outcome of an episode that was broken off: `fault`, `exception` or `closed`; the faults by device, or the
 error's message by its class."""
 
+_FRAMES = f"{keys.FRAMES}/"
+
 Colour = Literal["jpeg", "lossless"]
 
 
 def dataset_info(
-    env: Env, setup: Setup, *, instruction: str | None = None, colour: Colour = "jpeg", jpeg_quality: int = 95
+    env: Env | VecEnv,
+    *,
+    instruction: str | None = None,
+    colour: Colour = "jpeg",
+    jpeg_quality: int = 95,
+    notes: Sequence[str] = (),
 ) -> DatasetInfo:
     """Return what a dataset of an environment's episodes has in common.
 
     Args:
-        env: The environment.
-        setup: Its setup.
-        instruction: What the robot is asked to do; None for what the task says, or nothing where there is no task.
+        env: The environment, or a batch of copies of one.
+        instruction: What the robot is asked to do; None for what the environment says.
         colour: How colour frames are stored; without loss they take some four times the space.
         jpeg_quality: Of colour frames as JPEG, 1 to 100.
+        notes: Names of numbers that `env.note` may give beside a step, recorded as `notes/name`; NaN where it did not.
+
+    Raises:
+        InvalidSetup: Steps of the environment have no fixed rate.
     """
-    observation_space = env.observation_space
-    assert isinstance(observation_space, spaces.Dict)
-    features = [*_features(OBSERVATION, observation_space.spaces, colour)]
+    setup = env.setup if isinstance(env, VecEnv) or env.has_setup else None
+    if setup is not None:
+        require_recordable(setup)
+    features = _features(OBSERVATION, env.stack.observation_space.spaces, colour)
     features += _features(ACTION, env.stack.action_space.spaces, colour)
     features += _features(EXECUTED, env.stack.executed_spaces, colour)
     features += [
@@ -60,19 +72,22 @@ def dataset_info(
         Feature(key=TIME_MONOTONIC, shape=(), dtype="float64", unit="s"),
         Feature(key=TIME_PERIOD, shape=(), dtype="float64", unit="s"),
     ]
-    if env.is_simulated:
+    simulated = env.scenario if isinstance(env, VecEnv) or env.is_simulated else None
+    if simulated is not None:
         features.append(Feature(key=SIMULATED_TIME, shape=(), dtype="float64", unit="s"))
-        instruction = env.scenario.task.instruction if instruction is None else instruction
-    features += [Feature(key=time_key(name), shape=(), dtype="float64", unit="s") for name in _sensors(env)]
-    features += [Feature(key=flags_key(name), shape=(), dtype="uint8") for name in _sensors(env)]
+    features += [Feature(key=f"time/{key}", shape=(), dtype="float64", unit="s") for key in env.stack.timed]
+    sensors = [name for key in env.stack.timed if (name := _camera(key)) is not None]
+    features += [Feature(key=flags_key(name), shape=(), dtype="uint8") for name in sensors]
+    features += [Feature(key=f"{NOTES}/{name}", shape=(), dtype="float64") for name in notes]
     return DatasetInfo(
-        fps=setup.frequency,
+        fps=env.frequency,
         features=tuple(features),
-        setup=setup.to_json(),
-        instruction=instruction or "",
+        setup={} if setup is None else setup.to_json(),
+        instruction=env.instruction if instruction is None else instruction,
         jpeg_quality=jpeg_quality,
-        sim_state_size=env.scenario.world.core.state_size if env.is_simulated else None,
+        sim_state_size=None if simulated is None else simulated.world.core.state_size,
         versions=versions(),
+        origin={"platform": dict(env.platform)},
     )
 
 
@@ -82,10 +97,9 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: importlib.metadata.version(name) for name in packages}}
 
 
-def _sensors(env: Env) -> list[str]:
-    """Return the names of all cameras and tactile sensors."""
-    frames = env.stack.observation_space.spaces.get(keys.FRAMES)
-    return list(frames.spaces) if isinstance(frames, spaces.Dict) else []
+def _camera(key: str) -> str | None:
+    """Return the camera of a capture time; None for that of another device."""
+    return key.removeprefix(_FRAMES) if key.startswith(_FRAMES) else None
 
 
 def _features(prefix: str, entries: Mapping[str, spaces.Space[Any]], colour: Colour) -> list[Feature]:
@@ -119,9 +133,9 @@ class Recorder(Observer):
 
     def __init__(
         self,
-        env: Env,
         writer: DatasetWriter,
         *,
+        names: Iterator[str] | None = None,
         background: bool = False,
         stale_after: float | None = None,
         abort_after: float | None = None,
@@ -129,8 +143,9 @@ class Recorder(Observer):
         """Record into a dataset.
 
         Args:
-            env: The environment; a simulated one for its simulation state.
             writer: The dataset; it stays open when the recorder is closed.
+            names: Ids for episodes to be recorded unasked: each from reset to end, with the success that the task
+                tells. None for episodes that `name_next` asks for.
             background: Whether a thread encodes and writes, so that a loop that must keep its rate never waits. Then a
                 writer that is too slow leaves out images, flagged and counted; otherwise the loop waits for it.
             stale_after: Age [s] of a frame, from capture to the end of the step, from which it is flagged as stale;
@@ -138,7 +153,7 @@ class Recorder(Observer):
             abort_after: Age [s] of a frame from which the episode is given up: its rows are kept for `recover`, and the
                 step raises. None for never.
         """
-        self._scenario = env.scenario if env.is_simulated else None
+        self._names = names
         self._broken_off: dict[str, Any] = {}
         self._objects: dict[str, Any] = {}
         self._writer = writer
@@ -151,6 +166,7 @@ class Recorder(Observer):
         self._last_time = 0.0
         self._last_captures: dict[str, float] = {}
         self._dtypes = {feature.key: feature.numpy_dtype for feature in writer.info.features}
+        self._notes = [key.removeprefix(f"{NOTES}/") for key in self._dtypes if key.startswith(f"{NOTES}/")]
         self._images: dict[str, list[str]] = {}
         for feature in writer.info.features:
             camera = camera_of(feature.key)
@@ -185,6 +201,8 @@ class Recorder(Observer):
     def on_reset(self, first: Transition, seed: int | None) -> None:
         """Begin an episode with its first observation."""
         self._let_go()
+        if self._names is not None:
+            self._next = (next(self._names), None)
         if self._next is not None:
             self._begin(first, seed)
 
@@ -204,6 +222,9 @@ class Recorder(Observer):
         period = transition.time - self._last_time
         self._last_time = transition.time
         self._add(transition, period)
+        if self._names is not None and (transition.terminated or transition.truncated):
+            success = transition.info.get("success")
+            self.finish(None if success is None else bool(success))
 
     def _begin(self, first: Transition, seed: int | None) -> None:
         assert self._next is not None
@@ -214,8 +235,8 @@ class Recorder(Observer):
         # A dataset that is closed first ends the episode as the recorder does.
         episode.end = lambda _: self.close()
         self._broken_off = {}
-        poses = {} if self._scenario is None else self._scenario.object_poses()
-        self._objects = {OBJECTS: {name: pose.tolist() for name, pose in poses.items()}} if poses else {}
+        poses = {name: pose.tolist() for name, pose in first.objects.items()}
+        self._objects = {OBJECTS: poses} if poses else {}
         self._last_time = first.time
         self._last_captures = {}
         self._add(first, period=None)
@@ -228,10 +249,8 @@ class Recorder(Observer):
             TIME_MONOTONIC: transition.time,
             TIME_PERIOD: period,
         }
-        state: NDArray[np.float64] | None = None
-        if self._scenario is not None:
-            state = self._scenario.world.states()
-            row[SIMULATED_TIME] = float(self._scenario.world.time)
+        if transition.sim_state is not None:
+            row[SIMULATED_TIME] = transition.info["time"]
         row.update(_flat(OBSERVATION, transition.observation))
         if transition.action is not None and transition.executed is not None:
             # An action may come in another number type; it is kept in that of its space.
@@ -239,23 +258,24 @@ class Recorder(Observer):
             row.update({key: np.asarray(value, self._dtypes[key]) for key, value in given.items()})
             row.update(_flat(EXECUTED, transition.executed))
             row["reward"] = transition.reward
+        for name in self._notes:
+            row[f"{NOTES}/{name}"] = float(transition.notes.get(name, np.nan))
+        captures: dict[str, float] = {}
         for key, captured in transition.capture_times.items():
-            camera = key.removeprefix(f"{keys.FRAMES}/")
-            row[time_key(camera)] = captured
-            row[flags_key(camera)] = self._flags(camera, captured, transition.time)
-            if row[flags_key(camera)] & FrameFlag.REPEATED:
-                row.update(dict.fromkeys(self._images.get(camera, ())))
-        self._last_captures = {
-            key.removeprefix(f"{keys.FRAMES}/"): captured for key, captured in transition.capture_times.items()
-        }
-        self._episode.add(row, state)
+            row[f"time/{key}"] = captured
+            if (camera := _camera(key)) is not None:
+                captures[camera] = captured
+                row[flags_key(camera)] = flags = self._flags(camera, captured, transition.time)
+                if flags & FrameFlag.REPEATED:
+                    row.update(dict.fromkeys(self._images.get(camera, ())))
+        self._last_captures = captures
+        self._episode.add(row, transition.sim_state)
         self._abort_if_late(transition)
 
     def _abort_if_late(self, transition: Transition) -> None:
-        for key, captured in transition.capture_times.items():
+        for camera, captured in self._last_captures.items():
             age = transition.time - captured
             if self._episode is not None and self._abort_after is not None and age > self._abort_after:
-                camera = key.removeprefix(f"{keys.FRAMES}/")
                 reason = f"Camera {camera!r} has given nothing new for {age:.2f} s."
                 self._episode.abort(reason)
                 self._episode = None

@@ -10,7 +10,6 @@ DISTANCE = 0.70
 """Between the two bases [m]: far enough that the elbows do not meet, near enough that the workspaces do."""
 
 LAB = Lab(
-    label="DualFR3",
     stands=(
         Stand(name="left", arm="fr3", base_in_scene=Mount(translation=(0.0, DISTANCE / 2, 0.0))),
         Stand(name="right", arm="fr3", base_in_scene=Mount(translation=(0.0, -DISTANCE / 2, 0.0))),
@@ -30,5 +29,4 @@ LAB = Lab(
             on_gripper_of="right",
         ),
     },
-    tasks=("LiftBar",),
 )

@@ -14,7 +14,6 @@ from rcs.setups.lab import CameraMount, Lab, Stand
 
 LAB = calibrated(
     Lab(
-        label="FR3",
         stands=(Stand(name="fr3", arm="fr3"),),
         end_effector="franka_hand",
         area=Area(center=(0.5, 0.0), size=(0.30, 0.40)),

@@ -7,7 +7,6 @@ from rcs.robots.description import Mount
 from rcs.setups.lab import CameraMount, Lab, Stand, looking
 
 LAB = Lab(
-    label="SO101",
     stands=(Stand(name="so101", arm="so101"),),
     end_effector="so101_gripper",
     # The paper's 35 x 20 cm, with a smaller cuboid. At its far corners the gripper leans by up to 50 degrees.

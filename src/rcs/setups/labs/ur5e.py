@@ -9,7 +9,6 @@ from rcs.robots.description import Mount
 from rcs.setups.lab import CameraMount, Lab, Stand, looking
 
 LAB = Lab(
-    label="UR5e",
     # Its home pose points along the base's y axis: a quarter turn makes that the scene's x.
     stands=(Stand(name="ur5e", arm="ur5e", base_in_scene=Mount(quaternion=(0.0, 0.0, -sqrt(0.5), sqrt(0.5)))),),
     end_effector="robotiq_2f85",

@@ -6,7 +6,6 @@ from rcs.envs.task import Area
 from rcs.setups.lab import CameraMount, Lab, Stand, looking
 
 LAB = Lab(
-    label="XArm7",
     stands=(Stand(name="xarm7", arm="xarm7"),),
     end_effector="tilburg_hand",
     # The paper's 60 x 30 cm, the long side across the table.
@@ -14,5 +13,4 @@ LAB = Lab(
     cameras={
         "front": CameraMount(camera="realsense_d435i", optical=looking((1.35, 0.0, 0.60), (0.40, 0.0, 0.12))),
     },
-    tasks=("PickToy",),
 )

@@ -1,0 +1,292 @@
+"""The port of real cameras: a thread per camera takes frames, and a step gets the newest with its age."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from rcs.data.scale import Scaler
+from rcs.devices import Camera, Frame
+from rcs.envs import spaces as keys
+from rcs.envs.gate import Gate
+from rcs.envs.layers import Action
+from rcs.envs.ports import Port
+from rcs.envs.spaces import Arrays, Observation
+from rcs.errors import DeviceFault, Refused
+from rcs.hardware.site import OnStale
+from rcs.robots.description import CameraDescription
+
+_log = logging.getLogger(__name__)
+
+FIRST_FRAME = 10.0
+"""How long a camera may take from its opening to its first frame [s]."""
+RECONNECT = 1.0
+"""How long to wait before a camera that failed is opened again [s]."""
+
+
+class CameraFeedThread:
+    """Reads one camera on a thread of its own, and opens it again when it fails."""
+
+    def __init__(self, name: str, camera: Camera, take: Callable[[Frame], dict[str, Any]]) -> None:
+        """Read nothing yet.
+
+        Args:
+            name: Of the camera in the setup.
+            camera: The device.
+            take: Makes the observation of a frame, on the thread.
+        """
+        self.name = name
+        self.failure = ""
+        """Why the last read failed; empty when it did not."""
+        self.newest: tuple[dict[str, Any], float] | None = None
+        """The newest frame as an observation, and when it was taken [s, monotonic]; replaced as a whole."""
+        self._camera = camera
+        self._take = take
+        self._must_end = threading.Event()
+        self._has_frame = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def open(self) -> None:
+        """Connect the camera and start to read.
+
+        Raises:
+            DeviceFault: There is no first frame.
+        """
+        if self._thread is not None:
+            return
+        self._camera.open()
+        self._must_end.clear()
+        self._has_frame.clear()
+        self._thread = threading.Thread(target=self._run, name=f"camera {self.name}", daemon=True)
+        self._thread.start()
+        if not self._has_frame.wait(FIRST_FRAME):
+            self.close()
+            why = f": {self.failure}" if self.failure else ""
+            raise DeviceFault(f"Camera {self.name!r} has given no frame within {FIRST_FRAME:g} s{why}.")
+
+    def _run(self) -> None:
+        last = -1
+        pause = 0.25 / max(self._camera.mode.fps, 1.0)
+        while not self._must_end.is_set():
+            try:
+                frame = self._camera.read()
+                if frame.number != last:
+                    last = frame.number
+                    self.newest = self._take(frame), frame.time
+                    self.failure = ""
+                    self._has_frame.set()
+                self._must_end.wait(pause)
+            except Exception as err:  # noqa: BLE001  a camera may fail in any way; its age tells, and it is opened again
+                if not self.failure:
+                    _log.warning("camera %s failed and is opened again: %s", self.name, err)
+                self.failure = f"{type(err).__name__}: {err}"
+                self._must_end.wait(RECONNECT)
+                self._reopen()
+
+    def _reopen(self) -> None:
+        try:
+            self._camera.close()
+            if not self._must_end.is_set():
+                self._camera.open()
+                if self._camera.fault:
+                    self._camera.recover()
+        except Exception as err:  # noqa: BLE001  the next read fails too, and tries again
+            self.failure = f"{type(err).__name__}: {err}"
+
+    def close(self) -> None:
+        """End the thread and let go of the camera. Closing twice is harmless."""
+        self._must_end.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        self._camera.close()
+
+
+class CameraPort(Port):
+    """Real cameras, as `frames`/camera. A frame that is seen again is the same read-only arrays."""
+
+    def __init__(
+        self,
+        cameras: Mapping[str, Camera],
+        descriptions: Mapping[str, CameraDescription],
+        *,
+        size: tuple[int, int],
+        fovy: Mapping[str, float | None] | None = None,
+        extrinsics: Mapping[str, NDArray[np.float64]] | None = None,
+        stale_after: float = 0.5,
+        on_stale: OnStale = "fault",
+        now: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        """Use cameras; `open` connects them.
+
+        Args:
+            cameras: The devices by name.
+            descriptions: Their figures by name.
+            size: Width and height of every frame [px]; larger pictures are cut to its shape and made smaller.
+            fovy: Vertical fields of view as calibrated [rad], by name; None for that of the device or the data sheet.
+            extrinsics: Poses of cameras that stand still, (4, 4), OpenCV axes; those of others come from a layer.
+            stale_after: Age of a frame from which a camera is stale [s].
+            on_stale: `fault` ends the episode when a camera is stale; see `Site`.
+            now: Monotonic time of the host [s].
+        """
+        self._size = size
+        self._stale_after = stale_after
+        self._on_stale = on_stale
+        self._now = now
+        self.timed = tuple(f"{keys.FRAMES}/{name}" for name in cameras)
+        self.action_spaces = {}
+        self._feeds: dict[str, CameraFeedThread] = {}
+        frames: dict[str, spaces.Space[Any]] = {}
+        for name, camera in cameras.items():
+            fixed = {keys.INTRINSICS: intrinsics_of(camera, descriptions[name], size, (fovy or {}).get(name))}
+            if extrinsics is not None and name in extrinsics:
+                fixed[keys.EXTRINSICS] = extrinsics[name]
+            for matrix in fixed.values():
+                matrix.flags.writeable = False
+            self._feeds[name] = CameraFeedThread(name, camera, _Taker(camera, size, fixed))
+            own: dict[str, spaces.Space[Any]] = {keys.RGB: keys.rgb_space(*size), keys.INTRINSICS: keys.intrinsics_space()}
+            if keys.EXTRINSICS in fixed:
+                own[keys.EXTRINSICS] = keys.extrinsics_space()
+            if camera.mode.has_depth:
+                own[keys.DEPTH] = keys.depth_space(*size)
+            frames[name] = spaces.Dict(own)
+        self.observation_spaces = {keys.FRAMES: spaces.Dict(frames)}
+        self._seen: dict[str, tuple[dict[str, Any], float]] = {}
+
+    def open(self) -> None:
+        """Connect all cameras and wait for a frame of each."""
+        for feed in self._feeds.values():
+            feed.open()
+
+    def command(self, action: Arrays) -> None:
+        """Do nothing: a camera takes no commands."""
+
+    def observe(self) -> Observation:
+        """Return the newest frame of every camera."""
+        for name, feed in self._feeds.items():
+            if feed.newest is None:
+                raise DeviceFault(f"Camera {name!r} has given no frame yet.")
+            self._seen[name] = feed.newest
+        return {keys.FRAMES: {name: frame for name, (frame, _) in self._seen.items()}}
+
+    def capture_times(self) -> dict[str, float]:
+        """Return when the frames that were observed last were taken."""
+        return {f"{keys.FRAMES}/{name}": taken for name, (_, taken) in self._seen.items()}
+
+    def stale(self) -> dict[str, str]:
+        """Return the cameras that have given nothing new for too long, and why."""
+        now = self._now()
+        found: dict[str, str] = {}
+        for name, feed in self._feeds.items():
+            if feed.newest is not None and now - feed.newest[1] > self._stale_after:
+                why = f" ({feed.failure})" if feed.failure else ""
+                found[name] = f"no new frame for {now - feed.newest[1]:.2f} s{why}"
+        return found
+
+    def faults(self) -> Mapping[str, str]:
+        """Return the stale cameras, if that is what they lead to."""
+        return self.stale() if self._on_stale == "fault" else {}
+
+    def close(self) -> None:
+        """Let go of all cameras."""
+        failures: list[Exception] = []
+        for feed in self._feeds.values():
+            try:
+                feed.close()
+            except Exception as err:  # noqa: BLE001  the others are closed too; the first failure is raised below
+                failures.append(err)
+        if failures:
+            raise failures[0]
+
+
+class FreshFrames(Gate):
+    """Refuses actions while a camera is stale."""
+
+    def __init__(self, port: CameraPort) -> None:
+        """Watch the cameras of a port."""
+        self._port = port
+
+    def admit(self, targets: Mapping[str, Action], measured: Mapping[str, Observation]) -> Mapping[str, Action]:
+        """Let all through while all frames are fresh.
+
+        Raises:
+            Refused: A camera is stale.
+        """
+        if stale := self._port.stale():
+            raise Refused("; ".join(f"camera {name!r}: {why}" for name, why in stale.items()))
+        return targets
+
+
+class _Taker:
+    """Makes the observation of a device's frame: cut to the shape that is asked for, and scaled."""
+
+    def __init__(self, camera: Camera, size: tuple[int, int], fixed: Mapping[str, NDArray[np.float64]]) -> None:
+        self._fixed = dict(fixed)
+        self._size = size
+        self._crop = cropped((camera.mode.width, camera.mode.height), size)
+        height, width = (edge.stop - edge.start for edge in self._crop)
+        self._scaler = None if (width, height) == size else Scaler((height, width), (size[1], size[0]))
+        self._rows = (np.arange(size[1]) + 0.5) * height / size[1]
+        self._columns = (np.arange(size[0]) + 0.5) * width / size[0]
+
+    def __call__(self, frame: Frame) -> dict[str, Any]:
+        taken: dict[str, Any] = {keys.RGB: frame.rgb[self._crop]}
+        if frame.depth_mm is not None:
+            taken[keys.DEPTH] = frame.depth_mm[self._crop]
+        if self._scaler is not None:
+            rgb = np.empty((self._size[1], self._size[0], 3), np.uint8)
+            self._scaler(taken[keys.RGB], rgb)
+            taken[keys.RGB] = rgb
+            if keys.DEPTH in taken:  # a mean of two depths is a place where nothing is
+                taken[keys.DEPTH] = taken[keys.DEPTH][np.ix_(self._rows.astype(int), self._columns.astype(int))]
+        for array in taken.values():
+            array.flags.writeable = False
+        return {**taken, **self._fixed}
+
+
+def cropped(source: tuple[int, int], target: tuple[int, int]) -> tuple[slice, slice]:
+    """Return the rows and columns of the largest middle part of a picture that has another picture's shape.
+
+    Args:
+        source: Width and height of the picture [px].
+        target: Width and height of the other one [px].
+    """
+    scale = min(source[0] / target[0], source[1] / target[1])
+    width, height = round(target[0] * scale), round(target[1] * scale)
+    left, top = (source[0] - width) // 2, (source[1] - height) // 2
+    return slice(top, top + height), slice(left, left + width)
+
+
+def intrinsics_of(
+    camera: Camera, about: CameraDescription, size: tuple[int, int], fovy: float | None = None
+) -> NDArray[np.float64]:
+    """Return the camera matrix of frames that are cut out of a device's and scaled [px], (3, 3).
+
+    Args:
+        camera: The device; its own calibration counts for more than the data sheet.
+        about: The data sheet.
+        size: Width and height of the frames [px].
+        fovy: Vertical field of view as calibrated [rad]; counts for more than both.
+    """
+    width, height = camera.mode.width, camera.mode.height
+    if fovy is not None:
+        focal = 0.5 * height / np.tan(0.5 * fovy)
+        matrix = np.array([[focal, 0.0, (width - 1) / 2], [0.0, focal, (height - 1) / 2], [0.0, 0.0, 1.0]])
+    elif camera.calibration is not None:
+        matrix = np.array(camera.calibration.matrix, np.float64)
+    else:
+        matrix = np.array(about.intrinsics(width, height))
+    rows, columns = cropped((width, height), size)
+    scale = size[0] / (columns.stop - columns.start)
+    matrix[0, 2] = (matrix[0, 2] - columns.start + 0.5) * scale - 0.5
+    matrix[1, 2] = (matrix[1, 2] - rows.start + 0.5) * scale - 0.5
+    matrix[0, 0] *= scale
+    matrix[1, 1] *= scale
+    return matrix

@@ -1,0 +1,169 @@
+"""The ports of one robot and the layers on top of them: actions go down, observations go up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from rcs.envs.layers import Action, Layer, Where
+from rcs.envs.ports import Port
+from rcs.envs.spaces import ActionCheck, Observation
+from rcs.errors import InvalidSetup
+
+
+class Chain:
+    """Ports at the bottom, layers on top of each other, for a single environment and for a batch."""
+
+    def __init__(self, ports: Sequence[Port], layers: Sequence[Layer] = (), leading: tuple[int, ...] = ()) -> None:
+        """Put a chain together.
+
+        Args:
+            ports: What talks to the devices. Ports may give parts of the same nested key, such as `frames`.
+            layers: From the lowest to the highest.
+            leading: Leading shape of all arrays: () or (copies,).
+
+        Raises:
+            InvalidSetup: Two ports take or give the same key.
+        """
+        self.ports = list(ports)
+        self.layers = list(layers)
+        boxes: dict[str, spaces.Box] = {}
+        observations: dict[str, spaces.Space[Any]] = {}
+        for port in ports:
+            if taken := sorted(boxes.keys() & port.action_spaces.keys()):
+                raise InvalidSetup(f"Two ports take the action {taken[0]!r}; {type(port).__name__} is the second.")
+            boxes.update(port.action_spaces)
+            observations = _merged_spaces(observations, port.observation_spaces, type(port).__name__)
+        self._is_disjoint = sum(len(port.observation_spaces) for port in ports) == len(observations)
+        self.executed_spaces = dict(boxes)
+        """Space of what is sent to the ports."""
+        for layer in layers:
+            boxes = layer.action_spaces(boxes)
+            observations = layer.observation_spaces(observations)
+        self.check = ActionCheck(boxes, leading)
+        """Checks an action of the highest level; raises InvalidAction."""
+        self.action_spaces = dict(boxes)
+        self.observation_spaces = dict(observations)
+        self.executed: dict[str, NDArray[Any]] = {}
+        """The last action as it was sent to the ports."""
+        self.target: dict[str, NDArray[Any]] = {}
+        """What the last action came to, on the highest level: absolute targets, cut where a layer has cut them."""
+        self._measured: Observation = {}
+        self.fallible = [port for port in self.ports if type(port).faults is not Port.faults]
+        """The ports that may report faults."""
+
+    def map(self, action: Any) -> Action:
+        """Check an action and map it down; no device sees it, and no layer remembers it.
+
+        Raises:
+            InvalidAction: The action is not valid.
+        """
+        mapped = self.check(action)
+        for layer in reversed(self.layers):
+            mapped = layer.map_action(mapped)
+        return mapped
+
+    def send(self, mapped: Action) -> None:
+        """Set the devices' targets, and tell the layers from the lowest up what they came to; nothing moves yet."""
+        for port in self.ports:
+            port.command(mapped)
+        self._commit(mapped)
+
+    def stay(self) -> None:
+        """Hold all devices, and tell the layers that the measured state is what the last action came to."""
+        measured = self.measure_devices()
+        for port in self.ports:
+            port.hold()
+        self._commit({key: np.asarray(measured[key], box.dtype) for key, box in self.executed_spaces.items()})
+
+    def _commit(self, executed: Action) -> None:
+        self.executed = executed
+        for layer in self.layers:
+            executed = layer.map_executed(executed)
+        self.target = executed
+
+    def measure(self) -> Observation:
+        """Return the observation of the lowest level."""
+        observation: Observation = {}
+        for port in self.ports:
+            if self._is_disjoint:
+                observation.update(port.observe())
+            else:
+                observation = _merged(observation, port.observe())
+        self._measured = observation
+        return observation
+
+    def measure_devices(self) -> Observation:
+        """Return the last observation with everything that takes commands measured anew."""
+        observation = dict(self._measured)
+        for port in self.ports:
+            if port.action_spaces:  # what only observes, such as a camera, need not be read for this
+                observation.update(port.observe())
+        return observation
+
+    def rebase(self) -> None:
+        """Make all layers count from the measured state."""
+        observation = self.measure_devices()
+        for layer in self.layers:
+            layer.rebase(observation)
+            observation = layer.map_observation(observation)
+
+    def lift(self, observation: Observation) -> Observation:
+        """Map an observation of the lowest level up through all layers."""
+        for layer in self.layers:
+            observation = layer.map_observation(observation)
+        return observation
+
+    def reset(self, observation: Observation, where: Where) -> None:
+        """Tell all layers that some copies start anew, with the lowest level's observation."""
+        for layer in self.layers:
+            layer.reset(observation, where)
+            observation = layer.map_observation(observation)
+
+    def info(self) -> dict[str, NDArray[Any]]:
+        """Return what the layers tell of the last action."""
+        told: dict[str, NDArray[Any]] = {}
+        for layer in self.layers:
+            told.update(layer.info())
+        return told
+
+    def __str__(self) -> str:
+        """Return the chain from top to bottom, a line each, with what every part is for."""
+        lines = [(str(layer), _purpose(layer)) for layer in reversed(self.layers)]
+        for port in self.ports:
+            taken, given = ", ".join(port.action_spaces) or "-", ", ".join(port.observation_spaces)
+            lines.append((f"{type(port).__name__}: {taken} -> {given}", _purpose(port)))
+        width = max((len(name) for name, _ in lines), default=0)
+        return "\n".join(f"  {name:{width}}  # {purpose}" for name, purpose in lines)
+
+
+def _purpose(part: object) -> str:
+    return (type(part).__doc__ or "").strip().partition("\n")[0].rstrip(".")
+
+
+def _merged_spaces(
+    one: Mapping[str, spaces.Space[Any]], other: Mapping[str, spaces.Space[Any]], port: str, path: str = ""
+) -> dict[str, spaces.Space[Any]]:
+    merged = dict(one)
+    for key, space in other.items():
+        mine = merged.get(key)
+        if isinstance(mine, spaces.Dict) and isinstance(space, spaces.Dict):
+            space = spaces.Dict(_merged_spaces(mine.spaces, space.spaces, port, f"{path}{key}/"))
+        elif mine is not None:
+            raise InvalidSetup(f"Two ports give the observation '{path}{key}'; {port} is the second. Rename a sensor.")
+        merged[key] = space
+    return merged
+
+
+def _merged(one: Observation, other: Mapping[str, Any]) -> Observation:
+    return {
+        **one,
+        **{
+            key: {**one[key], **value} if key in one and isinstance(value, dict) else value
+            for key, value in other.items()
+        },
+    }

@@ -1,0 +1,430 @@
+"""One step of an environment, for a single one and for a batch: commands, time, observation, judgement, observers.
+
+`Env` and `VecEnv` are its two faces. Arrays have the leading shape of the world, () or (copies,), and the same code
+serves both: `array[where] = value` is for all copies with `where = ...`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs._core import StepEnd
+from rcs.envs.clock import Clock
+from rcs.envs.draws import Draws
+from rcs.envs.layers import Where
+from rcs.envs.observers import Observer, Transition
+from rcs.envs.scenario import Scenario
+from rcs.envs.spaces import Observation
+from rcs.envs.stack import Nested, Stack, copied, for_all
+from rcs.envs.start import Start
+from rcs.envs.turn import Turn
+from rcs.errors import DeviceFault, InvalidAction, Refused, WrongOrder
+from rcs.sim.world import Copies
+
+DIVERGED, FAULT = "diverged", "fault"
+"""What `info["end"]` says of a simulation that left the range of finite numbers, and of a device that failed."""
+
+_ENDS = {end.value: end.name for end in StepEnd}
+END_NAMES = np.array([{**_ENDS, StepEnd.failed.value: DIVERGED}.get(i, "") for i in range(1 + max(_ENDS))])
+"""What `info["end"]` says of a step, by the value of `StepEnd`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """What a step led to. Arrays have the leading shape."""
+
+    observation: Observation
+    reward: NDArray[np.float64]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    info: dict[str, Any]
+
+
+class Engine:
+    """Makes steps. Whatever goes wrong from the first command on, all devices hold."""
+
+    def __init__(
+        self, stack: Stack, clock: Clock, scenario: Scenario | None = None, *, max_episode_steps: int | None = None
+    ) -> None:
+        """Put the parts together; nothing moves and nothing is connected before `start`.
+
+        Args:
+            stack: Ports, layers and gates.
+            clock: Lets time pass.
+            scenario: A simulated world with its task; None for real devices alone.
+            max_episode_steps: An episode is truncated after this many steps; None for no limit.
+        """
+        self.stack = stack
+        self.scenario = scenario
+        self.turn = Turn()
+        self.leading: tuple[int, ...] = () if scenario is None else scenario.world.leading
+        self.seeds = np.zeros(self.leading, np.int64)
+        self.episodes = np.full(self.leading, -1, np.int64)
+        """Number of the present episode since the seed was set."""
+        self.is_over = np.zeros(self.leading, np.bool_)
+        """Which copies' episodes are over."""
+        self.is_open = True
+        self.instruction = "" if scenario is None else scenario.task.instruction
+        self._clock = clock
+        self._max_episode_steps = max_episode_steps
+        self._observers: list[tuple[int, Observer]] = []
+        self._resources: list[Callable[[], None]] = [] if scenario is None else [scenario.world.close]
+        self._ends: NDArray[np.uint8] = clock.ends.reshape(self.leading)
+        self._steps = np.zeros(self.leading, np.int64)
+        self._is_started = False
+        self._broken_off_by = ""
+        self._must_rebase = False
+        self._is_commanded = False
+        self._last_observation: Observation = {}
+        self._notes: dict[str, Any] = {}
+
+    # --- Who watches, what is closed in the end -----------------------------------------------------------------------
+
+    def add_observer(self, observer: Observer, copy: int = 0) -> None:
+        """Have an observer see every step of a copy from its next episode on."""
+        self._observers.append((copy, observer))
+
+    def close_too(self, close: Callable[[], None]) -> None:
+        """Have something closed after the observers."""
+        self._resources.insert(0, close)
+
+    def note(self, notes: Mapping[str, Any]) -> None:
+        """Give observers something to see with the next step."""
+        self._notes.update(notes)
+
+    # --- Episodes -----------------------------------------------------------------------------------------------------
+
+    def start(
+        self, copies: Copies = None, *, state: NDArray[np.float64] | None = None, start: Start | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start the next episode of some copies, or of all when an error broke the last ones off.
+
+        Args:
+            copies: Which; None for all.
+            state: Simulation state to start in, of a world of one copy.
+            start: Where robots and objects are at the start, of a world of one copy.
+        """
+        copies = copies if self._is_started else None
+        try:
+            self._begin(copies)
+            if self.scenario is not None and state is not None:
+                self.scenario.world.core.set_state(state)
+                self.scenario.world.refresh()
+            if self.scenario is not None and start is not None:
+                self.scenario.start_at(start)
+            self._open_ports()
+            if faults := self.stack.faults():
+                raise DeviceFault(f"Devices are in their fault state: {_listed(faults)}. Clear it with env.recover().")
+            self._clock.reset()
+            observation = self.observe_start(copies)
+        except BaseException as err:
+            self._break_off(err)
+            raise
+        self._must_rebase = False
+        self._is_started, self._broken_off_by = True, ""
+        info = {} if self.scenario is None else self.scenario.describe()
+        info["time"] = self._time()
+        info = info if self.leading else _row(info, ...)
+        info["instruction"] = self.instruction
+        if self._observers:
+            self._tell_starts(observation, info, self._mask(copies))
+        return observation, info
+
+    def restart(self, copies: NDArray[np.int32]) -> Observation:
+        """Start the next episode of some copies right after their last step."""
+        self._begin(copies)
+        observation = self.observe_start(copies)
+        if self._observers and self.scenario is not None:
+            self._tell_starts(observation, self.scenario.describe(), self._mask(copies))
+        return observation
+
+    def _begin(self, copies: Copies) -> None:
+        where: Where = ... if copies is None else copies
+        self.episodes[where] += 1
+        self._steps[where] = 0
+        self.is_over[where] = False
+        if self.scenario is not None:
+            self.scenario.begin(Draws(self.seeds[where], self.episodes[where]), copies)
+
+    def observe_start(self, copies: Copies = None) -> Observation:
+        """Observe the start of the episodes of some copies."""
+        measured = self.stack.measure()
+        self.stack.reset(measured, ... if copies is None else copies)
+        self._last_observation = self.stack.lift(measured)
+        return self._last_observation
+
+    def require_running(self) -> None:
+        """Check that a step may be made.
+
+        Raises:
+            WrongOrder: There was no reset, an error broke the episode off, or the environment is closed.
+        """
+        if not self.is_open:
+            raise WrongOrder("step was called on a closed environment; make a new one.")
+        if self._broken_off_by:
+            raise WrongOrder(f"step was called after {self._broken_off_by} broke the episode off; call reset.")
+        if not self._is_started:
+            raise WrongOrder("step was called before the first reset; call reset.")
+
+    # --- A step -------------------------------------------------------------------------------------------------------
+
+    def step(self, action: Any, starting: NDArray[np.bool_] | None = None) -> Step:
+        """Command all devices, let one control step pass, observe, judge, and tell the observers.
+
+        Args:
+            action: One array per key of the action space.
+            starting: Copies that start their next episode in place of a step; None for none.
+
+        Raises:
+            InvalidAction: The action is not valid; no device saw it, unless a device refused it.
+        """
+        self._is_commanded = False
+        try:
+            return self._step(action, starting)
+        except BaseException as err:
+            if isinstance(err, InvalidAction) and not self._is_commanded:
+                raise  # nothing was sent, nothing is remembered
+            # Nothing goes on moving unwatched, also when a second Ctrl-C comes while the devices are told to hold.
+            try:
+                self._break_off(err)
+            except KeyboardInterrupt:
+                self._break_off(err)
+                raise
+            raise
+
+    def _step(self, action: Any, starting: NDArray[np.bool_] | None) -> Step:
+        measured: Nested | None = None
+        told: dict[str, Any] = {}
+        ids = None if starting is None else np.flatnonzero(starting).astype(np.int32)
+        try:
+            if self._must_rebase:
+                self._must_rebase = False  # before, for another thread may set it meanwhile
+                self.stack.rebase()
+            mapped = self.stack.map(action)
+            self._is_commanded = True
+            try:
+                self.stack.send(self.stack.admit(mapped))
+            except Refused as err:
+                told["refused"] = str(err)
+                self.stack.stay()
+                self._must_rebase = True
+            if self._must_rebase:
+                self.stack.hold()  # refused, or another thread has said so before the targets were sent
+            if ids is None:
+                self._clock.advance()
+            else:
+                self._clock.advance(np.flatnonzero(~starting).astype(np.int32))
+                self._begin(ids)
+            measured = self.stack.measure()
+            faults = self.stack.faults()
+        except DeviceFault as err:
+            faults = self.stack.faults() or {"device": str(err)}
+        if faults:
+            self._hold_in_fault(faults)
+            if measured is None:
+                return self._end_without_row(faults)
+        assert measured is not None, "without a fault, everything was measured"
+        if ids is not None:
+            self.stack.reset(measured, ids)
+        step = self._judge(self.stack.lift(measured), starting, faults, told)
+        self._last_observation = step.observation
+        if self._observers:
+            self._tell_step(step, action, starting)
+            if faults := step.info.get("faults", {}):
+                self._tell_end(str(step.info["end"]), faults)
+        return step
+
+    def _judge(
+        self, observation: Observation, starting: NDArray[np.bool_] | None, faults: dict[str, str], told: dict[str, Any]
+    ) -> Step:
+        """Return the step that led to an observation."""
+        reward: Any = 0.0
+        terminated: Any = np.False_
+        info: dict[str, Any] = {}
+        if self.scenario is not None:
+            outcome = self.scenario.evaluate()
+            reward, terminated, info = outcome.reward, outcome.terminated, outcome.info
+        truncated = diverged = self._ends == StepEnd.failed.value
+        if starting is None:
+            self._steps += 1
+        else:
+            self._steps += ~starting
+            diverged = truncated = diverged & ~starting
+            reward, terminated = np.where(starting, 0.0, reward), terminated & ~starting
+        if diverged.any():
+            reward, terminated = np.where(diverged, 0.0, reward), terminated & ~diverged
+            if not self.leading and self.scenario is not None:
+                told["faults"] = {"simulation": self.scenario.world.why_diverged() or "a step failed"}
+        if self._max_episode_steps is not None:
+            truncated = truncated | ((self._steps >= self._max_episode_steps) & ~terminated)
+            truncated = truncated if starting is None else truncated & ~starting
+        info = {**info, **self.stack.info(), "time": self._time(), "end": END_NAMES[self._ends]}
+        info = info if self.leading else _row(info, ...)
+        info["target"] = copied(self.stack.target)
+        info.update(told)
+        if self._clock.is_real:
+            now = time.perf_counter()
+            info["late"] = self._clock.late
+            info["ages"] = {name: now - captured for name, captured in self.stack.capture_times().items()}
+        if faults:
+            info.update(end=FAULT, faults=faults)
+            terminated, truncated = np.False_, np.True_
+        self.is_over[...] = terminated | truncated
+        return Step(observation=observation, reward=reward, terminated=terminated, truncated=truncated, info=info)
+
+    def _time(self) -> Any:
+        """Return the time of the present observation [s]: that of the simulation, or the host's monotonic clock."""
+        if self.scenario is None:
+            return np.float64(time.perf_counter())
+        return self.scenario.world.time.copy()
+
+    def _mask(self, copies: Copies) -> NDArray[np.bool_]:
+        mask = np.zeros(self.leading, np.bool_)
+        mask[... if copies is None else copies] = True
+        return mask
+
+    # --- Observers ----------------------------------------------------------------------------------------------------
+
+    def _tell_starts(self, observation: Observation, info: dict[str, Any], started: NDArray[np.bool_]) -> None:
+        for copy, observer in self._observers:
+            where = copy if self.leading else ...
+            if started[where]:
+                # An episode after the first depends on the seed and on how many came before it.
+                seed = int(self.seeds[where]) if self.episodes[where] == 0 else None
+                observer.on_reset(self._transition(copy, observation, info), seed)
+
+    def _tell_step(self, step: Step, action: Any, starting: NDArray[np.bool_] | None) -> None:
+        if starting is not None:
+            self._tell_starts(step.observation, step.info, starting)
+        for copy, observer in self._observers:
+            if starting is None or not starting[copy]:
+                observer.on_step(self._transition(copy, step.observation, step.info, step, action))
+        self._notes = {}
+
+    def _transition(
+        self, copy: int, observation: Observation, info: dict[str, Any], step: Step | None = None, action: Any = None
+    ) -> Transition:
+        where = copy if self.leading else ...
+        scenario = self.scenario
+        return Transition(
+            observation=_row(observation, copy) if self.leading else observation,
+            action=_row(action, copy) if self.leading and action is not None else action,
+            executed=None if step is None else _row(self.stack.executed, copy) if self.leading else self.stack.executed,
+            reward=0.0 if step is None else float(np.asarray(step.reward)[where]),
+            terminated=step is not None and bool(np.asarray(step.terminated)[where]),
+            truncated=step is not None and bool(np.asarray(step.truncated)[where]),
+            info=_row(info, copy) if self.leading else info,
+            time=time.perf_counter(),
+            capture_times=self.stack.capture_times(),
+            sim_state=None if scenario is None else scenario.world.core.get_state(copy),
+            objects={} if scenario is None else _row(scenario.object_poses(), where),
+            notes=self._notes,
+        )
+
+    def _tell_end(self, end: str, reasons: Mapping[str, str]) -> None:
+        for_all([lambda observer=observer: observer.on_end(end, reasons) for _, observer in self._observers])
+
+    # --- When something goes wrong ------------------------------------------------------------------------------------
+
+    def _hold_in_fault(self, faults: dict[str, str]) -> None:
+        """Have all devices hold; one that refuses in its fault state is told in `faults`."""
+        self._must_rebase = True
+        try:
+            self.stack.hold()
+        except Exception as err:  # noqa: BLE001  the device that failed may refuse everything; the reason is passed on
+            faults["hold"] = f"{type(err).__name__}: {err}"
+
+    def _end_without_row(self, faults: dict[str, str]) -> Step:
+        """End the episode in a step that not all devices took part in: observers are told its end, but see no step."""
+        self.is_over[...] = True
+        self._tell_end(FAULT, faults)
+        try:
+            observation = self.stack.lift(self.stack.measure())
+        except DeviceFault:
+            observation = copied(self._last_observation)
+        info = {"end": FAULT, "faults": faults}
+        return Step(
+            observation=observation, reward=np.zeros(()), terminated=np.False_, truncated=np.True_, info=info
+        )  # fmt: skip
+
+    def _break_off(self, error: BaseException) -> None:
+        """Have all devices hold after an error, end the episodes, and tell the observers."""
+        self._must_rebase = True
+        calls: list[Callable[[], None]] = [self.stack.hold]
+        # A device that refuses an action is no reason to end the episode: the next one may be better.
+        if not isinstance(error, InvalidAction) and self._is_started and not self._broken_off_by:
+            if not self.is_over.all():
+                calls.append(lambda: self._tell_end("exception", {type(error).__name__: str(error)}))
+            self._is_started = False
+            self._broken_off_by = type(error).__name__
+        try:
+            for_all(calls)
+        except Exception as err:  # noqa: BLE001  the first error is the one to be raised
+            error.add_note(f"While the devices were told to hold: {type(err).__name__}: {err}")
+
+    def _open_ports(self) -> None:
+        """Open all ports; where one fails, no device stays open."""
+        try:
+            for port in self.stack.ports:
+                port.open()
+        except BaseException as err:
+            try:
+                self.stack.close()
+            except Exception as also:  # noqa: BLE001  why a device could not be opened is the error to be raised
+                err.add_note(f"While the other devices were closed: {type(also).__name__}: {also}")
+            raise
+
+    def hold(self) -> None:
+        """Make every device stay where it is; what follows counts from there. May be called from any thread."""
+        self._must_rebase = True
+        self.stack.hold()
+
+    def rebase(self, robot: str | None = None) -> None:
+        """Make what follows count from the measured state."""
+        if not self.is_open or (self.episodes < 0).any():
+            raise WrongOrder("rebase was called before the first reset, or on a closed environment.")
+        self.stack.rebase(robot)
+
+    def recover(self) -> None:
+        """Clear the faults of all devices; nothing moves."""
+        if not self.is_open:
+            raise WrongOrder("recover was called on a closed environment; make a new one.")
+        self._must_rebase = True
+        self.stack.recover()
+
+    def close(self) -> None:
+        """Let go of all devices, then of observers, pictures and the world, whatever fails. Closing twice is harmless.
+
+        Called while another thread makes a step, it has all devices hold at once, and closes them after the step.
+        """
+        if not self.is_open:
+            return
+        self.is_open = False
+        held = [self.stack.hold, self.turn.wait] if self.turn.is_of_another_thread else []
+        observers = [observer.close for _, observer in self._observers]
+        for_all([*held, self.stack.close, *observers, *self._resources])
+
+
+def _row(told: Mapping[str, Any], where: Any) -> dict[str, Any]:
+    """Return the values of one copy: numbers and booleans as Python's own, arrays as views of theirs."""
+    row: dict[str, Any] = {}
+    for key, value in told.items():
+        # `dict` and not `Mapping`: an abstract class takes ten times as long to ask for.
+        if isinstance(value, dict):
+            row[key] = _row(value, where)
+        elif isinstance(value, np.ndarray | np.generic):
+            own = value if where is ... else value[where]
+            row[key] = own if own.ndim else own.item()
+        else:
+            row[key] = value
+    return row
+
+
+def _listed(faults: Mapping[str, str]) -> str:
+    return "; ".join(f"{name}: {reason}" for name, reason in faults.items())

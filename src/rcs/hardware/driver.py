@@ -1,0 +1,42 @@
+"""The interface of a driver: how the devices of a vendor are made from an address."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NoReturn
+
+from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand
+from rcs.errors import InvalidSetup
+from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+
+
+class Driver:
+    """Makes devices. A driver overrides what it has; nothing is connected before a device's `open`.
+
+    A package offers one through the entry-point group `rcs.drivers`, as a class without arguments.
+    """
+
+    def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
+        """Return an arm.
+
+        Args:
+            address: Where it is, such as an IP address or a serial port.
+            about: Its figures.
+            options: What else the site says of it.
+        """
+        self._refuse("arms")
+
+    def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> Gripper:
+        """Return a gripper; arguments as in `arm`."""
+        self._refuse("grippers")
+
+    def hand(self, address: str, about: HandDescription, options: Mapping[str, Any]) -> Hand:
+        """Return a hand; arguments as in `arm`."""
+        self._refuse("hands")
+
+    def camera(self, address: str, about: CameraDescription, mode: CameraMode, options: Mapping[str, Any]) -> Camera:
+        """Return a camera that delivers frames of a mode; other arguments as in `arm`."""
+        self._refuse("cameras")
+
+    def _refuse(self, what: str) -> NoReturn:
+        raise InvalidSetup(f"The driver {type(self).__name__} has no {what}; choose another driver for them.")

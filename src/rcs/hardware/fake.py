@@ -1,0 +1,58 @@
+"""A driver of fakes: devices of every kind without hardware, behind the interfaces that real ones have."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from rcs.devices import ArmLimits, CameraMode
+from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper, FakeHand
+from rcs.hardware.driver import Driver
+from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+
+
+class FakeDriver(Driver):
+    """Makes devices that move as their descriptions say and measure exactly what they do."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """Use a clock [s]; give one that is moved by hand to run faster than real time."""
+        self._clock = clock
+
+    def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> FakeArm:
+        """Return an arm that stands at home."""
+        return FakeArm(limits_of(about), start=np.array(about.home), clock=self._clock, name=address or about.name)
+
+    def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> FakeGripper:
+        """Return an open gripper."""
+        return FakeGripper(
+            max_width=about.max_width,
+            max_force=about.max_force,
+            speed=2.0 * about.closing_speed / about.max_width,
+            clock=self._clock,
+            name=address or about.name,
+        )
+
+    def hand(self, address: str, about: HandDescription, options: Mapping[str, Any]) -> FakeHand:
+        """Return an open hand."""
+        return FakeHand(len(about.joints), clock=self._clock, name=address or about.name)
+
+    def camera(
+        self, address: str, about: CameraDescription, mode: CameraMode, options: Mapping[str, Any]
+    ) -> FakeCamera:
+        """Return a camera that sees a moving ramp."""
+        return FakeCamera(mode, clock=self._clock, name=address or about.name)
+
+
+def limits_of(arm: ArmDescription) -> ArmLimits:
+    """Return the limits of an arm as its device has them."""
+    return ArmLimits(
+        list(arm.joint_lower),
+        list(arm.joint_upper),
+        list(arm.velocity_limit),
+        joint_acceleration=list(arm.acceleration_limit),
+        joint_jerk=list(arm.jerk_limit),
+        joint_effort=list(arm.effort_limit),
+    )

@@ -1,0 +1,256 @@
+"""A site: which devices there are and how they are reached. A setup says what is done, a site where.
+
+A file is JSON, one entry per device by the name of its robot or camera; only those that are named are real:
+
+    {"arms": {"fr3": {"driver": "fake", "address": "192.0.2.1"}},
+     "grippers": {"fr3": {"driver": "fake", "address": "192.0.2.1"}},
+     "cameras": {"wrist": {"driver": "fake", "address": "0123456789"}},
+     "stale_after": 0.5, "on_stale": "fault"}
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
+from rcs.errors import InvalidSetup, UnknownName
+from rcs.hardware.driver import Driver
+from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+
+OnStale = Literal["flag", "hold", "fault"]
+"""What a camera without new frames leads to: a flag in recordings, devices that hold, or the end of the episode."""
+
+KINDS = ("arms", "grippers", "hands", "cameras")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceAddress:
+    """How one device is reached."""
+
+    driver: str
+    """Name of a driver: an entry point of `rcs.drivers`, or `module:Class`."""
+    address: str = ""
+    """IP address, serial port or serial number, as the driver takes it."""
+    options: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """What else the driver takes, as JSON values."""
+
+    @staticmethod
+    def parse(given: Any, name: str) -> DeviceAddress:
+        """Return an address from `driver:address`, or from a mapping with the fields of this class.
+
+        Raises:
+            InvalidSetup: It is neither.
+        """
+        if isinstance(given, DeviceAddress):
+            return given
+        if isinstance(given, str) and given:
+            driver, _, address = given.partition(":")
+            return DeviceAddress(driver=driver, address=address)
+        try:
+            return DeviceAddress(**given)
+        except TypeError as err:
+            raise InvalidSetup(
+                f"The device {name!r} is given as {given!r}; valid is 'driver:address', a mapping with 'driver', "
+                "'address' and 'options', or a device."
+            ) from err
+
+
+AnyDevice = DeviceAddress | Arm | Gripper | Hand | Camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class Devices:
+    """The devices that a site has for one setup, closed."""
+
+    arms: Mapping[str, Arm] = field(default_factory=dict[str, Arm])
+    """By robot."""
+    effectors: Mapping[str, Gripper | Hand] = field(default_factory=dict[str, Gripper | Hand])
+    """Grippers and hands by robot."""
+    cameras: Mapping[str, Camera] = field(default_factory=dict[str, Camera])
+    """By camera."""
+    platform: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Name of the driver of every real part: a robot, `robot/end effector`, or a camera."""
+    stale_after: float = 0.5
+    """Age of a frame from which a camera counts as stale [s]."""
+    on_stale: OnStale = "fault"
+    """What a stale camera leads to."""
+
+    def __bool__(self) -> bool:
+        """Whether anything is real."""
+        return bool(self.platform)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Site:
+    """The devices of a place. Robots, end effectors and cameras that it does not name are simulated."""
+
+    arms: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
+    """Arms by the name of the robot; an address, or a device."""
+    grippers: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
+    """Grippers by the name of the robot that carries them."""
+    hands: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
+    """Hands by the name of the robot that carries them."""
+    cameras: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
+    """Cameras by the name of their mount in the lab."""
+    stale_after: float = 0.5
+    """Age of a frame from which its camera counts as stale [s]."""
+    on_stale: OnStale = "fault"
+    """What a stale camera leads to: `flag` only marks frames, `hold` has all devices hold until a new frame comes, `fault`
+    ends the episode."""
+
+    def __post_init__(self) -> None:
+        """Check every field.
+
+        Raises:
+            InvalidSetup: A field has a value that makes no sense.
+        """
+        for kind in KINDS:
+            given: Any = getattr(self, kind)
+            if not isinstance(given, Mapping):
+                raise InvalidSetup(f"{kind} is {given!r}; valid is a mapping from names to devices.")
+            made = {
+                str(name): one if isinstance(one, Arm | Gripper | Hand | Camera) else DeviceAddress.parse(one, name)
+                for name, one in given.items()
+            }
+            object.__setattr__(self, kind, made)
+        if self.on_stale not in get_args(OnStale):
+            raise InvalidSetup(f"on_stale is {self.on_stale!r}; valid: {', '.join(map(repr, get_args(OnStale)))}.")
+        if isinstance(self.stale_after, bool) or not isinstance(self.stale_after, int | float) or self.stale_after <= 0:
+            raise InvalidSetup(f"stale_after is {self.stale_after!r} s; valid is a number above 0.")
+
+    @staticmethod
+    def read(path: str | Path) -> Site:
+        """Read a site from a JSON file.
+
+        Raises:
+            InvalidSetup: The file cannot be read, or does not say what it must.
+        """
+        try:
+            content = json.loads(Path(path).read_text("utf-8"))
+            return Site(**content)
+        except (OSError, ValueError) as err:
+            raise InvalidSetup(f"The site file {path} cannot be read: {err}.") from err
+        except TypeError as err:
+            fields = [one.name for one in dataclasses.fields(Site)]
+            raise InvalidSetup(f"{path} is not a site file: {err}. Valid fields: {fields}.") from err
+
+    def write(self, path: str | Path) -> None:
+        """Write the site to a JSON file.
+
+        Raises:
+            InvalidSetup: It has devices themselves and not only addresses.
+        """
+        for kind in KINDS:
+            if objects := [name for name, one in getattr(self, kind).items() if not isinstance(one, DeviceAddress)]:
+                raise InvalidSetup(f"The {kind} {objects} are devices without an address, which no file can hold.")
+        Path(path).write_text(json.dumps(dataclasses.asdict(self), indent=2) + "\n", "utf-8")
+
+    @staticmethod
+    def of(
+        hardware: Any, robots: Mapping[str, tuple[ArmDescription, Any]], cameras: Mapping[str, CameraDescription]
+    ) -> Site:
+        """Return a site from what `rcs.make(hardware=...)` takes.
+
+        Args:
+            hardware: A site, the path of its file, `driver:address` for all arms and end effectors, or a mapping from
+                names of robots (with their end effectors), `robot/gripper`, `robot/hand` and cameras to addresses or
+                devices.
+            robots: Arm and end effector of every robot, by name.
+            cameras: The cameras of the setup, by name.
+
+        Raises:
+            InvalidSetup: It is none of these.
+            UnknownName: A name that is neither a robot nor a camera.
+        """
+        if isinstance(hardware, Site):
+            return hardware
+        if isinstance(hardware, Path) or (isinstance(hardware, str) and hardware.endswith(".json")):
+            return Site.read(hardware)
+        if isinstance(hardware, str):
+            hardware = dict.fromkeys(robots, hardware)
+        if not isinstance(hardware, Mapping):
+            raise InvalidSetup(
+                f"hardware is {hardware!r}; valid is a Site, the path of its JSON file, 'driver:address', or a mapping "
+                "from names of robots and cameras to these."
+            )
+        found: dict[str, dict[str, Any]] = {kind: {} for kind in KINDS}
+        for name, given in hardware.items():
+            robot, _, part = str(name).partition("/")
+            if name in cameras:
+                found["cameras"][name] = given
+            elif robot in robots and part in ("gripper", "hand"):
+                found[f"{part}s"][robot] = given
+            elif name in robots:
+                found["arms"][name] = given
+                effector = robots[name][1]
+                if effector is not None and not isinstance(given, Arm):
+                    kind = "grippers" if isinstance(effector, GripperDescription) else "hands"
+                    found[kind].setdefault(name, given)
+            else:
+                raise UnknownName("robot or camera of this setup", str(name), {*robots, *cameras})
+        return Site(**found)
+
+    def devices(
+        self,
+        robots: Mapping[str, tuple[ArmDescription, GripperDescription | HandDescription | None]],
+        cameras: Mapping[str, tuple[CameraDescription, CameraMode]],
+    ) -> Devices:
+        """Make the devices of a setup; nothing is connected.
+
+        Args:
+            robots: Arm and end effector of every robot, by name.
+            cameras: Description of every camera and the mode that is wanted, by name.
+
+        Raises:
+            UnknownName: A driver that is not installed, or a robot that the setup does not have.
+            InvalidSetup: A driver does not have such devices, or the robot has no such end effector.
+        """
+        arms: dict[str, Arm] = {}
+        effectors: dict[str, Gripper | Hand] = {}
+        views: dict[str, Camera] = {}
+        platform: dict[str, str] = {}
+        for kind in ("arms", "grippers", "hands"):
+            for name, given in getattr(self, kind).items():
+                if name not in robots:
+                    raise UnknownName("robot of this setup", name, robots)
+                arm, effector = robots[name]
+                if kind == "arms":
+                    arms[name] = _made(given, "arm", arm)
+                    platform[name] = _platform(given)
+                    continue
+                wanted = GripperDescription if kind == "grippers" else HandDescription
+                if not isinstance(effector, wanted):
+                    raise InvalidSetup(f"The site has {kind} for {name!r}, which carries {getattr(effector, 'name', None)}.")
+                effectors[name] = _made(given, kind[:-1], effector)
+                platform[f"{name}/{effector.name}"] = _platform(given)
+        # A site may have more cameras than a setup uses.
+        for name, (about, mode) in cameras.items():
+            if (given := self.cameras.get(name)) is not None:
+                views[name] = _made(given, "camera", about, mode)
+                platform[name] = _platform(given)
+        return Devices(
+            arms=arms,
+            effectors=effectors,
+            cameras=views,
+            platform=platform,
+            stale_after=self.stale_after,
+            on_stale=self.on_stale,
+        )
+
+
+def _made(given: AnyDevice, kind: str, *about: Any) -> Any:
+    if not isinstance(given, DeviceAddress):
+        return given
+    driver = lookup.find("driver", given.driver)
+    driver = driver() if isinstance(driver, type) else driver
+    assert isinstance(driver, Driver), "lookup gives drivers"
+    return getattr(driver, kind)(given.address, *about, given.options)
+
+
+def _platform(given: AnyDevice) -> str:
+    return given.driver if isinstance(given, DeviceAddress) else type(given).__name__
