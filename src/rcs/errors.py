@@ -82,6 +82,3 @@ class CorruptEpisode(RcsError, ValueError):
 class SimulationError(RcsError, RuntimeError):
     """MuJoCo failed, or left out contacts; the message has its words, such as that its memory is full."""
 
-
-class Diverged(RcsError, ArithmeticError):
-    """The simulation left the range of finite numbers."""

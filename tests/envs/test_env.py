@@ -11,7 +11,7 @@ import pytest
 
 import rcs
 from rcs.envs.observers import Observer, Transition
-from rcs.errors import DeviceFault, Diverged, InvalidAction, InvalidSetup, WrongOrder
+from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, WrongOrder
 from rcs.testing.env_contract import require_same_bits
 
 

@@ -211,7 +211,7 @@ def test_hold_from_another_thread_is_not_undone_by_the_step_under_way(
             return action
 
     layer = HeldMeanwhile()
-    env.stack.layers.append(layer)
+    env.stack.chains[""].layers.append(layer)
     observation, _ = env.reset(seed=0)
     layer.is_armed = True
     env.step(go(env, observation))

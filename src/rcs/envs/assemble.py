@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -70,6 +71,10 @@ class Parts:
     """The user's own layers by robot, on top of those of the setup."""
     gates: Sequence[Gate] = ()
     observers: Sequence[Observer] = ()
+    now: Callable[[], float] | None = None
+    """Returns the monotonic time [s]; None for the host's."""
+    sleep: Callable[[float], None] | None = None
+    """Waits for some seconds of that time; None for the host's."""
 
     @property
     def title(self) -> str:
@@ -112,6 +117,8 @@ def assemble(
             frequency=setup.frequency,
             is_real=bool(devices) or setup.mode == "realtime",
             is_synchronous=setup.mode == "sync",
+            now=parts.now,
+            sleep=parts.sleep,
         ),
         scenario,
         setup=setup,
@@ -276,6 +283,7 @@ def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPor
         extrinsics=fixed,
         stale_after=parts.devices.stale_after,
         on_stale=parts.devices.on_stale,
+        now=parts.now or time.perf_counter,
     )
 
 

@@ -53,7 +53,7 @@ class Chain:
         self.target: dict[str, NDArray[Any]] = {}
         """What the last action came to, on the highest level: absolute targets, cut where a layer has cut them."""
         self._measured: Observation = {}
-        self.fallible = [port for port in self.ports if type(port).faults is not Port.faults]
+        self.fallible = [port for port in self.ports if port.can_fail]
         """The ports that may report faults."""
 
     def map(self, action: Any) -> Action:

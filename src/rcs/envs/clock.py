@@ -36,8 +36,8 @@ class Clock:
         is_real: bool = False,
         is_synchronous: bool = False,
         time_limit: float = 10.0,
-        now: Callable[[], float] = time.perf_counter,
-        sleep: Callable[[float], None] = time.sleep,
+        now: Callable[[], float] | None = None,
+        sleep: Callable[[float], None] | None = None,
     ) -> None:
         """Keep time.
 
@@ -48,8 +48,8 @@ class Clock:
             is_real: Whether to keep the rate of the wall clock; always so without a world.
             is_synchronous: Wait until the devices have arrived instead of for a period; without a world.
             time_limit: Longest synchronous step [s].
-            now: Monotonic time [s].
-            sleep: Waits for some seconds.
+            now: Returns the monotonic time [s]; None for the host's.
+            sleep: Waits for some seconds; None for the host's.
 
         Raises:
             InvalidSetup: A frequency or time limit that is not positive.
@@ -66,12 +66,13 @@ class Clock:
         """Why the last step ended, `StepEnd` values per copy."""
         self._world = world
         self._ports = list(ports)
-        self._fallible = [port for port in ports if type(port).faults is not Port.faults]
+        self._fallible = [port for port in ports if port.can_fail]
         self._waits_for_devices = is_synchronous and world is None
         self._time_limit = time_limit
-        self._now = now
-        self._sleep = sleep
-        self._next = now()
+        self.now = now or time.perf_counter
+        """Returns the monotonic time of the host [s]."""
+        self._sleep = sleep or time.sleep
+        self._next = self.now()
 
     def advance(self, copies: Copies = None) -> None:
         """Let one control step pass, of some copies or of all."""
@@ -84,28 +85,28 @@ class Clock:
 
     def _wait_for_tick(self) -> None:
         self._next += 1.0 / self.frequency
-        rest = self._next - self._now()
+        rest = self._next - self.now()
         self.late = max(-rest, 0.0)
         if rest <= 0:
-            self._next = self._now()
+            self._next = self.now()
         while rest > ROUNDING and not self._has_fault():
             self._sleep(min(rest, FAULT_POLL) if self._fallible else rest)
-            rest = self._next - self._now()
+            rest = self._next - self.now()
 
     def _has_fault(self) -> bool:
         return any(port.faults() for port in self._fallible)
 
     def _wait_for_devices(self) -> int:
-        deadline = self._now() + self._time_limit
+        deadline = self.now() + self._time_limit
         while not all(port.has_arrived() for port in self._ports):
             if self._has_fault():
                 return StepEnd.interrupted.value
-            if self._now() >= deadline:
+            if self.now() >= deadline:
                 return StepEnd.limit.value
             self._sleep(1e-3)
         return StepEnd.converged.value
 
     def reset(self) -> None:
         """Count time from now."""
-        self._next = self._now()
+        self._next = self.now()
         self.late = 0.0

@@ -6,7 +6,6 @@ serves both: `array[where] = value` is for all copies with `where = ...`.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -90,6 +89,10 @@ class Engine:
         """Have an observer see every step of a copy from its next episode on."""
         self._observers.append((copy, observer))
 
+    def remove_observer(self, observer: Observer) -> None:
+        """Have an observer see no more steps."""
+        self._observers = [(copy, one) for copy, one in self._observers if one is not observer]
+
     def close_too(self, close: Callable[[], None]) -> None:
         """Have something closed after the observers."""
         self._resources.insert(0, close)
@@ -129,9 +132,8 @@ class Engine:
         self._must_rebase = False
         self._is_started, self._broken_off_by = True, ""
         info = {} if self.scenario is None else self.scenario.describe()
-        info["time"] = self._time()
+        info.update(time=self._time(), instruction=np.full(self.leading, self.instruction, object))
         info = info if self.leading else _row(info, ...)
-        info["instruction"] = self.instruction
         if self._observers:
             self._tell_starts(observation, info, self._mask(copies))
         return observation, info
@@ -141,7 +143,8 @@ class Engine:
         self._begin(copies)
         observation = self.observe_start(copies)
         if self._observers and self.scenario is not None:
-            self._tell_starts(observation, self.scenario.describe(), self._mask(copies))
+            info = {**self.scenario.describe(), "time": self._time()}
+            self._tell_starts(observation, info, self._mask(copies))
         return observation
 
     def _begin(self, copies: Copies) -> None:
@@ -269,7 +272,7 @@ class Engine:
         info["target"] = copied(self.stack.target)
         info.update(told)
         if self._clock.is_real:
-            now = time.perf_counter()
+            now = self._clock.now()
             info["late"] = self._clock.late
             info["ages"] = {name: now - captured for name, captured in self.stack.capture_times().items()}
         if faults:
@@ -281,7 +284,7 @@ class Engine:
     def _time(self) -> Any:
         """Return the time of the present observation [s]: that of the simulation, or the host's monotonic clock."""
         if self.scenario is None:
-            return np.float64(time.perf_counter())
+            return np.float64(self._clock.now())
         return self.scenario.world.time.copy()
 
     def _mask(self, copies: Copies) -> NDArray[np.bool_]:
@@ -320,7 +323,7 @@ class Engine:
             terminated=step is not None and bool(np.asarray(step.terminated)[where]),
             truncated=step is not None and bool(np.asarray(step.truncated)[where]),
             info=_row(info, copy) if self.leading else info,
-            time=time.perf_counter(),
+            time=self._clock.now(),
             capture_times=self.stack.capture_times(),
             sim_state=None if scenario is None else scenario.world.core.get_state(copy),
             objects={} if scenario is None else _row(scenario.object_poses(), where),
@@ -419,8 +422,8 @@ def _row(told: Mapping[str, Any], where: Any) -> dict[str, Any]:
         if isinstance(value, dict):
             row[key] = _row(value, where)
         elif isinstance(value, np.ndarray | np.generic):
-            own = value if where is ... else value[where]
-            row[key] = own if own.ndim else own.item()
+            own: Any = value if where is ... else value[where]
+            row[key] = own.item() if isinstance(own, np.ndarray | np.generic) and not own.ndim else own
         else:
             row[key] = value
     return row

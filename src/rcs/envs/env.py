@@ -139,9 +139,18 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         """Whether there is a simulated world, `scenario.world`."""
         return self._engine.scenario is not None
 
+    @property
+    def is_real(self) -> bool:
+        """Whether steps take real time: on hardware, and in a simulation that keeps the rate of the wall clock."""
+        return self._clock.is_real
+
     def add_observer(self, observer: Observer) -> None:
         """Have an observer see every step from the next reset on."""
         self._engine.add_observer(observer)
+
+    def remove_observer(self, observer: Observer) -> None:
+        """Have an observer see no more steps."""
+        self._engine.remove_observer(observer)
 
     def note(self, **notes: Any) -> None:
         """Give observers something to see beside the next step, such as who acted or how long a policy took."""

@@ -66,6 +66,11 @@ class Port(ABC):
             if not self.device.fault:
                 raise
 
+    @property
+    def can_fail(self) -> bool:
+        """Whether `faults` can ever have an entry."""
+        return self.device is not None or type(self).faults is not Port.faults
+
     def faults(self) -> Mapping[str, str]:
         """Return the reason of every device that is in its fault state, by the device's name.
 

@@ -89,6 +89,10 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             raise InvalidSetup(f"copy is {copy}; valid is 0 to {self.num_envs - 1}.")
         self._engine.add_observer(observer, copy)
 
+    def remove_observer(self, observer: Observer) -> None:
+        """Have an observer see no more steps."""
+        self._engine.remove_observer(observer)
+
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -109,7 +113,6 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             mask = self._check_options(options)
             self._take_seeds(seed)
             observation, info = self._engine.start(None if mask is None else np.flatnonzero(mask).astype(np.int32))
-            del info["instruction"]
             return observation, self._with_masks(info)
 
     def step(  # pyright: ignore[reportIncompatibleMethodOverride]  gymnasium types the done flags as floats
@@ -139,13 +142,13 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             step = engine.step(actions, starting)
             observation, info = step.observation, self._with_masks(step.info)
             if starting is not None:
-                self._tell_drawn(info, starting)
+                self._tell_started(info, starting)
             if self._autoreset is AutoresetMode.SAME_STEP and engine.is_over.any():
                 finished = engine.is_over.copy()
                 info["final_obs"], info["final_info"] = observation, step.info
                 info["_final_obs"] = info["_final_info"] = finished
                 observation = engine.restart(np.flatnonzero(finished).astype(np.int32))
-                self._tell_drawn(info, finished)
+                self._tell_started(info, finished)
             return observation, step.reward, step.terminated, step.truncated, info
 
     def _take_seeds(self, seed: int | Sequence[int | None] | None) -> None:
@@ -183,10 +186,12 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
             raise InvalidSetup(f"reset_mask must be {self.num_envs} booleans with at least one True.")
         return array
 
-    def _tell_drawn(self, info: dict[str, Any], started: NDArray[np.bool_]) -> None:
-        """Add what was drawn for the episodes that start, where anything is."""
+    def _tell_started(self, info: dict[str, Any], started: NDArray[np.bool_]) -> None:
+        """Add what the reset of a single environment tells and its steps do not."""
+        told: dict[str, Any] = {"instruction": np.full(self.num_envs, self.instruction, object)}
         if drawn := self.scenario.randomisation:
-            info.update(self._with_masks({"randomisation": drawn}, started))
+            told["randomisation"] = drawn
+        info.update(self._with_masks(told, started))
 
     def _with_masks(self, told: Mapping[str, Any], present: NDArray[np.bool_] | None = None) -> dict[str, Any]:
         """Return info as gymnasium's vector environments have it: an array and the mask `_key` per key."""

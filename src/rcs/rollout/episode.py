@@ -1,16 +1,22 @@
-"""One rollout: an agent acts in an environment until the episode is over."""
+"""One rollout: an agent acts in an environment until the episode is over. Everything that runs agents goes through it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from rcs.agents import Agent
-from rcs.envs.env import FAULT, Env
+from rcs.envs.engine import DIVERGED, FAULT
+from rcs.envs.env import Env
+from rcs.envs.spaces import Observation
+from rcs.errors import InvalidSetup
 
 OPEN = 0.5
 """A gripper that is told at least this opens."""
+
+Judge = Callable[[Observation, Mapping[str, Any]], bool | None]
+"""Says from the last observation and info whether the task was done; None if that is not known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +28,7 @@ class EpisodeResult:
     success: bool | None
     """Whether the task was done; None where nobody judged, as no task does on devices or after a fault."""
     failure: str | None
-    """Class of the failure, `fault` where a device failed; None otherwise."""
+    """Class of the failure, `fault` where a device failed, `diverged` where the simulation did; None otherwise."""
     reward: float
     """Sum over the episode."""
 
@@ -31,31 +37,83 @@ class EpisodeResult:
         return {"failure": self.failure, "reward": self.reward}
 
 
-def run_episode(env: Env, agent: Agent, *, seed: int | None = None) -> EpisodeResult:
+def run_episode(
+    env: Env,
+    agent: Agent,
+    *,
+    seed: int | None = None,
+    options: Mapping[str, Any] | None = None,
+    judge: Judge | None = None,
+    on_step: Callable[[], None] | None = None,
+    max_steps: int | None = None,
+) -> EpisodeResult:
     """Run one episode.
 
     Args:
         env: The environment.
-        agent: Acts in it.
+        agent: Acts in it. One that decides at a lower rate than the environment has its last action repeated.
         seed: Of the reset.
+        options: Of the reset.
+        judge: Says whether the task was done, in the place of the task.
+        on_step: Called after the reset and after every step.
+        max_steps: The episode ends after this many steps, whatever the environment says; None for no such limit.
+
+    Raises:
+        InvalidSetup: The agent's rate does not divide the environment's, or its repeated actions would add up.
     """
-    observation, info = env.reset(seed=seed)
+    every = _steps_per_decision(env, agent)
+    observation, info = env.reset(seed=seed, options=options)
     agent.reset(observation, info)
     steps, total = 0, 0.0
     was_touched_early = False
-    is_over = terminated = False
+    action: dict[str, Any] = {}
+    is_over = False
     while not is_over:
-        action = agent.act(observation, info)
+        if on_step is not None:
+            on_step()
+        if steps % every == 0:
+            action = agent.act(observation, info)
+            env.note(**agent.notes())
         observation, reward, terminated, truncated, info = env.step(action)
         steps += 1
         total += float(reward)
         was_touched_early |= bool(info.get("is_touched", False)) and _is_open(action)
-        is_over = terminated or truncated
+        is_over = terminated or truncated or steps == max_steps
+    if on_step is not None:
+        on_step()
     if info["end"] == FAULT:
         return EpisodeResult(seed=seed, steps=steps, success=None, failure=FAULT, reward=total)
-    success = bool(info["success"]) if "success" in info else None
+    if info["end"] == DIVERGED:
+        return EpisodeResult(seed=seed, steps=steps, success=False, failure=DIVERGED, reward=total)
+    told = info.get("success")
+    success = judge(observation, info) if judge is not None else None if told is None else bool(told)
     failure = agent.failure or ("collision" if was_touched_early else "timeout") if success is False else None
     return EpisodeResult(seed=seed, steps=steps, success=success, failure=failure, reward=total)
+
+
+def ask(observation: Observation, info: Mapping[str, Any]) -> bool | None:
+    """Judge an episode by asking the person at the terminal."""
+    answer = ""
+    while answer not in ("y", "n", "?"):
+        answer = input("Was the task done? [y]es, [n]o, [?] not known: ").strip().lower()[:1]
+    return {"y": True, "n": False, "?": None}[answer]
+
+
+def _steps_per_decision(env: Env, agent: Agent) -> int:
+    if agent.rate is None:
+        return 1
+    every = round(env.frequency / agent.rate)
+    if every < 1 or abs(env.frequency - every * agent.rate) > 1e-6 * env.frequency:
+        raise InvalidSetup(
+            f"{type(agent).__name__} decides at {agent.rate:g} Hz and the environment steps at {env.frequency:g} Hz; "
+            "its frequency must be a multiple of the agent's rate."
+        )
+    if every > 1 and env.setup.relative == "last_step":
+        raise InvalidSetup(
+            f"{type(agent).__name__} decides at {agent.rate:g} Hz; in between its actions are repeated, and those "
+            "relative to the last step would add up. Use relative='absolute' or 'origin'."
+        )
+    return every
 
 
 def _is_open(action: Mapping[str, Any]) -> bool:

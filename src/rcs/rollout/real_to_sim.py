@@ -19,7 +19,7 @@ import numpy as np
 from rcs.data import Dataset, DatasetWriter, EpisodeRecord
 from rcs.envs.observers.recorder import OBJECTS, Recorder, require_recordable
 from rcs.envs.setup import Setup
-from rcs.errors import Diverged, InvalidSetup
+from rcs.errors import InvalidSetup
 from rcs.rollout.derive import SOURCE, derive, source_of
 from rcs.rollout.look import Look, Stage, setup_of, varied
 from rcs.rollout.recorded_motion import GripperFrom, RecordedMotion, find_states
@@ -183,7 +183,7 @@ class _Replayer:
         try:
             with self._recorder.discard_on_error():
                 return self._follow(episode)
-        except (InvalidSetup, Diverged) as err:
+        except InvalidSetup as err:
             # Of this episode alone: a joint far out of its limits, no object's pose, an explosion.
             self._recorder.forget_next()
             return RealToSimResult(

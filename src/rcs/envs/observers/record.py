@@ -1,0 +1,77 @@
+"""Record an environment, or every copy of a batch, into a dataset with one call."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rcs.data import Dataset, DatasetWriter
+from rcs.envs.env import Env
+from rcs.envs.observers.recorder import Colour, Recorder, dataset_info
+from rcs.envs.observers.takes import Takes
+from rcs.envs.vector import VecEnv
+
+
+@contextmanager
+def record(
+    env: Env, out: str | Path, *, colour: Colour = "jpeg", jpeg_quality: int = 95, notes: Sequence[str] = ()
+) -> Generator[Takes]:
+    """Record takes that a person starts, judges and discards.
+
+    Args:
+        env: The environment; in real time, a thread encodes so that its loop never waits.
+        out: The dataset's folder; one that is there is gone on with.
+        colour: How colour frames are stored.
+        jpeg_quality: Of colour frames as JPEG, 1 to 100.
+        notes: Names of numbers that `env.note` gives, to be recorded.
+
+    Yields:
+        The takes. A take that is open in the end is kept without a verdict.
+
+    Example:
+        >>> import rcs
+        >>> env = rcs.make("PickCuboid")
+        >>> with rcs.record(env, "takes") as takes:
+        ...     takes.start(at_reset=True)
+        ...     observation, info = env.reset(seed=0)
+        ...     takes.stop(success=True)
+    """
+    info = dataset_info(env, colour=colour, jpeg_quality=jpeg_quality, notes=notes)
+    with DatasetWriter.open(Path(out), info, resume=True) as writer:
+        recorder = Recorder(writer, background=env.is_real)
+        env.add_observer(recorder)
+        try:
+            yield Takes(recorder, writer)
+        finally:
+            recorder.close()
+            env.remove_observer(recorder)
+
+
+@contextmanager
+def record_all(env: Env | VecEnv, out: str | Path, *, colour: Colour = "jpeg", jpeg_quality: int = 95) -> Generator[None]:
+    """Record every episode from reset to end, of a batch those of all copies at once, judged by the task.
+
+    Args:
+        env: The environment, or a batch of copies.
+        out: The dataset's folder; one that is there is gone on with.
+        colour: How colour frames are stored.
+        jpeg_quality: Of colour frames as JPEG, 1 to 100.
+    """
+    info = dataset_info(env, colour=colour, jpeg_quality=jpeg_quality)
+    with DatasetWriter.open(Path(out), info, resume=True) as writer:
+        taken = {episode.id for episode in Dataset.open(out)}
+        names = (name for i in itertools.count() if (name := f"{i:06d}") not in taken)
+        recorders = [Recorder(writer, names=names) for _ in range(env.num_envs if isinstance(env, VecEnv) else 1)]
+        for copy, recorder in enumerate(recorders):
+            if isinstance(env, VecEnv):
+                env.add_observer(recorder, copy=copy)
+            else:
+                env.add_observer(recorder)
+        try:
+            yield
+        finally:
+            for recorder in recorders:
+                recorder.close()
+                env.remove_observer(recorder)
