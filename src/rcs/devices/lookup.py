@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from rcs.errors import UnknownName
 
-Kind = Literal["arm", "gripper", "hand", "camera", "tactile", "lab", "task", "operator", "policy"]
+Kind = Literal["arm", "gripper", "hand", "camera", "tactile", "lab", "task", "agent", "operator", "policy"]
 
 
 def names(kind: Kind) -> list[str]:

@@ -70,6 +70,7 @@ def assemble(
         max_episode_steps=setup.max_episode_steps,
         picture=Picture(world) if has_picture else None,
         title=f"rcs {setup.task} with {setup.robot}",
+        setup=setup,
     )
 
 

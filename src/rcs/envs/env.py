@@ -16,12 +16,14 @@ from rcs.envs.draws import SEED_LIMIT, Draws, check_seed
 from rcs.envs.group import StackGroup
 from rcs.envs.observers import Observer, Transition
 from rcs.envs.scenario import Scenario
+from rcs.envs.setup import Setup
 from rcs.envs.spaces import Observation
 from rcs.envs.stack import Stack, copied, for_all
 from rcs.envs.start import Start, check_start, check_state
 from rcs.envs.turn import Turn
 from rcs.errors import DeviceFault, Diverged, InvalidAction, InvalidSetup, UnknownName, WrongOrder
 from rcs.sim.picture import Picture
+from rcs.sim.scene import RobotPlacement
 
 END_NAMES = {end.value: end.name for end in (getattr(StepEnd, name) for name in StepEnd.__members__)}
 """What `info["end"]` says, unless a device has failed: then it is `FAULT`."""
@@ -50,6 +52,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         observers: Sequence[Observer] = (),
         picture: Picture | None = None,
         title: str = "rcs.Env",
+        setup: Setup | None = None,
     ) -> None:
         """Put an environment together; nothing moves and nothing is connected before `reset`.
 
@@ -61,8 +64,10 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             observers: See every step.
             picture: Draws what `render` returns; None for an environment that has none.
             title: First line of the printed environment.
+            setup: What it was made from; None where it was put together by hand.
         """
         self._stack = stack
+        self._setup = setup
         self._clock = clock
         self._scenario = scenario
         self._max_episode_steps = max_episode_steps
@@ -82,6 +87,22 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         self.action_space = stack.action_space
         self.observation_space = stack.observation_space
         self.render_mode = None if picture is None else "rgb_array"
+
+    @property
+    def setup(self) -> Setup:
+        """The setup that the environment was made from.
+
+        Raises:
+            WrongOrder: It was put together by hand, without a setup.
+        """
+        if self._setup is None:
+            raise WrongOrder("This environment was put together by hand, without a setup.")
+        return self._setup
+
+    @property
+    def robots(self) -> Mapping[str, RobotPlacement]:
+        """The robots by name: arm, end effector, and where they stand."""
+        return {robot.placement.name: robot.placement for robot in self.scenario.robots}
 
     @property
     def stack(self) -> Stack | StackGroup:

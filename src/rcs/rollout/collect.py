@@ -15,17 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from rcs.agents import Agent, LiftExpert, PickExpert, ToyExpert
+from rcs.agents import expert_for
 from rcs.data import Dataset, DatasetWriter
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Colour, Recorder, dataset_info, require_recordable
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.kinematics import kinematics_of
 from rcs.rollout.episode import EpisodeResult, run_episode
 from rcs.rollout.pool import WorkerPool
 from rcs.setups.make import make
-from rcs.spatial import Pose
 
 _log = logging.getLogger(__name__)
 
@@ -109,7 +107,7 @@ class Collector:
         self._env = env or make(collection.setup)
         self._recorder = Recorder(self._env, writer)
         self._env.add_observer(self._recorder)
-        self._agent = expert_for(self._env, collection.setup)
+        self._agent = expert_for(self._env)
 
     def attempt(self, number: int) -> Attempt:
         """Make one attempt, and keep it if it is to be kept."""
@@ -132,27 +130,6 @@ class Collector:
         self._env.close()
 
 
-def expert_for(env: Env, setup: Setup) -> Agent:
-    """Return the scripted expert of a task.
-
-    Raises:
-        InvalidSetup: The task has none.
-    """
-    placements = [robot.placement for robot in env.scenario.robots]
-    kinematics = {placement.name: kinematics_of(placement.arm, placement.end_effector) for placement in placements}
-    space = env.stack.action_space
-    if setup.task == "PickCuboid":
-        return PickExpert(setup, space, kinematics[placements[0].name])
-    if setup.task == "LiftBar":
-        bases = {p.name: Pose(p.base_in_scene.translation, p.base_in_scene.quaternion) for p in placements}
-        return LiftExpert(setup, space, bases, kinematics)
-    if setup.task == "PickToy":
-        return ToyExpert(setup, space, kinematics[placements[0].name])
-    raise InvalidSetup(
-        f"There is no scripted expert for the task {setup.task!r}; there are for 'PickCuboid', 'LiftBar', 'PickToy'."
-    )
-
-
 def collect(collection: Collection, progress: Progress, env: Env | None = None) -> Iterator[Attempt]:
     """Collect until the dataset is complete, yielding every attempt as it ends.
 
@@ -173,7 +150,7 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
     """
     env = env or make(collection.setup)
     try:
-        expert_for(env, collection.setup)
+        expert_for(env)
         info = dataset_info(env, collection.setup, colour=collection.colour, jpeg_quality=collection.jpeg_quality)
         # How an episode is numbered and seeded is part of what makes two collections the same.
         made = {"seed": collection.seed, "only_success": collection.only_success}
