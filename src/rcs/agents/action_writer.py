@@ -22,21 +22,20 @@ MARGIN = 0.9
 def ik_options(kinematics: Kinematics, restarts: int = 0) -> IkOptions:
     """Return what an arm can be asked for: any pose, or, with fewer than six joints, a place and about a direction.
 
-    Args:
-        kinematics: Of the arm.
-        restarts: Further starts of an arm with fewer than six joints; 0 for a solve near the last joints.
+    Such an arm may also need `restarts` from other joints, unless it is solved for a pose near the last one.
     """
     if kinematics.dof >= 6:
         return IkOptions(restarts=0, iterations=100)
-    rough = {"rotation_weight": 0.03, "rotation_tolerance": 0.2, "translation_tolerance": 5e-4}
-    return IkOptions(restarts=restarts, iterations=100, **rough)
+    return IkOptions(
+        restarts=restarts, iterations=100, rotation_weight=0.03, rotation_tolerance=0.2, translation_tolerance=5e-4
+    )
 
 
 class ActionWriter:
     """Writes actions for one environment: joints or poses, absolute or relative, as its setup says.
 
-    It uses nothing but the action interface: what it sends is what a policy would have to send. Relative actions go on
-    from what the last one came to, which `follow` takes from the step's info: a layer may have cut it.
+    Relative actions go on from what the last one came to, which `follow` takes from the step's info: a layer may have
+    cut it.
     """
 
     def __init__(self, setup: Setup, action_space: spaces.Dict, kinematics: Kinematics) -> None:
@@ -55,17 +54,13 @@ class ActionWriter:
         self._kinematics = kinematics
         # On the branch of the last target: a jump to another one would be a large, fast motion.
         self._options = ik_options(kinematics)
-        self._joints = np.zeros(kinematics.dof)
-        self._last = self._origin = np.zeros(0)
-
-    @property
-    def joints(self) -> NDArray[np.float64]:
+        self.joints = np.zeros(kinematics.dof)
         """The joints that were last aimed at [rad]."""
-        return self._joints
+        self._last = self._origin = np.zeros(0)
 
     def reset(self, observation: Observation) -> None:
         """Start from the first observation of an episode."""
-        self._joints = np.array(observation[JOINTS])
+        self.joints = np.array(observation[JOINTS])
         self._last = self._origin = np.array(observation[self._key])
 
     def follow(self, info: Mapping[str, Any], robot: str | None = None) -> None:
@@ -91,7 +86,7 @@ class ActionWriter:
         """
         if self._setup.control != JOINTS:
             return self._with_gripper(self._pose_action(tcp), opening)
-        result = self._kinematics.inverse(Pose.from_tquat(tcp), self._joints, self._options)
+        result = self._kinematics.inverse(Pose.from_tquat(tcp), self.joints, self._options)
         return self.write_joints(result.joints, opening) if result.status == IkStatus.ok else None
 
     def write_joints(self, joints: NDArray[np.float64], opening: float) -> Action:
@@ -101,7 +96,7 @@ class ActionWriter:
             joints: Joint positions [rad], shape (dof,), near the last ones.
             opening: Of the gripper, 0 closed … 1 open.
         """
-        self._joints = joints
+        self.joints = joints
         if self._setup.control != JOINTS:
             return self._with_gripper(self._pose_action(self._kinematics.forward(joints).tquat), opening)
         if self._setup.relative == "origin":
@@ -128,8 +123,6 @@ class ActionWriter:
 
 def difference(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what, applied to `start` along and about the axes of its parent frame, gives `goal` (both (7,))."""
-    turn_start, turn_goal = start.copy(), goal.copy()
-    turn_start[:3] = turn_goal[:3] = 0.0
-    step = compose(turn_goal, inverse(turn_start))
+    step = compose((0.0, 0.0, 0.0, *goal[3:]), inverse((0.0, 0.0, 0.0, *start[3:])))
     step[:3] = goal[:3] - start[:3]
     return step

@@ -38,7 +38,7 @@ class Agent(ABC):
         return None
 
     def notes(self) -> Mapping[str, Any]:
-        """Return what is to be recorded beside the last action: who acted, latency [s], index in a chunk …"""
+        """Return what is to be recorded beside the last action: who acted, latency [s], place in a chunk."""
         return {}
 
     def events(self) -> Sequence[Event]:

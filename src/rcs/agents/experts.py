@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.agents.grasp import GRASP, REACH, are_empty, plan_from_above
-from rcs.agents.script import Phase, Script, ScriptedArm, Waypoint
+from rcs.agents.grasp import CLOSE, GRASP, REACH, are_empty, plan_from_above
+from rcs.agents.script import Phase, Plan, Script, ScriptedArm
 from rcs.envs.spaces import TQUAT
 from rcs.spatial import Pose
 
@@ -39,7 +39,7 @@ class PickExpert(Script):
         Phase("hold", "lifted", opening=0.0, risk=("slip", are_empty)),
     )
 
-    def plan(self, arm: ScriptedArm) -> Mapping[str, Waypoint] | None:
+    def plan(self, arm: ScriptedArm) -> Plan | None:
         """Plan the grasp."""
         cuboid = Pose.from_tquat(self.info["cuboid"])
         return plan_from_above(arm, cuboid, across(cuboid.matrix[:3, 1]))
@@ -54,28 +54,19 @@ class LiftExpert(Script):
     phases = (*GRASP, Phase("lift", "lifted", 0.15, 0.0, risk=("slip", are_empty)))
     attempts = 1
 
-    def plan(self, arm: ScriptedArm) -> Mapping[str, Waypoint] | None:
-        """Plan a grasp across the bar, whose short side is along its x axis; the first arm takes the end at larger y."""
+    def plan(self, arm: ScriptedArm) -> Plan | None:
+        """Plan a grasp across the bar's x axis, its short side; the first arm takes the end at larger y."""
         offset = float(self.info["grasp_offset"]) * (1.0 if arm is self.arms[0] else -1.0)
         base = arm.robot.base_in_scene
-        bar = Pose(base.translation, base.quaternion).inverse() * Pose.from_tquat(self.info["bar_in_scene"])
-        return plan_from_above(arm, bar * Pose((0.0, offset, 0.0)), across(bar.matrix[:3, 0]))
-
-
-def is_untouched(script: Script) -> bool:
-    """Return whether the hand does not touch the toy."""
-    return not script.info["is_touched"]
+        end_in_scene = Pose.from_tquat(self.info["bar_in_scene"]) * Pose((0.0, offset, 0.0))
+        end = Pose(base.translation, base.quaternion).inverse() * end_in_scene
+        return plan_from_above(arm, end, across(end.matrix[:3, 0]))
 
 
 def is_lost(script: Script) -> bool:
     """Return whether the toy is out of the hand."""
     offset = np.asarray(script.info["toy"])[:3] - script.arms[0].observation[TQUAT][:3]
     return float(np.sqrt(offset @ offset)) > HELD
-
-
-def has_gripped(script: Script) -> bool:
-    """Return whether the fingers have had time to close."""
-    return script.elapsed >= HAND_CLOSING_TIME
 
 
 class ToyExpert(Script):
@@ -85,14 +76,18 @@ class ToyExpert(Script):
     needs = ("toy",)
     phases = (
         *REACH,
-        Phase("close", "grasp", 0.20, 0.0, has_gripped, ("no_contact", is_untouched), is_judged_at_end=True),
+        replace(
+            CLOSE,
+            until=lambda script: script.elapsed >= HAND_CLOSING_TIME,
+            risk=("no_contact", lambda script: not script.info["is_touched"]),
+        ),
         Phase("lift", "lifted", opening=0.0, risk=("slip", is_lost)),
         Phase("home", "home", opening=0.0, risk=("slip", is_lost)),
     )
     turn_speed = 1.0  # what hangs in the hand is soft
     arrived = (0.006, 0.05)  # the open hand is 4 cm wider than the toy
 
-    def plan(self, arm: ScriptedArm) -> Mapping[str, Waypoint] | None:
+    def plan(self, arm: ScriptedArm) -> Plan | None:
         """Plan a grasp whose fingers point away from the base as directly as can be."""
         toy = Pose.from_tquat(self.info["toy"])
         azimuth = np.arctan2(toy.translation[1], toy.translation[0])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents.action_writer import ik_options
-from rcs.agents.script import Phase, Script, ScriptedArm, Waypoint
+from rcs.agents.script import Phase, Plan, Script, ScriptedArm, Waypoint
 from rcs.envs.spaces import GRIPPER
 from rcs.kinematics import IkStatus
 from rcs.spatial import Pose
@@ -41,11 +43,13 @@ def are_empty(script: Script) -> bool:
 
 REACH = (
     Phase("approach", "above", 0.45),
-    Phase("descend", "grasp"),
-    Phase("settle", "grasp", until=lambda script: script.elapsed >= 0.1),  # [s], for the servo lag to die out
+    Phase("descend", "grasp", is_straight=True),
+    # 0.1 s for the servo lag to die out.
+    Phase("settle", "grasp", until=lambda script: script.elapsed >= 0.1, is_straight=True),
 )
 """Leads to a grasp from above."""
-GRASP = (*REACH, Phase("close", "grasp", 0.20, 0.0, have_closed, ("no_contact", are_empty), is_judged_at_end=True))
+CLOSE = Phase("close", "grasp", opening=0.0, is_straight=True, is_judged_at_end=True)
+GRASP = (*REACH, replace(CLOSE, until=have_closed, risk=("no_contact", are_empty)))
 """Leads into the grasp of a gripper that says how far it is open."""
 
 
@@ -56,7 +60,7 @@ def plan_from_above(
     *,
     lift: float = 0.15,
     in_tcp: tuple[float, float] = (0.0, 0.0),
-) -> dict[str, Waypoint] | None:
+) -> Plan | None:
     """Plan a grasp with the tool pointing down, tilted as little and with the joints turned as little as may be.
 
     Args:
@@ -74,43 +78,31 @@ def plan_from_above(
     x, y = where.translation[:2] - _first_axis(arm)
     azimuth = float(np.arctan2(y, x))
 
-    def tool(tilt: float, turn: float, height: float = 0.0) -> Pose:
+    def tool(tilt: float, turn: float, height: float) -> Pose:
         # About the horizontal axis across the arm's plane, so that an arm with five joints can follow. A half turn
         # about x then points the tool down.
         lean = Pose.from_rotvec((0, 0, 0), (tilt * np.sin(azimuth), -tilt * np.cos(azimuth), 0.0))
         place = Pose(where.translation + [0.0, 0.0, height])
         return place * lean * Pose.from_rpy((0, 0, 0), (np.pi, 0.0, turn)) * Pose((-in_tcp[0], -in_tcp[1], 0.0))
 
-    for tilt in tilts:
-        others = sorted(tilts, key=lambda angle: abs(angle - tilt))
-        for group in turns:
-            ways = [
-                _plan(arm, tool(tilt, turn, CLEARANCE), tool(tilt, turn), [tool(other, turn, lift) for other in others])
-                for turn in group
-            ]
-            if feasible := [way for way in ways if way is not None]:
-                return min(feasible, key=lambda way: way[0])[1]
+    def solved(tcp: Pose, start: NDArray[np.float64], restarts: int = 0) -> Waypoint | None:
+        result = arm.kinematics.inverse(tcp, start, ik_options(arm.kinematics, restarts))
+        return Waypoint(tcp.tquat, result.joints) if result.status == IkStatus.ok else None
+
+    def way(tilt: float, turn: float) -> Plan | None:
+        above = solved(tool(tilt, turn, CLEARANCE), arm.start, restarts=10)
+        grasp = above and solved(tool(tilt, turn, 0.0), above.joints)
+        if above is None or grasp is None:
+            return None
+        for other in sorted(tilts, key=lambda angle: abs(angle - tilt)):
+            if (lifted := solved(tool(other, turn, lift), above.joints)) is not None:
+                return {"above": above, "grasp": grasp, "lifted": lifted}
+        return None
+
+    for tilt, group in itertools.product(tilts, turns):
+        if ways := [found for turn in group if (found := way(tilt, turn)) is not None]:
+            return min(ways, key=lambda found: float(np.abs(found["grasp"].joints - arm.start).max()))
     return None
-
-
-def _plan(arm: ScriptedArm, high: Pose, grasp: Pose, lifted: list[Pose]) -> tuple[float, dict[str, Waypoint]] | None:
-    """Return the largest motion of a joint [rad] and waypoints, the last of them the first feasible of `lifted`."""
-    kinematics, near = arm.kinematics, ik_options(arm.kinematics)
-    above = kinematics.inverse(high, arm.start, ik_options(kinematics, restarts=10))
-    down = kinematics.inverse(grasp, above.joints, near)
-    if above.status != IkStatus.ok or down.status != IkStatus.ok:
-        return None
-    ups = ((pose, kinematics.inverse(pose, above.joints, near)) for pose in lifted)
-    pose, up = next(((pose, up) for pose, up in ups if up.status == IkStatus.ok), (None, None))
-    if pose is None or up is None:
-        return None
-    # Between two poses that an arm with five joints can reach there are poses that it cannot: it goes by joints.
-    by_joints = kinematics.dof < 6
-    return float(np.abs(down.joints - arm.start).max()), {
-        "above": Waypoint(high.tquat, above.joints if by_joints else None),
-        "grasp": Waypoint(grasp.tquat),
-        "lifted": Waypoint(pose.tquat, up.joints if by_joints else None),
-    }
 
 
 def _first_axis(arm: ScriptedArm) -> NDArray[np.float64]:

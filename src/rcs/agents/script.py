@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from rcs.agents.action_writer import ActionWriter
 from rcs.agents.agent import Action, Agent
 from rcs.envs.env import Env
+from rcs.envs.setup import Setup
 from rcs.envs.spaces import JOINTS, TQUAT, Observation
 from rcs.errors import WrongOrder
 from rcs.kinematics import Kinematics, kinematics_of
@@ -31,10 +31,14 @@ Condition = Callable[["Script"], bool]
 
 
 class Waypoint(NamedTuple):
-    """TCP pose in the base frame (7,), and joints [rad] (dof,) where the way is by joints, not in a straight line."""
+    """TCP pose in the base frame, (7,), and joints there [rad], (dof,)."""
 
     tcp: NDArray[np.float64]
-    joints: NDArray[np.float64] | None = None
+    joints: NDArray[np.float64]
+
+
+Plan = Mapping[str, Waypoint]
+"""Where one arm goes, by the names that phases use."""
 
 
 @dataclass(frozen=True)
@@ -42,43 +46,51 @@ class Phase:
     """A part of a script. It ends after `PATIENCE` at the latest; the last phase of a script never ends."""
 
     name: str
-    goal: str | None = None
-    """Name of the waypoint that every arm goes to; None to stay."""
+    goal: str = ""
+    """Name of the waypoint that every arm goes to; none to stay."""
     speed: float = 0.20
     """Speed of the TCP's target [m/s]."""
     opening: float = 1.0
     """Of the grippers, 0 closed … 1 open."""
-    until: Condition = lambda script: script.has_arrived
+    until: Condition = lambda script: script.has_arrived()
     risk: tuple[str, Condition] | None = None
     """Class of a failure that ends the attempt, and when that is the case."""
+    is_straight: bool = False
+    """Whether the TCP goes in a straight line also where an arm would go by joints."""
     is_judged_at_end: bool = False
     """Whether the failure is looked for only when the phase is done."""
 
 
-GIVEN_UP = Phase("given up")
+GIVEN_UP = Phase("given up", is_straight=True)
 
 
 class ScriptedArm:
-    """One arm of a script: what it has measured, and where it is going."""
+    """One arm of a script: its parts, what it has measured in this step and in the one before, and where it goes."""
 
-    def __init__(self, robot: RobotPlacement, kinematics: Kinematics, writer: ActionWriter) -> None:
-        """Take the parts of an arm."""
-        self.robot, self.kinematics, self.writer = robot, kinematics, writer
+    def __init__(self, robot: RobotPlacement, setup: Setup, space: Any) -> None:
+        self.robot = robot
+        self.kinematics: Kinematics = kinematics_of(robot.arm, robot.end_effector)
+        self.writer = ActionWriter(setup, space, self.kinematics)
         self.observation: Observation = {}
         self.before: Observation = {}
-        """The observation of the step before."""
-        self.start = np.zeros(kinematics.dof)
+        self.start = np.zeros(0)
         """Joints at the start of the episode [rad]."""
-        self.target = np.zeros(7)
-        """TCP pose that was last aimed at, in the base frame."""
-        self.plan: Mapping[str, Waypoint] = {}
+        self.target = np.zeros(0)
+        """TCP pose that was last aimed at, in the base frame, (7,)."""
+        self.plan: Plan = {}
 
-    def is_at(self, place: Waypoint, tolerance: tuple[float, float]) -> bool:
-        """Return whether the arm is measured at a waypoint, up to a tolerance of its TCP [m, rad]."""
-        if place.joints is not None:
-            return bool(np.abs(np.asarray(self.observation[JOINTS]) - place.joints).max() < ARRIVED_JOINTS)
-        translation, rotation = distance(np.array(self.observation[TQUAT]), place.tcp)
-        return bool(translation < tolerance[0] and rotation < tolerance[1])
+    def place(self, phase: Phase) -> tuple[Waypoint, bool]:
+        """Return where the arm goes in a phase, and whether it goes there by joints."""
+        # Between two poses that an arm with five joints can reach there are poses that it cannot.
+        by_joints = self.kinematics.dof < 6 and not phase.is_straight
+        return self.plan.get(phase.goal, Waypoint(self.target, self.start)), by_joints
+
+    def is_at_goal(self, phase: Phase, tolerance: tuple[float, float]) -> bool:
+        """Return whether the arm is measured at the goal of a phase, up to a tolerance of its TCP [m, rad]."""
+        place, by_joints = self.place(phase)
+        if by_joints:
+            return bool(np.abs(self.observation[JOINTS] - place.joints).max() < ARRIVED_JOINTS)
+        return bool((distance(self.observation[TQUAT], place.tcp) < tolerance).all())
 
 
 class Script(Agent):
@@ -95,25 +107,20 @@ class Script(Agent):
     """An arm counts as arrived with its TCP this close to a waypoint [m, rad]."""
 
     def __init__(self, env: Env) -> None:
-        """Act in an environment, with whatever kind of action it takes."""
         self._period = 1.0 / env.setup.frequency
         # A synchronous step ends at its target: there, bigger steps only mean fewer of them.
         self._pace = self._period * (1.0 if env.setup.mode != "sync" else 3.0)
         self._is_single = len(env.robots) == 1
-        self.arms: list[ScriptedArm] = []
-        for name, robot in env.robots.items():
-            assert isinstance(env.action_space, spaces.Dict)
-            space = env.action_space if self._is_single else env.action_space[name]
-            assert isinstance(space, spaces.Dict)
-            kinematics = kinematics_of(robot.arm, robot.end_effector)
-            self.arms.append(ScriptedArm(robot, kinematics, ActionWriter(env.setup, space, kinematics)))
+        space: Any = env.action_space
+        spaces = [space] if self._is_single else [space[name] for name in env.robots]
+        self.arms = [ScriptedArm(robot, env.setup, own) for robot, own in zip(env.robots.values(), spaces, strict=True)]
         self._retreat = replace(self.phases[0], name="retreat")
         self._phase, self._steps, self._attempt = GIVEN_UP, 0, 0
         self._failure: str | None = None
         self.info: Mapping[str, Any] = {}
 
     @abstractmethod
-    def plan(self, arm: ScriptedArm) -> Mapping[str, Waypoint] | None:
+    def plan(self, arm: ScriptedArm) -> Plan | None:
         """Return where an arm goes, by the names that phases use besides `home`; None when that is not feasible."""
 
     @property
@@ -131,11 +138,9 @@ class Script(Agent):
         """How long the present phase has lasted [s]."""
         return self._steps * self._period
 
-    @property
     def has_arrived(self) -> bool:
-        """Whether all arms are at the goal of the present phase."""
-        goal = self._phase.goal
-        return goal is not None and all(arm.is_at(arm.plan[goal], self.arrived) for arm in self.arms)
+        """Return whether all arms are at the goal of the present phase."""
+        return all(arm.is_at_goal(self._phase, self.arrived) for arm in self.arms)
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Plan a new episode.
@@ -171,7 +176,7 @@ class Script(Agent):
         self._attempt += 1
         plans = [self.plan(arm) for arm in self.arms]
         for arm, plan in zip(self.arms, plans, strict=True):
-            arm.plan = {"home": Waypoint(arm.kinematics.forward(arm.start).tquat), **(plan or {})}
+            arm.plan = {"home": Waypoint(arm.kinematics.forward(arm.start).tquat, arm.start), **(plan or {})}
         if None in plans:
             self._failure = "ik"
         self._enter(GIVEN_UP if None in plans else self.phases[0])
@@ -192,8 +197,8 @@ class Script(Agent):
 
     def _step(self, arm: ScriptedArm) -> Action:
         phase, writer = self._phase, arm.writer
-        place = Waypoint(arm.target) if phase.goal is None else arm.plan[phase.goal]
-        if place.joints is not None:
+        place, by_joints = arm.place(phase)
+        if by_joints:
             step = place.joints - writer.joints
             step *= min(1.0, self._pace * JOINT_SPEED / max(float(np.abs(step).max()), 1e-12))
             action = writer.write_joints(writer.joints + step, phase.opening)

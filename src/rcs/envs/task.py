@@ -32,7 +32,7 @@ class Area:
     """Size of the objects in proportion to the paper's, for robots that are smaller."""
 
     def draw_place(self, draws: Draws, max_yaw: float = np.pi) -> NDArray[np.float64]:
-        """Return random places: x, y in the scene [m] and a yaw of up to `max_yaw` to either side [rad], (*leading, 3)."""
+        """Return random x, y in the scene [m] and a yaw of up to `max_yaw` to either side [rad], (*leading, 3)."""
         half, center = np.array(self.size) / 2, np.array(self.center)
         return draws.uniform(np.append(center - half, -max_yaw), np.append(center + half, max_yaw))
 
@@ -93,12 +93,7 @@ class Task(ABC):
             InvalidSetup: An unknown option, or a value that is not valid.
         """
         self.area = area
-        self._options = self.parse_options(options)
-
-    @property
-    def options(self) -> Options:
-        """The options of this task."""
-        return self._options
+        self.options = self.parse_options(options)
 
     @classmethod
     def parse_options(cls, values: Options | Mapping[str, Any] | None) -> Options:
@@ -129,7 +124,7 @@ class Task(ABC):
             progress: How far each copy is, 0 … 1, (*leading,).
             success: Which copies have succeeded, (*leading,).
         """
-        return np.maximum(progress if self._options.reward == "dense" else 0.0, success)
+        return np.maximum(progress if self.options.reward == "dense" else 0.0, success)
 
     def furnish(self, scene: Scene) -> None:  # noqa: B027  an empty scene is a fine scene
         """Add the task's objects to a scene before it is compiled."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
-from rcs.envs.task import Area, Outcome, Task
+from rcs.envs.task import Outcome, Task
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.sim.robot import SimRobot
