@@ -71,12 +71,15 @@ class Task(ABC):
             """
             for name, kind in get_type_hints(type(self)).items():
                 value = getattr(self, name)
-                if get_origin(kind) is Literal and value not in get_args(kind):
-                    raise InvalidSetup(f"{name} is {value!r}; valid: {', '.join(map(repr, get_args(kind)))}.")
-                if kind is float and not _is_finite(value):
-                    raise InvalidSetup(f"{name} is {value!r}; valid is a finite number.")
-                if kind in (bool, int, str) and type(value) is not kind:
-                    raise InvalidSetup(f"{name} is {value!r}; it must be of type {kind.__name__}.")
+                if get_origin(kind) is Literal:
+                    is_valid, valid = value in get_args(kind), ", ".join(map(repr, get_args(kind)))
+                elif kind is float:
+                    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+                    is_valid, valid = is_number and math.isfinite(value), "a finite number"
+                else:
+                    is_valid, valid = kind not in (bool, int, str) or type(value) is kind, f"of type {kind}"
+                if not is_valid:
+                    raise InvalidSetup(f"The task option {name} is {value!r}; valid: {valid}.")
 
         def to_json(self) -> dict[str, Any]:
             """Return the options as JSON values; `parse_options` reads them."""
@@ -166,7 +169,3 @@ class Task(ABC):
             where: Which copies; `...` for all, or for the only one.
         """
         raise NotImplementedError(f"{type(self).__name__} tells where its objects are but cannot place them.")
-
-
-def _is_finite(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -32,7 +32,7 @@ class LiftOptions(Task.Options):
         super().__post_init__()
         for name in ("lift_height", "hold_time"):
             if not getattr(self, name) > 0:
-                raise InvalidSetup(f"{name} is {getattr(self, name)!r}; valid is a number above 0.")
+                raise InvalidSetup(f"The task option {name} is {getattr(self, name)!r}; valid is a number above 0.")
 
 
 class HoldCounter:
@@ -42,7 +42,7 @@ class HoldCounter:
         """Count from 0 for a world; `hold_time` [s] is how long is long enough."""
         self.steps = np.zeros(world.leading, np.int64)
         """Steps in a row up to now, (*leading,)."""
-        self._enough = round(hold_time * world.frequency)
+        self._enough = max(1, round(hold_time * world.frequency))
 
     def reset(self, where: Where) -> None:
         """Start anew for some copies."""
