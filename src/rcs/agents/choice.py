@@ -25,8 +25,8 @@ def expert_for(env: Env) -> Agent:
     expert: Any = task.expert
     if expert is None:
         raise InvalidSetup(
-            f"There is no scripted expert for the task {task.__name__!r}: it names none. Set its class attribute `expert`, "
-            f"for example to one of {', '.join(map(repr, lookup.names('agent')))}."
+            f"There is no scripted expert for the task {task.__name__!r}: it names none. Set its class attribute "
+            f"`expert`, for example to one of {', '.join(map(repr, lookup.names('agent')))}."
         )
     if isinstance(expert, str):
         expert = pkgutil.resolve_name(expert) if ":" in expert else lookup.find("agent", expert)

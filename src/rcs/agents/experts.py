@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.agents.grasp import CLOSE, GRASP, REACH, are_empty, plan_from_above
+from rcs.agents.grasp import CLOSE, REACH, are_empty, plan_from_above
 from rcs.agents.script import Phase, Plan, Script, ScriptedArm
 from rcs.envs.spaces import TQUAT
 from rcs.spatial import Pose
@@ -34,7 +34,8 @@ class PickExpert(Script):
     task = "PickCuboid"
     needs = ("cuboid",)
     phases = (
-        *GRASP,
+        *REACH,
+        CLOSE,
         Phase("lift", "lifted", opening=0.0, risk=("slip", are_empty)),
         Phase("hold", "lifted", opening=0.0, risk=("slip", are_empty)),
     )
@@ -51,7 +52,7 @@ class LiftExpert(Script):
     task = "LiftBar"
     needs = ("bar_in_scene", "grasp_offset")
     # Slowly, so that both ends stay level.
-    phases = (*GRASP, Phase("lift", "lifted", 0.15, 0.0, risk=("slip", are_empty)))
+    phases = (*REACH, CLOSE, Phase("lift", "lifted", 0.15, 0.0, risk=("slip", are_empty)))
     attempts = 1
 
     def plan(self, arm: ScriptedArm) -> Plan | None:
@@ -69,6 +70,11 @@ def is_lost(script: Script) -> bool:
     return float(np.sqrt(offset @ offset)) > HELD
 
 
+def is_untouched(script: Script) -> bool:
+    """Return whether the hand does not touch the toy."""
+    return not script.info["is_touched"]
+
+
 class ToyExpert(Script):
     """Picks the toy whose pose is in `info["toy"]` in a power grasp, palm down, and brings it to where the arm was."""
 
@@ -76,11 +82,7 @@ class ToyExpert(Script):
     needs = ("toy",)
     phases = (
         *REACH,
-        replace(
-            CLOSE,
-            until=lambda script: script.elapsed >= HAND_CLOSING_TIME,
-            risk=("no_contact", lambda script: not script.info["is_touched"]),
-        ),
+        replace(CLOSE, until=lambda script: script.elapsed >= HAND_CLOSING_TIME, risk=("no_contact", is_untouched)),
         Phase("lift", "lifted", opening=0.0, risk=("slip", is_lost)),
         Phase("home", "home", opening=0.0, risk=("slip", is_lost)),
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,14 +42,12 @@ def are_empty(script: Script) -> bool:
 
 REACH = (
     Phase("approach", "above", 0.45),
-    Phase("descend", "grasp", is_straight=True),
-    # 0.1 s for the servo lag to die out.
-    Phase("settle", "grasp", until=lambda script: script.elapsed >= 0.1, is_straight=True),
+    Phase("descend", "grasp"),
+    Phase("settle", "grasp", until=lambda script: script.elapsed >= 0.1),  # [s], for the servo lag to die out
 )
 """Leads to a grasp from above."""
-CLOSE = Phase("close", "grasp", opening=0.0, is_straight=True, is_judged_at_end=True)
-GRASP = (*REACH, replace(CLOSE, until=have_closed, risk=("no_contact", are_empty)))
-"""Leads into the grasp of a gripper that says how far it is open."""
+CLOSE = Phase("close", "grasp", opening=0.0, until=have_closed, risk=("no_contact", are_empty), is_judged_at_end=True)
+"""For a gripper that says how far it is open."""
 
 
 def plan_from_above(
@@ -85,23 +82,28 @@ def plan_from_above(
         place = Pose(where.translation + [0.0, 0.0, height])
         return place * lean * Pose.from_rpy((0, 0, 0), (np.pi, 0.0, turn)) * Pose((-in_tcp[0], -in_tcp[1], 0.0))
 
-    def solved(tcp: Pose, start: NDArray[np.float64], restarts: int = 0) -> Waypoint | None:
+    def solved(tcp: Pose, start: NDArray[np.float64], restarts: int = 0) -> NDArray[np.float64] | None:
         result = arm.kinematics.inverse(tcp, start, ik_options(arm.kinematics, restarts))
-        return Waypoint(tcp.tquat, result.joints) if result.status == IkStatus.ok else None
+        return result.joints if result.status == IkStatus.ok else None
 
-    def way(tilt: float, turn: float) -> Plan | None:
-        above = solved(tool(tilt, turn, CLEARANCE), arm.start, restarts=10)
-        grasp = above and solved(tool(tilt, turn, 0.0), above.joints)
-        if above is None or grasp is None:
+    def way(tilt: float, turn: float) -> tuple[float, Plan] | None:
+        high, grasp = tool(tilt, turn, CLEARANCE), tool(tilt, turn, 0.0)
+        above = solved(high, arm.start, restarts=10)
+        down = None if above is None else solved(grasp, above)
+        if above is None or down is None:
             return None
         for other in sorted(tilts, key=lambda angle: abs(angle - tilt)):
-            if (lifted := solved(tool(other, turn, lift), above.joints)) is not None:
-                return {"above": above, "grasp": grasp, "lifted": lifted}
+            lifted = tool(other, turn, lift)
+            if (up := solved(lifted, above)) is not None:
+                # Between two poses that an arm with five joints can reach there are poses that it cannot.
+                first, last = (above, up) if arm.kinematics.dof < 6 else (None, None)
+                ends = {"above": Waypoint(high.tquat, first), "lifted": Waypoint(lifted.tquat, last)}
+                return float(np.abs(down - arm.start).max()), {**ends, "grasp": Waypoint(grasp.tquat)}
         return None
 
     for tilt, group in itertools.product(tilts, turns):
         if ways := [found for turn in group if (found := way(tilt, turn)) is not None]:
-            return min(ways, key=lambda found: float(np.abs(found["grasp"].joints - arm.start).max()))
+            return min(ways, key=lambda found: found[0])[1]
     return None
 
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from rcs.agents.action_writer import ActionWriter
 from rcs.agents.agent import Action, Agent
 from rcs.envs.env import Env
-from rcs.envs.setup import Setup
 from rcs.envs.spaces import JOINTS, TQUAT, Observation
 from rcs.errors import WrongOrder
 from rcs.kinematics import Kinematics, kinematics_of
@@ -31,10 +30,10 @@ Condition = Callable[["Script"], bool]
 
 
 class Waypoint(NamedTuple):
-    """TCP pose in the base frame, (7,), and joints there [rad], (dof,)."""
+    """TCP pose in the base frame, (7,), with joints [rad], (dof,), where an arm goes by joints and not straight."""
 
     tcp: NDArray[np.float64]
-    joints: NDArray[np.float64]
+    joints: NDArray[np.float64] | None = None
 
 
 Plan = Mapping[str, Waypoint]
@@ -55,22 +54,21 @@ class Phase:
     until: Condition = lambda script: script.has_arrived()
     risk: tuple[str, Condition] | None = None
     """Class of a failure that ends the attempt, and when that is the case."""
-    is_straight: bool = False
-    """Whether the TCP goes in a straight line also where an arm would go by joints."""
     is_judged_at_end: bool = False
     """Whether the failure is looked for only when the phase is done."""
 
 
-GIVEN_UP = Phase("given up", is_straight=True)
+GIVEN_UP = Phase("given up")
 
 
 class ScriptedArm:
     """One arm of a script: its parts, what it has measured in this step and in the one before, and where it goes."""
 
-    def __init__(self, robot: RobotPlacement, setup: Setup, space: Any) -> None:
-        self.robot = robot
+    def __init__(self, env: Env, key: str | None, robot: RobotPlacement) -> None:
+        self.key, self.robot = key, robot
         self.kinematics: Kinematics = kinematics_of(robot.arm, robot.end_effector)
-        self.writer = ActionWriter(setup, space, self.kinematics)
+        space: Any = env.action_space
+        self.writer = ActionWriter(env.setup, space if key is None else space[key], self.kinematics)
         self.observation: Observation = {}
         self.before: Observation = {}
         self.start = np.zeros(0)
@@ -79,16 +77,15 @@ class ScriptedArm:
         """TCP pose that was last aimed at, in the base frame, (7,)."""
         self.plan: Plan = {}
 
-    def place(self, phase: Phase) -> tuple[Waypoint, bool]:
-        """Return where the arm goes in a phase, and whether it goes there by joints."""
-        # Between two poses that an arm with five joints can reach there are poses that it cannot.
-        by_joints = self.kinematics.dof < 6 and not phase.is_straight
-        return self.plan.get(phase.goal, Waypoint(self.target, self.start)), by_joints
+    def see(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Take over what came of the last step."""
+        own = observation if self.key is None else observation[self.key]
+        self.before, self.observation = self.observation or own, own
+        self.writer.follow(info, self.key)
 
-    def is_at_goal(self, phase: Phase, tolerance: tuple[float, float]) -> bool:
-        """Return whether the arm is measured at the goal of a phase, up to a tolerance of its TCP [m, rad]."""
-        place, by_joints = self.place(phase)
-        if by_joints:
+    def is_at(self, place: Waypoint, tolerance: tuple[float, float]) -> bool:
+        """Return whether the arm is measured at a waypoint, up to a tolerance of its TCP [m, rad]."""
+        if place.joints is not None:
             return bool(np.abs(self.observation[JOINTS] - place.joints).max() < ARRIVED_JOINTS)
         return bool((distance(self.observation[TQUAT], place.tcp) < tolerance).all())
 
@@ -110,14 +107,14 @@ class Script(Agent):
         self._period = 1.0 / env.setup.frequency
         # A synchronous step ends at its target: there, bigger steps only mean fewer of them.
         self._pace = self._period * (1.0 if env.setup.mode != "sync" else 3.0)
-        self._is_single = len(env.robots) == 1
-        space: Any = env.action_space
-        spaces = [space] if self._is_single else [space[name] for name in env.robots]
-        self.arms = [ScriptedArm(robot, env.setup, own) for robot, own in zip(env.robots.values(), spaces, strict=True)]
+        is_single = len(env.robots) == 1
+        self.arms = [ScriptedArm(env, None if is_single else name, robot) for name, robot in env.robots.items()]
         self._retreat = replace(self.phases[0], name="retreat")
         self._phase, self._steps, self._attempt = GIVEN_UP, 0, 0
         self._failure: str | None = None
         self.info: Mapping[str, Any] = {}
+        self.elapsed = 0.0
+        """How long the present phase has lasted [s]."""
 
     @abstractmethod
     def plan(self, arm: ScriptedArm) -> Plan | None:
@@ -133,14 +130,10 @@ class Script(Agent):
         """Name of the present phase; `retreat` between two attempts, and `given up` after the last one."""
         return self._phase.name
 
-    @property
-    def elapsed(self) -> float:
-        """How long the present phase has lasted [s]."""
-        return self._steps * self._period
-
     def has_arrived(self) -> bool:
         """Return whether all arms are at the goal of the present phase."""
-        return all(arm.is_at_goal(self._phase, self.arrived) for arm in self.arms)
+        goal = self._phase.goal
+        return all(goal in arm.plan and arm.is_at(arm.plan[goal], self.arrived) for arm in self.arms)
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Plan a new episode.
@@ -150,33 +143,29 @@ class Script(Agent):
         """
         if missing := [key for key in self.needs if key not in info]:
             raise WrongOrder(f"{type(self).__name__} needs info[{missing[0]!r}]; use it in the task {self.task}.")
-        self._failure, self._attempt = None, 0
-        self._see(observation, info)
+        self.info, self._failure, self._attempt = info, None, 0
         for arm in self.arms:
+            arm.see(observation, info)
             arm.writer.reset(arm.observation)
             arm.start, arm.target = np.array(arm.observation[JOINTS]), np.array(arm.observation[TQUAT])
         self._begin()
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Go on with the present phase, or with the next when all arms are done."""
-        self._see(observation, info)
-        self._steps += 1
-        self._advance()
-        actions = {arm.robot.name: self._step(arm) for arm in self.arms}
-        return actions[self.arms[0].robot.name] if self._is_single else actions
-
-    def _see(self, observation: Observation, info: Mapping[str, Any]) -> None:
         self.info = info
         for arm in self.arms:
-            own = observation if self._is_single else observation[arm.robot.name]
-            arm.before, arm.observation = arm.observation or own, own
-            arm.writer.follow(info, None if self._is_single else arm.robot.name)
+            arm.see(observation, info)
+        self._steps += 1
+        self.elapsed = self._steps * self._period
+        self._advance()
+        actions = {arm.robot.name: self._step(arm) for arm in self.arms}
+        return actions if len(actions) > 1 else actions[self.arms[0].robot.name]
 
     def _begin(self) -> None:
         self._attempt += 1
         plans = [self.plan(arm) for arm in self.arms]
         for arm, plan in zip(self.arms, plans, strict=True):
-            arm.plan = {"home": Waypoint(arm.kinematics.forward(arm.start).tquat, arm.start), **(plan or {})}
+            arm.plan = {"home": Waypoint(arm.kinematics.forward(arm.start).tquat), **(plan or {})}
         if None in plans:
             self._failure = "ik"
         self._enter(GIVEN_UP if None in plans else self.phases[0])
@@ -197,8 +186,8 @@ class Script(Agent):
 
     def _step(self, arm: ScriptedArm) -> Action:
         phase, writer = self._phase, arm.writer
-        place, by_joints = arm.place(phase)
-        if by_joints:
+        place = arm.plan.get(phase.goal, Waypoint(arm.target))
+        if place.joints is not None:
             step = place.joints - writer.joints
             step *= min(1.0, self._pace * JOINT_SPEED / max(float(np.abs(step).max()), 1e-12))
             action = writer.write_joints(writer.joints + step, phase.opening)
