@@ -22,11 +22,11 @@ import tyro
 from numpy.typing import NDArray
 
 import rcs
+from rcs.agents import agent_for
 from rcs.devices import lookup
 from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
 from rcs.robots.description import ArmDescription
-from rcs.rollout.collect import expert_for
 from rcs.setups.lab import lab_of, looking
 from rcs.setups.make import resolve
 from rcs.sim.camera import SimCameras
@@ -60,7 +60,7 @@ def main(options: Options) -> None:
     env = assemble(parts, is_blind=True)
     world = env.scenario.world
     assert world.data is not None
-    states = positions_of_an_episode(env, setup)
+    states = positions_of_an_episode(env)
     camera = next(placement for placement in parts.cameras if placement.name == name)
     result: dict[str, object] = {"benchmark": "render", "robot": options.robot, "camera": name, "fps": {}}
     result |= {"bare_arm_fps": {}, "default_fps": {}}
@@ -81,9 +81,9 @@ def main(options: Options) -> None:
     print(json.dumps(result))
 
 
-def positions_of_an_episode(env: Env, setup: rcs.Setup) -> NDArray[np.float64]:
+def positions_of_an_episode(env: Env) -> NDArray[np.float64]:
     """Return the joint positions of every step of a scripted episode, (steps, nq)."""
-    expert = expert_for(env, setup)
+    expert = agent_for(env)
     observation, info = env.reset(seed=0)
     expert.reset(observation, info)
     positions, is_over = [], False

@@ -19,7 +19,7 @@ import numpy as np
 import tyro
 
 import rcs
-from rcs.rollout.collect import expert_for
+from rcs.agents import agent_for
 
 
 @dataclass(kw_only=True)
@@ -37,7 +37,7 @@ def main(options: Options) -> None:
     setup = rcs.Setup()
     env = rcs.make(setup)
     world = env.scenario.world
-    expert = expert_for(env, setup)
+    expert = agent_for(env)
     observation, info = env.reset(seed=options.seed)
     expert.reset(observation, info)
     start = world.states().copy()

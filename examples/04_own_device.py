@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rcs.devices import Arm, ArmLimits, ArmState
 from rcs.devices.fakes import FakeGripper
+from rcs.envs.chain import Chain
 from rcs.envs.clock import Clock
 from rcs.envs.env import Env
 from rcs.envs.layers import BinaryGripper, CartesianControl, LimitStep, Relative

@@ -6,7 +6,7 @@ A lab says what stands around a robot, and which tasks are at home there; the sc
 from __future__ import annotations
 
 import rcs
-from rcs.rollout.collect import expert_for
+from rcs.agents import agent_for
 from rcs.rollout.episode import run_episode
 from rcs.setups.lab import lab_of
 
@@ -15,7 +15,7 @@ ROBOT = "fr3"  # or any other that `rcs list` names
 setup = rcs.Setup(task=lab_of(ROBOT).tasks[0], robot=ROBOT)
 env = rcs.make(setup)
 print(env)
-result = run_episode(env, expert_for(env, setup), seed=0)
+result = run_episode(env, agent_for(env), seed=0)
 seconds = result.steps / setup.frequency
 print(f"{setup.task} on {ROBOT}: {'success' if result.success else result.failure} after {seconds:.1f} s")
 env.close()

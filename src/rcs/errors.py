@@ -81,4 +81,3 @@ class CorruptEpisode(RcsError, ValueError):
 
 class SimulationError(RcsError, RuntimeError):
     """MuJoCo failed, or left out contacts; the message has its words, such as that its memory is full."""
-

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.agents import PickExpert
+from rcs.agents import PickExpert, agent_for
 from rcs.agents.action_writer import difference
 from rcs.envs.layers.relative import shift
 from rcs.errors import WrongOrder
-from rcs.kinematics import kinematics_of
-from rcs.rollout.collect import expert_for
 from rcs.rollout.episode import run_episode
 from rcs.spatial import Pose
 
@@ -26,7 +24,7 @@ KINDS = [
 def test_the_expert_succeeds_with_every_kind_of_action(control: Any, relative: Any) -> None:
     setup = rcs.Setup(control=control, relative=relative)
     env = rcs.make(setup)
-    result = run_episode(env, expert_for(env, setup), seed=5)
+    result = run_episode(env, agent_for(env), seed=5)
     env.close()
     assert result.success
     assert result.failure is None
@@ -35,13 +33,13 @@ def test_the_expert_succeeds_with_every_kind_of_action(control: Any, relative: A
 def test_the_expert_succeeds_with_synchronous_steps() -> None:
     setup = rcs.Setup(mode="sync")
     env = rcs.make(setup)
-    assert run_episode(env, expert_for(env, setup), seed=1).success
+    assert run_episode(env, agent_for(env), seed=1).success
 
 
 def test_the_expert_grasps_at_every_corner_of_the_workspace_and_every_yaw() -> None:
     setup = rcs.Setup()
     env = rcs.make(setup)
-    expert = expert_for(env, setup)
+    expert = agent_for(env)
     world = env.scenario.world
     cuboid = int(world.model.joint("cuboid").qposadr[0])
     for x in (0.35, 0.65):
@@ -62,7 +60,7 @@ def test_the_expert_grasps_at_every_corner_of_the_workspace_and_every_yaw() -> N
 def test_a_cuboid_out_of_reach_is_an_ik_failure() -> None:
     setup = rcs.Setup(max_episode_steps=5)
     env = rcs.make(setup)
-    expert = expert_for(env, setup)
+    expert = agent_for(env)
     observation, info = env.reset(seed=0)
     far = info["cuboid"].copy()
     far[0] = 1.5
@@ -75,7 +73,7 @@ def test_a_cuboid_out_of_reach_is_an_ik_failure() -> None:
 def test_a_gripper_that_closes_on_nothing_is_a_no_contact_failure() -> None:
     setup = rcs.Setup()
     env = rcs.make(setup)
-    expert = expert_for(env, setup)
+    expert = agent_for(env)
     observation, info = env.reset(seed=0)
     wrong = info["cuboid"].copy()
     wrong[:2] += (0.0, 0.12) if wrong[1] < 0 else (0.0, -0.12)
@@ -91,8 +89,7 @@ def test_a_gripper_that_closes_on_nothing_is_a_no_contact_failure() -> None:
 def test_without_a_cuboid_the_expert_says_which_task_it_is_for() -> None:
     setup = rcs.Setup(task="Free")
     env = rcs.make(setup)
-    placement = env.scenario.robots[0].placement
-    expert = PickExpert(setup, env.stack.action_space, kinematics_of(placement.arm, placement.gripper))
+    expert = PickExpert(env)
     observation, info = env.reset(seed=0)
     with pytest.raises(WrongOrder, match="PickCuboid"):
         expert.reset(observation, info)

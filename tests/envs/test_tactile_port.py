@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import rcs
+from rcs.agents import agent_for
 from rcs.data import Dataset
 from rcs.envs.chain import Chain
 from rcs.envs.clock import Clock
@@ -17,7 +18,7 @@ from rcs.robots.digit.description import DIGIT
 from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND
 from rcs.robots.realsense_d435.description import REALSENSE_D435
-from rcs.rollout.collect import Collection, Progress, collect, expert_for
+from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.replay import replay
 from rcs.sim import CameraPlacement, RobotPlacement, Scene, World
 from rcs.sim.camera import SimCameras
@@ -104,7 +105,7 @@ def test_a_setup_with_digits_on_its_pads_is_collected_and_replayed(tmp_path: Pat
 def test_the_expert_grasps_with_digits_on_any_gripper_and_both_feel_it(robot: str) -> None:
     setup = rcs.Setup(task="PickCuboid", robot=robot, tactile="digit")
     env = rcs.make(setup)
-    expert = expert_for(env, setup)
+    expert = agent_for(env)
     observation, info = env.reset(seed=3)
     expert.reset(observation, info)
     names = [f"{robot}_left", f"{robot}_right"]

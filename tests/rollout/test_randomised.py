@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import rcs
+from rcs.agents import agent_for
 from rcs.data import Dataset
-from rcs.rollout.collect import Collection, Progress, collect, expert_for
+from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.episode import run_episode
 from rcs.rollout.replay import replay, setup_of
 
@@ -43,5 +44,5 @@ def test_what_was_drawn_is_kept_with_the_episode(dataset: Path) -> None:
 
 def test_the_expert_succeeds_on_20_of_20_randomised_episodes() -> None:
     env = rcs.make(SETUP)
-    expert = expert_for(env, SETUP)
+    expert = agent_for(env)
     assert sum(run_episode(env, expert, seed=seed).success for seed in range(20)) == 20

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import rcs
+from rcs.agents import agent_for
 from rcs.data import Dataset
 from rcs.errors import InvalidAction, InvalidSetup
-from rcs.rollout.collect import Collection, Progress, collect, expert_for
+from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.episode import run_episode
 from rcs.rollout.replay import replay
 from rcs.testing.env_contract import require_same_bits
@@ -76,14 +77,14 @@ def test_a_copy_of_a_batch_is_the_single_environment_bit_for_bit() -> None:
 def test_the_expert_lifts_the_bar_with_both_arms(control: Any) -> None:
     setup = rcs.Setup(task="LiftBar", robot="dual_fr3", control=control)
     env = rcs.make(setup)
-    expert = expert_for(env, setup)
+    expert = agent_for(env)
     results = [run_episode(env, expert, seed=seed) for seed in range(3)]
     assert all(result.success for result in results)
 
 
 def test_a_bar_out_of_reach_is_an_ik_failure() -> None:
     env = rcs.make(SETUP)
-    expert = expert_for(env, SETUP)
+    expert = agent_for(env)
     observation, info = env.reset(seed=0)
     far = info["bar_in_scene"].copy()
     far[0] = 2.0

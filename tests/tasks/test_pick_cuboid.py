@@ -14,8 +14,9 @@ from rcs.robots.franka_hand.description import FRANKA_HAND
 from rcs.sim import RobotPlacement, Scene, World
 from rcs.sim.robot import SimRobot
 from rcs.spatial import Pose
-from rcs.tasks.pick_cuboid import HOLD_TIME, LIFT_HEIGHT, SIZE, PickCuboid
+from rcs.tasks.pick_cuboid import SIZE, PickCuboid
 
+OPTIONS = PickCuboid.Options()
 DOWN = Pose.from_rpy([0.0, 0.0, 0.0], [np.pi, 0.0, 0.0])
 
 
@@ -67,7 +68,7 @@ def test_a_cuboid_that_is_only_high_is_not_a_success() -> None:
     env.reset(seed=0)
     first = carry(env, 0.5)
     world = env.scenario.world
-    for _ in range(int(2 * HOLD_TIME * 30)):
+    for _ in range(int(2 * OPTIONS.hold_time * 30)):
         world.qpos[first + 2] = 0.5
         world.qvel[-6:] = 0.0
         _, reward, terminated, _, info = env.step({"joints": np.zeros(7), "gripper": np.ones(1, np.float32)})
@@ -93,8 +94,8 @@ def test_a_cuboid_that_is_grasped_high_for_the_hold_time_is_a_success_and_not_be
         _, reward, terminated, _, info = env.step({"joints": np.zeros(7), "gripper": np.zeros(1, np.float32)})
         rewards.append(float(reward))
         ends.append(terminated)
-        held = held + 1 if info["is_grasped"] and info["cuboid"][2] - SIZE[2] / 2 > LIFT_HEIGHT else 0
-        assert terminated == (held >= round(HOLD_TIME * 30))
+        held = held + 1 if info["is_grasped"] and info["cuboid"][2] - SIZE[2] / 2 > OPTIONS.lift_height else 0
+        assert terminated == (held >= round(OPTIONS.hold_time * 30))
         if terminated:
             break
     assert ends[-1]
@@ -120,11 +121,11 @@ def test_a_new_episode_forgets_how_long_the_cuboid_was_held() -> None:
     envs = rcs.make_vec("PickCuboid", copies=3, autoreset="Disabled")
     envs.reset(seed=0)
     task = envs.scenario.task
-    task._steps_held[:] = 7
+    task._held.steps[:] = 7
     envs.reset(options={"reset_mask": np.array([True, False, True])})
-    np.testing.assert_array_equal(task._steps_held, [0, 7, 0])
+    np.testing.assert_array_equal(task._held.steps, [0, 7, 0])
     envs.reset()
-    np.testing.assert_array_equal(task._steps_held, 0)
+    np.testing.assert_array_equal(task._held.steps, 0)
 
 
 @pytest.mark.parametrize(

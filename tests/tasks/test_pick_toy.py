@@ -10,21 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 import rcs
-from rcs.agents.toy_expert import ToyExpert
+from rcs.agents import ToyExpert
 from rcs.envs.env import Env
 from rcs.errors import InvalidSetup, WrongOrder
-from rcs.kinematics import kinematics_of
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.episode import run_episode
 from rcs.rollout.replay import replay
 from rcs.testing.env_contract import require_same_bits
 
 SETUP = rcs.Setup(task="PickToy", robot="xarm7")
-
-
-def expert_of(env: Env, setup: rcs.Setup) -> ToyExpert:
-    placement = env.scenario.robots[0].placement
-    return ToyExpert(setup, env.stack.action_space, kinematics_of(placement.arm, placement.end_effector))
 
 
 def still(env: Any) -> dict[str, NDArray[Any]]:
@@ -76,7 +70,7 @@ def test_every_start_is_the_same_toy_moved_and_turned() -> None:
 
 def test_the_expert_lifts_the_toy_and_squeezes_it_by_more_than_a_twentieth() -> None:
     env = rcs.make(SETUP)
-    expert = expert_of(env, SETUP)
+    expert = ToyExpert(env)
     for seed in range(3):
         env.reset(seed=seed)
         at_rest, low = distances(nodes_of(env)), nodes_of(env)[:, 2].mean()
@@ -87,14 +81,14 @@ def test_the_expert_lifts_the_toy_and_squeezes_it_by_more_than_a_twentieth() -> 
         assert held[:, 2].mean() - low > 0.10
         assert np.abs(distances(held) / at_rest - 1.0).max() > 0.05
         tcp = env.scenario.robots[0].tcp_tquat[:3]
-        assert np.linalg.norm(tcp - expert.home[:3]) < 0.05
+        assert np.linalg.norm(tcp - expert.arms[0].plan["home"].tcp[:3]) < 0.05
 
 
 @pytest.mark.parametrize(("control", "relative"), [("tquat", "absolute"), ("xyzrpy", "last_step")])
 def test_the_expert_succeeds_with_poses_too(control: Any, relative: Any) -> None:
     setup = rcs.Setup(task="PickToy", robot="xarm7", control=control, relative=relative)
     env = rcs.make(setup)
-    assert run_episode(env, expert_of(env, setup), seed=5).success
+    assert run_episode(env, ToyExpert(env), seed=5).success
 
 
 def test_a_copy_of_a_batch_is_the_single_environment_bit_for_bit() -> None:
@@ -121,7 +115,7 @@ def test_a_recorded_episode_replays_bit_for_bit(tmp_path: Path) -> None:
 
 def test_a_toy_out_of_reach_is_an_ik_failure() -> None:
     env = rcs.make(SETUP)
-    expert = expert_of(env, SETUP)
+    expert = ToyExpert(env)
     observation, info = env.reset(seed=0)
     far = info["toy"].copy()
     far[0] = 1.5
@@ -132,7 +126,7 @@ def test_a_toy_out_of_reach_is_an_ik_failure() -> None:
 
 def test_a_hand_that_closes_on_nothing_is_a_no_contact_failure() -> None:
     env = rcs.make(SETUP)
-    expert = expert_of(env, SETUP)
+    expert = ToyExpert(env)
     observation, info = env.reset(seed=0)
     wrong = info["toy"].copy()
     wrong[1] -= np.copysign(0.25, wrong[1])
@@ -149,7 +143,7 @@ def test_the_task_and_its_expert_say_what_they_need() -> None:
     env = rcs.make(free)
     observation, info = env.reset(seed=0)
     with pytest.raises(WrongOrder, match="PickToy"):
-        expert_of(env, free).reset(observation, info)
+        ToyExpert(env).reset(observation, info)
 
 
 @pytest.mark.gl

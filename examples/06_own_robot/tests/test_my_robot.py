@@ -13,9 +13,9 @@ from my_robot.from_urdf import MY_ROBOT_URDF
 from numpy.typing import NDArray
 
 import rcs
+from rcs.agents import agent_for
 from rcs.devices import Arm
 from rcs.kinematics import kinematics_of, load
-from rcs.rollout.collect import expert_for
 from rcs.rollout.episode import run_episode
 from rcs.testing import ArmContract, EnvContract
 
@@ -104,7 +104,7 @@ def test_the_scripted_expert_picks_the_cuboid(robot: str) -> None:
     """Everywhere in the area of the lab: at least nine times of ten."""
     setup = rcs.Setup(task="PickCuboid", robot=robot)
     env = rcs.make(setup)
-    expert = expert_for(env, setup)
+    expert = agent_for(env)
     assert sum(run_episode(env, expert, seed=seed).success is True for seed in range(10)) >= 9
     env.close()
 

@@ -10,24 +10,35 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from rcs.agents.agent import Action
-from rcs.agents.grasp import freedom_of
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Observation
-from rcs.kinematics import DampedLeastSquares, IkStatus
+from rcs.kinematics import IkOptions, IkStatus, Kinematics
 from rcs.spatial import Pose, compose, inverse, limit_step, tquat_to_xyzrpy
 
 MARGIN = 0.9
 """Of the bounds of one relative pose action: its rotation's components differ a little from its angle."""
 
 
+def ik_options(kinematics: Kinematics, restarts: int = 0) -> IkOptions:
+    """Return what an arm can be asked for: any pose, or, with fewer than six joints, a place and about a direction.
+
+    Such an arm may also need `restarts` from other joints, unless it is solved for a pose near the last one.
+    """
+    if kinematics.dof >= 6:
+        return IkOptions(restarts=0, iterations=100)
+    return IkOptions(
+        restarts=restarts, iterations=100, rotation_weight=0.03, rotation_tolerance=0.2, translation_tolerance=5e-4
+    )
+
+
 class ActionWriter:
     """Writes actions for one environment: joints or poses, absolute or relative, as its setup says.
 
-    It uses nothing but the action interface: what it sends is what a policy would have to send. Relative actions go on
-    from what the last one came to, which `follow` takes from the step's info: a layer may have cut it.
+    Relative actions go on from what the last one came to, which `follow` takes from the step's info: a layer may have
+    cut it.
     """
 
-    def __init__(self, setup: Setup, action_space: spaces.Dict, kinematics: DampedLeastSquares) -> None:
+    def __init__(self, setup: Setup, action_space: spaces.Dict, kinematics: Kinematics) -> None:
         """Write for an environment.
 
         Args:
@@ -38,23 +49,19 @@ class ActionWriter:
         box = action_space[setup.control]
         assert isinstance(box, spaces.Box)
         self._setup = setup
+        self._key = JOINTS if setup.control == JOINTS else TQUAT
         self._bound: NDArray[np.float64] = box.high.astype(np.float64)
         self._kinematics = kinematics
         # On the branch of the last target: a jump to another one would be a large, fast motion.
-        self._options = freedom_of(kinematics).options
-        self._joints = np.zeros(kinematics.dof)
-        self._last = np.zeros(0)
-        self._origin = np.zeros(0)
-
-    @property
-    def joints(self) -> NDArray[np.float64]:
+        self._options = ik_options(kinematics)
+        self.joints = np.zeros(kinematics.dof)
         """The joints that were last aimed at [rad]."""
-        return self._joints
+        self._last = self._origin = np.zeros(0)
 
     def reset(self, observation: Observation) -> None:
         """Start from the first observation of an episode."""
-        self._joints = np.array(observation[JOINTS])
-        self._last = self._origin = np.array(observation[JOINTS if self._setup.control == JOINTS else TQUAT])
+        self.joints = np.array(observation[JOINTS])
+        self._last = self._origin = np.array(observation[self._key])
 
     def follow(self, info: Mapping[str, Any], robot: str | None = None) -> None:
         """Go on from what the last action came to; without this, from what it was meant to come to.
@@ -65,8 +72,7 @@ class ActionWriter:
         """
         target = info.get("target")
         if target is not None:
-            target = target if robot is None else target[robot]
-            self._last = target[JOINTS if self._setup.control == JOINTS else TQUAT]
+            self._last = (target if robot is None else target[robot])[self._key]
 
     def write(self, tcp: NDArray[np.float64], opening: float) -> Action | None:
         """Return the action that moves the TCP towards a pose, as far as one step may.
@@ -78,8 +84,10 @@ class ActionWriter:
         Returns:
             The action; None when the pose is not feasible.
         """
-        arm = self._joint_action(tcp) if self._setup.control == JOINTS else self._pose_action(tcp)
-        return None if arm is None else {self._setup.control: arm, GRIPPER: np.array([opening], np.float32)}
+        if self._setup.control != JOINTS:
+            return self._with_gripper(self._pose_action(tcp), opening)
+        result = self._kinematics.inverse(Pose.from_tquat(tcp), self.joints, self._options)
+        return self.write_joints(result.joints, opening) if result.status == IkStatus.ok else None
 
     def write_joints(self, joints: NDArray[np.float64], opening: float) -> Action:
         """Return the action that moves the arm towards joints [rad], as far as one step may.
@@ -88,26 +96,18 @@ class ActionWriter:
             joints: Joint positions [rad], shape (dof,), near the last ones.
             opening: Of the gripper, 0 closed … 1 open.
         """
-        if self._setup.control == JOINTS:
-            arm = self._write_joints(joints)
-        else:
-            arm = self._pose_action(self._kinematics.forward(joints).tquat)
-        self._joints = joints
-        return {self._setup.control: arm, GRIPPER: np.array([opening], np.float32)}
-
-    def _joint_action(self, tcp: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        result = self._kinematics.inverse(Pose.from_tquat(tcp), self._joints, self._options)
-        return self._write_joints(result.joints) if result.status == IkStatus.ok else None
-
-    def _write_joints(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
-        self._joints = joints
-        if self._setup.relative == "absolute":
-            return joints
+        self.joints = joints
+        if self._setup.control != JOINTS:
+            return self._with_gripper(self._pose_action(self._kinematics.forward(joints).tquat), opening)
         if self._setup.relative == "origin":
-            return joints - self._origin
-        step = np.clip(joints - self._last, -self._bound, self._bound)
-        self._last = self._last + step
-        return step
+            joints = joints - self._origin
+        elif self._setup.relative == "last_step":
+            joints = np.clip(joints - self._last, -self._bound, self._bound)
+            self._last = self._last + joints
+        return self._with_gripper(joints, opening)
+
+    def _with_gripper(self, arm: NDArray[np.float64], opening: float) -> Action:
+        return {self._setup.control: arm, GRIPPER: np.array([opening], np.float32)}
 
     def _pose_action(self, tcp: NDArray[np.float64]) -> NDArray[np.float64]:
         action = tcp
@@ -123,8 +123,6 @@ class ActionWriter:
 
 def difference(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what, applied to `start` along and about the axes of its parent frame, gives `goal` (both (7,))."""
-    turn_start, turn_goal = start.copy(), goal.copy()
-    turn_start[:3] = turn_goal[:3] = 0.0
-    step = compose(turn_goal, inverse(turn_start))
+    step = compose((0.0, 0.0, 0.0, *goal[3:]), inverse((0.0, 0.0, 0.0, *start[3:])))
     step[:3] = goal[:3] - start[:3]
     return step

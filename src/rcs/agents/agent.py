@@ -1,19 +1,25 @@
-"""The interface of an agent: twelve lines that a script, a planner, a person at a device and a policy share."""
+"""The interface of an agent, which a script, a planner, a person at a device and a policy share."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
 
 from rcs.envs.spaces import Observation
 
 Action = dict[str, Any]
 """An array per key, or, with several robots, such a dictionary per robot."""
 
+Event = Literal["engage", "release", "start", "stop", "discard", "reset", "takeover"]
+"""What an operator asks for besides an action."""
+
 
 class Agent(ABC):
-    """Maps an observation to an action."""
+    """Maps an observation to an action. Agents for an environment are made by a factory: `PickExpert(env)`."""
+
+    rate: float | None = None
+    """How often the agent decides [Hz]; None for once per step of the environment."""
 
     @abstractmethod
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
@@ -23,7 +29,18 @@ class Agent(ABC):
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Return the next action."""
 
+    def close(self) -> None:  # noqa: B027  most agents hold nothing
+        """Let go of devices, threads and connections. Closing twice is harmless."""
+
     @property
     def failure(self) -> str | None:
         """Why the agent gave up, as a class such as `ik` or `no_contact`; None while it has not."""
         return None
+
+    def notes(self) -> Mapping[str, Any]:
+        """Return what is to be recorded beside the last action: who acted, latency [s], place in a chunk."""
+        return {}
+
+    def events(self) -> Sequence[Event]:
+        """Return what an operator has asked for since the last call, oldest first."""
+        return ()

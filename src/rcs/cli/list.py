@@ -51,7 +51,7 @@ class ListCommand:
             cameras = ", ".join(f"{mount} {about.camera}" for mount, about in lab.cameras.items())
             table.add_row("robot", name, f"{arms} with {lab.end_effector}; cameras: {cameras}")
         for name in lookup.names("task"):
-            words = (lookup.find("task", name).__doc__ or "").strip()
+            words = (lookup.find("task", name).__doc__ or name).strip()
             table.add_row("task", name, words.partition("\n")[0])
         for name in ids():
             table.add_row("id", name, "gymnasium.make")

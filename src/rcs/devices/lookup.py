@@ -10,7 +10,8 @@ from typing import Any, Literal
 from rcs.errors import InvalidSetup, UnknownName
 
 Kind = Literal[
-    "arm", "gripper", "hand", "camera", "tactile", "lab", "task", "agent", "layer", "gate", "driver", "operator", "policy"
+    "arm", "gripper", "hand", "camera", "tactile", "lab", "task", "agent", "layer", "gate", "driver", "operator",
+    "policy",
 ]  # fmt: skip
 
 

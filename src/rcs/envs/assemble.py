@@ -271,7 +271,8 @@ def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPor
     """Return the port of real cameras; those that stand still have the poses of the lab."""
     scene_in_frame = tquat_to_matrix(inverse(base_in_scene(parts.robots)))
     fixed = {
-        camera.name: scene_in_frame @ Pose(camera.optical_in_parent.translation, camera.optical_in_parent.quaternion).matrix
+        camera.name: scene_in_frame
+        @ Pose(camera.optical_in_parent.translation, camera.optical_in_parent.quaternion).matrix
         for camera in cameras
         if not _moves(camera)
     }

@@ -151,7 +151,10 @@ class CameraPort(Port):
             for matrix in fixed.values():
                 matrix.flags.writeable = False
             self._feeds[name] = CameraFeedThread(name, camera, _Taker(camera, size, fixed))
-            own: dict[str, spaces.Space[Any]] = {keys.RGB: keys.rgb_space(*size), keys.INTRINSICS: keys.intrinsics_space()}
+            own: dict[str, spaces.Space[Any]] = {
+                keys.RGB: keys.rgb_space(*size),
+                keys.INTRINSICS: keys.intrinsics_space(),
+            }
             if keys.EXTRINSICS in fixed:
                 own[keys.EXTRINSICS] = keys.extrinsics_space()
             if camera.mode.has_depth:

@@ -6,7 +6,7 @@ serves both: `array[where] = value` is for all copies with `where = ...`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 

@@ -12,8 +12,8 @@ from rcs.envs.spaces import Observation
 class Gate(ABC):
     """Admits, cuts or refuses what all layers of all robots came to.
 
-    When a gate refuses, all devices hold, `info["refused"]` says which gate and why, and the episode goes on. A gate that
-    raises anything else, or takes longer than its deadline, lets nothing through either.
+    When a gate refuses, all devices hold, `info["refused"]` says why, and the episode goes on. A gate that takes longer
+    than its deadline refuses too. One that raises anything else breaks the episode off, and all devices hold.
     """
 
     deadline: float = float("inf")

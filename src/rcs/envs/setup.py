@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, TypedDict, get_args
 
 import numpy as np
@@ -26,7 +26,9 @@ class Setup:
     """An environment by names and numbers. `to_json` and `from_json` are inverse to each other."""
 
     task: str = "PickCuboid"
-    """Name of the task; `Free` for none."""
+    """Name of the task, or `module:Class`; `Free` for none."""
+    task_options: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """Options of the task, fields of its class `Options`, such as `{"reward": "sparse"}`."""
     robot: str = "fr3"
     """Name of the robot."""
     end_effector: str | None = None
@@ -77,10 +79,10 @@ class Setup:
         Raises:
             InvalidSetup: A field has a value that makes no sense; the message says what is valid.
         """
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
+        for own in dataclasses.fields(self):
+            value = getattr(self, own.name)
             if isinstance(value, np.generic):  # a number out of an array is a number
-                object.__setattr__(self, field.name, value.item())
+                object.__setattr__(self, own.name, value.item())
         for name in ("task", "robot"):
             if not isinstance(getattr(self, name), str):
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; it must be a name.")
@@ -93,6 +95,7 @@ class Setup:
         for name in ("depth", "camera_noise", "binary_gripper"):
             if not isinstance(getattr(self, name), bool):
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; valid: True, False.")
+        object.__setattr__(self, "task_options", _task_options(self.task_options))
         object.__setattr__(self, "randomisation", _ranges(self.randomisation))
         object.__setattr__(self, "cameras", _names("cameras", self.cameras))
         object.__setattr__(self, "size", _size_of_mode(self.camera_mode, _size(self.size), self.cameras))
@@ -120,7 +123,7 @@ class Setup:
 
     def to_json(self) -> dict[str, Any]:
         """Return the setup as JSON values."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        values = {own.name: getattr(self, own.name) for own in dataclasses.fields(self)}
         if self.randomisation is not None:
             values["randomisation"] = self.randomisation.to_json()
         if isinstance(self.fps, tuple):
@@ -134,7 +137,7 @@ class Setup:
         Raises:
             InvalidSetup: A key is unknown or a value is not valid.
         """
-        fields = {field.name for field in dataclasses.fields(Setup)}
+        fields = {own.name for own in dataclasses.fields(Setup)}
         if unknown := sorted(set(values) - fields):
             raise UnknownName("option", unknown[0], fields)
         return Setup(**values)
@@ -143,6 +146,7 @@ class Setup:
 class Options(TypedDict, total=False):
     """The fields of `Setup` besides the task, as `rcs.make` takes them."""
 
+    task_options: Mapping[str, Any]
     robot: str
     end_effector: str | None
     cameras: Sequence[str]
@@ -163,6 +167,13 @@ class Options(TypedDict, total=False):
     max_episode_steps: int | None
     physics_step: float
     randomisation: Randomisation | bool | None
+
+
+def _task_options(value: Any) -> dict[str, Any]:
+    options = dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value
+    if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
+        raise InvalidSetup(f"task_options is {value!r}; valid is a mapping of the task's options by name.")
+    return dict(options)
 
 
 def _ranges(value: Any) -> Randomisation | None:

@@ -118,7 +118,9 @@ class Stack:
             targets = gate.admit(targets, measured)
             taken = time.perf_counter() - start
             if not taken <= gate.deadline:
-                raise Refused(f"{gate} answered after {1e3 * taken:.1f} ms; its deadline is {1e3 * gate.deadline:g} ms.")
+                raise Refused(
+                    f"{gate} answered after {1e3 * taken:.1f} ms; its deadline is {1e3 * gate.deadline:g} ms."
+                )
             for name, chain in self.chains.items():
                 _require_target(gate, name, chain, targets)
         return {name: dict(targets[name]) for name in self.chains}

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
+from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
@@ -27,6 +30,11 @@ class Area:
     """Extent along x and y [m]."""
     object_scale: float = 1.0
     """Size of the objects in proportion to the paper's, for robots that are smaller."""
+
+    def draw_place(self, draws: Draws, max_yaw: float = np.pi) -> NDArray[np.float64]:
+        """Return random x, y in the scene [m] and a yaw of up to `max_yaw` to either side [rad], (*leading, 3)."""
+        half, center = np.array(self.size) / 2, np.array(self.center)
+        return draws.uniform(np.append(center - half, -max_yaw), np.append(center + half, max_yaw))
 
 
 @dataclass(kw_only=True)
@@ -45,9 +53,81 @@ class Task(ABC):
     instruction: str = ""
     """What a language-conditioned policy is told."""
 
-    def __init__(self, area: Area) -> None:
-        """Take place in an area."""
+    expert: ClassVar[str | type | None] = None
+    """The agent that can do the task: its class, `module:Class`, or the name of an entry point of `rcs.agents`."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Options:
+        """What may be chosen in every task; a task with more has a class `Options` of its own below this one."""
+
+        reward: Literal["dense", "sparse"] = "dense"
+        """`dense` rewards progress, too; `sparse` is 1 at success and 0 otherwise."""
+
+        def __post_init__(self) -> None:
+            """Check the values.
+
+            Raises:
+                InvalidSetup: A value is not of its field's type; the message says what is valid.
+            """
+            for name, kind in get_type_hints(type(self)).items():
+                value = getattr(self, name)
+                if get_origin(kind) is Literal:
+                    is_valid, valid = value in get_args(kind), ", ".join(map(repr, get_args(kind)))
+                elif kind is float:
+                    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+                    is_valid, valid = is_number and math.isfinite(value), "a finite number"
+                else:
+                    is_valid, valid = kind not in (bool, int, str) or type(value) is kind, f"of type {kind}"
+                if not is_valid:
+                    raise InvalidSetup(f"The task option {name} is {value!r}; valid: {valid}.")
+
+        def to_json(self) -> dict[str, Any]:
+            """Return the options as JSON values; `parse_options` reads them."""
+            return dataclasses.asdict(self)
+
+    def __init__(self, area: Area, options: Options | Mapping[str, Any] | None = None) -> None:
+        """Take place in an area.
+
+        Args:
+            area: Where objects may lie.
+            options: Of the task's class `Options`, or some of its fields by name; None for its defaults.
+
+        Raises:
+            InvalidSetup: An unknown option, or a value that is not valid.
+        """
         self.area = area
+        self.options = self.parse_options(options)
+
+    @classmethod
+    def parse_options(cls, values: Options | Mapping[str, Any] | None) -> Options:
+        """Return checked options of this task.
+
+        Args:
+            values: Options of this task, or some of their fields by name; None for the defaults.
+
+        Raises:
+            InvalidSetup: Options of another task, an unknown option, or a value that is not valid.
+        """
+        if isinstance(values, cls.Options):
+            return values
+        if not isinstance(values, Mapping | None):
+            raise InvalidSetup(
+                f"The options of the task {cls.__name__} are {values!r}; valid is a {cls.__name__}.Options, a mapping "
+                "with some of its fields, or None."
+            )
+        valid = [option.name for option in dataclasses.fields(cls.Options)]
+        if unknown := sorted(set(values or ()) - set(valid)):
+            raise InvalidSetup(f"The task {cls.__name__} has no options {unknown}; valid: {', '.join(valid)}.")
+        return cls.Options(**(values or {}))
+
+    def reward(self, progress: NDArray[np.float64], success: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Return the reward that the options ask for: 1 at success, and below it the progress if it is `dense`.
+
+        Args:
+            progress: How far each copy is, 0 … 1, (*leading,).
+            success: Which copies have succeeded, (*leading,).
+        """
+        return np.maximum(progress if self.options.reward == "dense" else 0.0, success)
 
     def furnish(self, scene: Scene) -> None:  # noqa: B027  an empty scene is a fine scene
         """Add the task's objects to a scene before it is compiled."""

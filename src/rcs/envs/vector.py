@@ -22,6 +22,7 @@ from rcs.envs.stack import Stack
 from rcs.errors import InvalidSetup, WrongOrder
 from rcs.sim.scene import RobotPlacement
 
+
 class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
     """Copies of a simulated environment as a Gymnasium vector environment.
 

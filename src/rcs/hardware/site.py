@@ -100,8 +100,8 @@ class Site:
     stale_after: float = 0.5
     """Age of a frame from which its camera counts as stale [s]."""
     on_stale: OnStale = "fault"
-    """What a stale camera leads to: `flag` only marks frames, `hold` has all devices hold until a new frame comes, `fault`
-    ends the episode."""
+    """What a stale camera leads to: `flag` only marks frames, `hold` has all devices hold until there is a new frame,
+    `fault` ends the episode."""
 
     def __post_init__(self) -> None:
         """Check every field.
@@ -225,7 +225,9 @@ class Site:
                     continue
                 wanted = GripperDescription if kind == "grippers" else HandDescription
                 if not isinstance(effector, wanted):
-                    raise InvalidSetup(f"The site has {kind} for {name!r}, which carries {getattr(effector, 'name', None)}.")
+                    raise InvalidSetup(
+                        f"The site has {kind} for {name!r}, which carries {getattr(effector, 'name', None)}."
+                    )
                 effectors[name] = _made(given, kind[:-1], effector)
                 platform[f"{name}/{effector.name}"] = _platform(given)
         # A site may have more cameras than a setup uses.

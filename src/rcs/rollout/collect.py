@@ -12,20 +12,20 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from rcs.agents import Agent, LiftExpert, PickExpert, ToyExpert
+from rcs.agents import agent_for
 from rcs.data import Dataset, DatasetWriter
+from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Colour, Recorder, dataset_info, require_recordable
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.kinematics import kinematics_of
 from rcs.rollout.episode import EpisodeResult, run_episode
 from rcs.rollout.pool import WorkerPool
 from rcs.setups.make import make
-from rcs.spatial import Pose
 
 _log = logging.getLogger(__name__)
 
@@ -52,6 +52,8 @@ class Collection:
     """How colour frames are stored."""
     jpeg_quality: int = 95
     """Of colour frames as JPEG, 1 to 100."""
+    agent: Any = None
+    """An agent's class or name, `module:Class`; None for the expert of the task."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -65,9 +67,19 @@ class Collection:
                 raise InvalidSetup(f"{name} is {value}; valid is {least} and more.")
         require_recordable(self.setup)
 
+    @property
+    def agent_name(self) -> str | None:
+        """Name of the agent; None for the expert of the task."""
+        return None if self.agent is None else lookup.name_of("agent", self.agent)
+
     def seed_of(self, attempt: int) -> int:
         """Return the seed of an attempt; those of two collections with different seeds do not overlap."""
-        return int(np.random.SeedSequence([self.seed, attempt]).generate_state(1)[0])
+        return seed_of(self.seed, attempt)
+
+
+def seed_of(seed: int, number: int) -> int:
+    """Return the seed of an episode of a collection or evaluation; those of different seeds do not overlap."""
+    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +121,7 @@ class Collector:
         self._env = env or make(collection.setup)
         self._recorder = Recorder(writer)
         self._env.add_observer(self._recorder)
-        self._agent = expert_for(self._env, collection.setup)
+        self._agent = agent_for(self._env, collection.agent)
 
     def attempt(self, number: int) -> Attempt:
         """Make one attempt, and keep it if it is to be kept."""
@@ -128,29 +140,11 @@ class Collector:
         return Attempt(number=number, result=result)
 
     def close(self) -> None:
-        """Close the environment."""
-        self._env.close()
-
-
-def expert_for(env: Env, setup: Setup) -> Agent:
-    """Return the scripted expert of a task.
-
-    Raises:
-        InvalidSetup: The task has none.
-    """
-    placements = [robot.placement for robot in env.scenario.robots]
-    kinematics = {placement.name: kinematics_of(placement.arm, placement.end_effector) for placement in placements}
-    space = env.stack.action_space
-    if setup.task == "PickCuboid":
-        return PickExpert(setup, space, kinematics[placements[0].name])
-    if setup.task == "LiftBar":
-        bases = {p.name: Pose(p.base_in_scene.translation, p.base_in_scene.quaternion) for p in placements}
-        return LiftExpert(setup, space, bases, kinematics)
-    if setup.task == "PickToy":
-        return ToyExpert(setup, space, kinematics[placements[0].name])
-    raise InvalidSetup(
-        f"There is no scripted expert for the task {setup.task!r}; there are for 'PickCuboid', 'LiftBar', 'PickToy'."
-    )
+        """Close agent and environment."""
+        try:
+            self._agent.close()
+        finally:
+            self._env.close()
 
 
 def collect(collection: Collection, progress: Progress, env: Env | None = None) -> Iterator[Attempt]:
@@ -173,11 +167,11 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
     """
     env = env or make(collection.setup)
     try:
-        expert_for(env, collection.setup)
+        agent_for(env, collection.agent).close()
         info = dataset_info(env, colour=collection.colour, jpeg_quality=collection.jpeg_quality)
         # How an episode is numbered and seeded is part of what makes two collections the same.
-        made = {"seed": collection.seed, "only_success": collection.only_success}
-        info = replace(info, origin={"collection": made})
+        made = {"seed": collection.seed, "only_success": collection.only_success, "agent": collection.agent_name}
+        info = replace(info, origin={**info.origin, "collection": made})
         with DatasetWriter.open(collection.out, info, resume=True, leftovers="discard") as writer:
             progress.again = _remove_fragments(writer)
             taken = {episode.id for episode in Dataset.open(collection.out)}

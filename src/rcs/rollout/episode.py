@@ -1,4 +1,4 @@
-"""One rollout: an agent acts in an environment until the episode is over. Everything that runs agents goes through it."""
+"""One rollout: an agent acts in an environment until the episode is over."""
 
 from __future__ import annotations
 

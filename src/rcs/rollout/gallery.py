@@ -12,11 +12,11 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
+from rcs.agents import agent_for
 from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup
 from rcs.errors import DatasetError
-from rcs.rollout.collect import expert_for
 from rcs.setups.ids import ids
 from rcs.setups.lab import lab_of
 from rcs.setups.make import make, resolve
@@ -84,7 +84,7 @@ def _go_on(env: Env, setup: Setup, seed: int) -> None:
     """Start an episode and let the expert act for a while, without drawing what it does not look at."""
     blind = assemble(resolve(setup), is_blind=True)
     observation, info = blind.reset(seed=seed)
-    expert = expert_for(blind, setup)
+    expert = agent_for(blind)
     expert.reset(observation, info)
     for _ in range(STEPS):
         observation, _, terminated, truncated, info = blind.step(expert.act(observation, info))

@@ -1,7 +1,7 @@
 """The ids of `gymnasium.make`, registered when `rcs` is imported; the simulator is imported when one is made.
 
-A package adds ids through the entry-point group `rcs.ids`, `PickCuboid-MyRobot-v0 = "my_robot"`: the name is what follows
-`rcs/` in the id, its first word is the task, and the value is the robot. `rcs/MyRobot-v0` is of the task `Free`.
+A package adds ids through the entry-point group `rcs.ids`, such as `PickCuboid-MyRobot-v0 = "my_robot"`: the name is what
+follows `rcs/` in the id, its first word is the task, and the value is the robot. `rcs/MyRobot-v0` has the task `Free`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rcs.envs.vector import VecEnv
 
 EPISODE_STEPS = 300
-"""An episode of an id is truncated after this many steps, by gymnasium, which `gymnasium.make` can be told otherwise."""
+"""Gymnasium truncates an episode after this many steps; `gymnasium.make(..., max_episode_steps=...)` changes it."""
 
 
 def ids() -> dict[str, tuple[str, str]]:

@@ -176,7 +176,9 @@ def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:
     """Return the mode of a real camera that frames of a setup are cut out of: the smallest that is large enough."""
     width, height = setup.size
     rate = camera.camera.frame_rate(setup.size, setup.fps_of(camera.name))
-    large = [mode for mode in camera.camera.modes if mode.width >= width and mode.height >= height and rate in mode.rates]
+    large = [
+        mode for mode in camera.camera.modes if mode.width >= width and mode.height >= height and rate in mode.rates
+    ]
     large = large or [mode for mode in camera.camera.modes if rate in mode.rates]
     mode = min(large, key=lambda mode: mode.width * mode.height)
     return CameraMode(mode.width, mode.height, rate, setup.depth)
@@ -198,7 +200,7 @@ def resolve(setup: Setup) -> Parts:
     robots = tuple(_place(stand, setup.end_effector or lab.end_effector) for stand in lab.stands)
     cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras)
     tactile = tuple(sensor for robot in robots for sensor in _feel(setup.tactile, robot))
-    return Parts(setup=setup, robots=robots, cameras=cameras, tactile=tactile, task=task(lab.area))
+    return Parts(setup=setup, robots=robots, cameras=cameras, tactile=tactile, task=task(lab.area, setup.task_options))
 
 
 def _feel(name: str | None, robot: RobotPlacement) -> tuple[TactilePlacement, ...]:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
-from rcs.envs.task import Area, Outcome, Task
+from rcs.envs.task import Outcome, Task
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
-from rcs.spatial import xyzw_to_wxyz
+from rcs.tasks.lifting import FreeBody, HoldCounter, LiftOptions, norm, progress, upright
 
 EDGES = (0.035, 0.50, 0.05)
 """Edges of the bar along its x, y, z [m]: too long and too heavy at one end for one hand."""
@@ -24,10 +24,6 @@ MASS = 0.30
 """Mass of such a bar of light wood [kg]."""
 GRASP_AT = 0.8
 """Where it is grasped along its y, between its middle (0) and its ends (1)."""
-LIFT_HEIGHT = 0.10
-"""How far above the table both ends must be held [m]."""
-HOLD_TIME = 1.0
-"""For how long [s]."""
 MAX_TILT = np.deg2rad(10.0)
 """Tilt above which the bar does not count as level [rad]."""
 MAX_YAW = 0.35
@@ -38,17 +34,16 @@ BAR = "bar"
 
 
 class LiftBar(Task):
-    """Grasp a bar at both ends with two arms, lift it 10 cm and hold it level for one second.
+    """Grasp a bar at both ends with two arms, lift it, by 10 cm unless the options say otherwise, and hold it level.
 
     The reward is 1 per step at success, below that the mean over the arms of reaching, grasping and lifting.
     """
 
     instruction = "lift the bar with both arms"
 
-    def __init__(self, area: Area) -> None:
-        """Take place in an area; the middle of the bar is anywhere in it."""
-        super().__init__(area)
-        self._steps_held: NDArray[np.int64] = np.zeros((), np.int64)
+    expert = "LiftExpert"
+    Options = LiftOptions
+    options: LiftOptions
 
     def furnish(self, scene: Scene) -> None:
         """Add a table and the bar."""
@@ -89,11 +84,8 @@ class LiftBar(Task):
             for robot in robots
             for pads in robot.gripper.pad_geoms
         ]
-        first = int(model.joint(BAR).qposadr[0])
-        self._translation = slice(first, first + 3)
-        self._quaternion = slice(first + 3, first + 7)
-        self._hold_steps = round(HOLD_TIME * world.frequency)
-        self._steps_held = np.zeros(world.leading, np.int64)
+        self._body = FreeBody(world, BAR)
+        self._held = HoldCounter(world, self.options.hold_time)
         self._geom = int(model.geom(BAR).id)
         self._measure()
 
@@ -108,18 +100,8 @@ class LiftBar(Task):
     def reset(self, draws: Draws, where: Where) -> None:
         """Lay the bar down at a random place, turned a little."""
         self._measure()
-        half, center = np.array(self.area.size) / 2, np.array(self.area.center)
-        place = draws.uniform(np.append(center - half, -MAX_YAW), np.append(center + half, MAX_YAW))
-        pose = np.zeros((*draws.leading, 7))
-        pose[..., :2] = place[..., :2]
-        pose[..., 2] = self._rest_height[where]
-        pose[..., 5] = np.sin(place[..., 2] / 2)
-        pose[..., 6] = np.cos(place[..., 2] / 2)
-        self.place({BAR: pose}, where)
-        if self._world.leading:
-            self._steps_held[where] = 0
-        else:
-            self._steps_held = np.zeros((), np.int64)
+        self._body.place(upright(self.area.draw_place(draws, MAX_YAW), self._rest_height[where]), where)
+        self._held.reset(where)
 
     def object_poses(self) -> dict[str, NDArray[np.float64]]:
         """Return where the bar is: its middle, in the scene."""
@@ -127,13 +109,8 @@ class LiftBar(Task):
 
     def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
         """Put the bar somewhere."""
-        if BAR not in poses:
-            return
-        rows = self._world.qpos[where] if self._world.leading else self._world.qpos
-        rows[..., self._translation] = poses[BAR][..., :3]
-        rows[..., self._quaternion] = xyzw_to_wxyz(poses[BAR][..., 3:])
-        if self._world.leading:
-            self._world.qpos[where] = rows
+        if BAR in poses:
+            self._body.place(poses[BAR], where)
 
     def evaluate(self) -> Outcome:
         """Judge height, level and grasps, and for how long."""
@@ -145,15 +122,10 @@ class LiftBar(Task):
         x, y = bar[..., 3], bar[..., 4]
         is_level = 1.0 - 2.0 * (x * x + y * y) > np.cos(MAX_TILT)  # z component of the bar's z axis
         height = bar[..., 2] - self._rest_height
-        is_held = (height > LIFT_HEIGHT) & is_level & both
-        self._steps_held = (self._steps_held + 1) * is_held
-        success = self._steps_held >= self._hold_steps
-        offsets = poses[..., self._tcps, :3] - self._grasps(bar)
-        dx, dy, dz = (offsets[..., i] for i in range(3))  # one order of adding for one bar and for many
-        reach = 1.0 - np.tanh(5.0 * np.sqrt(dx * dx + dy * dy + dz * dz))
-        lift = np.minimum(np.maximum(height * (1.0 / LIFT_HEIGHT), 0.0), 1.0)
-        each = (reach + grasped * (1.0 + lift[..., None])) * (1.0 / 3.0)
-        reward = np.maximum(each.mean(axis=-1), success)
+        success = self._held.count((height > self.options.lift_height) & is_level & both)
+        distances = norm(poses[..., self._tcps, :3] - self._grasps(bar))
+        lifted = height * (1.0 / self.options.lift_height)
+        reward = self.reward(progress(distances, grasped, lifted[..., None]).mean(axis=-1), success)
         info: dict[str, NDArray[Any]] = {
             "success": success,
             "is_grasped": both,

@@ -16,23 +16,19 @@ from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
-from rcs.spatial import xyzw_to_wxyz
+from rcs.tasks.lifting import FreeBody, HoldCounter, LiftOptions, progress, upright
 
 SIZE = (0.064, 0.032, 0.0576)
 """Edges of the 3D-printed cuboid along its x, y, z [m] (the paper's)."""
 MASS = 0.05
 """Mass of such a cuboid printed in PLA with a usual infill [kg]."""
-LIFT_HEIGHT = 0.10
-"""How far above the table the cuboid must be held [m]."""
-HOLD_TIME = 1.0
-"""For how long [s]."""
 TOUCH_FORCE = 0.5
 """A pad with less than this on the cuboid does not count as touching it [N] (ManiSkill's PickCube)."""
 CUBOID = "cuboid"
 
 
 class PickCuboid(Task):
-    """Lift the cuboid 10 cm above the table and hold it there for one second.
+    """Lift the cuboid, by 10 cm unless the options say otherwise, and hold it there for one second.
 
     The reward is 1 per step at success, below that the mean of three parts in [0, 1]: reaching, grasping, and lifting
     while grasping, in the form of ManiSkill 3's PickCube-v1 (`1 - tanh(5 d)`).
@@ -40,12 +36,15 @@ class PickCuboid(Task):
 
     instruction = "pick up the green cuboid"
 
-    def __init__(self, area: Area) -> None:
+    expert = "PickExpert"
+    Options = LiftOptions
+    options: LiftOptions
+
+    def __init__(self, area: Area, options: LiftOptions | Mapping[str, Any] | None = None) -> None:
         """Take place in an area; the cuboid's centre is anywhere in it, at any yaw."""
-        super().__init__(area)
+        super().__init__(area, options)
         self.edges = tuple(area.object_scale * edge for edge in SIZE)
         """Edges of the cuboid here [m]."""
-        self._steps_held: NDArray[np.int64] = np.zeros((), np.int64)
 
     def furnish(self, scene: Scene) -> None:
         """Add a table and the cuboid."""
@@ -90,11 +89,8 @@ class PickCuboid(Task):
             for pads in gripper.pad_geoms
         ]
         self._touched = world.core.read_force(world.subtree_flags(placement.base_body), cuboid)
-        first = int(model.joint(CUBOID).qposadr[0])
-        self._translation = slice(first, first + 3)
-        self._quaternion = slice(first + 3, first + 7)
-        self._hold_steps = round(HOLD_TIME * world.frequency)
-        self._steps_held = np.zeros(world.leading, np.int64)
+        self._body = FreeBody(world, CUBOID)
+        self._held = HoldCounter(world, self.options.hold_time)
         self._geom = int(model.geom(CUBOID).id)
         self._rest_height = np.full(world.leading, self.edges[2] / 2)
         # The pose for agents is in the base frame, which may stand anywhere; how high the cuboid is held is not.
@@ -103,19 +99,8 @@ class PickCuboid(Task):
     def reset(self, draws: Draws, where: Where) -> None:
         """Lay the cuboid down at a random place and yaw."""
         self._rest_height = self._world.field("geom_size")[..., self._geom, 2].copy()  # it may vary between episodes
-        half = np.array([*self.area.size]) / 2
-        center = np.array(self.area.center)
-        place = draws.uniform(np.append(center - half, -np.pi), np.append(center + half, np.pi))
-        pose = np.zeros((*draws.leading, 7))
-        pose[..., :2] = place[..., :2]
-        pose[..., 2] = self._rest_height[where]
-        pose[..., 5] = np.sin(place[..., 2] / 2)
-        pose[..., 6] = np.cos(place[..., 2] / 2)
-        self.place({CUBOID: pose}, where)
-        if self._world.leading:
-            self._steps_held[where] = 0
-        else:
-            self._steps_held = np.zeros((), np.int64)
+        self._body.place(upright(self.area.draw_place(draws), self._rest_height[where]), where)
+        self._held.reset(where)
 
     def object_poses(self) -> dict[str, NDArray[np.float64]]:
         """Return where the cuboid is: its middle, in the scene."""
@@ -123,16 +108,8 @@ class PickCuboid(Task):
 
     def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
         """Put the cuboid somewhere."""
-        if CUBOID not in poses:
-            return
-        translation, quaternion = poses[CUBOID][..., :3], xyzw_to_wxyz(poses[CUBOID][..., 3:])
-        qpos = self._world.qpos
-        if self._world.leading:
-            qpos[where, self._translation] = translation
-            qpos[where, self._quaternion] = quaternion
-        else:
-            qpos[self._translation] = translation
-            qpos[self._quaternion] = quaternion
+        if CUBOID in poses:
+            self._body.place(poses[CUBOID], where)
 
     def evaluate(self) -> Outcome:
         """Judge height, grasp and how long the cuboid was held."""
@@ -141,12 +118,10 @@ class PickCuboid(Task):
         cuboid = poses[..., self._pose, :].copy()
         is_grasped = touches[..., self._pads[0]] & touches[..., self._pads[1]]
         height = poses[..., self._in_scene, 2] - self._rest_height
-        self._steps_held = (self._steps_held + 1) * ((height > LIFT_HEIGHT) & is_grasped)
-        success = self._steps_held >= self._hold_steps
+        success = self._held.count((height > self.options.lift_height) & is_grasped)
         offset = cuboid[..., :3] - poses[..., self._robot.tcp_readout, :3]
-        reach = 1.0 - np.tanh(5.0 * np.sqrt(np.vecdot(offset, offset)))
-        lift = np.minimum(np.maximum(height * (1.0 / LIFT_HEIGHT), 0.0), 1.0)
-        reward = np.maximum((reach + is_grasped * (1.0 + lift)) * (1.0 / 3.0), success)
+        lifted = height * (1.0 / self.options.lift_height)
+        reward = self.reward(progress(np.sqrt(np.vecdot(offset, offset)), is_grasped, lifted), success)
         info = {
             "success": success,
             "is_grasped": is_grasped,

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
-from rcs.envs.task import Area, Outcome, Task
+from rcs.envs.task import Outcome, Task
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
 from rcs.spatial import Pose, compose, inverse
+from rcs.tasks.lifting import HoldCounter, LiftOptions, norm, progress
 
 SIZE = (0.09, 0.075, 0.07)
 """Length, width and height of the toy, an ellipsoid [m]."""
@@ -37,10 +38,6 @@ SKIN = 0.002
 """Radius of the skin around vertices and faces [m]."""
 SETTLE_TIME = 1.0
 """Time in which the toy comes to rest under its own weight [s]."""
-LIFT_HEIGHT = 0.10
-"""How far above where it lay the toy's centre must be [m]."""
-HOLD_TIME = 1.0
-"""For how long, with the arm at home [s]."""
 NEAR_HOME = 0.05
 """The arm is back home with its TCP this close to where it was at the start [m]."""
 TOUCH_FORCE = 0.2
@@ -52,7 +49,7 @@ TOY = "toy"
 
 
 class PickToy(Task):
-    """Lift a soft toy by 10 cm and hold it at the arm's home pose for one second.
+    """Lift a soft toy, by 10 cm unless the options say otherwise, and hold it at the arm's home pose for one second.
 
     The toy is a flex whose shape follows eight nodes, the corners of a box around it. Each has three slide joints along
     the scene's axes, so that its place, turn and shape are all in `qpos`. There is no pose to turn it by: a turn moves
@@ -64,10 +61,9 @@ class PickToy(Task):
 
     instruction = "pick up the toy"
 
-    def __init__(self, area: Area) -> None:
-        """Take place in an area; the toy's centre is anywhere in it, at any yaw."""
-        super().__init__(area)
-        self._steps_held: NDArray[np.int64] = np.zeros((), np.int64)
+    expert = "ToyExpert"
+    Options = LiftOptions
+    options: LiftOptions
 
     def furnish(self, scene: Scene) -> None:
         """Add a table and the toy."""
@@ -107,8 +103,7 @@ class PickToy(Task):
         self._scene_in_base = inverse(Pose(base.translation, base.quaternion).tquat)
         home = kinematics_of(placement.arm, placement.end_effector).forward(np.array(placement.arm.home))
         self._home = home.tquat[:3]
-        self._hold_steps = round(HOLD_TIME * world.frequency)
-        self._steps_held = np.zeros(world.leading, np.int64)
+        self._held = HoldCounter(world, self.options.hold_time)
 
     def _measure(self, where: Where) -> NDArray[np.float64]:
         """Take over how large and heavy the toys are, which may vary between episodes.
@@ -121,19 +116,15 @@ class PickToy(Task):
         lying = self._lying.nodes(nodes[..., 0, 0] / self._nominal[0], mass / self._nominal[1])
         self._nodes[where] = nodes
         self._rest_height[where] = _mean(lying)[..., 2]
-        self._distances[where] = _norm(lying[..., self._first, :] - lying[..., self._second, :])
+        self._distances[where] = norm(lying[..., self._first, :] - lying[..., self._second, :])
         return lying
 
     def reset(self, draws: Draws, where: Where) -> None:
         """Lay the toy down at a random place and yaw, as it lies under its own weight."""
         lying = self._measure(where)
-        half, center = np.array(self.area.size) / 2, np.array(self.area.center)
-        place = draws.uniform(np.append(center - half, -np.pi), np.append(center + half, np.pi))
+        place = self.area.draw_place(draws)
         self._lay(lying, place[..., :2], place[..., 2:], where)
-        if self._world.leading:
-            self._steps_held[where] = 0
-        else:
-            self._steps_held = np.zeros((), np.int64)
+        self._held.reset(where)
 
     def object_poses(self) -> dict[str, NDArray[np.float64]]:
         """Return where the toy is: its centre and yaw, in the scene."""
@@ -159,14 +150,7 @@ class PickToy(Task):
         nodes[..., 0] = center[..., 0:1] + cos * x - sin * y
         nodes[..., 1] = center[..., 1:2] + sin * x + cos * y
         nodes[..., 2] = lying[..., 2]
-        values = (nodes - self._center - self._nodes[where]).reshape(*yaw.shape[:-1], -1)
-        if self._world.leading:
-            # Two steps: one index with copies and joints would pair them.
-            rows = self._world.qpos[where]
-            rows[..., self._qpos] = values
-            self._world.qpos[where] = rows
-        else:
-            self._world.qpos[self._qpos] = values
+        self._world.qpos[where, self._qpos] = (nodes - self._center - self._nodes[where]).reshape(*yaw.shape[:-1], -1)
 
     def evaluate(self) -> Outcome:
         """Judge height, grasp and how long the toy was held at home."""
@@ -177,12 +161,10 @@ class PickToy(Task):
         height = in_scene[..., 2] - self._rest_height
         is_squeezed = self._strain(nodes) > SQUEEZED
         is_touched = self._world.forces[..., self._touched] > TOUCH_FORCE
-        is_home = _norm(tcp - self._home) < NEAR_HOME
-        self._steps_held = (self._steps_held + 1) * ((height > LIFT_HEIGHT) & is_home)
-        success = self._steps_held >= self._hold_steps
-        reach = 1.0 - np.tanh(5.0 * _norm(toy[..., :3] - tcp))
-        lift = np.minimum(np.maximum(height * (1.0 / LIFT_HEIGHT), 0.0), 1.0)
-        reward = np.maximum((reach + is_squeezed * (1.0 + lift)) * (1.0 / 3.0), success)
+        is_home = norm(tcp - self._home) < NEAR_HOME
+        success = self._held.count((height > self.options.lift_height) & is_home)
+        lifted = height * (1.0 / self.options.lift_height)
+        reward = self.reward(progress(norm(toy[..., :3] - tcp), is_squeezed, lifted), success)
         info = {"success": success, "is_touched": is_touched, "toy": toy}
         return Outcome(reward=reward, terminated=success, info=info)
 
@@ -208,16 +190,11 @@ class PickToy(Task):
 
     def _strain(self, nodes: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the largest change of a distance between two nodes since it lay still, in proportion, (*leading,)."""
-        distances = _norm(nodes[..., self._first, :] - nodes[..., self._second, :])
+        distances = norm(nodes[..., self._first, :] - nodes[..., self._second, :])
         return (np.abs(distances - self._distances) * (1.0 / self._distances)).max(axis=-1)
 
 
 # NumPy's own sums add in an order that may depend on how many copies there are.
-def _norm(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    x, y, z = (vectors[..., i] for i in range(3))
-    return np.sqrt(x * x + y * y + z * z)
-
-
 def _sum(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.add.accumulate(nodes, axis=-2)[..., -1, :]
 
@@ -257,12 +234,11 @@ def _node_bodies(model: mujoco.MjModel) -> NDArray[np.intp]:
     return np.flatnonzero(model.body_parentid == model.body(TOY).id)
 
 
-def _nodes_of(model: mujoco.MjModel) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
-    """Return the carrier's place (3,), the nodes' relative to it (nodes, 3) and the indices of their `qpos` [m]."""
+def _nodes_of(model: mujoco.MjModel) -> tuple[NDArray[np.float64], NDArray[np.float64], slice]:
+    """Return the carrier's place (3,), the nodes' relative to it (nodes, 3) and where they are in `qpos` [m]."""
     bodies = _node_bodies(model)
-    first = model.jnt_qposadr[model.body_jntadr[bodies]]
-    qpos = (first[:, None] + np.arange(3)).ravel().astype(np.intp)
-    return model.body(TOY).pos.copy(), model.body_pos[bodies].copy(), qpos
+    first = int(model.jnt_qposadr[model.body_jntadr[bodies[0]]])  # the nodes follow each other, three joints each
+    return model.body(TOY).pos.copy(), model.body_pos[bodies].copy(), slice(first, first + 3 * len(bodies))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from rcs.data import Dataset, DatasetWriter, check
 from rcs.envs.observers import Observer, Transition
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.envs.observers.takes import Takes
-from rcs.envs.setup import Setup
 from rcs.errors import DatasetError
 
 TRIALS = 200

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -46,7 +45,6 @@ class Loop:
     def __init__(self, path: Path, **settings: Any) -> None:
         self.path = path
         self.writer = DatasetWriter.open(path, INFO)
-        env: Any = SimpleNamespace(is_simulated=False)
         self.recorder = Recorder(self.writer, **settings)
         self.recorder.name_next("a")
         self.waits: list[float] = []

@@ -6,8 +6,8 @@ from rcs.envs.layers.grasp_hand import GraspHand
 from rcs.envs.layers.layer import Action, ActionSpaces, Layer, Where, everywhere
 from rcs.envs.layers.limit_step import LimitStep
 from rcs.envs.layers.relative import Relative
-from rcs.envs.layers.wrist_camera import WristCamera
 from rcs.envs.layers.wrapper import LayerWrapper
+from rcs.envs.layers.wrist_camera import WristCamera
 from rcs.envs.layers.xyzrpy import XyzrpyControl
 
 __all__ = [

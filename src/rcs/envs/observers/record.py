@@ -50,7 +50,9 @@ def record(
 
 
 @contextmanager
-def record_all(env: Env | VecEnv, out: str | Path, *, colour: Colour = "jpeg", jpeg_quality: int = 95) -> Generator[None]:
+def record_all(
+    env: Env | VecEnv, out: str | Path, *, colour: Colour = "jpeg", jpeg_quality: int = 95
+) -> Generator[None]:
     """Record every episode from reset to end, of a batch those of all copies at once, judged by the task.
 
     Args:

@@ -1,0 +1,37 @@
+"""Find the agent that acts in an environment: a named one, or the expert of its task."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rcs.agents.agent import Agent
+from rcs.devices import lookup
+from rcs.envs.env import Env
+from rcs.errors import InvalidSetup
+
+
+def agent_for(env: Env, agent: Any = None) -> Agent:
+    """Return an agent for an environment.
+
+    Args:
+        env: The environment that it will act in.
+        agent: An agent, a class or function that makes one from the environment, the name of an entry point of
+            `rcs.agents`, or `module:Class`; None for the expert that the task names.
+
+    Raises:
+        InvalidSetup: The task names no expert, or what was given makes no agent.
+        UnknownName: There is no agent of this name.
+    """
+    if agent is None:
+        task = lookup.find("task", env.setup.task)
+        agent = task.expert
+        if agent is None:
+            raise InvalidSetup(
+                f"There is no scripted expert for the task {task.__name__!r}: it names none. Give an agent, or set the "
+                f"task's attribute `expert`, for example to one of {', '.join(map(repr, lookup.names('agent')))}."
+            )
+    found = lookup.find("agent", agent)
+    made = found if isinstance(found, Agent) else found(env) if callable(found) else None
+    if not isinstance(made, Agent):
+        raise InvalidSetup(f"The agent {agent!r} is {made!r}; valid is a class or function that makes an Agent.")
+    return made

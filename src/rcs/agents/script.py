@@ -1,0 +1,201 @@
+"""Scripted behaviours: phases that all arms of an environment go through in step, by the actions of a policy."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.agents.action_writer import ActionWriter
+from rcs.agents.agent import Action, Agent
+from rcs.envs.env import Env
+from rcs.envs.spaces import JOINTS, TQUAT, Observation
+from rcs.errors import WrongOrder
+from rcs.kinematics import Kinematics, kinematics_of
+from rcs.sim.scene import RobotPlacement
+from rcs.spatial import distance, limit_step
+
+JOINT_SPEED = 1.2
+"""Speed of the fastest joint where the way is by joints [rad/s]."""
+ARRIVED_JOINTS = 0.03
+"""Joints count as arrived this close to their targets [rad]."""
+PATIENCE = 4.0
+"""Longest time of any phase before the script goes on regardless [s]."""
+
+Condition = Callable[["Script"], bool]
+
+
+class Waypoint(NamedTuple):
+    """TCP pose in the base frame, (7,), with joints [rad], (dof,), where an arm goes by joints and not straight."""
+
+    tcp: NDArray[np.float64]
+    joints: NDArray[np.float64] | None = None
+
+
+Plan = Mapping[str, Waypoint]
+"""Where one arm goes, by the names that phases use."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of a script. It ends after `PATIENCE` at the latest; the last phase of a script never ends."""
+
+    name: str
+    goal: str = ""
+    """Name of the waypoint that every arm goes to; none to stay."""
+    speed: float = 0.20
+    """Speed of the TCP's target [m/s]."""
+    opening: float = 1.0
+    """Of the grippers, 0 closed … 1 open."""
+    until: Condition = lambda script: script.has_arrived()
+    risk: tuple[str, Condition] | None = None
+    """Class of a failure that ends the attempt, and when that is the case."""
+    is_judged_at_end: bool = False
+    """Whether the failure is looked for only when the phase is done."""
+
+
+GIVEN_UP = Phase("given up")
+
+
+class ScriptedArm:
+    """One arm of a script: its parts, what it has measured in this step and in the one before, and where it goes."""
+
+    def __init__(self, env: Env, key: str | None, robot: RobotPlacement) -> None:
+        self.key, self.robot = key, robot
+        self.kinematics: Kinematics = kinematics_of(robot.arm, robot.end_effector)
+        space: Any = env.action_space
+        self.writer = ActionWriter(env.setup, space if key is None else space[key], self.kinematics)
+        self.observation: Observation = {}
+        self.before: Observation = {}
+        self.start = np.zeros(0)
+        """Joints at the start of the episode [rad]."""
+        self.target = np.zeros(0)
+        """TCP pose that was last aimed at, in the base frame, (7,)."""
+        self.plan: Plan = {}
+
+    def see(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Take over what came of the last step."""
+        own = observation if self.key is None else observation[self.key]
+        self.before, self.observation = self.observation or own, own
+        self.writer.follow(info, self.key)
+
+    def is_at(self, place: Waypoint, tolerance: tuple[float, float]) -> bool:
+        """Return whether the arm is measured at a waypoint, up to a tolerance of its TCP [m, rad]."""
+        if place.joints is not None:
+            return bool(np.abs(self.observation[JOINTS] - place.joints).max() < ARRIVED_JOINTS)
+        return bool((distance(self.observation[TQUAT], place.tcp) < tolerance).all())
+
+
+class Script(Agent):
+    """Goes through phases, and tries again from above after a failure; subclasses declare the phases and plan."""
+
+    task: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]]
+    """Keys that the task's info must have."""
+    phases: ClassVar[Sequence[Phase]]
+    attempts: ClassVar[int] = 2
+    turn_speed: ClassVar[float] = 2.0
+    """Speed of the target's rotation [rad/s]."""
+    arrived: ClassVar[tuple[float, float]] = (0.004, 0.03)
+    """An arm counts as arrived with its TCP this close to a waypoint [m, rad]."""
+
+    def __init__(self, env: Env) -> None:
+        self._period = 1.0 / env.setup.frequency
+        # A synchronous step ends at its target: there, bigger steps only mean fewer of them.
+        self._pace = self._period * (1.0 if env.setup.mode != "sync" else 3.0)
+        is_single = len(env.robots) == 1
+        self.arms = [ScriptedArm(env, None if is_single else name, robot) for name, robot in env.robots.items()]
+        self._retreat = replace(self.phases[0], name="retreat")
+        self._phase, self._steps, self._attempt = GIVEN_UP, 0, 0
+        self._failure: str | None = None
+        self.info: Mapping[str, Any] = {}
+        self.elapsed = 0.0
+        """How long the present phase has lasted [s]."""
+
+    @abstractmethod
+    def plan(self, arm: ScriptedArm) -> Plan | None:
+        """Return where an arm goes, by the names that phases use besides `home`; None when that is not feasible."""
+
+    @property
+    def failure(self) -> str | None:
+        """`ik`: a waypoint is not feasible; `no_contact`: a gripper closed on nothing; `slip`: it lost the object."""
+        return self._failure
+
+    @property
+    def phase(self) -> str:
+        """Name of the present phase; `retreat` between two attempts, and `given up` after the last one."""
+        return self._phase.name
+
+    def has_arrived(self) -> bool:
+        """Return whether all arms are at the goal of the present phase."""
+        goal = self._phase.goal
+        return all(goal in arm.plan and arm.is_at(arm.plan[goal], self.arrived) for arm in self.arms)
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Plan a new episode.
+
+        Raises:
+            WrongOrder: The info lacks what the script looks at: the environment has another task.
+        """
+        if missing := [key for key in self.needs if key not in info]:
+            raise WrongOrder(f"{type(self).__name__} needs info[{missing[0]!r}]; use it in the task {self.task}.")
+        self.info, self._failure, self._attempt = info, None, 0
+        for arm in self.arms:
+            arm.see(observation, info)
+            arm.writer.reset(arm.observation)
+            arm.start, arm.target = np.array(arm.observation[JOINTS]), np.array(arm.observation[TQUAT])
+        self._begin()
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        """Go on with the present phase, or with the next when all arms are done."""
+        self.info = info
+        for arm in self.arms:
+            arm.see(observation, info)
+        self._steps += 1
+        self.elapsed = self._steps * self._period
+        self._advance()
+        actions = {arm.robot.name: self._step(arm) for arm in self.arms}
+        return actions if len(actions) > 1 else actions[self.arms[0].robot.name]
+
+    def _begin(self) -> None:
+        self._attempt += 1
+        plans = [self.plan(arm) for arm in self.arms]
+        for arm, plan in zip(self.arms, plans, strict=True):
+            arm.plan = {"home": Waypoint(arm.kinematics.forward(arm.start).tquat), **(plan or {})}
+        if None in plans:
+            self._failure = "ik"
+        self._enter(GIVEN_UP if None in plans else self.phases[0])
+
+    def _advance(self) -> None:
+        phase = self._phase
+        is_done = self.elapsed > PATIENCE or phase.until(self)
+        if phase.risk is not None and (is_done or not phase.is_judged_at_end) and phase.risk[1](self):
+            self._failure = phase.risk[0]
+            self._enter(self._retreat if self._attempt < self.attempts else GIVEN_UP)
+        elif is_done and phase is self._retreat:
+            self._begin()
+        elif is_done and phase in self.phases[:-1]:
+            self._enter(self.phases[self.phases.index(phase) + 1])
+
+    def _enter(self, phase: Phase) -> None:
+        self._phase, self._steps = phase, 0
+
+    def _step(self, arm: ScriptedArm) -> Action:
+        phase, writer = self._phase, arm.writer
+        place = arm.plan.get(phase.goal, Waypoint(arm.target))
+        if place.joints is not None:
+            step = place.joints - writer.joints
+            step *= min(1.0, self._pace * JOINT_SPEED / max(float(np.abs(step).max()), 1e-12))
+            action = writer.write_joints(writer.joints + step, phase.opening)
+            arm.target = arm.kinematics.forward(writer.joints).tquat
+            return action
+        arm.target = limit_step(arm.target, place.tcp, phase.speed * self._pace, self.turn_speed * self._pace)
+        action = writer.write(arm.target, phase.opening)
+        if action is None:
+            self._failure = self._failure or "ik"
+            action = writer.write_joints(writer.joints, phase.opening)
+        return action

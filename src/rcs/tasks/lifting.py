@@ -1,0 +1,106 @@
+"""What tasks share in which something that lies on the table is lifted and held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.envs.layers import Where
+from rcs.envs.task import Task
+from rcs.errors import InvalidSetup
+from rcs.sim.world import World
+from rcs.spatial import xyzw_to_wxyz
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiftOptions(Task.Options):
+    """What may be chosen in a task of lifting and holding."""
+
+    lift_height: float = 0.10
+    """How far above where it lay the object must be held [m]."""
+    hold_time: float = 1.0
+    """For how long [s]."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            InvalidSetup: A value is not a number above 0.
+        """
+        super().__post_init__()
+        for name in ("lift_height", "hold_time"):
+            if not getattr(self, name) > 0:
+                raise InvalidSetup(f"The task option {name} is {getattr(self, name)!r}; valid is a number above 0.")
+
+
+class HoldCounter:
+    """Counts for how many steps in a row something was held, for each copy."""
+
+    def __init__(self, world: World, hold_time: float) -> None:
+        """Count from 0 for a world; `hold_time` [s] is how long is long enough."""
+        self.steps = np.zeros(world.leading, np.int64)
+        """Steps in a row up to now, (*leading,)."""
+        self._enough = max(1, round(hold_time * world.frequency))
+
+    def reset(self, where: Where) -> None:
+        """Start anew for some copies."""
+        self.steps[where] = 0
+
+    def count(self, is_held: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Take a step into account, and return which copies have held for long enough, (*leading,)."""
+        self.steps += 1
+        self.steps *= is_held
+        return self.steps >= self._enough
+
+
+class FreeBody:
+    """A body that moves freely, by the name that it shares with its joint."""
+
+    def __init__(self, world: World, name: str) -> None:
+        """Look up where its state is."""
+        self._qpos = world.qpos
+        first = int(world.model.joint(name).qposadr[0])
+        self._translation = slice(first, first + 3)
+        self._quaternion = slice(first + 3, first + 7)
+
+    def place(self, pose: NDArray[np.float64], where: Where) -> None:
+        """Put the bodies of some copies at poses in the scene, (*leading of these, 7) [m], xyzw."""
+        self._qpos[where, self._translation] = pose[..., :3]
+        self._qpos[where, self._quaternion] = xyzw_to_wxyz(pose[..., 3:])
+
+
+def upright(place: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return poses (*leading, 7) that are turned about the vertical only.
+
+    Args:
+        place: x, y [m] and yaw [rad], (*leading, 3).
+        height: z [m], (*leading,).
+    """
+    pose = np.zeros((*place.shape[:-1], 7))
+    pose[..., :2] = place[..., :2]
+    pose[..., 2] = height
+    pose[..., 5], pose[..., 6] = np.sin(place[..., 2] / 2), np.cos(place[..., 2] / 2)
+    return pose
+
+
+def progress(
+    distance: NDArray[np.float64], is_grasped: NDArray[np.bool_], lifted: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the mean of reaching, grasping, and lifting while grasping, 0 … 1 each (ManiSkill 3's PickCube-v1).
+
+    Args:
+        distance: Between the TCP and what is to be grasped [m].
+        is_grasped: Whether it is.
+        lifted: How high it is in proportion to how high it should be.
+    """
+    reach = 1.0 - np.tanh(5.0 * distance)
+    return (reach + is_grasped * (1.0 + np.minimum(np.maximum(lifted, 0.0), 1.0))) * (1.0 / 3.0)
+
+
+# NumPy's own sums add in an order that may depend on how many copies there are.
+def norm(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lengths of vectors (..., 3), the same for one copy as for many."""
+    x, y, z = (vectors[..., i] for i in range(3))
+    return np.sqrt(x * x + y * y + z * z)

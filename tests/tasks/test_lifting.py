@@ -1,0 +1,107 @@
+"""What tasks of lifting share, the same for one copy and for many."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.agents import agent_for
+from rcs.envs.assemble import assemble, assemble_vec
+from rcs.errors import InvalidSetup
+from rcs.setups.make import resolve
+from rcs.tasks.lift_bar import LiftBar
+from rcs.tasks.lifting import norm, progress, upright
+from rcs.tasks.pick_cuboid import PickCuboid
+from rcs.tasks.pick_toy import PickToy
+
+TASKS = [(PickCuboid, "fr3"), (LiftBar, "dual_fr3"), (PickToy, "xarm7")]
+every_task = pytest.mark.parametrize(("task", "robot"), TASKS)
+
+
+def parts_with(task: Any, robot: str, **options: Any) -> Any:
+    parts = resolve(rcs.Setup(task=task.__name__, robot=robot))
+    return replace(parts, task=task(parts.task.area, options))
+
+
+def episode(env: Any, seed: int) -> tuple[list[float], list[bool], list[Any]]:
+    """Return rewards, successes and actions of an episode of the task's expert."""
+    expert, rewards, successes, actions = agent_for(env), [], [], []
+    observation, info = env.reset(seed=seed)
+    expert.reset(observation, info)
+    is_over = False
+    while not is_over:
+        actions.append(expert.act(observation, info))
+        observation, reward, terminated, truncated, info = env.step(actions[-1])
+        rewards.append(reward)
+        successes.append(info["success"])
+        is_over = terminated or truncated
+    return rewards, successes, actions
+
+
+@every_task
+def test_a_sparse_reward_changes_nothing_but_the_reward(task: Any, robot: str) -> None:
+    dense, sparse = (episode(assemble(parts_with(task, robot, reward=kind)), 3) for kind in ("dense", "sparse"))
+    assert sparse[0] == [float(success) for success in sparse[1]] == [float(success) for success in dense[1]]
+    assert sparse[0][-1] == dense[0][-1] == 1.0
+    assert all(before > 0.0 for before in dense[0])
+
+
+@every_task
+def test_a_longer_hold_ends_so_much_later(task: Any, robot: str) -> None:
+    short, long = (episode(assemble(parts_with(task, robot, hold_time=time)), 3) for time in (0.2, 1.4))
+    assert len(long[0]) - len(short[0]) == round(1.2 * 30)
+    for one, other in zip(short[0][:-1], long[0], strict=False):
+        assert one == other
+
+
+def test_a_greater_height_is_reached_later_and_is_worth_less_on_the_way() -> None:
+    low, high = (episode(assemble(parts_with(PickCuboid, "fr3", lift_height=height)), 3) for height in (0.03, 0.12))
+    assert len(low[0]) < len(high[0])
+    assert all(one >= other for one, other in zip(low[0], high[0], strict=False))
+
+
+def test_copies_take_the_same_options_as_one() -> None:
+    envs = assemble_vec(
+        parts_with(PickCuboid, "fr3", hold_time=1 / 30, lift_height=0.001), copies=2, threads=1, autoreset="Disabled"
+    )
+    envs.reset(seed=0)
+    world, held = envs.scenario.world, envs.scenario.task._held
+    assert held.count(np.array([True, False])).tolist() == [True, False]
+    held.reset(np.array([0]))
+    assert held.steps.tolist() == [0, 0]
+    assert held.steps.shape == world.leading
+
+
+@pytest.mark.parametrize("value", [0.0, -0.1])
+@pytest.mark.parametrize("name", ["lift_height", "hold_time"])
+def test_heights_and_times_that_make_no_sense_are_refused(name: str, value: float) -> None:
+    with pytest.raises(InvalidSetup, match=f"{name} is .*above 0"):
+        PickCuboid.parse_options({name: value})
+
+
+def test_a_hold_of_less_than_a_step_still_takes_one() -> None:
+    env = assemble(parts_with(PickCuboid, "fr3", hold_time=1e-3))
+    env.reset(seed=0)
+    *_, info = env.step({"joints": np.zeros(7), "gripper": np.ones(1, np.float32)})
+    assert not info["success"]
+
+
+def test_progress_grows_from_0_to_1_with_each_of_its_parts() -> None:
+    grasped = np.array([False, True])
+    assert progress(np.array(np.inf), grasped, np.array(1.0)).tolist() == pytest.approx([0.0, 2 / 3])
+    assert progress(np.array(0.0), grasped, np.array(2.0)).tolist() == pytest.approx([1 / 3, 1.0])
+    near, far = progress(np.array([0.01, 0.02]), np.array(True), np.array(0.5))
+    assert near > far
+
+
+def test_upright_poses_and_lengths_are_those_of_each_copy() -> None:
+    rng = np.random.default_rng(0)
+    places, heights = rng.uniform(-1, 1, (4, 3)), rng.uniform(0, 1, 4)
+    for copy, pose in enumerate(upright(places, heights)):
+        np.testing.assert_array_equal(pose, upright(places[copy], heights[copy]))
+        assert rcs.Pose.from_tquat(pose).rpy == pytest.approx([0.0, 0.0, places[copy, 2]])
+        assert norm(pose[3:6]) == np.sqrt(pose[5] ** 2)
