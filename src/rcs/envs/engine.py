@@ -7,17 +7,16 @@ serves both: `array[where] = value` is for all copies with `where = ...`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs._core import StepEnd
+from rcs.envs.audience import Audience, Step, row
 from rcs.envs.clock import Clock
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
-from rcs.envs.observers import Observer, Transition
 from rcs.envs.scenario import Scenario
 from rcs.envs.spaces import Observation
 from rcs.envs.stack import Nested, Stack, copied, for_all
@@ -32,17 +31,6 @@ DIVERGED, FAULT = "diverged", "fault"
 _ENDS = {end.value: end.name for end in StepEnd}
 END_NAMES = np.array([{**_ENDS, StepEnd.failed.value: DIVERGED}.get(i, "") for i in range(1 + max(_ENDS))])
 """What `info["end"]` says of a step, by the value of `StepEnd`."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Step:
-    """What a step led to. Arrays have the leading shape."""
-
-    observation: Observation
-    reward: NDArray[np.float64]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    info: dict[str, Any]
 
 
 class Engine:
@@ -72,7 +60,8 @@ class Engine:
         self.instruction = "" if scenario is None else scenario.task.instruction
         self._clock = clock
         self._max_episode_steps = max_episode_steps
-        self._observers: list[tuple[int, Observer]] = []
+        self.audience = Audience(stack, clock, scenario)
+        """The observers."""
         self._resources: list[Callable[[], None]] = [] if scenario is None else [scenario.world.close]
         self._ends: NDArray[np.uint8] = clock.ends.reshape(self.leading)
         self._steps = np.zeros(self.leading, np.int64)
@@ -81,25 +70,12 @@ class Engine:
         self._must_rebase = False
         self._is_commanded = False
         self._last_observation: Observation = {}
-        self._notes: dict[str, Any] = {}
 
     # --- Who watches, what is closed in the end -----------------------------------------------------------------------
-
-    def add_observer(self, observer: Observer, copy: int = 0) -> None:
-        """Have an observer see every step of a copy from its next episode on."""
-        self._observers.append((copy, observer))
-
-    def remove_observer(self, observer: Observer) -> None:
-        """Have an observer see no more steps."""
-        self._observers = [(copy, one) for copy, one in self._observers if one is not observer]
 
     def close_too(self, close: Callable[[], None]) -> None:
         """Have something closed after the observers."""
         self._resources.insert(0, close)
-
-    def note(self, notes: Mapping[str, Any]) -> None:
-        """Give observers something to see with the next step."""
-        self._notes.update(notes)
 
     # --- Episodes -----------------------------------------------------------------------------------------------------
 
@@ -133,18 +109,17 @@ class Engine:
         self._is_started, self._broken_off_by = True, ""
         info = {} if self.scenario is None else self.scenario.describe()
         info.update(time=self._time(), instruction=np.full(self.leading, self.instruction, object))
-        info = info if self.leading else _row(info, ...)
-        if self._observers:
-            self._tell_starts(observation, info, self._mask(copies))
+        info = info if self.leading else row(info, ...)
+        self.audience.tell_starts(observation, info, self._seeds_of(copies))
         return observation, info
 
     def restart(self, copies: NDArray[np.int32]) -> Observation:
         """Start the next episode of some copies right after their last step."""
         self._begin(copies)
         observation = self.observe_start(copies)
-        if self._observers and self.scenario is not None:
+        if self.scenario is not None:
             info = {**self.scenario.describe(), "time": self._time()}
-            self._tell_starts(observation, info, self._mask(copies))
+            self.audience.tell_starts(observation, info, self._seeds_of(copies))
         return observation
 
     def _begin(self, copies: Copies) -> None:
@@ -219,7 +194,7 @@ class Engine:
                 self._must_rebase = True
             if self._must_rebase:
                 self.stack.hold()  # refused, or another thread has said so before the targets were sent
-            if ids is None:
+            if ids is None or starting is None:
                 self._clock.advance()
             else:
                 self._clock.advance(np.flatnonzero(~starting).astype(np.int32))
@@ -237,10 +212,11 @@ class Engine:
             self.stack.reset(measured, ids)
         step = self._judge(self.stack.lift(measured), starting, faults, told)
         self._last_observation = step.observation
-        if self._observers:
-            self._tell_step(step, action, starting)
-            if faults := step.info.get("faults", {}):
-                self._tell_end(str(step.info["end"]), faults)
+        if starting is not None:
+            self.audience.tell_starts(step.observation, step.info, self._seeds_of(ids))
+        self.audience.tell_step(step, action, starting)
+        if faults := step.info.get("faults", {}):
+            self.audience.tell_end(str(step.info["end"]), faults)
         return step
 
     def _judge(
@@ -268,7 +244,7 @@ class Engine:
             truncated = truncated | ((self._steps >= self._max_episode_steps) & ~terminated)
             truncated = truncated if starting is None else truncated & ~starting
         info = {**info, **self.stack.info(), "time": self._time(), "end": END_NAMES[self._ends]}
-        info = info if self.leading else _row(info, ...)
+        info = info if self.leading else row(info, ...)
         info["target"] = copied(self.stack.target)
         info.update(told)
         if self._clock.is_real:
@@ -287,51 +263,11 @@ class Engine:
             return np.float64(self._clock.now())
         return self.scenario.world.time.copy()
 
-    def _mask(self, copies: Copies) -> NDArray[np.bool_]:
-        mask = np.zeros(self.leading, np.bool_)
-        mask[... if copies is None else copies] = True
-        return mask
-
-    # --- Observers ----------------------------------------------------------------------------------------------------
-
-    def _tell_starts(self, observation: Observation, info: dict[str, Any], started: NDArray[np.bool_]) -> None:
-        for copy, observer in self._observers:
-            where = copy if self.leading else ...
-            if started[where]:
-                # An episode after the first depends on the seed and on how many came before it.
-                seed = int(self.seeds[where]) if self.episodes[where] == 0 else None
-                observer.on_reset(self._transition(copy, observation, info), seed)
-
-    def _tell_step(self, step: Step, action: Any, starting: NDArray[np.bool_] | None) -> None:
-        if starting is not None:
-            self._tell_starts(step.observation, step.info, starting)
-        for copy, observer in self._observers:
-            if starting is None or not starting[copy]:
-                observer.on_step(self._transition(copy, step.observation, step.info, step, action))
-        self._notes = {}
-
-    def _transition(
-        self, copy: int, observation: Observation, info: dict[str, Any], step: Step | None = None, action: Any = None
-    ) -> Transition:
-        where = copy if self.leading else ...
-        scenario = self.scenario
-        return Transition(
-            observation=_row(observation, copy) if self.leading else observation,
-            action=_row(action, copy) if self.leading and action is not None else action,
-            executed=None if step is None else _row(self.stack.executed, copy) if self.leading else self.stack.executed,
-            reward=0.0 if step is None else float(np.asarray(step.reward)[where]),
-            terminated=step is not None and bool(np.asarray(step.terminated)[where]),
-            truncated=step is not None and bool(np.asarray(step.truncated)[where]),
-            info=_row(info, copy) if self.leading else info,
-            time=self._clock.now(),
-            capture_times=self.stack.capture_times(),
-            sim_state=None if scenario is None else scenario.world.core.get_state(copy),
-            objects={} if scenario is None else _row(scenario.object_poses(), where),
-            notes=self._notes,
-        )
-
-    def _tell_end(self, end: str, reasons: Mapping[str, str]) -> None:
-        for_all([lambda observer=observer: observer.on_end(end, reasons) for _, observer in self._observers])
+    def _seeds_of(self, started: Copies) -> dict[int, int | None]:
+        """Return the seeds of copies that start an episode; None after the first: it depends on those before it."""
+        copies = range(max(1, self.seeds.size)) if started is None else started
+        seeds, episodes = self.seeds.reshape(-1), self.episodes.reshape(-1)
+        return {int(copy): None if episodes[copy] else int(seeds[copy]) for copy in copies}
 
     # --- When something goes wrong ------------------------------------------------------------------------------------
 
@@ -346,7 +282,7 @@ class Engine:
     def _end_without_row(self, faults: dict[str, str]) -> Step:
         """End the episode in a step that not all devices took part in: observers are told its end, but see no step."""
         self.is_over[...] = True
-        self._tell_end(FAULT, faults)
+        self.audience.tell_end(FAULT, faults)
         try:
             observation = self.stack.lift(self.stack.measure())
         except DeviceFault:
@@ -363,7 +299,7 @@ class Engine:
         # A device that refuses an action is no reason to end the episode: the next one may be better.
         if not isinstance(error, InvalidAction) and self._is_started and not self._broken_off_by:
             if not self.is_over.all():
-                calls.append(lambda: self._tell_end("exception", {type(error).__name__: str(error)}))
+                calls.append(lambda: self.audience.tell_end("exception", {type(error).__name__: str(error)}))
             self._is_started = False
             self._broken_off_by = type(error).__name__
         try:
@@ -410,23 +346,7 @@ class Engine:
             return
         self.is_open = False
         held = [self.stack.hold, self.turn.wait] if self.turn.is_of_another_thread else []
-        observers = [observer.close for _, observer in self._observers]
-        for_all([*held, self.stack.close, *observers, *self._resources])
-
-
-def _row(told: Mapping[str, Any], where: Any) -> dict[str, Any]:
-    """Return the values of one copy: numbers and booleans as Python's own, arrays as views of theirs."""
-    row: dict[str, Any] = {}
-    for key, value in told.items():
-        # `dict` and not `Mapping`: an abstract class takes ten times as long to ask for.
-        if isinstance(value, dict):
-            row[key] = _row(value, where)
-        elif isinstance(value, np.ndarray | np.generic):
-            own: Any = value if where is ... else value[where]
-            row[key] = own.item() if isinstance(own, np.ndarray | np.generic) and not own.ndim else own
-        else:
-            row[key] = value
-    return row
+        for_all([*held, self.stack.close, *self.audience.closes(), *self._resources])
 
 
 def _listed(faults: Mapping[str, str]) -> str:

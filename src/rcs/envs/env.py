@@ -69,7 +69,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         """
         self._engine = Engine(stack, clock, scenario, max_episode_steps=max_episode_steps)
         for observer in observers:
-            self._engine.add_observer(observer)
+            self._engine.audience.add(observer)
         if picture is not None:
             self._engine.close_too(picture.close)
         if instruction is not None:
@@ -146,15 +146,15 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
 
     def add_observer(self, observer: Observer) -> None:
         """Have an observer see every step from the next reset on."""
-        self._engine.add_observer(observer)
+        self._engine.audience.add(observer)
 
     def remove_observer(self, observer: Observer) -> None:
         """Have an observer see no more steps."""
-        self._engine.remove_observer(observer)
+        self._engine.audience.remove(observer)
 
     def note(self, **notes: Any) -> None:
         """Give observers something to see beside the next step, such as who acted or how long a policy took."""
-        self._engine.note(notes)
+        self._engine.audience.note(notes)
 
     def limits(self) -> Limits:
         """Return what bounds every robot's motion now: joints, speeds, the step of an action. Nothing moves."""

@@ -62,8 +62,8 @@ def limits_of(robots: Mapping[str, RobotPlacement], stack: Stack, frequency: flo
         steps = [layer.max_step for layer in chain.layers if isinstance(layer, LimitStep)]
         slowest = np.min(steps, axis=0) * frequency if steps else np.full(box.shape, np.inf)
         found[name] = RobotLimits(
-            joint_lower=box.low,
-            joint_upper=box.high,
+            joint_lower=box.low.astype(np.float64),
+            joint_upper=box.high.astype(np.float64),
             joint_velocity=np.array(robot.arm.velocity_limit),
             target_velocity=slowest,
         )

@@ -88,11 +88,11 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         """
         if not 0 <= copy < self.num_envs:
             raise InvalidSetup(f"copy is {copy}; valid is 0 to {self.num_envs - 1}.")
-        self._engine.add_observer(observer, copy)
+        self._engine.audience.add(observer, copy)
 
     def remove_observer(self, observer: Observer) -> None:
         """Have an observer see no more steps."""
-        self._engine.remove_observer(observer)
+        self._engine.audience.remove(observer)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rcs.agents import Agent, agent_for
+from rcs.data.wilson import wilson_interval
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
@@ -17,7 +18,6 @@ from rcs.rollout.collect import Attempt, seed_of
 from rcs.rollout.episode import EpisodeResult, Judge, run_episode
 from rcs.rollout.pool import WorkerPool
 from rcs.rollout.video import Video
-from rcs.rollout.wilson import wilson_interval
 from rcs.setups.make import make
 
 

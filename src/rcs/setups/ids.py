@@ -1,7 +1,7 @@
 """The ids of `gymnasium.make`, registered when `rcs` is imported; the simulator is imported when one is made.
 
-A package adds ids through the entry-point group `rcs.ids`, such as `PickCuboid-MyRobot-v0 = "my_robot"`: the name is what
-follows `rcs/` in the id, its first word is the task, and the value is the robot. `rcs/MyRobot-v0` has the task `Free`.
+A package adds ids through the entry-point group `rcs.ids`, such as `PickCuboid-MyRobot-v0 = "my_robot"`: the name is
+what follows `rcs/` in the id, its first word is the task, and the value is the robot. `rcs/MyRobot-v0` has no task.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ def make_registered(task: str, **options: Any) -> Any:
     """Make an environment for `gymnasium.make`."""
     from rcs.setups.make import make
 
-    return make(task, **{"max_episode_steps": None, **options})
+    options.setdefault("max_episode_steps", None)
+    return make(task, **options)
 
 
 def make_registered_vec(num_envs: int = 1, task: str = "PickCuboid", **options: Any) -> VecEnv:
