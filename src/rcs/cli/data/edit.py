@@ -174,10 +174,16 @@ class HistoryCommand:
         """Print a line per edit."""
         table = Table("when", "what", "with", "episodes after", box=None, pad_edge=False)
         for line in Dataset.open(self.path).head.history:
-            given = ", ".join(f"{key}={value}" for key, value in line.arguments.items() if value is not None)
+            given = ", ".join(f"{key}={_short(value)}" for key, value in line.arguments.items() if value is not None)
             table.add_row(line.at, line.command, given, str(len(line.episodes)))
         plain_console().print(table)
         return 0
+
+
+def _short(value: object) -> str:
+    if isinstance(value, list | tuple) and len(value) > 4:
+        return f"{value[0]} … {value[-1]} ({len(value)})"
+    return str(value)
 
 
 @dataclass(kw_only=True)
