@@ -70,7 +70,8 @@ def _parse(program: str, table: Table, words: list[str]) -> Any:
         UnknownName: There is no such command; the message has the nearest one.
     """
     if not words or words[0] in ("-h", "--help"):
-        print(overview(program, table, OPTIONS_HELP if table is VERBS else ""), file=sys.stdout if words else sys.stderr)
+        text = overview(program, table, OPTIONS_HELP if table is VERBS else "")
+        print(text, file=sys.stdout if words else sys.stderr)
         sys.exit(0 if words else MISTYPED)
     verb, *rest = words
     if verb not in table:

@@ -6,7 +6,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 import tyro
 from rich.progress import Progress
@@ -181,9 +181,10 @@ class HistoryCommand:
 
 
 def _short(value: object) -> str:
-    if isinstance(value, list | tuple) and len(value) > 4:
-        return f"{value[0]} … {value[-1]} ({len(value)})"
-    return str(value)
+    if not isinstance(value, list):
+        return str(value)
+    items = cast(list[object], value)
+    return f"{items[0]} … {items[-1]} ({len(items)})" if len(items) > 2 else " ".join(map(str, items))
 
 
 @dataclass(kw_only=True)
