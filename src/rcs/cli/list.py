@@ -43,8 +43,9 @@ class ListCommand:
             arms = " and ".join(stand.arm for stand in lab.stands)
             cameras = ", ".join(f"{mount} {about.camera}" for mount, about in lab.cameras.items())
             table.add_row("robot", name, f"{arms} with {lab.end_effector}; cameras: {cameras}")
-        for entry in sorted(entry_points(group="rcs.tasks")):
-            table.add_row("task", entry.name, summary(entry.value))
+        for kind in ("task", "agent", "operator", "layer", "gate", "driver"):
+            for entry in sorted(entry_points(group=f"rcs.{kind}s")):
+                table.add_row(kind, entry.name, summary(entry.value))
         for name in ids():
             table.add_row("id", name, "gymnasium.make")
         console.print(table)

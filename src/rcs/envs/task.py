@@ -5,17 +5,29 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.area import Area
-from rcs.envs.draws import Draws
-from rcs.envs.layers import Where
-from rcs.sim.robot import SimRobot
-from rcs.sim.scene import Scene
-from rcs.sim.world import World
+if TYPE_CHECKING:  # labs have an `Area`, and `rcs list` shows them without the simulator
+    from rcs.envs.draws import Draws
+    from rcs.envs.layers import Where
+    from rcs.sim.robot import SimRobot
+    from rcs.sim.scene import Scene
+    from rcs.sim.world import World
+
+
+@dataclass(frozen=True, kw_only=True)
+class Area:
+    """A rectangle on the table in which a task takes place."""
+
+    center: tuple[float, float] = (0.5, 0.0)
+    """x, y in the scene [m]; with one robot, its base frame is the scene's."""
+    size: tuple[float, float] = (0.30, 0.40)
+    """Extent along x and y [m]."""
+    object_scale: float = 1.0
+    """Size of the objects in proportion to the paper's, for robots that are smaller."""
 
 
 @dataclass(kw_only=True)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rcs.devices import lookup
-from rcs.envs.area import Area
+from rcs.envs.task import Area
 from rcs.errors import UnknownName
 from rcs.robots.description import ArmDescription, Mount
 from rcs.spatial import Pose

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from rcs.envs.area import Area
+from rcs.envs.task import Area
 from rcs.setups.lab import CameraMount, Lab, Stand, looking
 
 LAB: Final = Lab(

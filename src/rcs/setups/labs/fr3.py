@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rcs.envs.area import Area
+from rcs.envs.task import Area
 from rcs.robots.description import Mount
 from rcs.setups.calibration import calibrated
 from rcs.setups.lab import CameraMount, Lab, Stand

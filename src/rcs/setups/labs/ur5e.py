@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from rcs.envs.area import Area
+from rcs.envs.task import Area
 from rcs.robots.description import Mount
 from rcs.setups.lab import CameraMount, Lab, Stand, looking
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcs.envs.area import Area
+from rcs.envs.task import Area
 from rcs.setups.lab import CameraMount, Lab, Stand, looking
 
 LAB = Lab(
