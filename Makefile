@@ -1,6 +1,7 @@
 # make demo          build, install into .venv, collect episodes of Pick-Cuboid with the scripted FR3, and say where the report is
 # make test          build, install, run the tests of C++ and Python
-# make test-extras   the tests that need torch, Stable-Baselines3, mujoco-menagerie or a browser
+# make test-extras   the tests that need torch, Stable-Baselines3, mujoco-menagerie or a browser; test-wheel
+# make test-wheel    build a wheel, install it into an environment of its own, and run it there
 # make test-interop  open our exports with the readers of LeRobot and others; each gets an environment of its own (first time:
 #                    about 4 GB and 10 minutes)
 # make test-sanitize the C++ tests, and the Python tests of what uses the core, under the sanitizers of addresses and undefined
@@ -33,10 +34,10 @@ CXX_FILES = $(shell find core tests -name '*.cpp' -o -name '*.hpp')
 STUB := src/rcs/_core.pyi
 STUBGEN = $(BIN)/python -m nanobind.stubgen --quiet --module rcs._core --output-file
 
-.PHONY: help build gl demo test test-cpp test-sanitize test-extras test-interop check bench format stubs clean
+.PHONY: help build gl demo test test-cpp test-sanitize test-extras test-wheel test-interop check bench format stubs clean
 
 help:
-	@sed -n 's/^# \(make .*\)/\1/p' Makefile
+	@sed '/^$$/q; s/^# \{0,1\}//' Makefile
 
 # --- Build and install -----------------------------------------------------------------------------------------------
 
@@ -130,10 +131,20 @@ $(VENV)/.stamp-extras: $(VENV)/.stamp-built
 	@$(PIP) install -c constraints.txt stable-baselines3 mujoco-menagerie
 	@touch $@
 
-test-extras: $(VENV)/.stamp-extras gl
+test-extras: test-wheel $(VENV)/.stamp-extras gl
 	@tools/system_packages browser
 	@echo "==> Testing what needs extras"
 	@$(BIN)/python -m pytest -m "extras or browser" --durations=10
+
+# With the tools that are installed; the environment has what a user's has, and nothing of this folder.
+WHEEL := build/wheel
+
+test-wheel: build
+	@echo "==> Building a wheel and running it in an environment of its own"
+	@rm -rf $(WHEEL) && $(PIP) wheel --no-build-isolation --no-deps --wheel-dir $(WHEEL) .
+	@$(BIN)/python -m venv $(WHEEL)/venv
+	@$(WHEEL)/venv/bin/python -m pip -qq --disable-pip-version-check install -c constraints.txt $(WHEEL)/*.whl
+	@$(WHEEL)/venv/bin/python -I tools/smoke.py
 
 # A line per reader: its environment, the program that reads, what it reads. Left where they are: environments, data.
 INTEROP := build/interop

@@ -6,6 +6,7 @@ import json
 import site
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -84,3 +85,11 @@ def test_public_names_are_listed_and_others_are_refused_with_them() -> None:
     assert all(getattr(rcs, name) is not None for name in rcs.__all__)
     with pytest.raises(AttributeError, match="make_vec"):
         _ = rcs.no_such_name
+
+
+def test_all_places_tell_the_same_version() -> None:
+    root = Path(__file__).parents[1]
+    version = tomllib.loads((root / "pyproject.toml").read_text())["project"]["version"]
+    assert rcs.__version__ == version
+    assert f"\nversion: {version}\n" in (root / "CITATION.cff").read_text()
+    assert f"\n## {version}" in (root / "CHANGELOG.md").read_text()

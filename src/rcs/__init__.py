@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from rcs.sim.randomisation import Randomisation
     from rcs.spatial import Pose
 
-__version__ = "0.1.0"
+    __version__: str
+
 __all__ = ["Pose", "Randomisation", "Setup", "__version__", "make", "make_vec"]
 
 _HOME_OF = {
@@ -35,9 +36,12 @@ def __getattr__(name: str) -> Any:
     Raises:
         AttributeError: There is no such name.
     """
-    if name not in _HOME_OF:
+    if name == "__version__":  # pyproject.toml has it; all others are told by the installed package
+        value = importlib.import_module("importlib.metadata").version("robot-control-stack")
+    elif name in _HOME_OF:
+        value = getattr(importlib.import_module(_HOME_OF[name]), name)
+    else:
         raise AttributeError(f"module 'rcs' has no attribute {name!r}; public names are {', '.join(__all__)}")
-    value = getattr(importlib.import_module(_HOME_OF[name]), name)
     globals()[name] = value
     return value
 

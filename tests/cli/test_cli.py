@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
 import resource
 import signal
@@ -13,7 +14,8 @@ from pathlib import Path
 import pytest
 
 import rcs
-from rcs.cli.main import main
+from rcs.cli.main import VERBS, main
+from rcs.cli.verbs import Table, let_current_folder_be_imported, load, summary
 from rcs.data import Dataset
 from rcs.setups.ids import ids
 from rcs.setups.lab import lab_of
@@ -121,6 +123,118 @@ def test_the_version_is_told(command: list[str]) -> None:
     assert told == f"rcs {rcs.__version__}\n"
 
 
+LIGHT = """
+import sys
+from rcs.cli.main import VERBS, main
+from rcs.cli.verbs import Table, let_current_folder_be_imported, load, summary
+try:
+    main({arguments!r})
+finally:
+    print(*sorted(sys.modules), file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "heavy"),
+    [
+        (["--help"], {"mujoco", "tyro", "rich", "rcs._core"}),
+        (["--version"], {"mujoco", "tyro", "rich", "rcs._core"}),
+        (["data", "--help"], {"mujoco", "tyro", "rich", "pyarrow", "rcs._core"}),
+        (["list"], {"mujoco", "tyro", "pyarrow"}),
+        (["data", "info", "--help"], {"mujoco"}),
+    ],
+)
+def test_a_command_imports_no_more_than_it_needs(arguments: list[str], heavy: set[str]) -> None:
+    program = [sys.executable, "-c", LIGHT.format(arguments=arguments)]
+    done = subprocess.run(program, capture_output=True, text=True, check=True)
+    assert not heavy & set(done.stderr.split())
+
+
+def commands(table: Table) -> list[list[str]]:
+    found: list[list[str]] = []
+    for verb, reference in table.items():
+        kind = load(reference)
+        found += [[verb, *more] for more in commands(kind)] if isinstance(kind, dict) else [[verb]]
+    return found
+
+
+def test_the_help_of_the_whole_has_a_line_for_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    for words, table in (([], VERBS), (["data"], load(VERBS["data"]))):
+        code, told = call(capsys, *words, "--help")
+        assert code == 0
+        for verb, reference in table.items():
+            sentence = summary(reference)
+            assert sentence.endswith(".")
+            assert f"{verb} {sentence}" in " ".join(told.split())
+
+
+@pytest.mark.parametrize("words", commands(VERBS), ids=" ".join)
+def test_every_command_has_a_help_of_its_own(capsys: pytest.CaptureFixture[str], words: list[str]) -> None:
+    code, told = call(capsys, *words, "--help")
+    assert code == 0
+    assert f"usage: rcs {' '.join(words)} " in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["collct"], ["'collct'", "Did you mean 'collect'"]),
+        (["--verison"], ["'--verison'", "Did you mean '--version'"]),
+        (["data", "chek", "somewhere"], ["'chek'", "Did you mean 'check'"]),
+        (["replay", "somewhere"], ["`rcs data replay`"]),
+        (["--print-completion", "bsh"], ["Did you mean 'bash'"]),
+        (["collect", "PickCuboid", "--roobt", "fr3"], ["--roobt", "--robot", "rcs collect --help"]),
+        (["data", "history", "somewhere", "--jsno"], ["--jsno", "rcs data history --help"]),
+    ],
+)
+def test_what_is_mistyped_gets_a_suggestion(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], words: list[str]
+) -> None:
+    code, told = call(capsys, *arguments)
+    assert code == 2
+    for word in words:
+        assert word in told
+    assert told.count("--help") <= 1, "only the help of this command is named"
+
+
+@pytest.mark.parametrize("words", [[], ["data"]])
+def test_without_a_command_the_help_is_an_error(capsys: pytest.CaptureFixture[str], words: list[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(words)
+    captured = capsys.readouterr()
+    assert stopped.value.code == 2
+    assert captured.out == ""
+    assert "COMMAND" in captured.err
+
+
+def test_bash_completes_commands_and_options_with_the_printed_script(tmp_path: Path) -> None:
+    script = subprocess.run([*RCS, "--print-completion", "bash"], capture_output=True, text=True, check=True).stdout
+    (tmp_path / "rcs.bash").write_text(script)
+    program = """
+    source rcs.bash
+    complete_line() { COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=(); _tyro_rcs; echo "${COMPREPLY[*]}"; }
+    complete_line rcs da
+    complete_line rcs data rena
+    complete_line rcs collect --episo
+    """
+    done = subprocess.run(["bash", "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["data", "rename-camera", "--episodes"]
+
+
+def test_a_class_in_the_current_folder_can_be_imported_where_an_argument_names_one(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "a_task_of_mine.py").write_text("class Push:\n    '''Push it. Far.'''\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    let_current_folder_be_imported(["mix", "real:143", "--task", "PickCuboid", "sub/folder:x"])
+    assert str(tmp_path) not in sys.path
+    let_current_folder_be_imported(["collect", "--task=a_task_of_mine:Push"])
+    assert sys.path[-1] == str(tmp_path), "last, so that no file takes the place of an installed module"
+    assert load("a_task_of_mine:Push").__doc__ == "Push it. Far."
+    assert summary("a_task_of_mine:Push") == "Push it."
+
+
 def test_list_names_robots_cameras_tasks_and_ids(capsys: pytest.CaptureFixture[str]) -> None:
     code, told = call(capsys, "list")
     assert code == 0
@@ -137,11 +251,13 @@ def test_list_names_the_modes_of_every_camera(capsys: pytest.CaptureFixture[str]
     assert ["usb_webcam", "640x480", "5,", "10,", "15,", "20,", "25,", "~30", "609.3", "-"] in rows
 
 
-def test_doctor_tells_which_backend_draws_and_why(capsys: pytest.CaptureFixture[str]) -> None:
+def test_doctor_tells_which_backend_draws_and_why_and_all_extras(capsys: pytest.CaptureFixture[str]) -> None:
     code, told = call(capsys, "doctor")
     assert "GL egl" in told
     assert "GL osmesa" in told
     assert (code == 0) == ("chosen" in told)
+    for extra in importlib.metadata.metadata("robot-control-stack").get_all("Provides-Extra") or ():
+        assert f"extra {extra}" in told
 
 
 def test_a_missing_gl_library_is_told_with_its_remedy(

@@ -105,3 +105,10 @@ def test_what_makes_no_sense_is_told_and_nothing_changes(
     assert "InvalidSetup" in capsys.readouterr().err
     assert Dataset.open(dataset).head == before
     assert not (tmp_path / "out").exists()
+
+
+def test_the_history_shows_both_ends_of_a_list_of_episodes(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("data", "relabel", str(dataset), "--instruction", "lift it", "--episodes", *ids(dataset)) == 0
+    capsys.readouterr()
+    assert call("data", "history", str(dataset)) == 0
+    assert "000000 … 000002 (3)" in " ".join(capsys.readouterr().out.split())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 from rich.console import Console
@@ -30,11 +29,3 @@ def plain_console(*, stderr: bool = False, **options: Any) -> Console:
     """
     how: dict[str, Any] = {"soft_wrap": True, **options}
     return PlainConsole(stderr=stderr, markup=False, emoji=False, highlight=False, **how)
-
-
-def let_all_text_out() -> None:
-    """Have what the terminal's encoding does not know printed as an escape, not end the command."""
-    for stream in (sys.stdout, sys.stderr):
-        reconfigure = getattr(stream, "reconfigure", None)
-        if reconfigure is not None:
-            reconfigure(errors="backslashreplace")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import importlib.metadata
-import importlib.util
 import os
 import platform
+import re
 from dataclasses import dataclass
 
 from rich.table import Table
@@ -13,15 +13,7 @@ from rich.table import Table
 from rcs._core import probe_gl
 from rcs.cli.console import plain_console
 
-EXTRAS = {
-    "menagerie": "mujoco_menagerie",
-    "tacto": "tacto",
-    "hdf5": "h5py",
-    "rerun": "rerun",
-    "torch": "torch",
-    "rl": "stable_baselines3",
-}
-"""Extras by the module that shows that they are installed."""
+PACKAGE = "robot-control-stack"
 
 
 @dataclass(kw_only=True)
@@ -33,7 +25,7 @@ class DoctorCommand:
         console = plain_console()
         table = Table(show_header=False, box=None, pad_edge=False)
         table.add_row("python", f"{platform.python_version()} on {platform.platform()}, {os.cpu_count()} CPUs")
-        for name in ("robot-control-stack", "mujoco-core", "numpy", "gymnasium", "pyarrow"):
+        for name in (PACKAGE, "mujoco-core", "numpy", "gymnasium", "pyarrow"):
             table.add_row(name, importlib.metadata.version(name))
         probes = probe_gl()
         chosen = next((probe.name for probe in probes if probe.ok), None)
@@ -44,14 +36,29 @@ class DoctorCommand:
             table.add_row(f"GL {probe.name}", f"{verdict} ({probe.detail})")
         display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         table.add_row("display", display or "none: no viewer, everything else works")
-        for extra, module in EXTRAS.items():
-            found = importlib.util.find_spec(module) is not None
-            table.add_row(
-                f"extra {extra}",
-                "installed" if found else f"not installed: pip install 'robot-control-stack[{extra}]'",
-            )
+        for extra, packages in _extras().items():
+            missing = [package for package in packages if not _is_installed(package)]
+            remedy = f"not installed ({', '.join(missing)}): pip install '{PACKAGE}[{extra}]'"
+            table.add_row(f"extra {extra}", remedy if missing else "installed")
         console.print(table)
         if chosen is None:
             console.print("Nothing can draw: cameras will not work until one of the remedies above is done.")
             return 1
         return 0
+
+
+def _extras() -> dict[str, list[str]]:
+    """Return the packages of every extra, as the metadata of the installed package has them."""
+    found: dict[str, list[str]] = {}
+    for line in importlib.metadata.requires(PACKAGE) or []:
+        if match := re.match(r"([\w.-]+).*;.*extra == ['\"]([\w-]+)", line):
+            found.setdefault(match[2], []).append(match[1])
+    return found
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True

@@ -2,48 +2,51 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 import os
 import sys
-from typing import Annotated, Any
+from dataclasses import MISSING, Field, fields
+from typing import Annotated, Any, cast
 
-import tyro
-from tyro.conf import subcommand
+from rcs.cli.verbs import Table, let_current_folder_be_imported, load, overview
+from rcs.errors import RcsError, UnknownName
 
-import rcs
-from rcs.cli.collect import CollectCommand
-from rcs.cli.console import let_all_text_out, plain_console
-from rcs.cli.data import DataCommand
-from rcs.cli.doctor import DoctorCommand
-from rcs.cli.gallery import GalleryCommand
-from rcs.cli.list import ListCommand
-from rcs.errors import RcsError
-
-Command = (
-    Annotated[CollectCommand, subcommand("collect")]
-    | Annotated[
-        DataCommand,
-        subcommand("data", description="Look at datasets, check, mend, edit, mix, replay, convert and view them."),
-    ]
-    | Annotated[GalleryCommand, subcommand("gallery")]
-    | Annotated[ListCommand, subcommand("list")]
-    | Annotated[DoctorCommand, subcommand("doctor")]
-)
+VERBS: Table = {
+    "collect": "rcs.cli.collect:CollectCommand",
+    "eval": "rcs.cli.eval:EvalCommand",
+    "data": "rcs.cli.data:VERBS",
+    "gallery": "rcs.cli.gallery:GalleryCommand",
+    "list": "rcs.cli.list:ListCommand",
+    "doctor": "rcs.cli.doctor:DoctorCommand",
+}
+OPTIONS = ("--help", "--version", "--print-completion")
+OPTIONS_HELP = """
+`rcs --version` prints the version.
+`rcs --print-completion bash`, or zsh or fish, prints what completes commands and options in that shell."""
+SHELLS = ("bash", "zsh", "fish")
+MISTYPED = 2
+"""Exit code for a command line that makes no sense, as tyro and shells have it."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command and exit: 0 for success, 1 for an error or a bad finding, 130 when interrupted."""
-    let_all_text_out()
-    given = sys.argv[1:] if arguments is None else arguments
-    if given == ["--version"]:
-        print(f"rcs {rcs.__version__}")
+    """Run a command and exit: 0 for success, 1 for an error or a bad finding, 2 when mistyped, 130 when interrupted."""
+    _let_all_text_out()
+    words = sys.argv[1:] if arguments is None else arguments
+    let_current_folder_be_imported(words)
+    if words == ["--version"]:
+        from rcs import __version__
+
+        print(f"rcs {__version__}")
         sys.exit(0)
-    command: Any = tyro.cli(
-        Command,  # pyright: ignore[reportArgumentType]  a union is a type to tyro
-        prog="rcs",
-        description="The Robot Control Stack.",
-        args=arguments,
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
-    )
+    try:
+        if words[:1] == ["--print-completion"]:
+            _print_completion(*words[1:2])
+        command = _parse("rcs", VERBS, words)
+    except UnknownName as err:
+        sys.exit(_failed(str(err), MISTYPED))
+    except RcsError as err:  # of a module that cannot work here
+        sys.exit(_failed(f"{type(err).__name__}: {err}"))
     sys.exit(run(command))
 
 
@@ -51,19 +54,84 @@ def run(command: Any) -> int:
     """Run a parsed command and return its exit code; errors of this library are shown without a traceback."""
     try:
         return command.run()
-    except RcsError as err:
-        return _failed(err)
     except BrokenPipeError:
         # Who read the output has seen enough; what is left of it must not fail at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except OSError as err:  # of the file system, where no function said more of it
-        return _failed(err)
+    except (RcsError, OSError) as err:  # of the file system, where no function said more of it
+        return _failed(f"{type(err).__name__}: {err}")
     except KeyboardInterrupt:
         return 130
 
 
-def _failed(error: Exception) -> int:
-    console = plain_console(stderr=True)
-    console.print(f"error: {type(error).__name__}: {error}", style="bold red")
-    return 1
+def _parse(program: str, table: Table, words: list[str]) -> Any:
+    """Return the command that words ask for, of which only the module is imported. Help and wrong options exit.
+
+    Raises:
+        UnknownName: There is no such command; the message has the nearest one.
+    """
+    if not words or words[0] in ("-h", "--help"):
+        text = overview(program, table, OPTIONS_HELP if table is VERBS else "")
+        print(text, file=sys.stdout if words else sys.stderr)
+        sys.exit(0 if words else MISTYPED)
+    verb, *rest = words
+    if verb not in table:
+        if verb.startswith("-"):
+            raise UnknownName("option", verb, OPTIONS)
+        elsewhere = verb in load(VERBS["data"])
+        raise UnknownName("command", verb, table, f"There is `rcs data {verb}`." if elsewhere else "")
+    found = load(table[verb])
+    if isinstance(found, dict):
+        return _parse(f"{program} {verb}", cast(Table, found), rest)
+    if not rest and not any(_is_required(field) for field in fields(found)):
+        return found()  # there is nothing to parse, and to import tyro takes as long as many a command
+    import tyro
+
+    return tyro.cli(found, prog=f"{program} {verb}", args=rest, config=_how_to_parse())
+
+
+def _is_required(field: Field[Any]) -> bool:
+    return field.default is MISSING and field.default_factory is MISSING
+
+
+def _how_to_parse() -> tuple[Any, ...]:
+    from tyro import conf
+
+    return (conf.OmitArgPrefixes, conf.FlagCreatePairsOff)
+
+
+def _print_completion(shell: str = "") -> None:
+    """Print what makes a shell complete commands and options, and exit. It needs all commands, so it imports them.
+
+    Raises:
+        UnknownName: Nothing is known of this shell.
+    """
+    if shell not in SHELLS:
+        raise UnknownName("completion for a shell", shell, SHELLS)
+    import tyro
+
+    arguments = ["--tyro-write-completion", shell, "-"]
+    tyro.cli(_union(VERBS), prog="rcs", args=arguments, config=_how_to_parse())
+
+
+def _union(table: Table) -> Any:
+    from tyro.conf import subcommand
+
+    found = {verb: load(reference) for verb, reference in table.items()}
+    kinds = {verb: _union(cast(Table, each)) if isinstance(each, dict) else each for verb, each in found.items()}
+    return functools.reduce(operator.or_, (Annotated[kind, subcommand(verb)] for verb, kind in kinds.items()))
+
+
+def _failed(message: str, code: int = 1) -> int:
+    from rcs.cli.console import plain_console
+
+    plain_console(stderr=True).print(f"error: {message}", style="bold red")
+    return code
+
+
+def _let_all_text_out() -> None:
+    """Have what the terminal's encoding does not know printed as an escape, not end the command."""
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="backslashreplace")

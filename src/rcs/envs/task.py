@@ -7,17 +7,19 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.draws import Draws
-from rcs.envs.layers import Where
 from rcs.errors import InvalidSetup
-from rcs.sim.robot import SimRobot
-from rcs.sim.scene import Scene
-from rcs.sim.world import World
+
+if TYPE_CHECKING:  # labs have an `Area`, and `rcs list` shows them without the simulator
+    from rcs.envs.draws import Draws
+    from rcs.envs.layers import Where
+    from rcs.sim.robot import SimRobot
+    from rcs.sim.scene import Scene
+    from rcs.sim.world import World
 
 
 @dataclass(frozen=True, kw_only=True)

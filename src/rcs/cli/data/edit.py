@@ -6,7 +6,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 import tyro
 from rich.progress import Progress
@@ -174,10 +174,17 @@ class HistoryCommand:
         """Print a line per edit."""
         table = Table("when", "what", "with", "episodes after", box=None, pad_edge=False)
         for line in Dataset.open(self.path).head.history:
-            given = ", ".join(f"{key}={value}" for key, value in line.arguments.items() if value is not None)
+            given = ", ".join(f"{key}={_short(value)}" for key, value in line.arguments.items() if value is not None)
             table.add_row(line.at, line.command, given, str(len(line.episodes)))
         plain_console().print(table)
         return 0
+
+
+def _short(value: object) -> str:
+    if not isinstance(value, list):
+        return str(value)
+    items = cast(list[object], value)
+    return f"{items[0]} … {items[-1]} ({len(items)})" if len(items) > 2 else " ".join(map(str, items))
 
 
 @dataclass(kw_only=True)

@@ -1,0 +1,70 @@
+"""Tables of verbs: what each does is read from its source, and its module is imported when the verb is used."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import sys
+import textwrap
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+Table = dict[str, str]
+"""Verbs by name. Each is the `module:Name` of a dataclass with `run()`, or of a table of more verbs."""
+
+_REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
+
+
+def load(reference: str) -> Any:
+    """Import and return what `module:Name` stands for."""
+    return EntryPoint(name="", value=reference, group="").load()
+
+
+def summary(reference: str) -> str:
+    """Return the first sentence of the docstring of `module:Class`, or of its module where it is no class.
+
+    It is read from the source: importing a command or a task would import the simulator. Empty without a docstring.
+    """
+    place, _, name = reference.partition(":")
+    spec = find_spec(place)
+    source = Path(spec.origin) if spec is not None and spec.origin is not None else Path()
+    if source.suffix == ".py":
+        tree = ast.parse(source.read_bytes())
+        node = next((node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name), tree)
+        text = ast.get_docstring(node)
+    else:
+        text = load(reference).__doc__
+    words = " ".join((text or "").strip().partition("\n\n")[0].split())
+    return re.split(r"(?<=\.) ", words)[0]
+
+
+def overview(program: str, table: Table, more: str = "") -> str:
+    """Return the help of a command that has verbs, with a line or two for each.
+
+    Args:
+        program: The command, such as `rcs data`.
+        table: Its verbs.
+        more: A last line.
+    """
+    width = min(shutil.get_terminal_size().columns, 120)
+    indent = max(map(len, table)) + 4
+    lines = [f"usage: {program} COMMAND …", ""]
+    for verb, reference in table.items():
+        start = f"  {verb}".ljust(indent)
+        lines.append(textwrap.fill(summary(reference), width, initial_indent=start, subsequent_indent=" " * indent))
+    return "\n".join([*lines, "", f"`{program} COMMAND --help` describes a command and its options.{more}"])
+
+
+def let_current_folder_be_imported(arguments: Sequence[str]) -> None:
+    """Where an argument is a `module:Class`, have modules of the current folder found, as `python -m` does.
+
+    The folder comes last on the path, so that no file in it takes the place of an installed module. Worker processes
+    get the same path.
+    """
+    if any(_REFERENCE.fullmatch(argument.rpartition("=")[2]) for argument in arguments) and os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
