@@ -43,7 +43,11 @@ class CollectCommand:
     """
 
     task: tyro.conf.Positional[str]
-    """Name of the task, such as PickCuboid."""
+    """Name of the task, such as PickCuboid, or `module:Class`."""
+    agent: str | None = None
+    """Name of the agent, or `module:Class`, which is called with the environment; the task's expert by default."""
+    end_effector: str | None = None
+    """Name of the end effector; the robot's usual one by default."""
     robot: str = "fr3"
     """Name of the robot."""
     episodes: int = 20
@@ -115,6 +119,7 @@ class CollectCommand:
         setup = Setup(
             task=self.task,
             robot=self.robot,
+            end_effector=self.end_effector,
             cameras=cameras,
             size=(self.size, self.size),
             camera_mode=self.camera_mode,
@@ -135,6 +140,7 @@ class CollectCommand:
             episodes=self.episodes,
             seed=self.seed,
             only_success=self.only_success,
+            agent=self.agent,
             workers=workers,
             colour=self.colour,
             jpeg_quality=self.quality,

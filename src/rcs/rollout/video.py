@@ -27,11 +27,14 @@ class Video:
         self._stream.pix_fmt = "yuv420p"
         self._stream.options = {"crf": "23", "preset": "veryfast"}
         self._is_open = True
+        self._has_size = False
 
     def add(self, picture: NDArray[np.uint8]) -> None:
         """Add a picture (H, W, 3), rows from the top; an odd edge loses a pixel."""
         height, width = (edge - edge % 2 for edge in picture.shape[:2])
-        self._stream.width, self._stream.height = width, height
+        if not self._has_size:
+            self._stream.width, self._stream.height = width, height
+            self._has_size = True
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture[:height, :width]), format="rgb24")
         self._container.mux(self._stream.encode(frame))
 
