@@ -2,7 +2,7 @@
 
 A step in which frames are due costs the loop a copy of the state. The frames come when they are drawn, with the time of
 the state that they show; where drawing is slower than the cameras' rate, the newest state is drawn next, and the ones
-in between are skipped and counted.
+in between are skipped and counted. The model may change between episodes: what is drawn meanwhile, nobody sees.
 """
 
 from __future__ import annotations
