@@ -1,8 +1,11 @@
-"""An episode written by a thread: the same bytes, a loop that never waits, and nothing lost without a word."""
+"""An episode written by threads: the same bytes, a loop that never waits, and nothing lost without a word."""
 
 from __future__ import annotations
 
+import itertools
 import logging
+import os
+import signal
 import threading
 import time
 from pathlib import Path
@@ -13,8 +16,10 @@ import pytest
 
 from rcs.data import Dataset, DatasetInfo, DatasetWriter, EpisodeWriter, Feature, recover, steps_equal
 from rcs.data.background import BackgroundEpisode
+from rcs.data.codec import encode_frame
+from rcs.data.encoders import MOST_THREADS, Encoders
 from rcs.data.flags import FrameFlag
-from rcs.errors import DatasetError, InvalidSetup
+from rcs.errors import DatasetError, InvalidSetup, WrongOrder
 
 RGB, FLAGS, JOINTS = "observation/frames/wrist/rgb", "flags/frames/wrist", "observation/joints"
 SHAPE = (48, 64, 3)
@@ -40,29 +45,44 @@ def rows(n: int) -> list[dict[str, Any]]:
 
 
 class Gate:
-    """Holds the writing thread back until it is opened."""
+    """Holds back what encodes ("encode_frame") or what writes ("EpisodeWriter.add") until it is opened."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
         self.open = threading.Event()
-        add = EpisodeWriter.add
+        real = encode_frame if what == "encode_frame" else EpisodeWriter.add
 
-        def wait_and_add(writer: EpisodeWriter, *given: Any) -> None:
-            assert self.open.wait(10)
-            add(writer, *given)
+        def wait(*given: Any) -> Any:
+            assert self.open.wait(60)
+            return real(*given)
 
-        monkeypatch.setattr(EpisodeWriter, "add", wait_and_add)
+        monkeypatch.setattr(f"rcs.data.background.{what}", wait)
+
+
+def encoding_threads() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name.startswith("encode")]
 
 
 def start(writer: DatasetWriter, name: str = "a", **settings: Any) -> BackgroundEpisode:
     return BackgroundEpisode(writer.episode(name, seed=0), INFO, **settings)
 
 
-def test_a_thread_writes_what_would_be_written_without_one(tmp_path: Path) -> None:
-    with DatasetWriter.open(tmp_path, INFO) as writer:
-        here, there = writer.episode("a", seed=0), start(writer, "b")
-        for row in rows(50):
-            here.add(row)
-            there.add(row)
+@pytest.mark.parametrize("threads", [1, 4])
+def test_threads_write_what_would_be_written_without_any(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
+) -> None:
+    delays = itertools.cycle([0.003, 0.0, 0.001, 0.002, 0.0])
+
+    def encode_in_disorder(*given: Any) -> bytes:
+        time.sleep(next(delays))
+        return encode_frame(*given)
+
+    monkeypatch.setattr("rcs.data.background.encode_frame", encode_in_disorder)
+    with DatasetWriter.open(tmp_path, INFO) as writer, Encoders(threads) as encoders:
+        here, there = writer.episode("a", seed=0), start(writer, "b", encoders=encoders)
+        for i, row in enumerate(rows(50)):
+            taken = {**row, RGB: None} if i % 3 == 1 else row
+            here.add(taken)
+            there.add(taken)
         first, second = here.finish(True), there.finish(True)
     assert steps_equal(first.steps(), second.steps())
     assert second.quality["writer"]["dropped_images"] == second.quality["writer"]["dropped_rows"] == 0
@@ -86,7 +106,7 @@ def test_arrays_may_change_after_they_were_given(tmp_path: Path) -> None:
 def test_when_the_writer_is_too_slow_images_are_left_out_flagged_and_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    gate = Gate(monkeypatch)
+    gate = Gate(monkeypatch, "encode_frame")
     given = rows(40)
     with DatasetWriter.open(tmp_path, INFO) as writer, caplog.at_level(logging.WARNING):
         episode = start(writer, bound_bytes=10 * IMAGE_BYTES)
@@ -109,7 +129,7 @@ def test_even_the_rows_that_wait_are_bounded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("rcs.data.background._MAX_ROWS", 8)
-    gate = Gate(monkeypatch)
+    gate = Gate(monkeypatch, "EpisodeWriter.add")
     with DatasetWriter.open(tmp_path, INFO) as writer:
         episode = start(writer)
         for row in rows(20):
@@ -119,6 +139,135 @@ def test_even_the_rows_that_wait_are_bounded(
     assert record.quality["writer"]["dropped_rows"] == 20 - record.length
     assert 8 <= record.length <= 9  # one may be in the thread's hands
     assert "rows are left out" in caplog.text
+
+
+def test_encoded_images_that_wait_for_a_disk_are_bounded_as_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate(monkeypatch, "EpisodeWriter.add")
+    with DatasetWriter.open(tmp_path, INFO) as writer:
+        episode = start(writer, bound_bytes=10 * IMAGE_BYTES)
+        for row in rows(100):
+            episode.add(row)
+        gate.open.set()
+        record = episode.finish(True)
+    writing = record.quality["writer"]
+    assert record.length == 100
+    assert np.count_nonzero(record.flags("wrist") & FrameFlag.DROPPED) == writing["dropped_images"] > 0
+    assert writing["most_bytes_waiting"] <= 10 * IMAGE_BYTES
+
+
+def test_all_episodes_together_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gate = Gate(monkeypatch, "encode_frame")
+    with DatasetWriter.open(tmp_path, INFO) as writer:
+        episodes = [start(writer, f"{i}", bound_bytes=10 * IMAGE_BYTES) for i in range(4)]
+        for row in rows(5):
+            for episode in episodes:
+                episode.add(row)
+        gate.open.set()
+        records = [episode.finish(True) for episode in episodes]
+        assert sum(record.quality["writer"]["dropped_images"] for record in records) == 4 * 5 - 10
+        last = start(writer, "last", bound_bytes=IMAGE_BYTES)
+        last.add(rows(1)[0])
+        assert last.finish(True).quality["writer"]["dropped_images"] == 0, "what was written waits no more"
+
+
+def test_an_array_that_nobody_can_write_to_is_taken_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+    monkeypatch.setattr("rcs.data.background.encode_frame", lambda *given: seen.append(given[1]) or b"")
+    frozen, (row,) = np.zeros(SHAPE, np.uint8), rows(1)
+    view = frozen.view()
+    frozen.flags.writeable = view.flags.writeable = False
+    behind = np.zeros(SHAPE, np.uint8)
+    window = behind.view()
+    window.flags.writeable = False  # but not what it looks at
+    with (
+        DatasetWriter.open(tmp_path, INFO) as writer,
+        Encoders(1) as encoders,
+        start(writer, encoders=encoders) as episode,
+    ):
+        for image in (frozen, view, window, behind):
+            episode.add({**row, RGB: image})
+    assert seen[0] is frozen
+    assert seen[1] is view
+    assert not np.shares_memory(seen[2], behind)
+    assert not np.shares_memory(seen[3], behind)
+
+
+def test_an_image_that_cannot_be_encoded_is_told_and_the_rows_before_it_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = rows(20)
+
+    def fail(feature: Feature, image: Any, info: DatasetInfo) -> bytes:
+        if np.array_equal(image, given[12][RGB]):
+            raise MemoryError("no room for a picture")
+        return encode_frame(feature, image, info)
+
+    monkeypatch.setattr("rcs.data.background.encode_frame", fail)
+    with DatasetWriter.open(tmp_path, INFO) as writer:
+        episode = start(writer)
+        with pytest.raises(MemoryError, match="no room"):  # noqa: PT012  by which call it is told depends on the threads
+            for row in given:
+                episode.add(row)
+            episode.finish(True)
+    assert recover(tmp_path).recovered == ("a",)
+    assert Dataset.open(tmp_path)["a"].length == 12
+
+
+def test_after_a_finish_that_was_refused_rows_go_on(tmp_path: Path) -> None:
+    with DatasetWriter.open(tmp_path, INFO) as writer:
+        episode = start(writer)
+        for row in rows(10):
+            episode.add(row)
+        with pytest.raises(InvalidSetup, match="success is 'yes'"):
+            episode.finish("yes")  # pyright: ignore[reportArgumentType]
+        for row in rows(5):
+            episode.add(row)
+        assert episode.finish(True).length == 15
+
+
+def test_episodes_share_threads_that_end_with_the_last_of_them(tmp_path: Path) -> None:
+    with DatasetWriter.open(tmp_path, INFO) as writer:
+        episodes = [start(writer, f"{i}") for i in range(24)]
+        for row in rows(3):
+            for episode in episodes:
+                episode.add(row)
+        assert 1 <= len(encoding_threads()) <= MOST_THREADS
+        for episode in episodes[:-1]:
+            episode.finish(True)
+        assert encoding_threads()
+        episodes[-1].discard()
+    assert not encoding_threads()
+
+
+def test_a_forked_process_has_threads_of_its_own(tmp_path: Path) -> None:
+    with DatasetWriter.open(tmp_path / "parent", INFO) as writer:
+        episode = start(writer)
+        episode.add(rows(1)[0])
+        child = os.fork()
+        if child == 0:
+            signal.alarm(60)  # ends it where it would wait for a thread that is not there
+            with DatasetWriter.open(tmp_path / "child", INFO) as own:
+                another = start(own)
+                for row in rows(5):
+                    another.add(row)
+                another.finish(True)
+            os._exit(0)
+        _, status = os.waitpid(child, 0)
+        assert status == 0
+        episode.finish(True)
+    assert [Dataset.open(tmp_path / name)["a"].length for name in ("parent", "child")] == [1, 5]
+
+
+def test_threads_that_have_ended_take_nothing(tmp_path: Path) -> None:
+    encoders = Encoders(1)
+    encoders.close()
+    encoders.close()
+    with DatasetWriter.open(tmp_path, INFO) as writer, pytest.raises(WrongOrder, match="encoders are closed"):
+        start(writer, encoders=encoders).add(rows(1)[0])
+    with pytest.raises(InvalidSetup, match="threads is 0"):
+        Encoders(0)
 
 
 def test_a_bad_row_is_refused_at_once_and_the_episode_goes_on(tmp_path: Path) -> None:
@@ -162,11 +311,11 @@ def test_a_discarded_episode_leaves_no_byte_and_no_thread(tmp_path: Path) -> Non
             episode.add(row)
         episode.discard()
         assert not list((tmp_path / "episodes").iterdir())
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("write episode")]
+    assert not encoding_threads()
 
 
 def test_closing_the_dataset_writes_what_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    gate = Gate(monkeypatch)
+    gate = Gate(monkeypatch, "EpisodeWriter.add")
     with DatasetWriter.open(tmp_path, INFO) as writer:
         episode = start(writer)
         for row in rows(200):

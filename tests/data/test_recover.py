@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -103,6 +105,35 @@ def test_sigkill_at_a_random_moment_loses_at_most_a_second(tmp_path: Path, trial
     assert len(list(dataset["open"].frames("observation/frames/wrist/rgb"))) == len(numbers)
     assert (tmp_path / "dataset/episodes/done/steps.parquet").read_bytes() == finished
     assert check(tmp_path / "dataset").is_ok
+
+
+@pytest.mark.parametrize("rounds", [1, 33, 90])
+def test_sigkill_with_24_open_episodes_mixes_nothing_and_each_comes_back(tmp_path: Path, rounds: int) -> None:
+    command = [sys.executable, HERE / "record_many_until_killed.py", tmp_path / "dataset"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as writer:
+        assert writer.stdout is not None
+        lines = list(itertools.islice(writer.stdout, 24 * rounds))
+        writer.send_signal(signal.SIGKILL)
+        lines += writer.stdout.read().splitlines()
+    done = [line.split() for line in lines]
+    finished = {name for name, what in done if what == "finished"}
+    added = Counter(name for name, what in done if what == "added")
+    recover(tmp_path / "dataset")
+    assert check(tmp_path / "dataset").is_ok
+    episodes = {episode.id: episode for episode in Dataset.open(tmp_path / "dataset").episodes}
+    assert finished <= {name for name, episode in episodes.items() if episode.success}
+    for name, rows in added.items():
+        is_in_background = int(name[:2]) % 2
+        if name in finished:
+            assert episodes[name].length == rows == 20 + int(name[:2])
+        elif not is_in_background:  # where what waits for the threads is lost with them
+            assert episodes[name].length >= rows - 10, "half a second of the dataset's rate is in memory"
+    for name, episode in episodes.items():
+        numbers = episode.column("observation/number")
+        np.testing.assert_array_equal(numbers, 10_000 * int(name[:2]) + np.arange(len(numbers)))
+        colours = [np.unique(frame) for frame in episode.frames("observation/frames/wrist/rgb")]
+        np.testing.assert_allclose(np.array(colours), 10 * int(name[:2]), atol=2)
+        assert len(colours) == len(numbers)
 
 
 def test_an_aborted_episode_comes_back_with_its_reason(

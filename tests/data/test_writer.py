@@ -106,6 +106,41 @@ def test_workers_write_side_by_side(tmp_path: Path, make_info: MakeInfo) -> None
     assert check(tmp_path).is_ok
 
 
+def test_episodes_that_are_open_together_are_what_they_would_be_one_after_the_other(
+    tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows, record: Record
+) -> None:
+    with DatasetWriter.open(tmp_path / "together", make_info(images=True)) as writer:
+        open_together = [writer.episode(f"{seed:06d}", seed=seed) for seed in range(24)]
+        rows = [make_rows(40 + seed, images=True, seed=seed) for seed in range(24)]
+        for i in range(64):
+            for episode, taken in zip(open_together, rows, strict=True):
+                if i < len(taken):
+                    episode.add(taken[i], np.full(STATE, float(i)))
+        together = [episode.finish(None).content_hash for episode in reversed(open_together)][::-1]
+    with DatasetWriter.open(tmp_path / "one by one", make_info(images=True)) as writer:
+        alone = [record(writer, f"{seed:06d}", length=40 + seed, seed=seed).content_hash for seed in range(24)]
+    assert together == alone
+    assert check(tmp_path / "together").is_ok
+
+
+def test_an_open_episode_that_cannot_be_ended_keeps_no_other_from_its_end(
+    tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows
+) -> None:
+    writer = DatasetWriter.open(tmp_path, make_info())
+    episodes = [writer.episode(f"{i}", seed=i) for i in range(5)]
+    for episode in episodes:
+        episode.add(make_rows(1)[0], np.zeros(STATE))
+
+    def fail(_: str) -> None:
+        raise DatasetError("no space left")
+
+    episodes[2].end = fail
+    with pytest.raises(DatasetError, match="no space left"):
+        writer.close()
+    assert [episode.state for episode in episodes] == ["aborted", "aborted", "open", "aborted", "aborted"]
+    assert len(DatasetWriter.open(tmp_path, make_info(), resume=True).recovered.recovered) == 5, "the lock is free"
+
+
 def test_one_id_is_recorded_once(tmp_path: Path, make_info: MakeInfo, record: Record) -> None:
     with DatasetWriter.open(tmp_path, make_info()) as writer, DatasetWriter.join(tmp_path) as worker:
         episode = writer.episode("a", seed=0)

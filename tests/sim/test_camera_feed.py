@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -111,16 +112,34 @@ def test_only_what_is_due_is_drawn(world: World, feed: tuple[CameraFeed, Spied])
     assert cameras.capture_times["fast"] > last["fast"]
 
 
-def test_writing_to_a_frame_does_not_change_the_one_that_is_given_again(
+def test_a_camera_without_a_new_frame_gives_the_same_arrays_and_nobody_can_write_to_them(
     world: World, feed: tuple[CameraFeed, Spied]
 ) -> None:
     newest, _ = feed
-    kept = newest.read()["slow"]["rgb"].copy()
-    for _ in range(3):
+    shown = newest.read()
+    handed_out: list[tuple[Any, Any]] = []
+    for step in range(1, 10):
         world.advance()
-        frame = newest.read()["slow"]["rgb"]
-        np.testing.assert_array_equal(frame, kept)
-        frame[:] = 0
+        given = newest.read()
+        for name, key in itertools.product(given, ("rgb", "depth", "intrinsics", "extrinsics")):
+            values = given[name][key]
+            is_new = name == "fast" or step % 4 == 0
+            assert (values is shown[name][key]) != is_new
+            handed_out.append((values, values.copy()))
+            with pytest.raises(ValueError, match="read-only"):
+                values[...] = 0
+        shown = given
+    for values, kept in handed_out:
+        np.testing.assert_array_equal(values, kept)
+
+
+def test_what_is_done_to_the_dictionaries_of_a_frame_is_not_seen_again(
+    world: World, feed: tuple[CameraFeed, Spied]
+) -> None:
+    newest, _ = feed
+    newest.read()["slow"].clear()
+    world.advance()
+    assert set(newest.read()["slow"]) == {"rgb", "depth", "intrinsics", "extrinsics"}
 
 
 @pytest.mark.parametrize("is_varied", [False, True])
@@ -149,6 +168,7 @@ def test_a_copy_that_starts_anew_is_drawn_and_the_others_keep_their_frames(
         for key, values in after[name].items():
             np.testing.assert_array_equal(values[[0, 2]], before[name][key][[0, 2]])
             np.testing.assert_array_equal(values[1], present[name][key][1])
+            assert values is not before[name][key]
         assert not np.array_equal(after["slow"]["rgb"][1], before["slow"]["rgb"][1])
     cameras.close()
 

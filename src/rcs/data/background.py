@@ -1,8 +1,9 @@
-"""Writes an episode in a thread of its own, so that a control loop never waits for an encoder or a disk.
+"""Writes an episode in threads of their own, so that a control loop never waits for an encoder or a disk.
 
-The loop hands over copies of its rows and goes on. What waits is bounded: when the thread falls behind by more than the
-bound, new images are left out, each with a flag in its row, and the rows go on; only when even the rows would be too
-many are whole rows left out. Both are counted and reported, and the first of an episode is logged.
+The loop hands its rows over and goes on. Threads that all open episodes share encode the images, several at a time, and
+write the rows in the order in which they were taken. What waits is bounded: when the threads fall behind by more than
+the bound, new images are left out, each with a flag in its row, and the rows go on; only when even the rows would be
+too many are whole rows left out. Both are counted and reported, and the first of an episode is logged.
 """
 
 from __future__ import annotations
@@ -11,52 +12,80 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs.data.codec import encode_frame
+from rcs.data.encoders import Encoders, borrow, give_back
 from rcs.data.episode_writer import EpisodeWriter, State
 from rcs.data.flags import FrameFlag, companion
 from rcs.data.info import DatasetInfo
 from rcs.data.reader import EpisodeRecord
 from rcs.data.rows import Value
-from rcs.errors import RcsError
 
 _log = logging.getLogger(__name__)
 
 DEFAULT_BOUND_BYTES = 256 << 20
-"""Images that may wait: over two seconds of two RGB-D cameras of 640 x 480 at 30 Hz."""
+"""Images that may wait: half a second of six RGB cameras of 1280 x 720 at 30 Hz."""
 _MAX_ROWS = 10_000
 
 
-class BackgroundEpisode:
-    """An episode whose rows are encoded and written by a thread; takes the place of an `EpisodeWriter`."""
+@dataclass(slots=True, eq=False)
+class _Row:
+    """A row on its way to the disk."""
 
-    def __init__(self, episode: EpisodeWriter, info: DatasetInfo, *, bound_bytes: int = DEFAULT_BOUND_BYTES) -> None:
+    values: dict[str, Value]
+    sim_state: NDArray[np.float64] | None
+    missing: int
+    """Images that are not encoded yet."""
+    counted: int = 0
+    """Its bytes among those that wait; 0 before it waits and after it was forgotten."""
+    is_forgotten: bool = False
+    error: Exception | None = None
+    """Why an image could not be encoded."""
+
+
+class BackgroundEpisode:
+    """An episode whose rows are encoded and written by threads; takes the place of an `EpisodeWriter`."""
+
+    def __init__(
+        self,
+        episode: EpisodeWriter,
+        info: DatasetInfo,
+        *,
+        bound_bytes: int = DEFAULT_BOUND_BYTES,
+        encoders: Encoders | None = None,
+    ) -> None:
         """Take over an episode that was just started.
 
         Args:
             episode: The episode; nobody else may write to it from now on.
             info: What a row has.
-            bound_bytes: How many bytes of images may wait.
+            bound_bytes: How many bytes of images may wait, of all episodes that share the threads.
+            encoders: The threads; None for those that this process shares.
         """
         self.id = episode.id
         self._episode = episode
+        self._info = info
         self._bound = bound_bytes
-        self._images = {f.key: companion(f.key, info.features, "flags") for f in info.features if f.is_image}
-        self._waiting: deque[tuple[dict[str, Value], NDArray[np.float64] | None, int]] = deque()
-        self._waiting_bytes = 0
-        self._changed = threading.Condition()
-        self._is_ending = False
-        self._error: RcsError | None = None
+        self._images = {f.key: f for f in info.features if f.is_image}
+        self._flags = {key: companion(key, info.features, "flags") for key in self._images}
+        self._is_borrowing = encoders is None
+        self._encoders = borrow() if encoders is None else encoders
+        self._lock = self._encoders.lock
+        self._is_written = threading.Condition(self._lock)
+        self._waiting: deque[_Row] = deque()
+        self._is_writing = False
+        self._error: Exception | None = None
         self._rows = 0
         self.dropped_images = 0
         self.dropped_rows = 0
         self._most_bytes = 0
-        self._thread = threading.Thread(target=self._write, name=f"write episode {episode.id}", daemon=True)
-        self._thread.start()
-        episode.end = self.abort  # not beside the thread: first it writes what waits
+        episode.end = self.abort  # not beside the threads: first they write what waits
 
     @property
     def state(self) -> State:
@@ -69,7 +98,7 @@ class BackgroundEpisode:
         return self._rows
 
     def add(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None = None) -> None:
-        """Take one step and return at once; arrays are copied.
+        """Take one step and return at once; arrays are copied, but for those that nobody can write to.
 
         Args:
             row: As `EpisodeWriter.add` takes it.
@@ -82,23 +111,26 @@ class BackgroundEpisode:
         self._raise_error()
         self._episode.check(row, sim_state, is_first=self._rows == 0)
         given = dict(row)
-        size = sum(value.nbytes for key in self._images if isinstance(value := row.get(key), np.ndarray))
-        with self._changed:
+        with self._lock:
             if len(self._waiting) >= _MAX_ROWS:
                 self._count_drop(rows=1)
                 return
-            if size and self._waiting_bytes + size > self._bound:
-                size = self._leave_out_images(given)
-        kept: dict[str, Value] = {
-            key: value.copy() if isinstance(value, np.ndarray) else value for key, value in given.items()
-        }
-        state = None if sim_state is None else sim_state.copy()
-        with self._changed:
-            self._waiting.append((kept, state, size))
-            self._waiting_bytes += size
-            self._most_bytes = max(self._most_bytes, self._waiting_bytes)
+            size = sum(_bytes_of(given.get(key)) for key in self._images)
+            if size and self._encoders.waiting_bytes + size > self._bound:
+                self._leave_out_images(given)
+        kept = {key: _own(value) for key, value in given.items()}
+        new = [key for key in self._images if isinstance(kept.get(key), np.ndarray)]
+        taken = _Row(kept, None if sim_state is None else _own(sim_state), missing=len(new))
+        # Encoding begins before the row waits: one that Ctrl-C keeps from waiting is lost, and nothing waits for ever.
+        for key in new:
+            self._encoders.submit(partial(self._encode, taken, key))
+        with self._lock:
+            taken.counted = sum(_bytes_of(kept.get(key)) for key in self._images)
+            self._encoders.waiting_bytes += taken.counted
+            self._most_bytes = max(self._most_bytes, self._encoders.waiting_bytes)
+            self._waiting.append(taken)
             self._rows += 1
-            self._changed.notify()
+        self._encoders.submit(self._write)
 
     def finish(
         self, success: bool | None, outcome: Mapping[str, Any] | None = None, *, instruction: str | None = None
@@ -111,10 +143,10 @@ class BackgroundEpisode:
             instruction: What the robot was asked to do; None for what was said at the start.
 
         Raises:
-            InvalidSetup: There are no rows, or the outcome is not JSON.
+            InvalidSetup: There are no rows, or the outcome is not JSON; the episode stays open.
             DatasetError: The disk is full or failed; the episode is aborted.
         """
-        self._end()
+        self._write_all()
         self._raise_error()
         quality = {
             "writer": {
@@ -123,14 +155,20 @@ class BackgroundEpisode:
                 "most_bytes_waiting": self._most_bytes,
             }
         }
-        return self._episode.finish(success, outcome, instruction=instruction, quality=quality)
+        try:
+            return self._episode.finish(success, outcome, instruction=instruction, quality=quality)
+        finally:
+            self._let_go()
 
     def discard(self) -> None:
         """Forget what waits and remove the episode with all its rows."""
-        with self._changed:
-            self._waiting.clear()
-        self._end()
-        self._episode.discard()
+        with self._lock:
+            self._forget()
+        self._write_all()
+        try:
+            self._episode.discard()
+        finally:
+            self._let_go()
 
     def abort(self, reason: str) -> None:
         """Write what waits and give the episode up, but keep its rows for `recover`.
@@ -138,8 +176,11 @@ class BackgroundEpisode:
         Args:
             reason: Why, in words; it is kept.
         """
-        self._end()
-        self._episode.abort(reason)
+        self._write_all()
+        try:
+            self._episode.abort(reason)
+        finally:
+            self._let_go()
 
     def __enter__(self) -> Self:
         """Return the episode itself."""
@@ -150,50 +191,111 @@ class BackgroundEpisode:
         if self.state == "open":
             self.abort("left without finish" if kind is None else f"{kind.__name__}: {error}")
 
-    def _leave_out_images(self, row: dict[str, Value]) -> int:
+    def _leave_out_images(self, row: dict[str, Value]) -> None:
         images = [key for key in self._images if row.get(key) is not None]
         for key in images:
             row[key] = None
-            flags = self._images[key]
+            flags = self._flags[key]
             if flags is not None:
                 before: Any = row.get(flags)
                 row[flags] = int(FrameFlag(int(before or 0)) | FrameFlag.DROPPED)
         self._count_drop(images=len(images))
-        return 0
 
     def _count_drop(self, *, images: int = 0, rows: int = 0) -> None:
         if not self.dropped_images and not self.dropped_rows:
             _log.warning(
                 "Episode %r: the writer is slower than the loop; with %.0f MB waiting, %s are left out.",
                 self.id,
-                self._waiting_bytes / 1e6,
+                self._encoders.waiting_bytes / 1e6,
                 "rows" if rows else "images",
             )
         self.dropped_images += images
         self.dropped_rows += rows
 
-    def _write(self) -> None:
-        while True:
-            with self._changed:
-                while not self._waiting and not self._is_ending:
-                    self._changed.wait()
-                if not self._waiting:
-                    return
-                row, sim_state, size = self._waiting.popleft()
-            try:
-                self._episode.add(row, sim_state)
-            except RcsError as err:
-                self._error = err
-                return
-            with self._changed:
-                self._waiting_bytes -= size
+    def _encode(self, row: _Row, key: str) -> None:
+        """Put the bytes of an image in its place, and write the row if it was the last one missing."""
+        image: Any = row.values[key]
+        data = b""
+        try:
+            if not row.is_forgotten:
+                data = encode_frame(self._images[key], image, self._info)
+        except Exception as err:  # noqa: BLE001  raised where the loop is, when it is this row's turn
+            row.error = err
+        with self._lock:
+            row.values[key] = data
+            row.missing -= 1
+            if row.counted:
+                self._encoders.waiting_bytes -= image.nbytes - len(data)
+                row.counted -= image.nbytes - len(data)
+        self._write()
 
-    def _end(self) -> None:
-        with self._changed:
-            self._is_ending = True
-            self._changed.notify()
-        self._thread.join()
+    def _write(self) -> None:
+        """Write rows up to the first that is not encoded; one thread at a time does it for all."""
+        with self._lock:
+            if self._is_writing:
+                return
+            self._is_writing = True
+        while (row := self._next_encoded()) is not None:
+            try:
+                if error := self._error or row.error:
+                    raise error
+                self._episode.add(row.values, row.sim_state)
+            except Exception as err:  # noqa: BLE001  raised where the loop is, by its next call
+                self._error = err
+            with self._lock:
+                self._encoders.waiting_bytes -= row.counted
+                if self._error is not None:
+                    self._forget()
+
+    def _next_encoded(self) -> _Row | None:
+        with self._lock:
+            if self._waiting and not self._waiting[0].missing:
+                return self._waiting.popleft()
+            self._is_writing = False
+            self._is_written.notify_all()
+            return None
+
+    def _forget(self) -> None:
+        """Drop the rows that wait; the lock is held."""
+        for row in self._waiting:
+            row.is_forgotten = True
+            self._encoders.waiting_bytes -= row.counted
+            row.counted = 0
+        self._waiting.clear()
+
+    def _write_all(self) -> None:
+        """Wait until nothing waits and nothing is being written."""
+        with self._lock:
+            if self._waiting:
+                self._encoders.submit(self._write)  # Ctrl-C may have come before `add` said so
+            self._is_written.wait_for(lambda: not self._waiting and not self._is_writing)
 
     def _raise_error(self) -> None:
         if self._error is not None:
+            self._let_go()
             raise self._error
+
+    def _let_go(self) -> None:
+        """Give the threads back, unless more rows may come."""
+        if self.state != "open" and self._is_borrowing:
+            self._is_borrowing = False
+            give_back(self._encoders)
+
+
+def _bytes_of(value: object) -> int:
+    return value.nbytes if isinstance(value, np.ndarray) else len(value) if isinstance(value, bytes) else 0
+
+
+def _own(value: Any) -> Any:
+    """Return a value that nobody changes: a copy of an array that somebody can write to."""
+    return value.copy() if isinstance(value, np.ndarray) and not _is_frozen(value) else value
+
+
+def _is_frozen(array: NDArray[Any]) -> bool:
+    """Return whether nobody can write to an array, nor to what it is a view of."""
+    owner: object = array
+    while isinstance(owner, np.ndarray):
+        if owner.flags.writeable:
+            return False
+        owner = owner.base
+    return owner is None or isinstance(owner, bytes)

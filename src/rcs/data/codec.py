@@ -144,7 +144,7 @@ def encode_lossless(image: NDArray[np.uint8]) -> bytes:
     """
     difference = np.diff(image, axis=1, prepend=np.uint8(0))  # wraps around, and so does the way back
     planes = np.ascontiguousarray(np.moveaxis(difference, 2, 0))
-    return _COLOUR_MAGIC + _ZSTD.compress(planes.tobytes(), asbytes=True)
+    return _COLOUR_MAGIC + _ZSTD.compress(planes, asbytes=True)
 
 
 def decode_lossless(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
@@ -180,7 +180,7 @@ def encode_depth(image: NDArray[np.uint16]) -> bytes:
     signed = difference.view(np.int16)
     folded = ((signed << 1) ^ (signed >> 15)).view(np.uint16)
     shuffled = np.ascontiguousarray(folded.reshape(-1).view(np.uint8).reshape(-1, 2).T)
-    return _DEPTH_MAGIC + _ZSTD.compress(shuffled.tobytes(), asbytes=True)
+    return _DEPTH_MAGIC + _ZSTD.compress(shuffled, asbytes=True)
 
 
 def decode_depth(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint16]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
@@ -166,16 +167,15 @@ class DatasetWriter:
             remove_folder(folder, new_trash_folder(self._base, episode_id))
 
     def close(self) -> None:
-        """Abort the episodes that are still open and give the lock back; twice is harmless."""
+        """Abort the episodes that are still open and give the lock back, whatever fails; twice is harmless."""
         if self._is_closed:
             return
         self._is_closed = True
-        try:
+        with ExitStack() as last_to_first:
+            last_to_first.callback(self._lock.release)
             for episode in self._open:
                 if episode.state == "open":
-                    episode.end("its dataset was closed")
-        finally:
-            self._lock.release()
+                    last_to_first.callback(episode.end, "its dataset was closed")
 
     def __enter__(self) -> Self:
         """Return the writer itself."""

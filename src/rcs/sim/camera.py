@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import mujoco
@@ -23,6 +24,23 @@ Quality = Literal["fast", "full"]
 
 MAX_SIZE = 4096
 """Largest edge of a frame [px]."""
+
+FrameArrays = dict[str, NDArray[Any]]
+"""What a camera gives: `rgb`, `depth` if it has one, `intrinsics`, `extrinsics`. Nobody may write to the arrays."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Snapshot:
+    """All that frames of one moment are drawn from, so that they can be drawn later."""
+
+    state: NDArray[np.float64]
+    """The simulation's integration state, (state_size,)."""
+    time: float
+    """When the simulation was in this state [s], on the monotonic clock."""
+    calibrations: Mapping[str, FrameArrays]
+    """`intrinsics` and `extrinsics` of each camera to be drawn."""
+    positions: NDArray[np.float64]
+    """Positions of all joints, (nq,), which the noise depends on."""
 
 
 class SimCameras:
@@ -77,8 +95,8 @@ class SimCameras:
         self.capture_times: dict[str, float] = {}
         """When each camera's last frame was drawn [s], on the monotonic clock."""
 
-    def read(self, names: Sequence[str] | None = None, copies: Copies = None) -> dict[str, dict[str, NDArray[Any]]]:
-        """Draw cameras.
+    def read(self, names: Sequence[str] | None = None, copies: Copies = None) -> dict[str, FrameArrays]:
+        """Draw cameras, each frame in new arrays that are read-only.
 
         Args:
             names: Which cameras; None for all.
@@ -91,15 +109,64 @@ class SimCameras:
         chosen = [self.names.index(name) for name in (self.names if names is None else names)]
         rows = slice(None) if copies is None else copies
         rgb, depth = self._draw(chosen, copies)
-        frames: dict[str, dict[str, NDArray[Any]]] = {}
+        frames: dict[str, FrameArrays] = {}
         for drawn, i in enumerate(chosen):
-            frame: dict[str, NDArray[Any]] = {"rgb": rgb[drawn], **self._calibration(i, rows)}
-            if depth is not None:
-                frame["depth"] = depth[drawn]
-            if self._noise:
-                frame = self._noise[i].add(frame, self.world.qpos[rows])
-            frames[self.names[i]] = frame
+            drawn_depth = None if depth is None else depth[drawn]
+            calibration = self._calibration(i, rows)
+            frames[self.names[i]] = self._frame(i, rgb[drawn], drawn_depth, calibration, self.world.qpos[rows])
         return frames
+
+    def snapshot(self, names: Sequence[str]) -> Snapshot:
+        """Return what frames of the present moment can be drawn from later; of a world of one copy.
+
+        Args:
+            names: Which cameras are to be drawn.
+        """
+        return Snapshot(
+            state=self.world.states(),
+            time=time.perf_counter(),
+            calibrations={name: self._calibration(self.names.index(name), slice(None)) for name in names},
+            positions=self.world.qpos.copy(),
+        )
+
+    def draw(self, snapshot: Snapshot, names: Sequence[str]) -> Iterator[tuple[str, FrameArrays]]:
+        """Draw what `read` would have returned at the moment of a snapshot, one camera after the other.
+
+        May be called by another thread than the one that steps the world, but only by one thread at a time, and while
+        nobody calls `read`.
+
+        Args:
+            snapshot: Of these cameras.
+            names: Which of the cameras of the snapshot.
+        """
+        width, height = self.size
+        renderer = self._renderer or self._make_renderer()
+        assert isinstance(renderer, Renderer), "a world of one copy"
+        renderer.update_from_state(snapshot.state)
+        for name in names:
+            i = self.names.index(name)
+            rgb = np.empty((height, width, 3), np.uint8)
+            depth = np.empty((height, width), np.uint16) if self.has_depth else None
+            renderer.render(self._ids[i], rgb, depth)
+            yield name, self._frame(i, rgb, depth, snapshot.calibrations[name], snapshot.positions)
+
+    def _frame(
+        self,
+        i: int,
+        rgb: NDArray[np.uint8],
+        depth: NDArray[np.uint16] | None,
+        calibration: FrameArrays,
+        positions: NDArray[np.float64],
+    ) -> FrameArrays:
+        """Return the whole frame of a camera, with noise where that is wanted."""
+        frame: FrameArrays = {"rgb": rgb, **calibration}
+        if depth is not None:
+            frame["depth"] = depth
+        if self._noise:
+            frame = self._noise[i].add(frame, positions)
+        for values in frame.values():
+            values.flags.writeable = False
+        return frame
 
     def _draw(
         self, chosen: Sequence[int], copies: Copies
@@ -133,7 +200,7 @@ class SimCameras:
             return rgb, depth
         return [part[copies] for part in rgb], None if depth is None else [part[copies] for part in depth]
 
-    def _calibration(self, i: int, rows: slice | NDArray[np.integer[Any]]) -> dict[str, NDArray[np.float64]]:
+    def _calibration(self, i: int, rows: slice | NDArray[np.integer[Any]]) -> FrameArrays:
         """Return the matrices of a camera as it is now: it may move, and its field of view may vary."""
         width, height = self.size
         fovy = self.world.field("cam_fovy")[..., self._ids[i]]

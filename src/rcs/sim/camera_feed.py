@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-from rcs.sim.camera import SimCameras
+from rcs.sim.camera import FrameArrays, SimCameras
 from rcs.sim.frame_clock import FrameClock
-
-Frame = dict[str, NDArray[Any]]
 
 
 class CameraFeed:
-    """The newest frame of every camera and copy. Only what is due is drawn."""
+    """The newest frame of every camera and copy, drawn inside `read`. Only what is due is drawn."""
 
     def __init__(self, cameras: SimCameras, clock: FrameClock) -> None:
         """Deliver the frames of some cameras.
@@ -25,17 +20,22 @@ class CameraFeed:
         """
         self._cameras = cameras
         self._clock = clock
-        self._is_batch = bool(cameras.world.leading)
-        self._last: dict[str, Frame] = {}
+        self._last: dict[str, FrameArrays] = {}
 
-    def read(self) -> dict[str, Frame]:
-        """Return what `SimCameras.read` does, but as each camera took it last: picture, depth and camera pose."""
+    @property
+    def capture_times(self) -> dict[str, float]:
+        """When each camera's last frame was drawn [s], on the monotonic clock."""
+        return self._cameras.capture_times
+
+    def read(self) -> dict[str, FrameArrays]:
+        """Return what `SimCameras.read` does, but as each camera took it last: picture, depth and camera pose.
+
+        The arrays are read-only. A camera without a new frame gives the same arrays again.
+        """
         is_new = self._clock.take()
         always = [name for name in self._cameras.names if self._clock.has_frame_each_step(name)]
         whole = [name for name in self._cameras.names if name in always or is_new[name].all()]
-        drawn = self._cameras.read(whole) if whole else {}
-        # Nobody sees a frame of `always` again, so it need not be kept.
-        self._last.update({name: drawn[name] for name in whole if name not in always})
+        self._last.update(self._cameras.read(whole) if whole else {})
         # Cameras with a frame in the same copies are drawn together.
         partly: dict[bytes, list[str]] = {}
         for name in self._cameras.names:
@@ -44,11 +44,13 @@ class CameraFeed:
         for flags, names in partly.items():
             copies = np.flatnonzero(np.frombuffer(flags, np.bool_)).astype(np.int32)
             for name, frame in self._cameras.read(names, copies).items():
+                last = {key: values.copy() for key, values in self._last[name].items()}
                 for key, values in frame.items():
-                    self._last[name][key][copies] = values
-        return {name: drawn[name] if name in always else _copy(self._last[name]) for name in self._cameras.names}
+                    last[key][copies] = values
+                    last[key].flags.writeable = False
+                self._last[name] = last
+        return {name: dict(self._last[name]) for name in self._cameras.names}
 
-
-def _copy(frame: Frame) -> Frame:
-    # What is handed out may be written to, and the frame may be handed out again.
-    return {key: values.copy() for key, values in frame.items()}
+    def close(self) -> None:
+        """Free the renderer. Closing twice is harmless; reading again makes a new one."""
+        self._cameras.close()

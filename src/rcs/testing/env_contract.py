@@ -208,7 +208,7 @@ class EnvContract:
             require_same_bits(self.run(env, between=try_it), self.run(untouched))
 
     def test_writing_to_an_observation_changes_nothing(self) -> None:
-        """Observations are the caller's own."""
+        """Observations are the caller's own, or cannot be written to, such as frames."""
         with self.env() as env, self.env() as untouched:
             require_same_bits(self.run(env, between=_spoil), self.run(untouched))
 
@@ -291,5 +291,5 @@ def _spoil(tree: Any) -> None:
     if isinstance(tree, Mapping):
         for value in tree.values():
             _spoil(value)
-    else:
+    elif tree.flags.writeable:
         tree[...] = 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-import time
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -40,14 +40,13 @@ INFO = DatasetInfo(
 
 
 class Loop:
-    """A loop of 100 Hz, by its stamps, with a camera of 30 Hz; counts how long the recorder keeps it."""
+    """A loop of 100 Hz, by its stamps, with a camera of 30 Hz."""
 
     def __init__(self, path: Path, **settings: Any) -> None:
         self.path = path
         self.writer = DatasetWriter.open(path, INFO)
         self.recorder = Recorder(self.writer, **settings)
         self.recorder.name_next("a")
-        self.waits: list[float] = []
         self._rng = np.random.default_rng(0)
         self._frame = self._rng.integers(20, 236, (48, 64, 3), np.uint8)
         self._captured = -1.0
@@ -77,18 +76,30 @@ class Loop:
                 time=now,
                 capture_times={"frames/wrist": captured},
             )
-            start = time.perf_counter()
             if i == 0:
                 self.recorder.on_reset(step, 1)
             else:
                 self.recorder.on_step(step)
-            self.waits.append(time.perf_counter() - start)
 
     def finish(self) -> Any:
         """Complete the episode and close the dataset."""
         episode = self.recorder.finish(True)
         self.writer.close()
         return episode
+
+
+class Gate:
+    """Keeps a method from being called until it is opened; a loop that waits for the call stands still."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, owner: type, name: str) -> None:
+        self.open = threading.Event()
+        method = getattr(owner, name)
+
+        def wait(*given: Any) -> Any:
+            assert self.open.wait(60)
+            return method(*given)
+
+        monkeypatch.setattr(owner, name, wait)
 
 
 def kinds(path: Path) -> list[str]:
@@ -107,17 +118,20 @@ def test_9_a_camera_slower_than_the_loop_is_repeated_with_flags_and_true_stamps(
     assert kinds(tmp_path) == []
 
 
-def test_10_a_camera_that_stalls_is_flagged_and_the_loop_does_not_feel_it(tmp_path: Path) -> None:
+def test_10_a_camera_that_stalls_is_flagged_and_the_loop_does_not_feel_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate(monkeypatch, EpisodeWriter, "add")
     loop = Loop(tmp_path, background=True, stale_after=0.1)
     loop.run(0, 100)
     frozen = loop.capture(0.99)
     loop.run(100, 300, lambda _: frozen)
     loop.run(300, 400)
+    gate.open.set()
     episode = loop.finish()
     stale = np.flatnonzero(episode.flags("wrist") & FrameFlag.STALE)
     assert (stale[0], stale[-1]) == (107, 299)
     assert kinds(tmp_path) == ["stale", "frozen"]
-    assert np.percentile(loop.waits, 99) < 0.005, "half of a period of 100 Hz"
 
 
 def test_10_a_camera_that_stalls_too_long_ends_the_episode_and_its_rows_stay(tmp_path: Path) -> None:
@@ -172,22 +186,19 @@ def test_10_a_camera_that_raises_ends_the_loop_and_the_rows_before_it_stay(tmp_p
 def test_11_a_writer_that_is_too_slow_leaves_out_images_counts_them_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    add = EpisodeWriter.add
-
-    def slow(writer: EpisodeWriter, *given: Any) -> None:
-        time.sleep(0.003)
-        add(writer, *given)
-
-    monkeypatch.setattr(EpisodeWriter, "add", slow)
-    monkeypatch.setattr(BackgroundEpisode.__init__, "__kwdefaults__", {"bound_bytes": 200_000})
+    gate = Gate(monkeypatch, EpisodeWriter, "add")
+    settings = {**(BackgroundEpisode.__init__.__kwdefaults__ or {}), "bound_bytes": 200_000}
+    monkeypatch.setattr(BackgroundEpisode.__init__, "__kwdefaults__", settings)
     loop = Loop(tmp_path, background=True)
     with caplog.at_level(logging.WARNING):
         loop.run(0, 200)
+    gate.open.set()
     episode = loop.finish()
     dropped = episode.quality["writer"]["dropped_images"]
-    assert dropped > 10
+    # 200 kB are 21 images of 48 x 64, or more as soon as they are encoded; the camera gave 60.
+    assert 10 < dropped <= 60 - 21
     assert episode.length == 200, "rows go on"
     assert np.count_nonzero(episode.flags("wrist") & FrameFlag.DROPPED) == dropped
+    assert np.count_nonzero(episode.flags("wrist") == 0) == 60 - dropped
     assert "slower than the loop" in caplog.text
     assert "dropped_frames" in kinds(tmp_path)
-    assert np.percentile(loop.waits, 99) < 0.005
