@@ -133,9 +133,7 @@ class Workplace:
     def keep(self, episode: EpisodeRecord, last: Step, more: Mapping[str, Any]) -> None:
         """Keep the recording of what was played up to a last step; see `outcome`."""
         failure = None if last.success else "replay"
-        self.recorder.finish(
-            last.success, {"failure": failure, "reward": last.reward, **self.outcome(episode, more)}
-        )
+        self.recorder.finish(last.success, {"failure": failure, "reward": last.reward, **self.outcome(episode, more)})
 
     def close(self) -> None:
         """Close the environment and the writer."""

@@ -100,7 +100,9 @@ class Divergence:
     def first_beyond(self, tolerance: Tolerance) -> tuple[int, str] | None:
         """Return the first row with an error beyond the tolerance and which error it is; None if there is none."""
         limits = dataclasses.astuple(tolerance)  # in the order of the errors
-        beyond = [(np.flatnonzero(v > limit), name) for (name, v), limit in zip(self.errors.items(), limits, strict=True)]
+        beyond = [
+            (np.flatnonzero(v > limit), name) for (name, v), limit in zip(self.errors.items(), limits, strict=True)
+        ]
         return min(((int(rows[0]), name) for rows, name in beyond if len(rows)), key=lambda row: row[0], default=None)
 
     def summary(self) -> dict[str, dict[str, float] | None]:

@@ -64,12 +64,15 @@ def _cameras_in(part: Description, prefix: str) -> Iterator[tuple[str, CameraPla
         body = model.body(int(model.cam_bodyid[i])).name if model.cam_bodyid[i] else part.base_body
         optical = Pose(model.cam_pos[i], wxyz_to_xyzw(model.cam_quat[i])) * CAMERA_IN_OPTICAL
         camera = _description(name, model, i)
-        yield name, CameraPlacement(
-            name=name,
-            camera=camera,
-            parent_body=prefix + body,
-            optical_in_parent=Mount.of(optical),
-            fovy=camera.fovy,
+        yield (
+            name,
+            CameraPlacement(
+                name=name,
+                camera=camera,
+                parent_body=prefix + body,
+                optical_in_parent=Mount.of(optical),
+                fovy=camera.fovy,
+            ),
         )
 
 

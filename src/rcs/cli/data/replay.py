@@ -126,7 +126,9 @@ class ReplayCommand:
         if self.mode == "check":
             return list(track(replay(self.path), "Replaying", total=len(dataset), console=console))
         job = JOBS[self.mode]
-        options = {option.name: getattr(self, option.name) for option in dataclasses.fields(job) if option.name != "source"}
+        options = {
+            option.name: getattr(self, option.name) for option in dataclasses.fields(job) if option.name != "source"
+        }
         rows = row_counter()
         total = sum(episode.length for episode in dataset.episodes)
         with _Progress(rows, total, console):
