@@ -84,10 +84,10 @@ class WorkerPool:
 
 
 class _Process:
-    """What a worker process has: how to make its worker, and the worker once it has made one."""
+    """What a worker process has: how to make its worker, and that once it is made."""
 
-    make: Callable[[], Worker]
-    worker: Worker | None = None
+    make: list[Callable[[], Worker]]
+    worker: Worker
 
 
 def _start(make: Callable[[], Worker], parent: int) -> None:
@@ -95,12 +95,13 @@ def _start(make: Callable[[], Worker], parent: int) -> None:
     _die_with(parent)
     # One process per core is what the pool is for; Mesa's own threads would only get in the way.
     os.environ["LP_NUM_THREADS"] = "1"
-    _Process.make = staticmethod(make)
+    _Process.make = [make]
 
 
 def _attempt(number: int) -> Any:
-    if _Process.worker is None:  # made here, so that what goes wrong reaches the parent
-        _Process.worker = _Process.make()
+    if _Process.make:  # only now, so that what goes wrong reaches the parent
+        _Process.worker = _Process.make[0]()
+        _Process.make = []
         atexit.register(_Process.worker.close)
     return _Process.worker.attempt(number)
 

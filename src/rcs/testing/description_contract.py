@@ -97,7 +97,7 @@ class DescriptionContract:
         limits = np.transpose([self.arm.joint_lower, self.arm.joint_upper])
         np.testing.assert_allclose(model.jnt_range[joints], limits, rtol=0.0, atol=1e-9)
         np.testing.assert_allclose(model.actuator_ctrlrange[servos], limits, rtol=0.0, atol=1e-9)
-        effort = np.transpose([np.negative(self.arm.effort_limit), self.arm.effort_limit])
+        effort = np.outer(self.arm.effort_limit, [-1.0, 1.0])
         np.testing.assert_allclose(model.jnt_actfrcrange[joints], effort, rtol=1e-9)
 
     def test_solver_and_simulation_agree_on_the_tcp(self, model: mujoco.MjModel) -> None:
