@@ -37,7 +37,7 @@ Mode = Literal["check", "render", "actions", "states"]
 
 JOBS: dict[Mode, type[Derivation]] = {"render": Rerendering, "actions": Reexecution, "states": RealToSim}
 """What makes a dataset; a mode takes the options that its job has."""
-PATIENCE = 10.0
+PATIENCE = 30.0
 """Where no bar can be drawn, a line says how far it is, this often [s]."""
 WIDTH = 116
 """What the widest table needs [columns]."""
@@ -181,7 +181,8 @@ class _Progress(Progress):
 
     def __init__(self, rows: Synchronized[int], total: int, console: Console) -> None:
         """Watch a count go up to a total."""
-        super().__init__(*Progress.get_default_columns(), console=console, refresh_per_second=2)
+        # Episodes differ and computers are shared: an estimate goes by the last minutes.
+        super().__init__(console=console, refresh_per_second=2, speed_estimate_period=300.0)
         self._rows = rows
         self._task = self.add_task("Replaying", total=total)
         self._thread = threading.Thread(target=self._watch, name="rcs progress", daemon=True)
