@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -16,12 +14,13 @@ from rcs.robots.description import GripperDescription, Mount
 from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND
 from rcs.spatial import Pose
+from tests.robots.published import read_figures
 
 
 @pytest.fixture(scope="session")
 def figures() -> dict[str, Any]:
     """The published figures that the models must reproduce."""
-    return json.loads((Path(__file__).parent / "data" / "franka.json").read_text())
+    return read_figures("franka")
 
 
 @pytest.fixture(scope="session")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -15,6 +13,10 @@ from numpy.typing import NDArray
 from rcs.kinematics import attach_end_effector, load
 from rcs.robots.robotiq_2f85.description import ROBOTIQ_2F85
 from rcs.robots.ur5e.description import UR5E
+from rcs.setups.labs.ur5e import LAB
+from rcs.spatial import Pose
+from rcs.testing import DescriptionContract
+from tests.robots.published import pose_of, read_figures
 
 Figures = dict[str, Any]
 
@@ -29,9 +31,23 @@ WITHIN_REACH_OF_EACH_OTHER = (
 """Links with one link between them: what overlaps by construction would be among these."""
 
 
+class TestTheDescription(DescriptionContract):
+    """The arm with a gripper."""
+
+    arm = UR5E
+    gripper = ROBOTIQ_2F85
+    base_in_scene = LAB.stands[0].base_in_scene
+    hold_tolerance = 1e-6
+    settle_time = 2.0  # the published gains are slow: kv / kp is 0.2 s
+
+    def published_chain(self) -> tuple[str, list[Pose]]:
+        """Return the vendor's joint table, whose last frame is the flange."""
+        return UR5E.flange_site, [*map(pose_of, read_figures("ur5e")["chain"]), Pose()]
+
+
 @pytest.fixture(scope="module")
 def figures() -> Figures:
-    return json.loads((Path(__file__).parent / "data" / "ur5e.json").read_text())
+    return read_figures("ur5e")
 
 
 @pytest.fixture(scope="module")
@@ -47,24 +63,6 @@ def with_gripper() -> mujoco.MjModel:
     return spec.compile()
 
 
-def rotation(rpy: list[float]) -> NDArray[np.float64]:
-    """Rotation matrix of fixed-axis roll, pitch, yaw [rad]."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
-    rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    return rz @ ry @ rx
-
-
-def tool0_from_chain(figures: Figures, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Position and rotation of tool0 in the controller's base frame, from the vendor's joint table."""
-    position, orientation = np.zeros(3), np.eye(3)
-    for joint, angle in zip(figures["chain"], q, strict=True):
-        position = position + orientation @ joint["xyz"]
-        orientation = orientation @ rotation(joint["rpy"]) @ rotation([0.0, 0.0, angle])
-    return position, orientation
-
-
 def set_joints(model: mujoco.MjModel, data: mujoco.MjData, q: NDArray[np.float64]) -> None:
     for joint, value in zip(UR5E.joints, q, strict=True):
         data.joint(joint).qpos[0] = value
@@ -78,18 +76,6 @@ def at_home(model: mujoco.MjModel) -> mujoco.MjData:
         data.actuator(actuator).ctrl[0] = q
     mujoco.mj_forward(model, data)
     return data
-
-
-def test_the_flange_follows_the_vendors_joint_table(arm: mujoco.MjModel, figures: Figures) -> None:
-    rng = np.random.default_rng(1)
-    data = mujoco.MjData(arm)
-    random = rng.uniform(UR5E.joint_lower, UR5E.joint_upper, (20, UR5E.dof))
-    for q in [np.zeros(UR5E.dof), np.array(UR5E.home), *random]:
-        set_joints(arm, data, q)
-        position, orientation = tool0_from_chain(figures, q)
-        flange = data.site(UR5E.flange_site)
-        np.testing.assert_allclose(flange.xpos, position, atol=1e-9)
-        np.testing.assert_allclose(flange.xmat.reshape(3, 3), orientation, atol=2e-9)
 
 
 @pytest.mark.parametrize("pose", ["qpos0", "home"])
@@ -112,7 +98,7 @@ def test_masses_and_inertias_equal_the_vendors_table(
         body = arm.body(link["link"])
         assert body.mass[0] == link["mass"]
         np.testing.assert_allclose(body.ipos, link["com"], atol=1e-15)
-        turned = rotation(link["inertia_rpy"])
+        turned = Pose.from_rpy((0.0, 0.0, 0.0), link["inertia_rpy"]).matrix[:3, :3]
         inertia = turned @ np.diag(link["inertia_xx_yy_zz"]) @ turned.T
         expected = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         np.testing.assert_allclose(inertia_in_body(arm, link["link"]), expected, atol=1e-12)
@@ -141,11 +127,6 @@ def test_joint_dynamics_and_servo_gains_equal_the_table(arm: mujoco.MjModel, fig
         assert actuator.gainprm[0] == row["kp"]
         np.testing.assert_array_equal(actuator.biasprm[:3], [0.0, -row["kp"], -row["kv"]])
         np.testing.assert_array_equal(actuator.ctrlrange, joint.range)
-
-
-def test_joints_and_actuators_are_numbered_from_base_to_tip(arm: mujoco.MjModel) -> None:
-    assert [arm.joint(name).id for name in UR5E.joints] == list(range(UR5E.dof))
-    assert [int(arm.actuator(name).trnid[0]) for name in UR5E.actuators] == list(range(UR5E.dof))
 
 
 def test_at_home_the_tcp_points_down_and_nothing_touches(with_gripper: mujoco.MjModel) -> None:
@@ -185,33 +166,6 @@ def test_the_arm_stands_on_a_floor_without_touching_it() -> None:
     spec = mujoco.MjSpec.from_file(str(UR5E.mjcf))
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1.0, 1.0, 0.1])
     assert at_home(spec.compile()).ncon == 0
-
-
-def test_the_servos_hold_the_home_pose_without_sagging(with_gripper: mujoco.MjModel) -> None:
-    data = at_home(with_gripper)
-    mujoco.mj_step(with_gripper, data, nstep=500)
-    q = [data.joint(joint).qpos[0] for joint in UR5E.joints]
-    # What is left is the recoil of the gripper, which closes meanwhile.
-    np.testing.assert_allclose(q, UR5E.home, atol=1e-6)
-
-
-def test_no_command_asks_more_torque_of_a_joint_than_its_limit(with_gripper: mujoco.MjModel) -> None:
-    data = at_home(with_gripper)
-    for name, upper in zip(UR5E.actuators, UR5E.joint_upper, strict=True):
-        data.actuator(name).ctrl[0] = upper
-    for _ in range(100):
-        mujoco.mj_step(with_gripper, data)
-        assert np.all(np.abs(data.qfrc_actuator[: UR5E.dof]) <= np.array(UR5E.effort_limit) + 1e-9)
-
-
-def test_a_step_of_a_tenth_of_a_radian_settles_within_two_seconds(with_gripper: mujoco.MjModel) -> None:
-    # The published gains are slow: kv / kp is 0.2 s.
-    data = at_home(with_gripper)
-    target = np.array(UR5E.home) + 0.1
-    for name, q in zip(UR5E.actuators, target, strict=True):
-        data.actuator(name).ctrl[0] = q
-    mujoco.mj_step(with_gripper, data, nstep=1000)
-    np.testing.assert_allclose([data.joint(joint).qpos[0] for joint in UR5E.joints], target, atol=1e-3)
 
 
 def test_meshes_of_the_collection_sit_on_the_links_they_belong_to(arm: mujoco.MjModel, figures: Figures) -> None:

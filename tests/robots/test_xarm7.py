@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -13,14 +11,27 @@ import pytest
 from numpy.typing import NDArray
 
 from rcs.robots.xarm7.description import XARM7
+from rcs.spatial import Pose
+from rcs.testing import DescriptionContract
+from tests.robots.published import pose_of, read_figures
 
 Figures = dict[str, Any]
-Pose = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+class TestTheDescription(DescriptionContract):
+    """The bare arm."""
+
+    arm = XARM7
+    hold_tolerance = 1e-9
+
+    def published_chain(self) -> tuple[str, list[Pose]]:
+        """Return the joint table, whose last frame is the flange."""
+        return XARM7.flange_site, [*map(pose_of, read_figures("xarm7")["chain"]), Pose()]
 
 
 @pytest.fixture(scope="module")
 def figures() -> Figures:
-    return json.loads((Path(__file__).parent / "data" / "xarm7.json").read_text())
+    return read_figures("xarm7")
 
 
 @pytest.fixture(scope="module")
@@ -29,27 +40,6 @@ def arm() -> mujoco.MjModel:
     spec.option.timestep = 0.002
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     return spec.compile()
-
-
-def rotation(quat_wxyz: list[float]) -> NDArray[np.float64]:
-    """Rotation matrix of a quaternion."""
-    w, x, y, z = np.array(quat_wxyz) / np.linalg.norm(quat_wxyz)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
-
-
-def turned(angle: float) -> NDArray[np.float64]:
-    """Rotation matrix of a turn about z [rad]."""
-    return rotation([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
-
-
-def flange_from_chain(figures: Figures, q: NDArray[np.float64]) -> Pose:
-    """Position and rotation of the flange in the base frame, from the joint table."""
-    position, orientation = np.zeros(3), np.eye(3)
-    for joint, angle in zip(figures["chain"], q, strict=True):
-        position = position + orientation @ joint["xyz"]
-        orientation = orientation @ rotation(joint["quat_wxyz"]) @ turned(angle)
-    return position, orientation
 
 
 def at(model: mujoco.MjModel, q: NDArray[np.float64] | tuple[float, ...]) -> mujoco.MjData:
@@ -65,15 +55,6 @@ def test_the_flange_is_where_it_was_published(arm: mujoco.MjModel, figures: Figu
     flange = at(arm, published["q"]).site(XARM7.flange_site)
     np.testing.assert_allclose(flange.xpos, published["position"], atol=1e-12)
     np.testing.assert_allclose(flange.xmat, published["rotation"], atol=1e-12)
-
-
-def test_the_flange_follows_the_joint_table(arm: mujoco.MjModel, figures: Figures) -> None:
-    rng = np.random.default_rng(1)
-    for q in [np.array(XARM7.home), *rng.uniform(XARM7.joint_lower, XARM7.joint_upper, (20, XARM7.dof))]:
-        position, orientation = flange_from_chain(figures, q)
-        flange = at(arm, q).site(XARM7.flange_site)
-        np.testing.assert_allclose(flange.xpos, position, atol=1e-9)
-        np.testing.assert_allclose(flange.xmat.reshape(3, 3), orientation, atol=1e-9)
 
 
 def test_masses_and_inertias_equal_the_table(
@@ -99,11 +80,6 @@ def test_limits_joint_dynamics_and_servos_equal_the_table(arm: mujoco.MjModel, f
             assert getattr(joint, name)[0] == row[name]
         assert servo.gainprm[0] == row["kp"]
         np.testing.assert_array_equal(servo.biasprm[:3], [0.0, -row["kp"], -row["kv"]])
-
-
-def test_joints_and_actuators_are_numbered_from_base_to_tip(arm: mujoco.MjModel) -> None:
-    assert [arm.joint(name).id for name in XARM7.joints] == list(range(XARM7.dof))
-    assert [int(arm.actuator(name).trnid[0]) for name in XARM7.actuators] == list(range(XARM7.dof))
 
 
 def test_at_home_the_flange_points_straight_down_and_nothing_touches(arm: mujoco.MjModel) -> None:
@@ -132,24 +108,3 @@ def test_links_near_each_other_touch_in_less_than_a_fiftieth_of_all_poses(arm: m
 
 def test_a_folded_arm_touches_itself(arm: mujoco.MjModel) -> None:
     assert at(arm, (0.0, 0.0, 0.0, -0.1, 0.0, 1.5, 0.0)).ncon > 0
-
-
-def test_the_servos_hold_the_home_pose_without_sagging(arm: mujoco.MjModel) -> None:
-    data = at(arm, XARM7.home)
-    mujoco.mj_step(arm, data, nstep=500)
-    np.testing.assert_allclose(data.qpos, XARM7.home, atol=1e-9)
-
-
-def test_no_command_asks_more_torque_of_a_joint_than_its_limit(arm: mujoco.MjModel) -> None:
-    data = at(arm, XARM7.home)
-    data.ctrl[:] = XARM7.joint_upper
-    for _ in range(100):
-        mujoco.mj_step(arm, data)
-        assert np.all(np.abs(data.qfrc_actuator) <= np.array(XARM7.effort_limit) + 1e-9)
-
-
-def test_a_step_of_a_tenth_of_a_radian_settles_within_a_second(arm: mujoco.MjModel) -> None:
-    data = at(arm, XARM7.home)
-    data.ctrl[:] += 0.1
-    mujoco.mj_step(arm, data, nstep=500)
-    np.testing.assert_allclose(data.qpos, data.ctrl, atol=1e-3)

@@ -18,8 +18,9 @@ import rcs
 from rcs.data import Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.derive import derive
 from rcs.rollout.look import setup_of
-from rcs.rollout.real_to_sim import RealToSim, RealToSimResult, real_to_sim
+from rcs.rollout.real_to_sim import RealToSim, RealToSimResult
 from rcs.rollout.replay import replay
 
 EPISODES = 5
@@ -104,7 +105,7 @@ def other_world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(**options: Any) -> list[RealToSimResult]:
-    return sorted(real_to_sim(RealToSim(**options)), key=lambda result: result.episode_id)
+    return sorted(derive(RealToSim(**options)), key=lambda result: result.episode_id)
 
 
 def successes(results: list[RealToSimResult]) -> int:

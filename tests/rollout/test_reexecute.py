@@ -14,9 +14,10 @@ from rcs.data import Dataset
 from rcs.data.edit import merge, resample
 from rcs.errors import DatasetError, InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.derive import derive
 from rcs.rollout.divergence import Tolerance
 from rcs.rollout.look import Look, setup_of
-from rcs.rollout.reexecute import Reexecution, ReexecutionResult, reexecute
+from rcs.rollout.reexecute import Reexecution, ReexecutionResult
 from rcs.rollout.replay import replay
 
 
@@ -33,7 +34,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(**options: Any) -> list[ReexecutionResult]:
-    return sorted(reexecute(Reexecution(**options)), key=lambda result: result.episode_id)
+    return sorted(derive(Reexecution(**options)), key=lambda result: result.episode_id)
 
 
 def test_recorded_actions_lead_to_the_very_same_rows(dataset: Path, tmp_path: Path) -> None:

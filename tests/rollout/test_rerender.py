@@ -12,9 +12,10 @@ import rcs
 from rcs.data import Dataset, EpisodeRecord, compare_steps
 from rcs.errors import DatasetError, InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.derive import derive
 from rcs.rollout.look import Look, physics_of, setup_of
 from rcs.rollout.replay import replay
-from rcs.rollout.rerender import Rerendering, is_of_camera, rerender
+from rcs.rollout.rerender import Rerendering, is_of_camera
 
 pytestmark = pytest.mark.gl
 
@@ -35,7 +36,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(source: Path, out: Path, workers: int = 1, **look: Any) -> Dataset:
-    list(rerender(Rerendering(source=source, out=out, look=Look(**look), workers=workers)))
+    list(derive(Rerendering(source=source, out=out, look=Look(**look), workers=workers)))
     return Dataset.open(out)
 
 
@@ -181,7 +182,7 @@ def test_a_folder_that_is_taken_stays_as_it_is_and_a_failure_leaves_nothing(data
 
 
 def test_a_replay_that_is_stopped_leaves_nothing(dataset: Path, tmp_path: Path) -> None:
-    results = rerender(Rerendering(source=dataset, out=tmp_path / "out"))
+    results = derive(Rerendering(source=dataset, out=tmp_path / "out"))
     next(results)
     results.close()  # pyright: ignore[reportAttributeAccessIssue]  it is a generator
     assert list(tmp_path.iterdir()) == []

@@ -13,13 +13,27 @@ from my_robot.from_urdf import MY_ROBOT_URDF
 from numpy.typing import NDArray
 
 import rcs
-from rcs.agents import agent_for
 from rcs.devices import Arm
 from rcs.kinematics import kinematics_of, load
+from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.agents import agent_for
 from rcs.rollout.episode import run_episode
-from rcs.testing import ArmContract, EnvContract
+from rcs.testing import ArmContract, DescriptionContract, EnvContract
 
 ROBOTS = ("my_robot", "my_robot_urdf")
+
+
+class TestTheDescription(DescriptionContract):
+    """Limits, kinematics and servos of the description and of its MJCF, with the hand that its lab gives it."""
+
+    arm = MY_ROBOT
+    gripper = FRANKA_HAND
+
+
+class TestTheDescriptionFromTheUrdf(TestTheDescription):
+    """The same, from the other file."""
+
+    arm = MY_ROBOT_URDF
 
 
 class TestTheArm(ArmContract):
@@ -76,27 +90,6 @@ def joint_inertia(model: mujoco.MjModel, joints: NDArray[np.float64]) -> NDArray
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, matrix)
     return matrix
-
-
-@pytest.mark.parametrize("arm", [MY_ROBOT, MY_ROBOT_URDF], ids=ROBOTS)
-def test_description_and_model_have_the_same_limits(arm: Any) -> None:
-    """One is what devices check, the other what is simulated."""
-    model = load(arm).compile()
-    lower, upper = model.jnt_range.T
-    np.testing.assert_allclose(lower, arm.joint_lower)
-    np.testing.assert_allclose(upper, arm.joint_upper)
-    np.testing.assert_allclose(model.jnt_actfrcrange[:, 1], arm.effort_limit)
-    np.testing.assert_allclose(model.actuator_ctrlrange, model.jnt_range)
-
-
-@pytest.mark.parametrize("arm", [MY_ROBOT, MY_ROBOT_URDF], ids=ROBOTS)
-def test_nothing_touches_at_home(arm: Any) -> None:
-    """Neighbours that overlap would push each other away."""
-    model = load(arm).compile()
-    data = mujoco.MjData(model)
-    data.qpos[:] = arm.home
-    mujoco.mj_forward(model, data)
-    assert data.ncon == 0
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from rcs._core import DampedLeastSquares
-from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
-from rcs.robots.tactile import TactileDescription
+from rcs.robots.description import ArmDescription, Description, GripperDescription, HandDescription, Mount
 from rcs.spatial import xyzw_to_wxyz
 
 GRIPPER_PREFIX = "gripper/"
@@ -16,9 +15,15 @@ EndEffector = GripperDescription | HandDescription
 """What can be fixed to a flange."""
 
 
-def load(description: ArmDescription | EndEffector | CameraDescription | TactileDescription) -> mujoco.MjSpec:
-    """Read the MJCF file or URDF of a description, and have it completed where it says how."""
+def load(description: Description) -> mujoco.MjSpec:
+    """Read the MJCF file or URDF of a description, and have it completed where it says how.
+
+    What a file has only to be looked at alone is left out, or it would get into every scene: lights, and geoms of the
+    file's world, such as a floor.
+    """
     spec = mujoco.MjSpec.from_file(str(description.mjcf))
+    for element in [*spec.lights, *spec.worldbody.geoms]:
+        spec.delete(element)
     if isinstance(description, ArmDescription) and description.complete is not None:
         description.complete(spec)
     return spec

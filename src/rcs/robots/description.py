@@ -24,6 +24,7 @@ from rcs.robots.mount import Mount, require_numbers
 __all__ = [
     "ArmDescription",
     "CameraDescription",
+    "Description",
     "GripperDescription",
     "HandDescription",
     "MenagerieBody",
@@ -37,19 +38,39 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArmDescription:
-    """One manipulator: its chain, its limits and the MJCF file with the same figures."""
+class Description:
+    """What all descriptions share: names, the model's file and where the figures come from."""
 
     name: str
     """Short name used to ask for it, such as `fr3`."""
     label: str
     """Full name for people."""
     module: str
-    """Name of the module that defines the description; the MJCF file lies next to it."""
+    """Name of the module that defines the description; the model's file lies next to it."""
     mjcf_file: str
-    """File name of the MJCF model, or of a URDF together with `complete`."""
+    """File name of the MJCF model; an arm's may be a URDF together with `complete`."""
     base_body: str
-    """Body that is fixed to the world or to a mount; its frame is the robot's base frame."""
+    """Body whose frame is the base frame: it is fixed to the world or to a mount, and the file gives it no pose."""
+    sources: tuple[str, ...]
+    """Where the figures come from."""
+
+    @property
+    def mjcf(self) -> Path:
+        """Path of the MJCF model or URDF.
+
+        Raises:
+            InvalidSetup: The module is not a file on disk.
+        """
+        origin = importlib.import_module(self.module).__file__
+        if origin is None:
+            raise InvalidSetup(f"{self.module} is not a file on disk, so {self.mjcf_file} cannot lie next to it.")
+        return Path(origin).parent / self.mjcf_file
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmDescription(Description):
+    """One manipulator: its chain, its limits and the MJCF file with the same figures."""
+
     joints: tuple[str, ...]
     """Joints from base to tip."""
     actuators: tuple[str, ...]
@@ -72,8 +93,6 @@ class ArmDescription:
     """Largest joint torques [Nm]."""
     workspace_reach: float
     """Distance that the flange reaches from the shoulder [m]."""
-    sources: tuple[str, ...]
-    """Where the figures come from."""
     end_effectors: tuple[str, ...] | None = None
     """Names of all that its flange carries; None for anything."""
     menagerie: MenagerieVisuals | None = None
@@ -108,26 +127,11 @@ class ArmDescription:
         """Number of joints."""
         return len(self.joints)
 
-    @property
-    def mjcf(self) -> Path:
-        """Path of the MJCF model or URDF."""
-        return _file_next_to(self.module, self.mjcf_file)
-
 
 @dataclass(frozen=True, kw_only=True)
-class GripperDescription:
+class GripperDescription(Description):
     """One gripper with a single opening width."""
 
-    name: str
-    """Short name used to ask for it, such as `franka_hand`."""
-    label: str
-    """Full name for people."""
-    module: str
-    """Name of the module that defines the description; the MJCF file lies next to it."""
-    mjcf_file: str
-    """File name of the MJCF model."""
-    base_body: str
-    """Body that is attached to the arm's flange."""
     mount_in_flange: Mount
     """Pose of the base body in the flange frame."""
     tcp_site: str
@@ -159,8 +163,6 @@ class GripperDescription:
     """Force per finger that the MJCF model's actuator is limited to [N]; at most `max_force`."""
     closing_speed: float
     """Speed of each finger while it moves freely [m/s]."""
-    sources: tuple[str, ...]
-    """Where the figures come from."""
     arms: tuple[str, ...] | None = None
     """Names of all arms that it can be mounted on; None for any."""
     menagerie: MenagerieVisuals | None = None
@@ -185,26 +187,11 @@ class GripperDescription:
         if self.grasp_force > self.max_force:
             raise InvalidSetup(f"{self.name}: grasp_force {self.grasp_force} N is above max_force {self.max_force} N.")
 
-    @property
-    def mjcf(self) -> Path:
-        """Path of the MJCF model."""
-        return _file_next_to(self.module, self.mjcf_file)
-
 
 @dataclass(frozen=True, kw_only=True)
-class HandDescription:
+class HandDescription(Description):
     """One hand whose finger joints are driven one by one; its targets are normalised to the joints' ranges."""
 
-    name: str
-    """Short name used to ask for it, such as `tilburg_hand`."""
-    label: str
-    """Full name for people."""
-    module: str
-    """Name of the module that defines the description; the MJCF file lies next to it."""
-    mjcf_file: str
-    """File name of the MJCF model."""
-    base_body: str
-    """Body that is attached to the arm's flange."""
     mount_in_flange: Mount
     """Pose of the base body in the flange frame."""
     tcp_site: str
@@ -225,8 +212,6 @@ class HandDescription:
     """Normalised targets of closed hands by name; what is grasped stops the fingers before they arrive."""
     finger_geoms: Mapping[str, tuple[str, ...]]
     """Geoms that touch what is grasped, by finger."""
-    sources: tuple[str, ...]
-    """Where the figures come from."""
 
     def __post_init__(self) -> None:
         """Check lengths, and that limits ascend and targets are normalised.
@@ -246,30 +231,15 @@ class HandDescription:
             if min(targets) < 0.0 or max(targets) > 1.0:
                 raise InvalidSetup(f"{self.name}: {pose} must be normalised to 0 .. 1, got {targets}.")
 
-    @property
-    def mjcf(self) -> Path:
-        """Path of the MJCF model."""
-        return _file_next_to(self.module, self.mjcf_file)
-
 
 @dataclass(frozen=True, kw_only=True)
-class CameraDescription:
+class CameraDescription(Description):
     """One colour camera, with or without depth; where it is mounted is up to the setup.
 
     The frame of the base body is the optical frame of the colour sensor: x right, y down, z forward (OpenCV axes). A
     pose from a calibration is therefore the pose of the body.
     """
 
-    name: str
-    """Short name used to ask for it, such as `realsense_d405`."""
-    label: str
-    """Full name for people."""
-    module: str
-    """Name of the module that defines the description; the MJCF file lies next to it."""
-    mjcf_file: str
-    """File name of the MJCF model."""
-    base_body: str
-    """Body that is attached to a mount; its frame is the optical frame."""
     camera: str
     """Name of the camera element."""
     mount_hole_in_optical: Mount
@@ -291,8 +261,6 @@ class CameraDescription:
     longest_exposure: float = 0.0
     """Longest exposure that the camera slows down for [s]: where it exceeds the frame period, frames come at intervals
     from the one to the other. 0 for a camera that keeps its rate."""
-    sources: tuple[str, ...]
-    """Where the figures come from."""
 
     def __post_init__(self) -> None:
         """Check ranges.
@@ -311,11 +279,6 @@ class CameraDescription:
         near, far = self.depth_range
         if self.has_depth and not 0.0 < near < far:
             raise InvalidSetup(f"{self.name}: depth_range {self.depth_range} m must ascend from above 0.")
-
-    @property
-    def mjcf(self) -> Path:
-        """Path of the MJCF model."""
-        return _file_next_to(self.module, self.mjcf_file)
 
     def mode(self, name: str) -> ResolutionMode:
         """Return the mode of a name such as `848x480`.
@@ -370,15 +333,3 @@ def _require_positive(what: str, values: Sequence[float], count: int) -> None:
     require_numbers(what, values, count)
     if min(values) <= 0.0:
         raise InvalidSetup(f"{what} must be positive, got {tuple(values)}.")
-
-
-def _file_next_to(module: str, file: str) -> Path:
-    """Return the path of a file in a module's folder.
-
-    Raises:
-        InvalidSetup: The module is not a file on disk.
-    """
-    origin = importlib.import_module(module).__file__
-    if origin is None:
-        raise InvalidSetup(f"{module} is not a file on disk, so {file} cannot lie next to it.")
-    return Path(origin).parent / file

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rcs.errors import InvalidSetup
+from rcs.spatial import Pose
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,17 @@ class Mount:
         norm = math.hypot(*self.quaternion)
         if abs(norm - 1.0) > 1e-9:
             raise InvalidSetup(f"quaternion has norm {norm!r}; a rotation needs norm 1 (xyzw).")
+
+    @staticmethod
+    def of(pose: Pose) -> Mount:
+        """Return a pose as plain numbers."""
+        (x, y, z), (i, j, k, w) = pose.translation.tolist(), pose.quaternion.tolist()
+        return Mount(translation=(x, y, z), quaternion=(i, j, k, w))
+
+    @property
+    def pose(self) -> Pose:
+        """The same, to calculate with."""
+        return Pose(self.translation, self.quaternion)
 
 
 def require_numbers(what: str, values: Sequence[float], count: int) -> None:

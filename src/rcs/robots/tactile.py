@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 from rcs.errors import InvalidSetup
-from rcs.robots.description import (
-    _file_next_to,  # pyright: ignore[reportPrivateUsage]  one rule for where MJCF files lie
-)
+from rcs.robots.description import Description
 
 _Vector = tuple[float, float, float]
 
@@ -30,19 +27,9 @@ class TactileLight:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TactileDescription:
+class TactileDescription(Description):
     """One sensor that watches the back of an elastic gel with a camera."""
 
-    name: str
-    """Short name used to ask for it, such as `digit`."""
-    label: str
-    """Full name for people."""
-    module: str
-    """Name of the module that defines the description; the MJCF file lies next to it."""
-    mjcf_file: str
-    """File name of the MJCF model."""
-    base_body: str
-    """Body of the housing, which is attached to a finger."""
     gel_geom: str
     """Geom that touches what is felt."""
     gel_center: _Vector
@@ -73,8 +60,6 @@ class TactileDescription:
     """Depth that something is pressed into the gel at the largest force [m]."""
     noise_std: float
     """Standard deviation of the image's noise, of 255 levels."""
-    sources: tuple[str, ...]
-    """Where the figures come from."""
 
     def __post_init__(self) -> None:
         """Check ranges.
@@ -96,8 +81,3 @@ class TactileDescription:
         low, high = self.force_range
         if not 0.0 <= low < high:
             raise InvalidSetup(f"{self.name}: force_range {self.force_range} N must ascend from 0 or more.")
-
-    @property
-    def mjcf(self) -> Path:
-        """Path of the MJCF model."""
-        return _file_next_to(self.module, self.mjcf_file)

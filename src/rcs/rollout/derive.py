@@ -1,81 +1,192 @@
-"""Makes a dataset from another one, episode by episode, on one process or several; it is there whole or not at all."""
+"""Makes a dataset from another one in simulation, episode by episode; it is there whole or not at all."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from multiprocessing import get_context
+from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from rcs.data import DatasetInfo, DatasetWriter, EpisodeRecord
+from rcs.agents import Agent
+from rcs.data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord
 from rcs.data.output import new_output
+from rcs.envs.assemble import compose
+from rcs.envs.env import Env
+from rcs.envs.observers.recorder import Recorder
 from rcs.errors import InvalidSetup
-from rcs.rollout.pool import Worker, WorkerPool
+from rcs.rollout.look import Look, Stage, physics_of, varied
+from rcs.rollout.pool import WorkerPool
+from rcs.rollout.replay import Step, play
+from rcs.setups.make import resolve
+from rcs.sim.state_transfer import StateTransfer
 
 SOURCE = "source"
 """Key of an outcome: the episode that this one was made from."""
 
 
-@dataclass(frozen=True)
-class Work:
-    """Makes a worker in its process; sent to it once."""
+@dataclass(frozen=True, kw_only=True)
+class Derivation(ABC):
+    """What is made of which dataset: `derive` makes it."""
 
-    make: Callable[[Path], Worker]
-    """Makes the worker, given the new dataset to join; is pickled."""
+    mode: ClassVar[str]
+    """How outcomes name the way in which their episodes were made."""
+
+    source: Path
+    """Folder of the dataset."""
     out: Path
-    """The new dataset."""
+    """Folder of the new one; nothing may be there."""
+    look: Look = field(default_factory=Look)
+    workers: int = 1
+    """Processes; one works in this process, 0 for one per core."""
 
-    def __call__(self) -> Worker:
-        """Make the worker."""
-        return self.make(self.out)
+    @abstractmethod
+    def stage(self, dataset: Dataset) -> Stage:
+        """Return where the episodes are made.
+
+        Raises:
+            InvalidSetup: The dataset cannot be replayed so, or an option makes no sense.
+        """
+
+    def info(self, dataset: Dataset, stage: Stage, env: Env) -> DatasetInfo:
+        """Return what the new episodes share, and check what can only be checked with an environment.
+
+        Raises:
+            InvalidSetup: The dataset does not fit the environment.
+        """
+        return stage.info(env, dataset.info)
+
+    @abstractmethod
+    def make(self, workplace: Workplace, episode: EpisodeRecord) -> Any:
+        """Make an episode from a recorded one, and return how that went."""
+
+    def give_up(self, episode: EpisodeRecord, error: InvalidSetup) -> Any:
+        """Return how it went with an episode that could not be made; raises the error where all others fail too."""
+        raise error
 
 
-def derive(
-    out: str | Path, info: DatasetInfo, make: Callable[[Path], Worker], episodes: Sequence[int], workers: int = 1
-) -> Iterator[Any]:
-    """Make a dataset, and yield the answers of the workers as they come.
+class Workplace:
+    """Where one process makes episodes: an environment, the recorded dataset and the new one."""
+
+    def __init__(self, job: Derivation, out: Path, rows: Synchronized[int] | None) -> None:
+        """Open the one dataset, join the other, and make the environment."""
+        self.job = job
+        self.dataset = Dataset.open(job.source)
+        self.stage = job.stage(self.dataset)
+        self.writer = DatasetWriter.join(out)
+        self.env, self._looks = self.stage.env()
+        self.recorder = Recorder(self.writer)
+        self.env.add_observer(self.recorder)
+        self._rows = rows
+
+    @cached_property
+    def transfer(self) -> StateTransfer:
+        """Carries recorded simulation states over to the scene of the environment."""
+        source = compose(resolve(replace(physics_of(self.dataset), assets="builtin"))).compile()
+        return StateTransfer(source, self.env.scenario.world.model)
+
+    def attempt(self, number: int) -> Any:
+        """Make the episode of a number in the dataset."""
+        episode = self.dataset.episodes[number]
+        if self._looks is not None:
+            self._looks.episode_id = episode.id
+        try:
+            with self.recorder.discard_on_error():
+                return self.job.make(self, episode)
+        except InvalidSetup as err:
+            self.recorder.forget_next()
+            return self.job.give_up(episode, err)
+
+    def play(self, episode: EpisodeRecord, agent: Agent, options: Mapping[str, Any], most: int) -> Iterator[Step]:
+        """Have an agent act from a start, and record that in the place of a recorded episode; see `play`."""
+        self.recorder.name_next(episode.id, instruction=episode.instruction)
+        for step in play(self.env, agent, seed=episode.seed, options=options, most=most):
+            self.count_row()
+            yield step
+
+    def count_row(self) -> None:
+        """Count a row that was made, for whoever watches."""
+        if self._rows is not None:
+            with self._rows.get_lock():
+                self._rows.value += 1
+
+    def outcome(self, episode: EpisodeRecord, more: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return what an outcome keeps of what was drawn for an episode, and of the one that it is made from.
+
+        Args:
+            episode: That one.
+            more: What else is kept of it.
+        """
+        source = {
+            "dataset": self.dataset.path.resolve().name,
+            "episode": episode.id,
+            "content_hash": episode.content_hash,
+            "mode": self.job.mode,
+            SOURCE: episode.outcome.get(SOURCE, episode.source),  # what that one was made from
+        }
+        return {**varied(self.env), SOURCE: {**source, **(more or {})}}
+
+    def keep(self, episode: EpisodeRecord, last: Step, more: Mapping[str, Any]) -> None:
+        """Keep the recording of what was played up to a last step; see `outcome`."""
+        failure = None if last.success else "replay"
+        self.recorder.finish(last.success, {"failure": failure, "reward": last.reward, **self.outcome(episode, more)})
+
+    def close(self) -> None:
+        """Close the environment and the writer."""
+        self.env.close()
+        self.writer.close()
+
+
+@dataclass(frozen=True)
+class _Work:
+    """Makes a workplace in its process; sent to it once."""
+
+    job: Derivation
+    out: Path
+    rows: Synchronized[int] | None
+
+    def __call__(self) -> Workplace:
+        return Workplace(self.job, self.out, self.rows)
+
+
+def derive(job: Derivation, rows: Synchronized[int] | None = None) -> Iterator[Any]:
+    """Make a dataset, and yield how it went with each episode as they are done.
 
     Args:
-        out: Folder of the new dataset; nothing may be there.
-        info: What its episodes share.
-        make: Makes a worker, given a folder whose dataset it joins as a writer; picklable.
-        episodes: Numbers for the workers to answer, such as those of the episodes of a source.
-        workers: Processes; one works in this process.
+        job: What to make.
+        rows: Counts the rows that were made, in whichever process; None for no count. See `row_counter`.
 
     Raises:
-        DatasetError: There is something in `out`, or the disk fails.
-        RcsError: A worker failed.
+        InvalidSetup: The dataset cannot be replayed so, or an option makes no sense.
+        DatasetError, CorruptEpisode: A dataset cannot be read or written, or there is something in `out`.
     """
-    if not isinstance(workers, int) or workers < 0:
-        raise InvalidSetup(f"workers is {workers!r}; valid is 0 (one per core) and more.")
-    processes = min(workers or os.cpu_count() or 1, max(len(episodes), 1))
-    with new_output(out) as folder, DatasetWriter.open(folder, info):
-        work = Work(make, folder)
-        if processes == 1:
-            worker = work()
-            try:
-                for number in episodes:
-                    yield worker.attempt(number)
-            finally:
-                worker.close()
-        else:
+    if not isinstance(job.workers, int) or job.workers < 0:
+        raise InvalidSetup(f"workers is {job.workers!r}; valid is 0 (one per core) and more.")
+    dataset = Dataset.open(job.source)
+    stage = job.stage(dataset)
+    env, _ = stage.env()
+    try:
+        info = job.info(dataset, stage, env)
+    finally:
+        env.close()
+    processes = min(job.workers or os.cpu_count() or 1, max(len(dataset), 1))
+    with new_output(job.out) as folder, DatasetWriter.open(folder, info):
+        work = _Work(job, folder, rows)
+        if processes > 1:
             with WorkerPool(work, processes) as pool:
-                yield from pool.map(iter(episodes))
+                yield from pool.map(iter(range(len(dataset))))
+            return
+        workplace = work()
+        try:
+            yield from map(workplace.attempt, range(len(dataset)))
+        finally:
+            workplace.close()
 
 
-def source_of(episode: EpisodeRecord, dataset: Path, mode: str) -> dict[str, Any]:
-    """Return what an outcome keeps of the episode that another was made from, with what that was made from.
-
-    Args:
-        episode: The episode.
-        dataset: The folder of its dataset.
-        mode: How the other was made.
-    """
-    return {
-        "dataset": dataset.resolve().name,
-        "episode": episode.id,
-        "content_hash": episode.content_hash,
-        "mode": mode,
-        SOURCE: episode.outcome.get(SOURCE, episode.source),
-    }
+def row_counter() -> Synchronized[int]:
+    """Return a count that processes share, at 0."""
+    return get_context("spawn").Value("q", 0)

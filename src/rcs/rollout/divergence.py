@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,7 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerance:
-    """Errors beyond these count as a divergence."""
+    """Errors beyond these count as a divergence; in the order of those of `Divergence`."""
 
     max_joint_error: float = 0.02
     """Of any joint [rad]."""
@@ -53,9 +54,11 @@ class Trace:
     objects: Values
     """Poses of all objects, (rows, objects, 7) [m], xyzw."""
 
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return len(self.joints)
+    @staticmethod
+    def of(rows: Sequence[Trace]) -> Trace:
+        """Put single rows, whose arrays lack the first axis, one after the other."""
+        names = [field.name for field in dataclasses.fields(Trace)]
+        return Trace(**{name: np.stack([getattr(row, name) for row in rows]) for name in names})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +79,7 @@ class Divergence:
     @staticmethod
     def between(recorded: Trace, replayed: Trace) -> Divergence:
         """Compare two episodes as far as both go."""
-        rows = min(len(recorded), len(replayed))
+        rows = min(len(recorded.joints), len(replayed.joints))
         tcps = distance(recorded.tcps[:rows], replayed.tcps[:rows]).max(axis=1)
         objects = np.empty((0, 2))
         if recorded.objects.shape[1]:
@@ -89,32 +92,26 @@ class Divergence:
             object_rotation=objects[:, 1],
         )
 
+    @property
+    def errors(self) -> dict[str, Values]:
+        """All errors by their names."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
     def first_beyond(self, tolerance: Tolerance) -> tuple[int, str] | None:
         """Return the first row with an error beyond the tolerance and which error it is; None if there is none."""
-        limits = {
-            "joints": tolerance.max_joint_error,
-            "position": tolerance.max_position_error,
-            "rotation": tolerance.max_rotation_error,
-            "object_position": tolerance.max_object_position_error,
-            "object_rotation": tolerance.max_object_rotation_error,
-        }
-        found: list[tuple[int, str]] = []
-        for name, limit in limits.items():
-            beyond = np.flatnonzero(getattr(self, name) > limit)
-            if len(beyond):
-                found.append((int(beyond[0]), name))
-        return min(found, key=lambda row: row[0], default=None)
+        limits = dataclasses.astuple(tolerance)  # in the order of the errors
+        beyond = [
+            (np.flatnonzero(v > limit), name) for (name, v), limit in zip(self.errors.items(), limits, strict=True)
+        ]
+        return min(((int(rows[0]), name) for rows, name in beyond if len(rows)), key=lambda row: row[0], default=None)
 
     def summary(self) -> dict[str, dict[str, float] | None]:
         """Return largest and median error of each kind as JSON values; None where there is nothing to measure."""
-        found: dict[str, dict[str, float] | None] = {}
-        for field in dataclasses.fields(self):
-            values: Values = getattr(self, field.name)
-            found[field.name] = (
-                {"max": float(values.max()), "median": float(np.median(values))} if len(values) else None
-            )
-        return found
+        return {
+            name: {"max": float(values.max()), "median": float(np.median(values))} if len(values) else None
+            for name, values in self.errors.items()
+        }
 
     def to_json(self) -> dict[str, Any]:
         """Return all errors by row as JSON values."""
-        return {field.name: getattr(self, field.name).tolist() for field in dataclasses.fields(self)}
+        return {name: values.tolist() for name, values in self.errors.items()}

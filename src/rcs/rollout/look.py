@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rcs.data import Dataset, DatasetInfo
@@ -81,11 +81,6 @@ class Look:
             before, default = setup.randomisation or Randomisation.off(), Randomisation()
             changes["randomisation"] = replace(before, **{name: getattr(default, name) for name in LOOKS})
         return replace(setup, **changes)
-
-    @property
-    def is_as_recorded(self) -> bool:
-        """Whether nothing is asked for."""
-        return all(getattr(self, field.name) == field.default for field in fields(self))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,37 +7,61 @@ base frame of the robot (of several robots: in the scene). The task then judges.
 
 from __future__ import annotations
 
-import functools
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from rcs.data import Dataset, DatasetWriter, EpisodeRecord
-from rcs.envs.observers.recorder import OBJECTS, Recorder, require_recordable
+from rcs.data import Dataset, DatasetInfo, EpisodeRecord
+from rcs.envs.env import Env
+from rcs.envs.observers.recorder import OBJECTS, require_recordable
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.rollout.derive import SOURCE, derive, source_of
-from rcs.rollout.look import Look, Stage, setup_of, varied
+from rcs.rollout.derive import Derivation, Workplace
+from rcs.rollout.look import Stage, setup_of
 from rcs.rollout.recorded_motion import GripperFrom, RecordedMotion, find_states
-
-MODE = "states"
 
 Keep = Literal["successes", "all"]
 """Which episodes the new dataset has: those that succeed in simulation, or all that could be replayed."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealToSim:
-    """What to replay in simulation, and how."""
+class RealToSimResult:
+    """How one episode went in simulation."""
 
-    source: Path
-    """Folder of the dataset of real (or simulated) episodes."""
-    out: Path
-    """Folder of the new one."""
+    episode_id: str
+    recorded_success: bool | None
+    """What the recording says."""
+    success: bool
+    """What the task says of the simulated one."""
+    steps: int = 0
+    joint_error: tuple[float, float] | None = None
+    """Largest and median distance of a simulated joint from the recorded one [rad]; None if it was not replayed."""
+    problem: str | None = None
+    """Why it could not be replayed; None if it was."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as JSON values."""
+        error = self.joint_error
+        return {
+            "episode": self.episode_id,
+            "recorded_success": self.recorded_success,
+            "success": self.success,
+            "steps": self.steps,
+            "joint_error": None if error is None else {"max": error[0], "median": error[1]},
+            "problem": self.problem,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealToSim(Derivation):
+    """Replays every episode of real (or simulated) robots in simulation and records those that are to be kept."""
+
+    mode = "states"
+
     task: str | None = None
     """Name of the task that judges; None for that of the dataset's setup."""
     robot: str | None = None
@@ -60,9 +84,6 @@ class RealToSim:
     """Which episodes the new dataset has."""
     grace: float = 1.0
     """For how long the last state is held when the recording is over and the task is not done yet [s]."""
-    look: Look = field(default_factory=Look)
-    workers: int = 1
-    """Processes; 0 for one per core."""
 
     def __post_init__(self) -> None:
         """Check the options.
@@ -110,156 +131,71 @@ class RealToSim:
         """Return what the gripper is told, in a setup of `setup`."""
         return self.gripper or ("trend" if setup.binary_gripper else "opening")
 
+    def stage(self, dataset: Dataset) -> Stage:
+        """Return the scene to replay in."""
+        setup = self.setup(dataset)
+        return Stage.of(setup, setup, self.look)
 
-@dataclass(frozen=True, kw_only=True)
-class RealToSimResult:
-    """How one episode went in simulation."""
+    def info(self, dataset: Dataset, stage: Stage, env: Env) -> DatasetInfo:
+        """Return what the new episodes share.
 
-    episode_id: str
-    recorded_success: bool | None
-    """What the recording says."""
-    success: bool
-    """What the task says of the simulated one."""
-    steps: int = 0
-    joint_error: tuple[float, float] | None = None
-    """Largest and median distance of a simulated joint from the recorded one [rad]; None if it was not replayed."""
-    problem: str | None = None
-    """Why it could not be replayed; None if it was."""
+        Raises:
+            InvalidSetup: The dataset does not fit the robots, or no episode says where the objects were.
+        """
+        if names := sorted(env.scenario.task.object_poses()):
+            self._require_objects(dataset, names)
+        find_states(dataset.info, env.scenario.robots, self.gripper_from(stage.setup), self.state)
+        return stage.info(env, dataset.info)
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the result as JSON values."""
-        error = self.joint_error
-        return {
-            "episode": self.episode_id,
-            "recorded_success": self.recorded_success,
-            "success": self.success,
-            "steps": self.steps,
-            "joint_error": None if error is None else {"max": error[0], "median": error[1]},
-            "problem": self.problem,
-        }
-
-
-def real_to_sim(replay: RealToSim) -> Iterator[RealToSimResult]:
-    """Replay every episode in simulation and record those that are to be kept.
-
-    Raises:
-        InvalidSetup: The dataset does not fit the setup, or no episode says where the objects were.
-        DatasetError, CorruptEpisode: A dataset cannot be read or written.
-    """
-    dataset = Dataset.open(replay.source)
-    stage = _stage(replay, dataset)
-    env, _ = stage.env()
-    try:
-        _require_objects(replay, dataset, set(env.scenario.task.object_poses()))
-        find_states(dataset.info, env.scenario.robots, replay.gripper_from(stage.setup), replay.state)
-        info = stage.info(env, dataset.info)
-    finally:
-        env.close()
-    make = functools.partial(_Replayer, replay)
-    return derive(replay.out, info, make, range(len(dataset)), replay.workers)
-
-
-def _stage(replay: RealToSim, dataset: Dataset) -> Stage:
-    setup = replay.setup(dataset)
-    return Stage.of(setup, setup, replay.look)
-
-
-class _Replayer:
-    """Replays episodes in simulation: the part that one process does."""
-
-    def __init__(self, replay: RealToSim, out: Path) -> None:
-        self._replay = replay
-        self._dataset = Dataset.open(replay.source)
-        self._objects = _read_objects(replay.objects)
-        self._stage = _stage(replay, self._dataset)
-        self._writer = DatasetWriter.join(out)
-        self._env, self._looks = self._stage.env()
-        self._recorder = Recorder(self._writer)
-        self._env.add_observer(self._recorder)
-
-    def attempt(self, number: int) -> RealToSimResult:
+    def make(self, workplace: Workplace, episode: EpisodeRecord) -> RealToSimResult:
         """Replay one episode."""
-        episode = self._dataset.episodes[number]
-        try:
-            with self._recorder.discard_on_error():
-                return self._follow(episode)
-        except InvalidSetup as err:
-            # Of this episode alone: a joint far out of its limits, no object's pose, an explosion.
-            self._recorder.forget_next()
-            return RealToSimResult(
-                episode_id=episode.id, recorded_success=episode.success, success=False, problem=str(err)
-            )
-
-    def _follow(self, episode: EpisodeRecord) -> RealToSimResult:
-        setup, scenario = self._stage.setup, self._env.scenario
-        motion = RecordedMotion(
-            episode,
-            scenario.robots,
-            self._replay.gripper_from(setup),
-            self._replay.lookahead,
-            self._replay.state,
-        )
-        if self._looks is not None:
-            self._looks.episode_id = episode.id
-        self._recorder.name_next(episode.id, instruction=episode.instruction)
+        setup, scenario = workplace.stage.setup, workplace.env.scenario
+        gripper = self.gripper_from(setup)
+        motion = RecordedMotion(episode, scenario.robots, gripper, setup.frequency, self.lookahead, self.state)
         options: dict[str, Any] = {"robot": motion.start()}
         if scenario.task.object_poses():
             options[OBJECTS] = self._poses(episode)
-        observation, info = self._env.reset(seed=episode.seed, options=options)
-        steps, reward, errors = 0, 0.0, [motion.error(observation, 0.0)]
-        last = int(np.ceil((motion.duration + self._replay.grace) * setup.frequency - 1e-9))
-        is_over = False
-        while not is_over and steps < last:
-            steps += 1
-            time = steps / setup.frequency
-            action = motion.action(time, 1 / setup.frequency)
-            observation, earned, terminated, truncated, info = self._env.step(action)
-            reward += float(earned)
-            if time <= motion.duration:
-                errors.append(motion.error(observation, time))
-            is_over = terminated or truncated
-        success = bool(info.get("success", False))
+        most = int(np.ceil((motion.duration + self.grace) * setup.frequency - 1e-9))
+        errors: list[float] = []
+        steps, last = -1, None
+        for steps, last in enumerate(workplace.play(episode, motion, options, most)):
+            if (time := steps / setup.frequency) <= motion.duration:
+                errors.append(motion.error(last.observation, time))
+        assert last is not None, "the reset is always seen"
         result = RealToSimResult(
             episode_id=episode.id,
             recorded_success=episode.success,
-            success=success,
+            success=last.success,
             steps=steps,
             joint_error=(float(max(errors)), float(np.median(errors))),
         )
-        if success or self._replay.keep == "all":
-            told = result.to_json()
-            source = {
-                **source_of(episode, self._dataset.path, MODE),
-                "joint_error": told["joint_error"],
-                "success": episode.success,
-            }
-            outcome = {"failure": None if success else "replay", "reward": reward, **varied(self._env), SOURCE: source}
-            self._recorder.finish(success, outcome)
+        if last.success or self.keep == "all":
+            more = {"joint_error": result.to_json()["joint_error"], "success": episode.success}
+            workplace.keep(episode, last, more)
         else:
-            self._recorder.discard()
+            workplace.recorder.discard()
         return result
 
+    def give_up(self, episode: EpisodeRecord, error: InvalidSetup) -> RealToSimResult:
+        """Go on with the others: a joint far out of its limits, no object's pose, an explosion is of this one alone."""
+        return RealToSimResult(
+            episode_id=episode.id, recorded_success=episode.success, success=False, problem=str(error)
+        )
+
     def _poses(self, episode: EpisodeRecord) -> Mapping[str, Any]:
-        poses = episode.outcome.get(OBJECTS) if self._objects is None else self._objects.get(episode.id)
+        given = _read_objects(self.objects)
+        poses = episode.outcome.get(OBJECTS) if given is None else given.get(episode.id)
         if poses is None:
             raise InvalidSetup("It is not known where the objects were.")
         return poses
 
-    def close(self) -> None:
-        """Close the environment and the writer."""
-        self._env.close()
-        self._writer.close()
-
-
-def _require_objects(replay: RealToSim, dataset: Dataset, names: set[str]) -> None:
-    given = _read_objects(replay.objects)
-    if not names or given is not None or any(OBJECTS in episode.outcome for episode in dataset.episodes):
-        return
-    raise InvalidSetup(
-        f"No episode of {dataset.path} says where the objects were ({', '.join(sorted(names))}). Record it as "
-        "outcome['objects'] = {name: [x, y, z, qx, qy, qz, qw]} in the robot's base frame, or give a JSON file "
-        "{episode id: {name: [...]}}."
-    )
+    def _require_objects(self, dataset: Dataset, names: list[str]) -> None:
+        if _read_objects(self.objects) is None and not any(OBJECTS in e.outcome for e in dataset.episodes):
+            raise InvalidSetup(
+                f"No episode of {dataset.path} says where the objects were ({', '.join(names)}). Record it as "
+                "outcome['objects'] = {name: [x, y, z, qx, qy, qz, qw]} in the robot's base frame, or give a JSON file "
+                "{episode id: {name: [...]}}."
+            )
 
 
 def _read_objects(path: Path | None) -> dict[str, Any] | None:
@@ -268,7 +204,7 @@ def _read_objects(path: Path | None) -> dict[str, Any] | None:
     try:
         poses = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as err:
-        raise InvalidSetup(f"The file with the objects' poses, {path}, does not read: {err}") from err
+        raise InvalidSetup(f"The file with the objects' poses, {path}, cannot be read: {err}") from err
     if not isinstance(poses, dict) or not all(isinstance(value, dict) for value in poses.values()):
         raise InvalidSetup(f"{path} has no poses; valid is {{episode id: {{name: [x, y, z, qx, qy, qz, qw]}}}}.")
     return poses

@@ -1,14 +1,18 @@
-"""The motion of recorded robots as a function of time, and as targets for simulated ones."""
+"""An agent that has simulated robots follow the recorded motion of others."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs.agents import Agent
+from rcs.agents.agent import Action
 from rcs.data import DatasetInfo, EpisodeRecord
 from rcs.envs import spaces as keys
+from rcs.envs.by_robot import by_robot, joined, prefixes
 from rcs.envs.observers.recorder import EXECUTED, OBSERVATION
 from rcs.envs.spaces import Observation
 from rcs.errors import InvalidSetup
@@ -29,14 +33,15 @@ BARELY_CLOSED = 0.97
 """Above this a gripper counts as fully open and is not squeezed."""
 
 
-class RecordedMotion:
-    """What the robots of an episode did."""
+class RecordedMotion(Agent):
+    """Has the robots of an environment do what those of an episode did: one agent per episode."""
 
     def __init__(
         self,
         episode: EpisodeRecord,
         robots: list[SimRobot],
         gripper: GripperFrom,
+        frequency: float,
         lookahead: float | None = None,
         state: str | None = None,
     ) -> None:
@@ -46,6 +51,7 @@ class RecordedMotion:
             episode: The episode.
             robots: The simulated robots that are to follow.
             gripper: What their grippers are told.
+            frequency: Control steps per second of the simulation [Hz].
             lookahead: By how much joint targets run ahead of the recording [s]; None for as much as each servo lags.
             state: The feature that has joints, then gripper or hand, robot by robot; None for a feature each.
 
@@ -59,9 +65,12 @@ class RecordedMotion:
         columns = {feature: episode.column(feature).astype(np.float64) for feature, _ in places.values()}
         values = {key: columns[feature][:, part] for key, (feature, part) in places.items()}
         self._times: NDArray[np.float64] = np.arange(episode.length) / episode.info.fps
+        self._frequency = frequency
+        self._steps = 0
+        before = prefixes(robot.placement.name for robot in robots)
         self._robots = {
-            robot.placement.name: _Robot(values, robot, prefix, gripper, lookahead)
-            for robot, prefix in zip(robots, _prefixes(robots), strict=True)
+            name: _Robot(values, robot, prefix, gripper, lookahead)
+            for robot, (name, prefix) in zip(robots, before.items(), strict=True)
         }
 
     @property
@@ -71,31 +80,29 @@ class RecordedMotion:
 
     def start(self) -> dict[str, Any]:
         """Return how the robots stood at the start, for `Env.reset`."""
-        return self._nested({name: robot.start for name, robot in self._robots.items()})
+        return joined({name: robot.start for name, robot in self._robots.items()})
 
-    def action(self, time: float, period: float) -> dict[str, Any]:
-        """Return what robots are told so that they are at a time where they were recorded then.
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Go back to the start."""
+        self._steps = 0
 
-        Args:
-            time: End of the step, since the start of the recording [s].
-            period: How long the step lasts [s].
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        """Return what has the robots be, at the end of the next step, where they were recorded at that time.
 
         Returns:
             Absolute joint targets, and what grippers or hands are told.
         """
-        return self._nested({name: robot.target(time, period, self._times) for name, robot in self._robots.items()})
+        self._steps += 1
+        time, period = self._steps / self._frequency, 1 / self._frequency
+        return joined({name: robot.target(time, period, self._times) for name, robot in self._robots.items()})
 
     def error(self, observation: Observation, time: float) -> float:
         """Return the largest distance of a joint from where it was recorded at a time since the start [rad]."""
-        largest = 0.0
-        for name, robot in self._robots.items():
-            own = observation if len(self._robots) == 1 else observation[name]
-            at = _interpolated(robot.joints, time, self._times)
-            largest = max(largest, float(np.abs(own[keys.JOINTS] - at).max()))
-        return largest
-
-    def _nested(self, values: dict[str, dict[str, NDArray[Any]]]) -> dict[str, Any]:
-        return next(iter(values.values())) if len(values) == 1 else dict(values)
+        errors = [
+            np.abs(part[keys.JOINTS] - _interpolated(self._robots[name].joints, time, self._times)).max()
+            for name, part in by_robot(self._robots, observation).items()
+        ]
+        return float(max(errors))
 
 
 class _Robot:
@@ -159,10 +166,9 @@ def find_states(
         InvalidSetup: A feature is missing or has another shape than the robots.
     """
     sizes: dict[str, int] = {}
-    apart: dict[str, int] = {}
-    """What is never joined to the others."""
-    for robot, prefix in zip(robots, _prefixes(robots), strict=True):
-        placement = robot.placement
+    apart: dict[str, int] = {}  # what is never joined to the others
+    before = prefixes(robot.placement.name for robot in robots).values()
+    for placement, prefix in zip([robot.placement for robot in robots], before, strict=True):
         sizes[f"{OBSERVATION}/{prefix}{keys.JOINTS}"] = len(placement.arm.joints)
         parts = {keys.GRIPPER: 1} if placement.gripper is not None else {}
         if placement.hand is not None:
@@ -176,10 +182,9 @@ def find_states(
     places = {key: (key, slice(0, size)) for key, size in {**sizes, **apart}.items()}
     needed = {key: (size,) for key, size in {**sizes, **apart}.items()}
     if state is not None:
-        ends = np.cumsum(list(sizes.values()))
-        for (key, size), end in zip(sizes.items(), ends.tolist(), strict=True):
-            places[key] = (state, slice(end - size, end))
-        needed = {state: (int(ends[-1]),), **{key: (size,) for key, size in apart.items()}}
+        ends = np.cumsum(list(sizes.values())).tolist()
+        places |= {key: (state, slice(end - size, end)) for (key, size), end in zip(sizes.items(), ends, strict=True)}
+        needed = {state: (ends[-1],), **{key: (size,) for key, size in apart.items()}}
     shapes = {feature.key: feature.shape for feature in info.features}
     wrong = {key: shape for key, shape in needed.items() if shapes.get(key) != shape}
     if wrong:
@@ -232,8 +237,3 @@ def _interpolated(values: NDArray[np.float64], time: float, times: NDArray[np.fl
 def _row(time: float, times: NDArray[np.float64]) -> int:
     """Return the row that is nearest to a time."""
     return int(np.clip(round(time / float(times[1])), 0, len(times) - 1))
-
-
-def _prefixes(robots: list[SimRobot]) -> list[str]:
-    """Return what stands before the keys of each robot."""
-    return [""] if len(robots) == 1 else [f"{robot.placement.name}/" for robot in robots]

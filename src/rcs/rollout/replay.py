@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from rcs.agents import Replay
+from rcs.agents import Agent, Replay
 from rcs.data import Dataset, EpisodeRecord
 from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import ACTION
+from rcs.envs.spaces import Observation
 from rcs.rollout.look import physics_of, require_rate, require_states, setup_of
 from rcs.setups.make import resolve
 
-__all__ = ["ReplayResult", "physics_of", "replay", "replay_episode", "setup_of"]
+__all__ = ["ReplayResult", "Step", "physics_of", "play", "recorded", "replay", "replay_episode", "setup_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,18 +62,54 @@ def replay(path: str | Path) -> Iterator[ReplayResult]:
 def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
     """Play one episode's actions from its first state and compare all states."""
     states = episode.sim_state()
+    most = len(states) - 1
     agent = Replay(recorded(episode, ACTION, env.stack.action_space))
-    observation, info = env.reset(seed=episode.seed, options={"state": states[0]})
-    agent.reset(observation, info)
-    world = env.scenario.world
-    first_difference = None if _equal(world.states(), states[0]) else 0
-    for row in range(1, len(states)):
-        if first_difference is not None:
-            break
-        observation, _, terminated, truncated, info = env.step(agent.act(observation, info))
-        if not _equal(world.states(), states[row]) or ((terminated or truncated) and row + 1 < len(states)):
+    steps = play(env, agent, seed=episode.seed, options={"state": states[0]}, most=most)
+    first_difference: int | None = None
+    for row, step in enumerate(steps):
+        is_equal = env.scenario.world.states().tobytes() == states[row].tobytes()
+        if not is_equal or (step.is_over and row < most):
             first_difference = row
-    return ReplayResult(episode_id=episode.id, steps=len(states) - 1, first_difference=first_difference)
+            break
+    return ReplayResult(episode_id=episode.id, steps=most, first_difference=first_difference)
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is seen after the reset, and after every step."""
+
+    observation: Observation
+    info: dict[str, Any]
+    reward: float
+    """Sum since the reset."""
+    is_over: bool
+
+    @property
+    def success(self) -> bool:
+        """Whether the task is done."""
+        return bool(self.info.get("success", False))
+
+
+def play(env: Env, agent: Agent, *, seed: int | None, options: Mapping[str, Any], most: int) -> Iterator[Step]:
+    """Have an agent act from a given start until the episode is over.
+
+    Args:
+        env: The environment.
+        agent: Acts in it.
+        seed: Of the reset.
+        options: Of the reset: the start.
+        most: Steps to make at most.
+    """
+    observation, info = env.reset(seed=seed, options=options)
+    agent.reset(observation, info)
+    step = Step(observation, info, 0.0, False)
+    yield step
+    for _ in range(most):
+        observation, reward, terminated, truncated, info = env.step(agent.act(step.observation, step.info))
+        step = Step(observation, info, step.reward + float(reward), terminated or truncated)
+        yield step
+        if step.is_over:
+            return
 
 
 def recorded(episode: EpisodeRecord, prefix: str, space: spaces.Dict) -> dict[str, Any]:
@@ -90,7 +125,3 @@ def recorded(episode: EpisodeRecord, prefix: str, space: spaces.Dict) -> dict[st
         else episode.column(f"{prefix}/{key}")[1:]
         for key, inner in space.spaces.items()
     }
-
-
-def _equal(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    return a.tobytes() == b.tobytes()

@@ -2,43 +2,24 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from rcs.data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord, Feature
+from rcs.data import Dataset, DatasetInfo, EpisodeRecord, Feature
 from rcs.data.flags import FrameFlag, flags_key, time_key
 from rcs.envs import spaces as keys
-from rcs.envs.assemble import compose
 from rcs.envs.draws import Draws
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import OBSERVATION, TIME_MONOTONIC, versions
-from rcs.envs.setup import Setup
 from rcs.envs.sim_ports import SimCameraPort
 from rcs.errors import InvalidSetup
-from rcs.rollout.derive import SOURCE, derive, source_of
-from rcs.rollout.look import Look, Stage, physics_of, require_states, setup_of, varied
-from rcs.setups.make import resolve
-from rcs.sim.state_transfer import StateTransfer
+from rcs.rollout.derive import Derivation, Workplace
+from rcs.rollout.look import Stage, physics_of, require_states, setup_of
 
-MODE = "render"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rerendering:
-    """What to draw anew."""
-
-    source: Path
-    """Folder of the dataset."""
-    out: Path
-    """Folder of the new one."""
-    look: Look = field(default_factory=Look)
-    workers: int = 1
-    """Processes; 0 for one per core."""
+FRAMES = f"{OBSERVATION}/{keys.FRAMES}/"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,93 +30,66 @@ class RerenderResult:
     rows: int
 
 
-def rerender(rendering: Rerendering) -> Iterator[RerenderResult]:
-    """Restore every recorded state bit for bit, without stepping, and draw frames of it into a new dataset.
+@dataclass(frozen=True, kw_only=True)
+class Rerendering(Derivation):
+    """Restores every recorded state bit for bit, without stepping, and draws frames of it into a new dataset.
 
     All that is not a frame, its calibration or its capture time stays as it is, simulation states included. Frames of
     tactile sensors stay too: what they felt is not in the states.
-
-    Raises:
-        InvalidSetup: The dataset is not from simulation, or the look makes no sense.
-        DatasetError, CorruptEpisode: A dataset cannot be read or written.
     """
-    dataset = Dataset.open(rendering.source)
-    require_states(dataset)
-    physics = physics_of(dataset)
-    stage = Stage.of(physics, setup_of(dataset), rendering.look)
-    env, _ = stage.env()
-    try:
-        info = _info(dataset.info, env, stage, physics)
-    finally:
-        env.close()
-    make = functools.partial(_Rerenderer, rendering)
-    return derive(rendering.out, info, make, range(len(dataset)), rendering.workers)
 
+    mode = "render"
 
-class _Rerenderer:
-    """Draws episodes anew: the part that one process does."""
+    def stage(self, dataset: Dataset) -> Stage:
+        """Return the scene of the recording, seen by the cameras that are asked for."""
+        require_states(dataset)
+        return Stage.of(physics_of(dataset), setup_of(dataset), self.look)
 
-    def __init__(self, rendering: Rerendering, out: Path) -> None:
-        self._dataset = Dataset.open(rendering.source)
-        physics = physics_of(self._dataset)
-        stage = Stage.of(physics, setup_of(self._dataset), rendering.look)
-        self._writer = DatasetWriter.join(out)
-        self._env, self._looks = stage.env()
-        self._cameras = _cameras_of(self._env)
-        self._was_varied = physics.randomisation is not None
-        source = compose(resolve(replace(physics, assets="builtin"))).compile()
-        self._transfer = StateTransfer(source, self._env.scenario.world.model)
+    def info(self, dataset: Dataset, stage: Stage, env: Env) -> DatasetInfo:
+        """Return the info of the new dataset: features in the order in which they would be recorded."""
+        recorded = dataset.info
+        fresh = stage.info(env, recorded, physics_of(dataset))
+        cameras = [*camera_names(recorded), *camera_names(fresh)]
+        kept = {f.key: f for f in recorded.features if not is_of_camera(f.key, cameras)}
+        features = [kept.pop(f.key, f) for f in fresh.features if f.key in kept or is_of_camera(f.key, cameras)]
+        return replace(
+            recorded,
+            features=(*features, *kept.values()),
+            setup=fresh.setup,
+            jpeg_quality=fresh.jpeg_quality,
+            versions={**recorded.versions, **versions()},
+        )
 
-    def attempt(self, number: int) -> RerenderResult:
-        """Draw one episode anew."""
-        episode = self._dataset.episodes[number]
+    def make(self, workplace: Workplace, episode: EpisodeRecord) -> RerenderResult:
+        """Draw one episode anew: in each row, the cameras that have a frame due."""
+        scenario, info = workplace.env.scenario, workplace.writer.info
+        world = scenario.world
+        if episode.seed is None and physics_of(workplace.dataset).randomisation is not None:
+            raise InvalidSetup(f"Episode {episode.id!r} was randomised without a seed; how it looked is not known.")
         states = episode.sim_state()
-        carried = self._transfer(states)
-        outcome: dict[str, Any] = {**episode.outcome, SOURCE: source_of(episode, self._dataset.path, MODE)}
-        outcome.update(self._vary(episode))
-        world = self._env.scenario.world
-        rows = RecordedRows(episode, self._writer.info)
-        fresh = FreshFrames(self._cameras, self._writer.info)
-        with self._writer.episode(episode.id, seed=episode.seed, instruction=episode.instruction) as made:
-            for i, state in enumerate(carried):
+        scenario.begin(Draws(episode.seed or 0, 0))
+        rows, fresh = _RecordedRows(episode, info), _FreshFrames(_cameras_of(workplace.env), info)
+        with workplace.writer.episode(episode.id, seed=episode.seed, instruction=episode.instruction) as made:
+            for i, state in enumerate(workplace.transfer(states)):
                 world.core.set_state(state)
                 world.refresh()
                 # Cameras count control steps to know when a frame is due. The first row always has one.
                 world.core.steps[0] = round(float(world.time) * world.frequency) if i else 0
                 made.add({**rows.at(i), **fresh.read(rows.capture_times(i))}, states[i])
-            made.finish(episode.success, outcome)
+                workplace.count_row()
+            made.finish(episode.success, {**episode.outcome, **workplace.outcome(episode)})
         return RerenderResult(episode_id=episode.id, rows=len(states))
 
-    def _vary(self, episode: EpisodeRecord) -> dict[str, Any]:
-        """Have the model vary as it did in an episode, and its looks as they are to; return what was drawn."""
-        if episode.seed is None and self._was_varied:
-            raise InvalidSetup(f"Episode {episode.id!r} was randomised without a seed; how it looked is not known.")
-        if self._looks is not None:
-            self._looks.episode_id = episode.id
-        self._env.scenario.begin(Draws(episode.seed or 0, 0))
-        return varied(self._env)
 
-    def close(self) -> None:
-        """Close the environment and the writer."""
-        self._env.close()
-        self._writer.close()
-
-
-class RecordedRows:
+class _RecordedRows:
     """The rows of a recorded episode, one after the other, as far as another dataset has the same features."""
 
     def __init__(self, episode: EpisodeRecord, info: DatasetInfo) -> None:
-        """Read what is kept; images stay encoded as they are.
-
-        Args:
-            episode: The episode.
-            info: What the other dataset has; features with frames of its cameras are left out.
-        """
+        """Read what is kept, all but frames of cameras that are drawn; images stay encoded as they are."""
         drawn = camera_names(info)
         recorded = {feature.key: feature for feature in episode.info.features}
         kept = [f for f in info.features if f.key in recorded and not is_of_camera(f.key, drawn)]
-        self._columns = {f.key: _column(episode, f) for f in kept if not f.is_image}
-        self._columns.update({f.key: _stored(episode, f) for f in kept if f.is_image})
+        self._columns = {f.key: _column(episode, f) for f in kept}
         # A new frame is of the state of its row, so it was taken when the row was complete.
         ends = self._columns.get(TIME_MONOTONIC, [None] * episode.length)
         own = {name: time_key(name) for name in drawn}
@@ -150,19 +104,13 @@ class RecordedRows:
         return {name: times[row] for name, times in self._times.items()}
 
 
-class FreshFrames:
+class _FreshFrames:
     """Frames of the present state as a recorder keeps them: one that is not new is not stored again."""
 
     def __init__(self, port: SimCameraPort | None, info: DatasetInfo) -> None:
-        """Read from the cameras of an environment, from the start of an episode.
-
-        Args:
-            port: The cameras; None for none.
-            info: What the dataset has.
-        """
+        """Read from the cameras of an environment, if it has any, from the start of an episode."""
         self._port = port
-        self._keys = {feature.key for feature in info.features}
-        self._images = {feature.key for feature in info.features if feature.is_image}
+        self._images = {feature.key: feature.is_image for feature in info.features}
         self._drawn: dict[str, float] = {}
         self._times: dict[str, Any] = {}
 
@@ -184,32 +132,27 @@ class FreshFrames:
             row[time_key(camera)] = self._times[camera]
             row[flags_key(camera)] = 0 if is_new else int(FrameFlag.REPEATED)
             for name, value in frame.items():
-                key = f"{OBSERVATION}/{keys.FRAMES}/{camera}/{name}"
-                row[key] = np.ascontiguousarray(value) if is_new or key not in self._images else None
+                key = f"{FRAMES}{camera}/{name}"
+                row[key] = np.ascontiguousarray(value) if is_new or not self._images.get(key) else None
         self._drawn = drawn
-        return {key: value for key, value in row.items() if key in self._keys}
+        return {key: value for key, value in row.items() if key in self._images}
 
 
 def _column(episode: EpisodeRecord, feature: Feature) -> list[Any]:
-    """Return a column's values by row, with None where there is none."""
-    values = list(episode.column(feature.key))
-    if feature.encoding != "plain":
-        return values
-    is_null = episode.steps([feature.key]).column(feature.key).is_null().to_numpy()
-    return [None if null else value for value, null in zip(values, is_null, strict=True)]
-
-
-def _stored(episode: EpisodeRecord, feature: Feature) -> list[bytes | None]:
-    """Return images as they are stored, with None where there is no new one."""
-    return episode.steps([feature.key]).column(feature.key).to_pylist()
+    """Return a column by row, images as they are stored, with None where there is nothing new."""
+    if feature.encoding != "plain" and not feature.is_image:
+        return list(episode.column(feature.key))
+    stored = episode.steps([feature.key]).column(feature.key)
+    if feature.is_image:
+        return stored.to_pylist()
+    is_null = stored.is_null().to_numpy()
+    return [None if null else value for value, null in zip(episode.column(feature.key), is_null, strict=True)]
 
 
 def camera_names(info: DatasetInfo) -> list[str]:
     """Return the names of the cameras that a dataset has frames of; tactile sensors are none: they have no matrix."""
-    suffix = f"/{keys.INTRINSICS}"
-    prefix = f"{OBSERVATION}/{keys.FRAMES}/"
-    found = [f.key for f in info.features if f.key.startswith(prefix) and f.key.endswith(suffix)]
-    return [key.removeprefix(prefix).removesuffix(suffix) for key in found]
+    matrices = [f.key for f in info.features if f.key.startswith(FRAMES) and f.key.endswith(f"/{keys.INTRINSICS}")]
+    return [key.removeprefix(FRAMES).removesuffix(f"/{keys.INTRINSICS}") for key in matrices]
 
 
 def is_of_camera(key: str, cameras: list[str]) -> bool:
@@ -217,23 +160,6 @@ def is_of_camera(key: str, cameras: list[str]) -> bool:
     return any(f"/{keys.FRAMES}/{name}/" in f"{key}/" for name in cameras)
 
 
-def _info(recorded: DatasetInfo, env: Env, stage: Stage, physics: Setup) -> DatasetInfo:
-    """Return the info of the new dataset: features in the order in which they would be recorded."""
-    fresh = stage.info(env, recorded, physics)
-    cameras = [*camera_names(recorded), *camera_names(fresh)]
-    kept = {f.key: f for f in recorded.features if not is_of_camera(f.key, cameras)}
-    features = [kept.pop(f.key, f) for f in fresh.features if f.key in kept or is_of_camera(f.key, cameras)]
-    return replace(
-        recorded,
-        features=(*features, *kept.values()),
-        setup=fresh.setup,
-        jpeg_quality=fresh.jpeg_quality,
-        versions={**recorded.versions, **versions()},
-    )
-
-
 def _cameras_of(env: Env) -> SimCameraPort | None:
-    for port in env.stack.ports:
-        if isinstance(port, SimCameraPort):
-            return port
-    return None
+    ports = env.stack.ports
+    return next((port for port in ports if isinstance(port, SimCameraPort)), None)

@@ -15,9 +15,9 @@ from rcs.errors import InvalidSetup
 from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, load, mount_frame
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
 from rcs.sim.detail import Assets, exchange_visuals
+from rcs.sim.robot_check import check_robot
 from rcs.sim.tactile_placement import TactilePlacement, attach_tactile
 from rcs.sim.textures import add_wood
-from rcs.spatial import Pose
 
 OVERVIEW = "overview"
 """Name of the camera that sees the whole scene; it is for people and in no observation."""
@@ -253,10 +253,14 @@ class Scene:
                 f"Camera {camera.name!r} is to be mounted on {camera.parent_body!r}, which is not there."
             )
         frame = mount_frame(parent, camera.optical_in_parent)
-        self.spec.attach(load(camera.camera), frame=frame, prefix=f"{camera.name}/")
+        housing = load(camera.camera)
+        has_housing = bool(housing.geoms)
+        self.spec.attach(housing, frame=frame, prefix=f"{camera.name}/")
         if camera.fovy is not None:
             self.spec.camera(camera.camera_name).fovy = np.degrees(camera.fovy)
         self.cameras.append(camera)
+        if not has_housing:
+            return  # nothing is seen that would float
         if camera.parent_body in {"world", *(robot.base_body for robot in self.robots)}:
             self._add_stand(parent, camera)
         else:
@@ -265,7 +269,7 @@ class Scene:
     def _add_bracket(self, parent: mujoco.MjsBody, camera: CameraPlacement) -> None:
         """Join a camera that moves to the body that carries it, so that it is not seen to float."""
         optical = camera.optical_in_parent
-        behind = np.array(optical.translation) - 0.012 * Pose((0.0, 0.0, 0.0), optical.quaternion).matrix[:3, 2]
+        behind = np.array(optical.translation) - 0.012 * optical.pose.matrix[:3, 2]
         parent.add_geom(
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
             size=[0.006, 0.0, 0.0],
@@ -291,7 +295,7 @@ class Scene:
     def _add_stand(self, parent: mujoco.MjsBody, camera: CameraPlacement) -> None:
         """Stand a camera that does not move on a post, which nothing can touch."""
         x, y, z = camera.optical_in_parent.translation
-        forward = Pose((0.0, 0.0, 0.0), camera.optical_in_parent.quaternion).matrix[:3, 2]
+        forward = camera.optical_in_parent.pose.matrix[:3, 2]
         if forward[2] < STEEPEST:
             return  # it hangs from above, or it would see its own post
         # Behind the optical centre, so that the camera does not see its own post.
@@ -309,8 +313,15 @@ class Scene:
         )
 
     def compile(self) -> mujoco.MjModel:
-        """Make the model."""
-        return self.spec.compile()
+        """Make the model; a robot whose servos do not carry its weight gets a warning.
+
+        Raises:
+            InvalidSetup: A robot's base is not where it was put, as its file gives it a pose of its own.
+        """
+        model = self.spec.compile()
+        for robot in self.robots:
+            check_robot(robot, model)
+        return model
 
 
 def _axes_looking(eye: list[float], target: list[float]) -> list[float]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import timedelta
+from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +16,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import track
+from rich.progress import Progress, track
 from rich.table import Table
 
 from rcs.cli.console import plain_console
@@ -22,34 +24,21 @@ from rcs.data import Dataset
 from rcs.envs.setup import Relative
 from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
+from rcs.rollout.derive import Derivation, derive, row_counter
 from rcs.rollout.divergence import Tolerance
 from rcs.rollout.look import Look
-from rcs.rollout.real_to_sim import Keep, RealToSim, RealToSimResult, real_to_sim
+from rcs.rollout.real_to_sim import Keep, RealToSim, RealToSimResult
 from rcs.rollout.recorded_motion import GripperFrom
-from rcs.rollout.reexecute import Reexecution, ReexecutionResult, reexecute
+from rcs.rollout.reexecute import Reexecution, ReexecutionResult
 from rcs.rollout.replay import replay
-from rcs.rollout.rerender import Rerendering, rerender
+from rcs.rollout.rerender import Rerendering
 
 Mode = Literal["check", "render", "actions", "states"]
 
-ONLY_FOR: dict[str, tuple[Mode, ...]] = {
-    "out": ("render", "actions", "states"),
-    "workers": ("render", "actions", "states"),
-    "look": ("render", "actions", "states"),
-    "control": ("actions",),
-    "relative": ("actions",),
-    "tolerance": ("actions",),
-    "grace": ("actions", "states"),
-    "task": ("states",),
-    "robot": ("states",),
-    "frequency": ("states",),
-    "objects": ("states",),
-    "state": ("states",),
-    "lookahead": ("states",),
-    "gripper": ("states",),
-    "keep": ("states",),
-}
-"""Modes in which an option has a meaning; in others it is refused."""
+JOBS: dict[Mode, type[Derivation]] = {"render": Rerendering, "actions": Reexecution, "states": RealToSim}
+"""What makes a dataset; a mode takes the options that its job has."""
+PATIENCE = 30.0
+"""Where no bar can be drawn, a line says how far it is, this often [s]."""
 WIDTH = 116
 """What the widest table needs [columns]."""
 
@@ -107,7 +96,7 @@ class ReplayCommand:
         self._check_options()
         told = plain_console()
         started = time.perf_counter()
-        results = list(self._track(self._replay(), plain_console(stderr=True, soft_wrap=False) if self.json else told))
+        results = self._replay(plain_console(stderr=True, soft_wrap=False) if self.json else told)
         seconds = time.perf_counter() - started
         if self.json:
             told.out(json.dumps(self._as_json(results, seconds), indent=1))
@@ -118,55 +107,32 @@ class ReplayCommand:
     def _check_options(self) -> None:
         if self.mode != "check" and self.out is None:
             raise InvalidSetup(f"--mode {self.mode} makes a dataset; say where with --out.")
-        defaults = ReplayCommand(path=self.path)
-        for name, modes in ONLY_FOR.items():
-            given, default = getattr(self, name), getattr(defaults, name)
-            if self.mode in modes or given == default:
+        valid = {mode: {option.name for option in dataclasses.fields(job)} for mode, job in JOBS.items()}
+        for option in dataclasses.fields(self):
+            given, default = getattr(self, option.name), _default(option)
+            modes = [mode for mode, names in valid.items() if option.name in names]
+            if option.name in ("path", "mode", "json") or self.mode in modes or given == default:
                 continue
-            changed = [name]
+            changed = [option.name]
             if dataclasses.is_dataclass(given):
                 parts = [part.name for part in dataclasses.fields(given)]
                 changed = [part for part in parts if getattr(given, part) != getattr(default, part)]
-            options = ", ".join(f"--{option.replace('_', '-')}" for option in changed)
+            options = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
             raise InvalidSetup(f"{options} has no meaning for --mode {self.mode}, only for {', '.join(modes)}.")
 
-    def _replay(self) -> Iterator[Any]:
-        if self.mode == "check" or self.out is None:
-            return replay(self.path)
-        if self.mode == "render":
-            return rerender(Rerendering(source=self.path, out=self.out, look=self.look, workers=self.workers))
-        if self.mode == "actions":
-            execution = Reexecution(
-                source=self.path,
-                out=self.out,
-                control=self.control,
-                relative=self.relative,
-                look=self.look,
-                tolerance=self.tolerance,
-                grace=self.grace,
-                workers=self.workers,
-            )
-            return reexecute(execution)
-        following = RealToSim(
-            source=self.path,
-            out=self.out,
-            task=self.task,
-            robot=self.robot,
-            frequency=self.frequency,
-            objects=self.objects,
-            state=self.state,
-            lookahead=self.lookahead,
-            gripper=self.gripper,
-            keep=self.keep,
-            grace=self.grace,
-            look=self.look,
-            workers=self.workers,
-        )
-        return real_to_sim(following)
-
-    def _track(self, results: Iterator[Any], console: Console) -> Iterator[Any]:
-        total = len(Dataset.open(self.path))
-        return iter(track(results, "Replaying", total=total, console=console))
+    def _replay(self, console: Console) -> list[Any]:
+        """Replay all episodes, and say meanwhile how far that is and how long it will take."""
+        dataset = Dataset.open(self.path)
+        if self.mode == "check":
+            return list(track(replay(self.path), "Replaying", total=len(dataset), console=console))
+        job = JOBS[self.mode]
+        options = {
+            option.name: getattr(self, option.name) for option in dataclasses.fields(job) if option.name != "source"
+        }
+        rows = row_counter()
+        total = sum(episode.length for episode in dataset.episodes)
+        with _Progress(rows, total, console):
+            return list(derive(job(source=self.path, **options), rows))
 
     def _as_json(self, results: list[Any], seconds: float) -> dict[str, Any]:
         values: dict[str, Any] = {"mode": self.mode, "dataset": str(self.path), "seconds": seconds}
@@ -208,6 +174,43 @@ class ReplayCommand:
         console.print(told)
         if self.out is not None:
             console.print(f"Dataset: {self.out}")
+
+
+class _Progress(Progress):
+    """A bar of the rows that worker processes count; where no bar can be drawn, a line now and then."""
+
+    def __init__(self, rows: Synchronized[int], total: int, console: Console) -> None:
+        """Watch a count go up to a total."""
+        # Episodes differ and computers are shared: an estimate goes by the last minutes.
+        super().__init__(console=console, refresh_per_second=2, speed_estimate_period=300.0)
+        self._rows = rows
+        self._task = self.add_task("Replaying", total=total)
+        self._thread = threading.Thread(target=self._watch, name="rcs progress", daemon=True)
+        self._is_over = threading.Event()
+
+    def _watch(self) -> None:
+        while not self._is_over.wait(0.5 if self.console.is_terminal else PATIENCE):
+            self.update(self._task, completed=self._rows.value)
+            task = self.tasks[0]
+            if not self.console.is_terminal and task.time_remaining is not None:
+                left = timedelta(seconds=round(task.time_remaining))
+                self.console.print(f"{task.completed:.0f} of {task.total:.0f} rows, about {left} left")
+
+    def start(self) -> None:
+        """Show the bar and watch the count."""
+        super().start()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Watch no more."""
+        self._is_over.set()
+        self._thread.join()
+        self.update(self._task, completed=self._rows.value)
+        super().stop()
+
+
+def _default(option: dataclasses.Field[Any]) -> Any:
+    return option.default if option.default_factory is dataclasses.MISSING else option.default_factory()
 
 
 def _print_wide(table: Table, console: Console) -> None:

@@ -1,0 +1,1 @@
+"""An ideal camera: no housing, no mass, any size."""
