@@ -6,16 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import rcs
 from rcs.agents import LiftExpert
-from rcs.agents.script import PATIENCE, Phase, Plan, Script, ScriptedArm, Waypoint
+from rcs.agents.script import PATIENCE, Phase, Plan, Script, ScriptedArm
 
 
-def raised(arm: ScriptedArm, height: float) -> Waypoint:
+def raised(arm: ScriptedArm, height: float) -> NDArray[np.float64]:
     tcp = arm.kinematics.forward(arm.start).tquat
     tcp[2] += height
-    return Waypoint(tcp, arm.start)
+    return tcp
 
 
 class Wave(Script):

@@ -92,9 +92,9 @@ def test_a_hold_of_less_than_a_step_still_takes_one() -> None:
 
 def test_progress_grows_from_0_to_1_with_each_of_its_parts() -> None:
     grasped = np.array([False, True])
-    assert progress(np.array(np.inf), grasped, np.array(1.0)).tolist() == pytest.approx([0.0, 2 / 3])
-    assert progress(np.array(0.0), grasped, np.array(2.0)).tolist() == pytest.approx([1 / 3, 1.0])
-    near, far = progress(np.array([0.01, 0.02]), np.array(True), np.array(0.5))
+    assert progress(np.array(np.inf), grasped, np.array(0.2), 0.2).tolist() == pytest.approx([0.0, 2 / 3])
+    assert progress(np.array(0.0), grasped, np.array(0.3), 0.2).tolist() == pytest.approx([1 / 3, 1.0])
+    near, far = progress(np.array([0.01, 0.02]), np.array(True), np.array(0.1), 0.2)
     assert near > far
 
 

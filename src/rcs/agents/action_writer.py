@@ -20,14 +20,16 @@ MARGIN = 0.9
 
 
 def ik_options(kinematics: Kinematics, restarts: int = 0) -> IkOptions:
-    """Return what an arm can be asked for: any pose, or, with fewer than six joints, a place and about a direction.
+    """Return what an arm can be asked for: any pose, or, with fewer than six joints, a place.
 
-    Such an arm may also need `restarts` from other joints, unless it is solved for a pose near the last one.
+    The tool of such an arm leans as little as it can and by up to 1.6 rad. It may need `restarts` from other joints,
+    unless it is solved for a pose near the last one.
     """
     if kinematics.dof >= 6:
         return IkOptions(restarts=0, iterations=100)
+    # A weight at which leaning by a right angle moves the solution by less than the tolerance of the place.
     return IkOptions(
-        restarts=restarts, iterations=100, rotation_weight=0.03, rotation_tolerance=0.2, translation_tolerance=5e-4
+        restarts=restarts, iterations=200, rotation_weight=0.005, rotation_tolerance=1.6, translation_tolerance=5e-4
     )
 
 

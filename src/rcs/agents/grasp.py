@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents.action_writer import ik_options
-from rcs.agents.script import Phase, Plan, Script, ScriptedArm, Waypoint
+from rcs.agents.script import Phase, Plan, Script, ScriptedArm
 from rcs.envs.spaces import GRIPPER
 from rcs.kinematics import IkStatus
 from rcs.spatial import Pose
 
 CLEARANCE = 0.09
 """Height of the pre-grasp above the grasp [m]."""
-TILTS = tuple(np.deg2rad([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, 60.0, 75.0, 90.0]).tolist())
-"""Angles by which the tool of an arm with fewer than six joints may lean away from the base, best first [rad]."""
 CLOSING_TIME = 0.3
 """A gripper that stands still sooner than this after the command to close [s] has not yet begun to."""
 BARELY_CLOSED = 0.9
@@ -50,6 +47,10 @@ CLOSE = Phase("close", "grasp", opening=0.0, until=have_closed, risk=("no_contac
 """For a gripper that says how far it is open."""
 
 
+_Reach = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""A TCP pose (7,) and the joints that reach it [rad]."""
+
+
 def plan_from_above(
     arm: ScriptedArm,
     where: Pose,
@@ -69,48 +70,27 @@ def plan_from_above(
         in_tcp: Where the grasped place is along the TCP's x and y [m].
 
     Returns:
-        The waypoints `above`, `grasp` and `lifted`; None when nothing is feasible.
+        The poses `above`, `grasp` and `lifted`; None when nothing is feasible.
     """
-    tilts = TILTS if arm.kinematics.dof < 6 else (0.0,)
-    x, y = where.translation[:2] - _first_axis(arm)
-    azimuth = float(np.arctan2(y, x))
+    kinematics = arm.kinematics
 
-    def tool(tilt: float, turn: float, height: float) -> Pose:
-        # About the horizontal axis across the arm's plane, so that an arm with five joints can follow. A half turn
-        # about x then points the tool down.
-        lean = Pose.from_rotvec((0, 0, 0), (tilt * np.sin(azimuth), -tilt * np.cos(azimuth), 0.0))
-        place = Pose(where.translation + [0.0, 0.0, height])
-        return place * lean * Pose.from_rpy((0, 0, 0), (np.pi, 0.0, turn)) * Pose((-in_tcp[0], -in_tcp[1], 0.0))
+    def reach(height: float, turn: float, start: NDArray[np.float64], restarts: int = 0) -> _Reach | None:
+        # A half turn about x points the tool down.
+        down = Pose.from_rpy(where.translation + [0.0, 0.0, height], (np.pi, 0.0, turn))
+        tool = down * Pose((-in_tcp[0], -in_tcp[1], 0.0))
+        result = kinematics.inverse(tool, start, ik_options(kinematics, restarts))
+        # An arm with fewer than six joints leans its tool where it must.
+        tcp = tool if kinematics.dof >= 6 else kinematics.forward(result.joints)
+        return (tcp.tquat, result.joints) if result.status == IkStatus.ok else None
 
-    def solved(tcp: Pose, start: NDArray[np.float64], restarts: int = 0) -> NDArray[np.float64] | None:
-        result = arm.kinematics.inverse(tcp, start, ik_options(arm.kinematics, restarts))
-        return result.joints if result.status == IkStatus.ok else None
-
-    def way(tilt: float, turn: float) -> tuple[float, Plan] | None:
-        high, grasp = tool(tilt, turn, CLEARANCE), tool(tilt, turn, 0.0)
-        above = solved(high, arm.start, restarts=10)
-        down = None if above is None else solved(grasp, above)
-        if above is None or down is None:
-            return None
-        for other in sorted(tilts, key=lambda angle: abs(angle - tilt)):
-            lifted = tool(other, turn, lift)
-            if (up := solved(lifted, above)) is not None:
-                # Between two poses that an arm with five joints can reach there are poses that it cannot.
-                first, last = (above, up) if arm.kinematics.dof < 6 else (None, None)
-                ends = {"above": Waypoint(high.tquat, first), "lifted": Waypoint(lifted.tquat, last)}
-                return float(np.abs(down - arm.start).max()), {**ends, "grasp": Waypoint(grasp.tquat)}
-        return None
-
-    for tilt, group in itertools.product(tilts, turns):
-        if ways := [found for turn in group if (found := way(tilt, turn)) is not None]:
-            return min(ways, key=lambda found: found[0])[1]
+    for group in turns:
+        ways: list[tuple[float, Plan]] = []
+        for turn in group:
+            above = reach(CLEARANCE, turn, arm.start, restarts=10)
+            grasp, lifted = (above and reach(height, turn, above[1]) for height in (0.0, lift))
+            if above and grasp and lifted:
+                motion = float(np.abs(grasp[1] - arm.start).max())
+                ways.append((motion, {"above": above[0], "grasp": grasp[0], "lifted": lifted[0]}))
+        if ways:
+            return min(ways, key=lambda way: way[0])[1]
     return None
-
-
-def _first_axis(arm: ScriptedArm) -> NDArray[np.float64]:
-    """Return x, y of the first joint's axis in the base frame [m]; the axis must be upright."""
-    turned = arm.start.copy()
-    turned[0] += 1.0 if turned[0] < 0 else -1.0
-    turn = (arm.kinematics.forward(turned) * arm.kinematics.forward(arm.start).inverse()).matrix
-    # A point c of the axis has R c + t = c.
-    return np.asarray(np.linalg.solve(np.eye(2) - turn[:2, :2], turn[:2, 3]), np.float64)

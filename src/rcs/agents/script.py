@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,25 +19,12 @@ from rcs.kinematics import Kinematics, kinematics_of
 from rcs.sim.scene import RobotPlacement
 from rcs.spatial import distance, limit_step
 
-JOINT_SPEED = 1.2
-"""Speed of the fastest joint where the way is by joints [rad/s]."""
-ARRIVED_JOINTS = 0.03
-"""Joints count as arrived this close to their targets [rad]."""
 PATIENCE = 4.0
 """Longest time of any phase before the script goes on regardless [s]."""
 
 Condition = Callable[["Script"], bool]
-
-
-class Waypoint(NamedTuple):
-    """TCP pose in the base frame, (7,), with joints [rad], (dof,), where an arm goes by joints and not straight."""
-
-    tcp: NDArray[np.float64]
-    joints: NDArray[np.float64] | None = None
-
-
-Plan = Mapping[str, Waypoint]
-"""Where one arm goes, by the names that phases use."""
+Plan = Mapping[str, NDArray[np.float64]]
+"""Where one arm goes: TCP poses in the base frame, (7,), by the names that phases use."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +33,7 @@ class Phase:
 
     name: str
     goal: str = ""
-    """Name of the waypoint that every arm goes to; none to stay."""
+    """Name of the pose that every arm goes to in a straight line; none to stay."""
     speed: float = 0.20
     """Speed of the TCP's target [m/s]."""
     opening: float = 1.0
@@ -83,12 +70,6 @@ class ScriptedArm:
         self.before, self.observation = self.observation or own, own
         self.writer.follow(info, self.key)
 
-    def is_at(self, place: Waypoint, tolerance: tuple[float, float]) -> bool:
-        """Return whether the arm is measured at a waypoint, up to a tolerance of its TCP [m, rad]."""
-        if place.joints is not None:
-            return bool(np.abs(self.observation[JOINTS] - place.joints).max() < ARRIVED_JOINTS)
-        return bool((distance(self.observation[TQUAT], place.tcp) < tolerance).all())
-
 
 class Script(Agent):
     """Goes through phases, and tries again from above after a failure; subclasses declare the phases and plan."""
@@ -101,7 +82,7 @@ class Script(Agent):
     turn_speed: ClassVar[float] = 2.0
     """Speed of the target's rotation [rad/s]."""
     arrived: ClassVar[tuple[float, float]] = (0.004, 0.03)
-    """An arm counts as arrived with its TCP this close to a waypoint [m, rad]."""
+    """An arm counts as arrived with its TCP this close to its goal [m, rad]."""
 
     def __init__(self, env: Env) -> None:
         self._period = 1.0 / env.setup.frequency
@@ -122,7 +103,7 @@ class Script(Agent):
 
     @property
     def failure(self) -> str | None:
-        """`ik`: a waypoint is not feasible; `no_contact`: a gripper closed on nothing; `slip`: it lost the object."""
+        """`ik`: a pose is not feasible; `no_contact`: a gripper closed on nothing; `slip`: it lost the object."""
         return self._failure
 
     @property
@@ -133,7 +114,8 @@ class Script(Agent):
     def has_arrived(self) -> bool:
         """Return whether all arms are at the goal of the present phase."""
         goal = self._phase.goal
-        return all(goal in arm.plan and arm.is_at(arm.plan[goal], self.arrived) for arm in self.arms)
+        pairs = [(arm.observation[TQUAT], arm.plan.get(goal, arm.target)) for arm in self.arms]
+        return all(bool((distance(tcp, place) < self.arrived).all()) for tcp, place in pairs)
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Plan a new episode.
@@ -165,7 +147,7 @@ class Script(Agent):
         self._attempt += 1
         plans = [self.plan(arm) for arm in self.arms]
         for arm, plan in zip(self.arms, plans, strict=True):
-            arm.plan = {"home": Waypoint(arm.kinematics.forward(arm.start).tquat), **(plan or {})}
+            arm.plan = {"home": arm.kinematics.forward(arm.start).tquat, **(plan or {})}
         if None in plans:
             self._failure = "ik"
         self._enter(GIVEN_UP if None in plans else self.phases[0])
@@ -185,17 +167,10 @@ class Script(Agent):
         self._phase, self._steps = phase, 0
 
     def _step(self, arm: ScriptedArm) -> Action:
-        phase, writer = self._phase, arm.writer
-        place = arm.plan.get(phase.goal, Waypoint(arm.target))
-        if place.joints is not None:
-            step = place.joints - writer.joints
-            step *= min(1.0, self._pace * JOINT_SPEED / max(float(np.abs(step).max()), 1e-12))
-            action = writer.write_joints(writer.joints + step, phase.opening)
-            arm.target = arm.kinematics.forward(writer.joints).tquat
-            return action
-        arm.target = limit_step(arm.target, place.tcp, phase.speed * self._pace, self.turn_speed * self._pace)
-        action = writer.write(arm.target, phase.opening)
+        phase, place = self._phase, arm.plan.get(self._phase.goal, arm.target)
+        arm.target = limit_step(arm.target, place, phase.speed * self._pace, self.turn_speed * self._pace)
+        action = arm.writer.write(arm.target, phase.opening)
         if action is None:
             self._failure = self._failure or "ik"
-            action = writer.write_joints(writer.joints, phase.opening)
+            action = arm.writer.write_joints(arm.writer.joints, phase.opening)
         return action

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +15,7 @@ from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
-from rcs.tasks.lifting import FreeBody, HoldCounter, LiftOptions, norm, progress, upright
+from rcs.tasks.lifting import FreeBody, HoldCounter, LiftOptions, add_box, norm, progress, upright
 
 EDGES = (0.035, 0.50, 0.05)
 """Edges of the bar along its x, y, z [m]: too long and too heavy at one end for one hand."""
@@ -40,7 +39,6 @@ class LiftBar(Task):
     """
 
     instruction = "lift the bar with both arms"
-
     expert = "LiftExpert"
     Options = LiftOptions
     options: LiftOptions
@@ -48,19 +46,7 @@ class LiftBar(Task):
     def furnish(self, scene: Scene) -> None:
         """Add a table and the bar."""
         scene.add_table()
-        body = scene.spec.worldbody.add_body(name=BAR, pos=[*self.area.center, EDGES[2] / 2])
-        body.add_freejoint(name=BAR)
-        body.add_geom(
-            name=BAR,
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[edge / 2 for edge in EDGES],
-            mass=MASS,
-            rgba=[0.12, 0.30, 0.62, 1.0],
-            friction=[1.0, 0.01, 0.0001],
-            condim=4,
-            solref=[0.01, 1.0],
-            group=0,
-        )
+        add_box(scene, BAR, self.area.center, edges=EDGES, mass=MASS, rgb=(0.12, 0.30, 0.62))
 
     def objects(self) -> list[str]:
         """Return the bar."""
@@ -122,10 +108,10 @@ class LiftBar(Task):
         x, y = bar[..., 3], bar[..., 4]
         is_level = 1.0 - 2.0 * (x * x + y * y) > np.cos(MAX_TILT)  # z component of the bar's z axis
         height = bar[..., 2] - self._rest_height
-        success = self._held.count((height > self.options.lift_height) & is_level & both)
+        goal = self.options.lift_height
+        success = self._held.count((height > goal) & is_level & both)
         distances = norm(poses[..., self._tcps, :3] - self._grasps(bar))
-        lifted = height * (1.0 / self.options.lift_height)
-        reward = self.reward(progress(distances, grasped, lifted[..., None]).mean(axis=-1), success)
+        reward = self.reward(progress(distances, grasped, height[..., None], goal).mean(axis=-1), success)
         info: dict[str, NDArray[Any]] = {
             "success": success,
             "is_grasped": both,

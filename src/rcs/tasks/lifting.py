@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.layers import Where
 from rcs.envs.task import Task
 from rcs.errors import InvalidSetup
+from rcs.sim.scene import Scene
 from rcs.sim.world import World
 from rcs.spatial import xyzw_to_wxyz
 
@@ -56,7 +59,7 @@ class HoldCounter:
 
 
 class FreeBody:
-    """A body that moves freely, by the name that it shares with its joint."""
+    """A body that moves freely, by the name that it shares with its joint and its geom."""
 
     def __init__(self, world: World, name: str) -> None:
         """Look up where its state is."""
@@ -69,6 +72,36 @@ class FreeBody:
         """Put the bodies of some copies at poses in the scene, (*leading of these, 7) [m], xyzw."""
         self._qpos[where, self._translation] = pose[..., :3]
         self._qpos[where, self._quaternion] = xyzw_to_wxyz(pose[..., 3:])
+
+
+def add_box(
+    scene: Scene, name: str, place: tuple[float, float], *, edges: Sequence[float], mass: float, rgb: Sequence[float]
+) -> None:
+    """Add a box that lies on the table and moves freely.
+
+    Args:
+        scene: The scene, before it is compiled.
+        name: Of its body, its joint and its geom.
+        place: x, y of its middle in the scene [m].
+        edges: Along its x, y, z [m].
+        mass: Its mass [kg].
+        rgb: Its colour, 0 … 1.
+    """
+    body = scene.spec.worldbody.add_body(name=name, pos=[*place, edges[2] / 2])
+    body.add_freejoint(name=name)
+    body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[edge / 2 for edge in edges],
+        mass=mass,
+        rgba=[*rgb, 1.0],
+        # Sliding friction of PLA or wood on rubber is about 1. Torsional friction counts from condim 4 on, and is what
+        # keeps a box from turning between the pads.
+        friction=[1.0, 0.01, 0.0001],
+        condim=4,
+        solref=[0.01, 1.0],
+        group=0,
+    )
 
 
 def upright(place: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -86,17 +119,19 @@ def upright(place: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[
 
 
 def progress(
-    distance: NDArray[np.float64], is_grasped: NDArray[np.bool_], lifted: NDArray[np.float64]
+    distance: NDArray[np.float64], is_grasped: NDArray[np.bool_], height: NDArray[np.float64], lift_height: float
 ) -> NDArray[np.float64]:
     """Return the mean of reaching, grasping, and lifting while grasping, 0 … 1 each (ManiSkill 3's PickCube-v1).
 
     Args:
         distance: Between the TCP and what is to be grasped [m].
         is_grasped: Whether it is.
-        lifted: How high it is in proportion to how high it should be.
+        height: How far above where it lay the object is [m].
+        lift_height: How far it should be [m].
     """
     reach = 1.0 - np.tanh(5.0 * distance)
-    return (reach + is_grasped * (1.0 + np.minimum(np.maximum(lifted, 0.0), 1.0))) * (1.0 / 3.0)
+    lift = np.minimum(np.maximum(height * (1.0 / lift_height), 0.0), 1.0)
+    return (reach + is_grasped * (1.0 + lift)) * (1.0 / 3.0)
 
 
 # NumPy's own sums add in an order that may depend on how many copies there are.

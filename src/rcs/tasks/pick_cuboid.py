@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +15,7 @@ from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
-from rcs.tasks.lifting import FreeBody, HoldCounter, LiftOptions, progress, upright
+from rcs.tasks.lifting import FreeBody, HoldCounter, LiftOptions, add_box, progress, upright
 
 SIZE = (0.064, 0.032, 0.0576)
 """Edges of the 3D-printed cuboid along its x, y, z [m] (the paper's)."""
@@ -35,7 +34,6 @@ class PickCuboid(Task):
     """
 
     instruction = "pick up the green cuboid"
-
     expert = "PickExpert"
     Options = LiftOptions
     options: LiftOptions
@@ -49,21 +47,8 @@ class PickCuboid(Task):
     def furnish(self, scene: Scene) -> None:
         """Add a table and the cuboid."""
         scene.add_table()
-        body = scene.spec.worldbody.add_body(name=CUBOID, pos=[*self.area.center, self.edges[2] / 2])
-        body.add_freejoint(name=CUBOID)
-        body.add_geom(
-            name=CUBOID,
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[edge / 2 for edge in self.edges],
-            mass=MASS * self.area.object_scale**3,
-            rgba=[0.10, 0.55, 0.20, 1.0],
-            # Sliding friction of PLA on rubber is about 1. Torsional friction counts from condim 4 on, and is what
-            # keeps the cuboid from turning between the pads.
-            friction=[1.0, 0.01, 0.0001],
-            condim=4,
-            solref=[0.01, 1.0],
-            group=0,
-        )
+        mass = MASS * self.area.object_scale**3
+        add_box(scene, CUBOID, self.area.center, edges=self.edges, mass=mass, rgb=(0.10, 0.55, 0.20))
 
     def objects(self) -> list[str]:
         """Return the cuboid."""
@@ -118,10 +103,10 @@ class PickCuboid(Task):
         cuboid = poses[..., self._pose, :].copy()
         is_grasped = touches[..., self._pads[0]] & touches[..., self._pads[1]]
         height = poses[..., self._in_scene, 2] - self._rest_height
-        success = self._held.count((height > self.options.lift_height) & is_grasped)
+        goal = self.options.lift_height
+        success = self._held.count((height > goal) & is_grasped)
         offset = cuboid[..., :3] - poses[..., self._robot.tcp_readout, :3]
-        lifted = height * (1.0 / self.options.lift_height)
-        reward = self.reward(progress(np.sqrt(np.vecdot(offset, offset)), is_grasped, lifted), success)
+        reward = self.reward(progress(np.sqrt(np.vecdot(offset, offset)), is_grasped, height, goal), success)
         info = {
             "success": success,
             "is_grasped": is_grasped,

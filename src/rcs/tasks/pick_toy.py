@@ -60,7 +60,6 @@ class PickToy(Task):
     """
 
     instruction = "pick up the toy"
-
     expert = "ToyExpert"
     Options = LiftOptions
     options: LiftOptions
@@ -162,9 +161,9 @@ class PickToy(Task):
         is_squeezed = self._strain(nodes) > SQUEEZED
         is_touched = self._world.forces[..., self._touched] > TOUCH_FORCE
         is_home = norm(tcp - self._home) < NEAR_HOME
-        success = self._held.count((height > self.options.lift_height) & is_home)
-        lifted = height * (1.0 / self.options.lift_height)
-        reward = self.reward(progress(norm(toy[..., :3] - tcp), is_squeezed, lifted), success)
+        goal = self.options.lift_height
+        success = self._held.count((height > goal) & is_home)
+        reward = self.reward(progress(norm(toy[..., :3] - tcp), is_squeezed, height, goal), success)
         info = {"success": success, "is_touched": is_touched, "toy": toy}
         return Outcome(reward=reward, terminated=success, info=info)
 
