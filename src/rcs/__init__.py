@@ -36,8 +36,10 @@ def __getattr__(name: str) -> Any:
     Raises:
         AttributeError: There is no such name.
     """
-    if name == "__version__":  # pyproject.toml has it; all others are told by the installed package
-        value = importlib.import_module("importlib.metadata").version("robot-control-stack")
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value = version("robot-control-stack")  # pyproject.toml is the only place that says it
     elif name in _HOME_OF:
         value = getattr(importlib.import_module(_HOME_OF[name]), name)
     else:
