@@ -13,10 +13,10 @@ from my_robot.from_urdf import MY_ROBOT_URDF
 from numpy.typing import NDArray
 
 import rcs
+from rcs.agents import agent_for
 from rcs.devices import Arm
 from rcs.kinematics import kinematics_of, load
 from rcs.robots.franka_hand.description import FRANKA_HAND
-from rcs.agents import agent_for
 from rcs.rollout.episode import run_episode
 from rcs.testing import ArmContract, DescriptionContract, EnvContract
 
