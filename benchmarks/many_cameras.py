@@ -101,7 +101,7 @@ def main(options: Options) -> None:
 def six_cameras() -> Parts:
     """Return the lab of the FR3 with its two cameras and four more."""
     setup = rcs.Setup(
-        task="PickCuboid", robot="fr3", cameras=("wrist", "side"), size=(WIDTH, HEIGHT), camera_noise=True
+        task="PickCuboid", robot="fr3", cameras=("wrist", "side"), image_size=(WIDTH, HEIGHT), camera_noise=True
     )
     parts = resolve(setup)
     side = parts.cameras[1]
@@ -220,7 +220,7 @@ def image_key(camera: str) -> str:
 
 def draw_live(parts: Parts, count: int, options: Options, *, in_thread: bool) -> dict[str, float]:
     """Step a simulation in real time beside cameras that are truly drawn, without noise."""
-    setup = replace(parts.setup, mode="realtime", frequency=options.loop_hz)
+    setup = replace(parts.setup, stepping="realtime", frequency=options.loop_hz)
     env = assemble(replace(parts, setup=setup), is_blind=True)
     env.reset(seed=0)
     world, placements = env.scenario.world, list(parts.cameras[:count])

@@ -79,7 +79,13 @@ def main(options: Options) -> None:
 def draw(n: int) -> Frames:
     """Return n frames per camera of a simulated arm in motion, with the noise of real sensors."""
     env = rcs.make(
-        "PickCuboid", robot="fr3", cameras=CAMERAS, size=(WIDTH, HEIGHT), depth=True, camera_noise=True, mode="async"
+        "PickCuboid",
+        robot="fr3",
+        cameras=CAMERAS,
+        image_size=(WIDTH, HEIGHT),
+        depth=True,
+        camera_noise=True,
+        stepping="async",
     )
     observation, _ = env.reset(seed=0)
     frames: Frames = {camera: [] for camera in CAMERAS}

@@ -31,7 +31,7 @@ MODEL = """
 
 model = mujoco.MjModel.from_xml_string(MODEL)
 data = mujoco.MjData(model)
-world = World(model, data=data, mode="sync", max_substeps=2000)
+world = World(model, data=data, stepping="sync", max_substeps=2000)
 trace: list[float] = []
 
 

@@ -31,7 +31,7 @@ def test_the_expert_succeeds_with_every_kind_of_action(control: Any, relative: A
 
 
 def test_the_expert_succeeds_with_synchronous_steps() -> None:
-    setup = rcs.Setup(mode="sync")
+    setup = rcs.Setup(stepping="sync")
     env = rcs.make(setup)
     assert run_episode(env, agent_for(env), seed=1).success
 

@@ -85,7 +85,7 @@ def test_numbers_that_are_not_positive_are_refused(numbers: dict[str, float]) ->
 def test_a_simulation_in_real_time_waits_for_the_wall_clock(clock, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock_module.time, "perf_counter", clock)
     monkeypatch.setattr(clock_module.time, "sleep", clock.sleep)
-    env = rcs.make("Free", mode="realtime", frequency=50.0)
+    env = rcs.make("Free", stepping="realtime", frequency=50.0)
     env.reset(seed=0)
     start = clock.now
     for _ in range(10):

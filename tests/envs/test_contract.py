@@ -50,7 +50,7 @@ class TestFreeWithPosesRelativeToAnOrigin(Made):
 
 
 class TestFreeWithSynchronousSteps(Made):
-    options: ClassVar[dict[str, Any]] = {"task": "Free", "mode": "sync", "binary_gripper": False}
+    options: ClassVar[dict[str, Any]] = {"task": "Free", "stepping": "sync", "binary_gripper": False}
 
 
 class TestLiftBarWithTwoRobots(Made):
@@ -71,7 +71,7 @@ class TestPickCuboidWithCameras(Made):
     options: ClassVar[dict[str, Any]] = {
         "task": "PickCuboid",
         "cameras": ("wrist", "side"),
-        "size": (24, 16),
+        "image_size": (24, 16),
         "depth": True,
     }
 

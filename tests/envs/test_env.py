@@ -172,7 +172,7 @@ def test_info_says_why_a_step_ended() -> None:
     env = rcs.make("Free")
     env.reset(seed=0)
     assert env.step(env.action_space.sample())[-1]["end"] == "period"
-    sync = rcs.make("Free", mode="sync", relative=False)
+    sync = rcs.make("Free", stepping="sync", relative=False)
     observation, _ = sync.reset(seed=0)
     action = {"joints": observation["joints"] + 0.05, "gripper": np.ones(1, np.float32)}
     observation, *_, info = sync.step(action)
@@ -181,7 +181,7 @@ def test_info_says_why_a_step_ended() -> None:
 
 
 def test_a_synchronous_step_of_the_gripper_alone_waits_for_the_fingers() -> None:
-    env = rcs.make("Free", mode="sync", relative=False)
+    env = rcs.make("Free", stepping="sync", relative=False)
     observation, _ = env.reset(seed=0)
     for opening in (0.0, 1.0):
         action = {"joints": observation["joints"], "gripper": np.full(1, opening, np.float32)}

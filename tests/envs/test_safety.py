@@ -29,7 +29,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "two robots by relative poses": {"task": "Free", "robot": "dual_fr3", "control": "tquat"},
     "two robots by absolute poses": {"task": "Free", "robot": "dual_fr3", "control": "tquat", "relative": False},
     "two robots by absolute joints": {"task": "Free", "robot": "dual_fr3", "relative": False},
-    "synchronous": {"task": "Free", "mode": "sync"},
+    "synchronous": {"task": "Free", "stepping": "sync"},
 }
 
 BENCHES: dict[str, dict[str, Any]] = {

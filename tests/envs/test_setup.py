@@ -64,33 +64,33 @@ def test_randomisation_may_be_a_boolean_or_json(given: Any, ranges: Randomisatio
 
 
 def test_a_size_may_be_one_number() -> None:
-    assert Setup(size=96).size == (96, 96)  # pyright: ignore[reportArgumentType]
+    assert Setup(image_size=96).size == (96, 96)  # pyright: ignore[reportArgumentType]
 
 
 def test_a_camera_mode_sets_the_size() -> None:
     setup = Setup(camera_mode="848x480")
-    assert setup.size == (848, 480)
+    assert setup.image_size == (848, 480)
     assert Setup.from_json(json.loads(json.dumps(setup.to_json()))) == setup
-    assert Setup(camera_mode="848x480", size=(848, 480)) == setup
+    assert Setup(camera_mode="848x480", image_size=(848, 480)) == setup
     with pytest.raises(InvalidSetup, match="give one of the two"):
-        Setup(camera_mode="848x480", size=(84, 84))
+        Setup(camera_mode="848x480", image_size=(84, 84))
 
 
 @pytest.mark.parametrize("given", [{"wrist": 30, "side": 15.5}, [["side", 15.5], ["wrist", 30]]])
 def test_cameras_may_have_frame_rates_of_their_own(given: Any) -> None:
-    setup = Setup(cameras=("wrist", "side", "top"), fps=given)
-    assert setup.fps == (("side", 15.5), ("wrist", 30))
+    setup = Setup(cameras=("wrist", "side", "top"), camera_fps=given)
+    assert setup.camera_fps == (("side", 15.5), ("wrist", 30))
     assert [setup.fps_of(name) for name in setup.cameras] == [30, 15.5, None]
     assert Setup.from_json(json.loads(json.dumps(setup.to_json()))) == setup
     assert pickle.loads(pickle.dumps(setup)) == setup
     assert hash(pickle.loads(pickle.dumps(setup))) == hash(setup)
-    assert Setup(fps=30).fps_of("wrist") == 30
+    assert Setup(camera_fps=30).fps_of("wrist") == 30
     assert Setup().fps_of("wrist") is None
 
 
 def test_a_frame_rate_for_a_camera_that_is_not_there_is_refused() -> None:
     with pytest.raises(InvalidSetup, match=r"fps names the cameras \['wirst'\]; this setup has \['wrist'\]"):
-        Setup(cameras=("wrist",), fps={"wirst": 30})  # pyright: ignore[reportArgumentType]
+        Setup(cameras=("wrist",), camera_fps={"wirst": 30})  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ SETUPS: dict[str, dict[str, Any]] = {
     "absolute poses": {"control": "tquat", "relative": False},
     "relative roll-pitch-yaw": {"control": "xyzrpy"},
     "poses relative to an origin": {"control": "tquat", "relative": "origin"},
-    "synchronous": {"control": "joints", "mode": "sync"},
+    "synchronous": {"control": "joints", "stepping": "sync"},
 }
 
 
@@ -131,7 +131,7 @@ def test_without_autoreset_copies_wait_for_the_caller(threads: int) -> None:
 
 @pytest.mark.gl
 def test_cameras_of_a_batch_see_what_those_of_single_environments_see() -> None:
-    cameras = {"cameras": ("wrist", "side"), "size": (24, 16), "depth": True}
+    cameras = {"cameras": ("wrist", "side"), "image_size": (24, 16), "depth": True}
     envs, singles = make_pair(AutoresetMode.NEXT_STEP, 2, **cameras)
     observation, _ = envs.reset(seed=5)
     assert "with cameras" in repr(envs)

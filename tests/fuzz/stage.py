@@ -175,7 +175,7 @@ class Stage:
         self.kept: list[Any] = []
         self.describe: Callable[[str], None] = lambda text: None
         limits = _core.ArmLimits([-2.0] * 3, [2.0] * 3, [1.0] * 3)
-        one = World(self.model, mode="sync", max_substeps=40)
+        one = World(self.model, stepping="sync", max_substeps=40)
         many = World(self.model, copies=3, threads=2, frequency=60.0)
         state = many.core
         gripper = _core.GripperMap(0.0, 1.0, 0.0, 1.0)

@@ -217,7 +217,7 @@ def test_counts_that_make_no_sense_are_refused(tmp_path: Path, field: str, value
 
 def test_synchronous_steps_are_not_recorded_as_a_fixed_rate(tmp_path: Path) -> None:
     with pytest.raises(InvalidSetup, match="sync"):
-        plan(tmp_path, setup=rcs.Setup(mode="sync"))
+        plan(tmp_path, setup=rcs.Setup(stepping="sync"))
 
 
 def test_a_task_without_an_expert_is_refused_before_anything_is_written(tmp_path: Path) -> None:

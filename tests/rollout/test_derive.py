@@ -59,7 +59,7 @@ def test_a_mix_of_different_setups_is_refused_with_what_differs(dataset: Path, t
 @pytest.mark.gl
 @pytest.mark.parametrize("job", JOBS)
 def test_data_of_several_robots_replay_in_every_way(tmp_path: Path, job: type[Derivation]) -> None:
-    options = {"task": "LiftBar", "robot": "dual_fr3", "cameras": ("front",), "size": 32}
+    options = {"task": "LiftBar", "robot": "dual_fr3", "cameras": ("front",), "image_size": 32}
     source = recorded(tmp_path / "source", **options)
     more: dict[str, Any] = {"keep": "all"} if job is RealToSim else {}
     list(derive(job(source=source, out=tmp_path / "out", **more)))

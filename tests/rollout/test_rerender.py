@@ -23,7 +23,7 @@ SIZE = 48
 
 
 def recorded(out: Path, **options: Any) -> Path:
-    usual: dict[str, Any] = {"cameras": ("wrist", "side"), "size": (SIZE, SIZE), "max_episode_steps": 40}
+    usual: dict[str, Any] = {"cameras": ("wrist", "side"), "image_size": (SIZE, SIZE), "max_episode_steps": 40}
     setup = rcs.Setup(**{**usual, **options})
     for _ in collect(Collection(setup=setup, out=out, episodes=2, seed=1), Progress()):
         pass
@@ -58,7 +58,7 @@ def assert_equal_but_for_frames(old: EpisodeRecord, new: EpisodeRecord) -> None:
         {"depth": True, "camera_noise": True},
         {"fps": 15.0},
         {"randomisation": True},
-        {"quality": "full", "cameras": ("side",), "max_episode_steps": 2},
+        {"render_quality": "full", "cameras": ("side",), "max_episode_steps": 2},
         {"task": "LiftBar", "robot": "dual_fr3", "cameras": ("front",)},
         {"task": "PickToy", "robot": "xarm7", "cameras": ("front",), "max_episode_steps": 10},
     ],

@@ -40,7 +40,7 @@ def test_a_calibrated_camera_is_where_the_file_says_and_sees_as_it_says(tmp_path
 @pytest.mark.gl
 def test_frames_carry_the_calibrated_matrices(tmp_path: Path) -> None:
     path = write(tmp_path, SIDE)
-    env = rcs.make("Free", robot="fr3", cameras=("side",), size=(640, 480), calibration=str(path))
+    env = rcs.make("Free", robot="fr3", cameras=("side",), image_size=(640, 480), calibration=str(path))
     frame = env.reset(seed=0)[0]["frames"]["side"]
     assert frame["intrinsics"][0, 0] == pytest.approx(500.0)
     np.testing.assert_allclose(frame["extrinsics"][:3, 3], SIDE["translation"], atol=1e-9)

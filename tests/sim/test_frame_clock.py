@@ -20,7 +20,7 @@ WEBCAM = FrameRate(fps=30, longest_exposure=0.04)
 def steady(
     fps: float, frequency: float, *, mode: Mode = "async", copies: int | None = None
 ) -> tuple[World, FrameClock]:
-    world = World(MODEL, frequency=frequency, mode=mode, copies=copies)
+    world = World(MODEL, frequency=frequency, stepping=mode, copies=copies)
     world.reset()
     return world, FrameClock(world, {"eye": FrameRate(fps=fps)})
 

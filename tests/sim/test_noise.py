@@ -68,11 +68,11 @@ def test_the_argument_stays_as_it_is_and_another_state_has_other_noise() -> None
 
 @pytest.mark.gl
 def test_a_copy_has_the_noise_of_the_single_environment() -> None:
-    setup = rcs.Setup(cameras=("wrist", "side"), size=(48, 32), depth=True, camera_noise=True)
+    setup = rcs.Setup(cameras=("wrist", "side"), image_size=(48, 32), depth=True, camera_noise=True)
     single, batch = rcs.make(setup), rcs.make_vec(setup, copies=2)
     one, many = single.reset(seed=6)[0]["frames"], batch.reset(seed=5)[0]["frames"]
     require_same_bits(one, {name: {key: value[1] for key, value in part.items()} for name, part in many.items()})
-    clean = rcs.make("PickCuboid", cameras=("wrist",), size=(48, 32)).reset(seed=6)[0]["frames"]["wrist"]["rgb"]
+    clean = rcs.make("PickCuboid", cameras=("wrist",), image_size=(48, 32)).reset(seed=6)[0]["frames"]["wrist"]["rgb"]
     assert not np.array_equal(clean, one["wrist"]["rgb"])
     single.close()
     batch.close()

@@ -48,7 +48,7 @@ def model() -> mujoco.MjModel:
 
 @pytest.fixture
 def world(model: mujoco.MjModel) -> World:
-    world = World(model, frequency=60.0, mode="realtime")
+    world = World(model, frequency=60.0, stepping="realtime")
     world.reset()
     world.refresh()
     return world

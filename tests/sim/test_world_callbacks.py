@@ -39,7 +39,7 @@ def test_a_period_shorter_than_a_physics_step_is_refused(cart: mujoco.MjModel) -
 @pytest.mark.parametrize("copies", [None, 4])
 @pytest.mark.parametrize("kind", ["on_period", "converge_when", "interrupt_when"])
 def test_an_exception_of_a_callback_reaches_the_caller(cart: mujoco.MjModel, copies: int | None, kind: str) -> None:
-    world = World(cart, mode="sync", copies=copies, threads=2, max_substeps=5)
+    world = World(cart, stepping="sync", copies=copies, threads=2, max_substeps=5)
     is_broken = True
 
     def fail(view: StepView) -> bool:
@@ -121,7 +121,7 @@ def test_a_callback_without_a_reset_of_its_own_needs_none(cart: mujoco.MjModel) 
 
 
 def test_no_answer_counts_as_no(cart: mujoco.MjModel) -> None:
-    world = World(cart, mode="sync", max_substeps=3)
+    world = World(cart, stepping="sync", max_substeps=3)
     world.core.converge_when(Callback(lambda view: None))
     world.core.interrupt_when(Callback(lambda view: None))
     world.advance()

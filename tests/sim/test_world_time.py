@@ -71,7 +71,7 @@ def test_a_frequency_that_makes_no_sense_is_refused(cart: mujoco.MjModel, freque
 
 
 def test_a_synchronous_step_ends_when_converged(cart: mujoco.MjModel) -> None:
-    world = World(cart, mode="sync", max_substeps=5000)
+    world = World(cart, stepping="sync", max_substeps=5000)
     world.core.converge_when(arrived())
     world.ctrl[0] = 0.5
     world.advance()
@@ -83,7 +83,7 @@ def test_a_synchronous_step_ends_when_converged(cart: mujoco.MjModel) -> None:
 
 
 def test_a_synchronous_step_ends_at_its_limit(cart: mujoco.MjModel) -> None:
-    world = World(cart, mode="sync", max_substeps=10)
+    world = World(cart, stepping="sync", max_substeps=10)
     world.core.converge_when(arrived())
     world.ctrl[0] = 0.5
     world.advance()
@@ -92,13 +92,13 @@ def test_a_synchronous_step_ends_at_its_limit(cart: mujoco.MjModel) -> None:
 
 
 def test_a_synchronous_step_without_a_convergence_callback_lasts_to_its_limit(cart: mujoco.MjModel) -> None:
-    world = World(cart, mode="sync", max_substeps=7)
+    world = World(cart, stepping="sync", max_substeps=7)
     world.advance()
     assert (world.core.ends[0], world.core.substeps[0]) == (StepEnd.limit.value, 7)
 
 
 def test_all_convergence_callbacks_must_agree(cart: mujoco.MjModel) -> None:
-    world = World(cart, mode="sync", max_substeps=50)
+    world = World(cart, stepping="sync", max_substeps=50)
     world.core.converge_when(Callback(lambda view: True))
     world.core.converge_when(Callback(lambda view: view.time > 0.0399))
     world.advance()
@@ -106,7 +106,7 @@ def test_all_convergence_callbacks_must_agree(cart: mujoco.MjModel) -> None:
 
 
 def test_a_collision_interrupts_a_synchronous_step(cart: mujoco.MjModel) -> None:
-    world = World(cart, mode="sync", max_substeps=5000)
+    world = World(cart, stepping="sync", max_substeps=5000)
     world.core.converge_when(arrived())
     world.core.interrupt_when(Collision(world.geom_flags(["cart"]), world.geom_flags(["wall"]), 1.0))
     force = world.core.read_force(world.geom_flags(["wall"]), world.geom_flags(["cart"]))
@@ -127,7 +127,7 @@ def test_an_interrupted_asynchronous_step_lasts_its_period_and_says_so(cart: muj
 
 
 def test_copies_converge_each_at_its_own_time(cart: mujoco.MjModel) -> None:
-    world = World(cart, mode="sync", copies=4, threads=2, max_substeps=5000)
+    world = World(cart, stepping="sync", copies=4, threads=2, max_substeps=5000)
     world.core.converge_when(arrived())
     world.ctrl[:, 0] = [0.0, 0.1, 0.4, 0.9]
     world.advance()
@@ -137,7 +137,7 @@ def test_copies_converge_each_at_its_own_time(cart: mujoco.MjModel) -> None:
 
 
 def test_joints_are_at_rest_only_after_they_stood_still_for_the_duration(cart: mujoco.MjModel) -> None:
-    world = World(cart, mode="sync", max_substeps=5000)
+    world = World(cart, stepping="sync", max_substeps=5000)
     world.core.converge_when(JointsAtRest([0], 1e-2, 0.1, 1))
     world.advance()
     assert world.core.ends[0] == StepEnd.converged.value

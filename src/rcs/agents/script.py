@@ -87,7 +87,7 @@ class Script(Agent):
     def __init__(self, env: Env) -> None:
         self._period = 1.0 / env.setup.frequency
         # A synchronous step ends at its target: there, bigger steps only mean fewer of them.
-        self._pace = self._period * (1.0 if env.setup.mode != "sync" else 3.0)
+        self._pace = self._period * (1.0 if env.setup.stepping != "sync" else 3.0)
         is_single = len(env.robots) == 1
         self.arms = [ScriptedArm(env, None if is_single else name, robot) for name, robot in env.robots.items()]
         self._retreat = replace(self.phases[0], name="retreat")

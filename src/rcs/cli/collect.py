@@ -58,11 +58,11 @@ class CollectCommand:
     """Same seed, same data."""
     cameras: tuple[str, ...] | None = None
     """Cameras to record; those of the robot's lab when not given, `none` for none."""
-    size: int = 224
+    image_size: int = 224
     """Width and height of every frame in pixels."""
     camera_mode: str | None = None
     """Mode of the cameras in the place of the size, such as `848x480`; `rcs list --cameras` has them."""
-    fps: float | None = None
+    camera_fps: float | None = None
     """Frames per second of the cameras; the most that each offers when not given."""
     depth: bool = False
     """Record depth too."""
@@ -80,7 +80,7 @@ class CollectCommand:
     """Keep successful episodes only, and try until there are enough."""
     colour: Colour = "jpeg"
     """How colour frames are stored; `lossless` takes some four times the space."""
-    quality: int = 95
+    jpeg_quality: int = 95
     """JPEG quality of colour frames."""
     camera_noise: bool = False
     """Give frames the noise of real cameras."""
@@ -121,16 +121,16 @@ class CollectCommand:
             robot=self.robot,
             end_effector=self.end_effector,
             cameras=cameras,
-            size=(self.size, self.size),
+            image_size=(self.image_size, self.image_size),
             camera_mode=self.camera_mode,
-            fps=self.fps,
+            camera_fps=self.camera_fps,
             depth=self.depth and bool(cameras),
             camera_noise=self.camera_noise,
             assets=self.assets,
             tactile=self.tactile,
             control=self.control,
             relative="absolute" if self.absolute else "last_step",
-            mode="realtime" if self.viewer else "async",
+            stepping="realtime" if self.viewer else "async",
             randomisation=Randomisation() if self.randomise else None,
         )
         workers = 1 if self.viewer else min(self.workers or os.cpu_count() or 1, max(self.episodes, 1))
@@ -143,7 +143,7 @@ class CollectCommand:
             agent=self.agent,
             workers=workers,
             colour=self.colour,
-            jpeg_quality=self.quality,
+            jpeg_quality=self.jpeg_quality,
         )
 
     def _show(self, collection: Collection, progress: CollectionProgress, console: Console) -> Iterator[Any]:

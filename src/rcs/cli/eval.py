@@ -37,7 +37,7 @@ class EvalCommand:
     """Name of the end effector; the robot's usual one by default."""
     cameras: tuple[str, ...] = ()
     """Cameras that the agent sees."""
-    size: int = 224
+    image_size: int = 224
     """Width and height of frames [px]."""
     control: Control = "joints"
     """What actions say of the arm."""
@@ -61,7 +61,7 @@ class EvalCommand:
             robot=self.robot,
             end_effector=self.end_effector,
             cameras=self.cameras,
-            size=(self.size, self.size),
+            image_size=(self.image_size, self.image_size),
             control=self.control,
             relative="absolute" if self.absolute else "last_step",
             frequency=self.frequency,

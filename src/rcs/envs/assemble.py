@@ -101,13 +101,13 @@ def assemble(
     cameras = [] if is_blind else [by_name[name] for name in (by_name if drawn is None else drawn)]
     world: World | None = None
     if not _is_all_real(parts, cameras):
-        if devices and setup.mode == "sync":
-            raise InvalidSetup("Synchronous steps are of simulated or of real devices alone; use mode='realtime'.")
-        world = World(compose(parts).compile(), frequency=setup.frequency, mode=setup.mode)
+        if devices and setup.stepping == "sync":
+            raise InvalidSetup("Synchronous steps are of simulated or of real devices alone; use stepping='realtime'.")
+        world = World(compose(parts).compile(), frequency=setup.frequency, stepping=setup.stepping)
     elif render_mode is not None:
         raise InvalidSetup("Real devices have no picture to render; use the frames of a camera.")
     scenario, stack = _populate(parts, world, cameras)
-    picture = None if render_mode is None or world is None else Picture(world, quality=setup.quality)
+    picture = None if render_mode is None or world is None else Picture(world, quality=setup.render_quality)
     simulated = [robot.name for robot in parts.robots] + [camera.name for camera in cameras]
     return Env(
         stack,
@@ -115,8 +115,8 @@ def assemble(
             world,
             stack.ports if devices else (),
             frequency=setup.frequency,
-            is_real=bool(devices) or setup.mode == "realtime",
-            is_synchronous=setup.mode == "sync",
+            is_real=bool(devices) or setup.stepping == "realtime",
+            is_synchronous=setup.stepping == "sync",
             now=parts.now,
             sleep=parts.sleep,
         ),
@@ -137,7 +137,7 @@ def assemble_vec(parts: Parts, *, copies: int, threads: int, autoreset: Autorese
     """Put many copies of a simulated environment together."""
     setup = parts.setup
     model = compose(parts).compile()
-    world = World(model, copies=copies, threads=threads, frequency=setup.frequency, mode=setup.mode)
+    world = World(model, copies=copies, threads=threads, frequency=setup.frequency, stepping=setup.stepping)
     scenario, stack = _populate(parts, world, parts.cameras)
     assert scenario is not None, "there is a world"
     return VecEnv(
@@ -153,7 +153,7 @@ def assemble_vec(parts: Parts, *, copies: int, threads: int, autoreset: Autorese
 
 def compose(parts: Parts) -> Scene:
     """Put the scene together: furniture, robots, cameras."""
-    scene = Scene.empty(physics_step=parts.setup.physics_step, has_textures=parts.setup.quality == "full")
+    scene = Scene.empty(physics_step=parts.setup.physics_step, has_textures=parts.setup.render_quality == "full")
     parts.task.furnish(scene)
     for robot in parts.robots:
         scene.add_robot(robot, assets=parts.setup.assets)
@@ -187,7 +187,7 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
     bodies: dict[str, SimRobot] = {}
     if world is not None:
         bodies = {placement.name: SimRobot(world, placement) for placement in parts.robots}
-        if setup.mode == "sync":
+        if setup.stepping == "sync":
             for robot in bodies.values():
                 robot.wait_for_arrival()
         clock = _frame_clock(setup, simulated, world)
@@ -241,7 +241,9 @@ def _require_fit(placement: RobotPlacement, arm: Arm) -> None:
 
 def _frame_clock(setup: Setup, cameras: Sequence[CameraPlacement], world: World) -> FrameClock:
     """Return the clock that says when each camera has a new frame."""
-    rates = {camera.name: FrameRate.of(camera.camera, setup.size, setup.fps_of(camera.name)) for camera in cameras}
+    rates = {
+        camera.name: FrameRate.of(camera.camera, setup.image_size, setup.fps_of(camera.name)) for camera in cameras
+    }
     return FrameClock(world, rates)
 
 
@@ -255,9 +257,9 @@ def _simulated_sensors(
         cameras = SimCameras(
             world,
             observed,
-            size=setup.size,
+            size=setup.image_size,
             has_depth=setup.depth,
-            quality=setup.quality,
+            quality=setup.render_quality,
             has_noise=setup.camera_noise,
             frame_body=robots[0].layout.base_body if len(robots) == 1 else 0,
         )
@@ -279,7 +281,7 @@ def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPor
     return CameraPort(
         {camera.name: parts.devices.cameras[camera.name] for camera in cameras},
         {camera.name: camera.camera for camera in cameras},
-        size=parts.setup.size,
+        size=parts.setup.image_size,
         fovy={camera.name: camera.fovy for camera in cameras},
         extrinsics=fixed,
         stale_after=parts.devices.stale_after,
@@ -312,7 +314,7 @@ def layers_of(setup: Setup, robot: RobotPlacement) -> list[Layer]:
     step = np.array(robot.arm.velocity_limit) / setup.frequency
     control = setup.control
     layers: list[Layer] = []
-    if setup.mode != "sync":
+    if setup.stepping != "sync":
         layers.append(LimitStep(step))
     if control in (TQUAT, XYZRPY):
         layers.append(CartesianControl(kinematics_of(robot.arm, robot.end_effector)))

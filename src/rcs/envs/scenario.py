@@ -111,5 +111,5 @@ class Scenario:
         """Return the task's name and the number of copies."""
         copies = f", {self.world.copies} copies" if self.world.leading else ""
         physics = np.round(1 / self.world.model.opt.timestep)
-        control = f"{self.world.mode} {self.world.frequency:g} Hz"
+        control = f"{self.world.stepping} {self.world.frequency:g} Hz"
         return f"{type(self.task).__name__} in MuJoCo at {physics:g} Hz, {control}{copies}"

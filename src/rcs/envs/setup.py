@@ -15,9 +15,9 @@ from rcs.robots.camera_mode import parse_mode
 from rcs.sim.camera import MAX_SIZE, Quality
 from rcs.sim.detail import Assets
 from rcs.sim.randomisation import Randomisation
-from rcs.sim.world import Mode
+from rcs.sim.world import Stepping
 
-Relative = Literal["last_step", "origin", "absolute"]
+RelativeTo = Literal["last_step", "origin", "absolute"]
 """What an arm's action is added to; `absolute`: to nothing."""
 
 
@@ -37,11 +37,11 @@ class Setup:
     """Names of camera mounts of the robot's lab, such as `wrist` and `side`; more cameras, slower steps."""
     calibration: str | None = None
     """Calibration file with the poses and fields of view of cameras; None for those of the lab."""
-    size: tuple[int, int] = (224, 224)
+    image_size: tuple[int, int] = (224, 224)
     """Width and height of every frame [px]; a size that is none of a camera's modes is cut and scaled."""
     camera_mode: str | None = None
-    """Name of a mode that all cameras have, such as `848x480`, in the place of `size`; see `rcs list --cameras`."""
-    fps: float | tuple[tuple[str, float], ...] | None = None
+    """Name of a mode that all cameras have, such as `848x480`, instead of `image_size`; see `rcs list --cameras`."""
+    camera_fps: float | tuple[tuple[str, float], ...] | None = None
     """Frames per second of all cameras, or of some by name; None for the most that a camera offers at this size. One
     that is slower than `frequency` gives its last frame again until the next is due."""
     depth: bool = False
@@ -50,7 +50,7 @@ class Setup:
     """Name of a tactile sensor, such as `digit`, that takes the place of the gripper's pads; None for plain pads."""
     camera_noise: bool = False
     """Whether frames have the noise of real cameras; the same state has the same noise."""
-    quality: Quality = "fast"
+    render_quality: Quality = "fast"
     """`full` draws shadows, reflections and smooth edges, and is about fifty times slower without a GPU."""
     assets: Assets = "builtin"
     """Where the robots' looks come from: built-in primitives, or `menagerie` for meshes of the package
@@ -58,13 +58,13 @@ class Setup:
     slower."""
     control: Control = "joints"
     """What an action says of the arm: joint positions, or the TCP's pose with a quaternion or with roll, pitch, yaw."""
-    relative: Relative = "last_step"
+    relative: RelativeTo = "last_step"
     """What an arm's action is added to: the last target, an origin that the user sets, or nothing."""
     binary_gripper: bool = True
     """Whether the gripper only opens and closes fully."""
     frequency: float = 30.0
     """Control steps per second [Hz]."""
-    mode: Mode = "async"
+    stepping: Stepping = "async"
     """How long a step lasts: one control period of simulated time, until arrived, or one period of the wall clock."""
     max_episode_steps: int | None = 300
     """An episode is truncated after this many steps; None for no limit."""
@@ -98,12 +98,18 @@ class Setup:
         object.__setattr__(self, "task_options", _task_options(self.task_options))
         object.__setattr__(self, "randomisation", _ranges(self.randomisation))
         object.__setattr__(self, "cameras", _names("cameras", self.cameras))
-        object.__setattr__(self, "size", _size_of_mode(self.camera_mode, _size(self.size), self.cameras))
-        object.__setattr__(self, "fps", _frame_rates(self.fps, self.cameras))
+        object.__setattr__(self, "image_size", _size_of_mode(self.camera_mode, _size(self.image_size), self.cameras))
+        object.__setattr__(self, "camera_fps", _frame_rates(self.camera_fps, self.cameras))
         relative: Any = self.relative
         if isinstance(relative, bool):
             object.__setattr__(self, "relative", "last_step" if relative else "absolute")
-        choices = {"control": Control, "relative": Relative, "mode": Mode, "quality": Quality, "assets": Assets}
+        choices = {
+            "control": Control,
+            "relative": RelativeTo,
+            "stepping": Stepping,
+            "render_quality": Quality,
+            "assets": Assets,
+        }
         for name, options in choices.items():
             value = getattr(self, name)
             if value not in get_args(options):
@@ -119,15 +125,15 @@ class Setup:
 
     def fps_of(self, camera: str) -> float | None:
         """Return the frame rate that is asked for of a camera [frames/s]; None for the most that it offers."""
-        return dict(self.fps).get(camera) if isinstance(self.fps, tuple) else self.fps
+        return dict(self.camera_fps).get(camera) if isinstance(self.camera_fps, tuple) else self.camera_fps
 
     def to_json(self) -> dict[str, Any]:
         """Return the setup as JSON values."""
         values = {own.name: getattr(self, own.name) for own in dataclasses.fields(self)}
         if self.randomisation is not None:
             values["randomisation"] = self.randomisation.to_json()
-        if isinstance(self.fps, tuple):
-            values["fps"] = dict(self.fps)
+        if isinstance(self.camera_fps, tuple):
+            values["camera_fps"] = dict(self.camera_fps)
         return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
 
     @staticmethod
@@ -151,19 +157,19 @@ class Options(TypedDict, total=False):
     end_effector: str | None
     cameras: Sequence[str]
     calibration: str | None
-    size: int | tuple[int, int]
+    image_size: int | tuple[int, int]
     camera_mode: str | None
-    fps: float | Mapping[str, float] | None
+    camera_fps: float | Mapping[str, float] | None
     depth: bool
     tactile: str | None
     camera_noise: bool
-    quality: Quality
+    render_quality: Quality
     assets: Assets
     control: Control
-    relative: Relative | bool
+    relative: RelativeTo | bool
     binary_gripper: bool
     frequency: float
-    mode: Mode
+    stepping: Stepping
     max_episode_steps: int | None
     physics_step: float
     randomisation: Randomisation | bool | None
@@ -205,7 +211,7 @@ def _size(value: Any) -> tuple[int, int]:
         value = value.tolist()
     size = (value, value) if isinstance(value, int) else value
     if not isinstance(size, Sequence) or len(size) != 2 or not all(_is_edge(edge) for edge in size):
-        raise InvalidSetup(f"size is {value!r}; valid is one number or (width, height) of 1 to {MAX_SIZE} px.")
+        raise InvalidSetup(f"image_size is {value!r}; valid is one number or (width, height) of 1 to {MAX_SIZE} px.")
     return int(size[0]), int(size[1])
 
 
@@ -219,8 +225,8 @@ def _size_of_mode(mode: Any, size: tuple[int, int], cameras: tuple[str, ...]) ->
         if cameras:
             return size  # whoever looks the cameras up refuses it, and can say which modes they have
         raise InvalidSetup(f"camera_mode is {mode!r}; it is written like '848x480' (see `rcs list --cameras`).")
-    if size not in (wanted, Setup.size):
-        raise InvalidSetup(f"camera_mode is {mode!r} and size is {size}; give one of the two.")
+    if size not in (wanted, Setup.image_size):
+        raise InvalidSetup(f"camera_mode is {mode!r} and image_size is {size}; give one of the two.")
     return wanted
 
 
@@ -230,12 +236,14 @@ def _frame_rates(value: Any, cameras: tuple[str, ...]) -> float | tuple[tuple[st
     try:
         by_name = None if _is_number(value) else {str(name): rate for name, rate in dict(value).items()}
     except (TypeError, ValueError) as err:
-        raise InvalidSetup(f"fps is {value!r}; valid is a number, or one for each of some cameras by name.") from err
+        raise InvalidSetup(
+            f"camera_fps is {value!r}; valid is a number, or one for each of some cameras by name."
+        ) from err
     if by_name is not None and (unknown := sorted(set(by_name) - set(cameras))):
-        raise InvalidSetup(f"fps names the cameras {unknown}; this setup has {list(cameras)}.")
+        raise InvalidSetup(f"camera_fps names the cameras {unknown}; this setup has {list(cameras)}.")
     for rate in [value] if by_name is None else by_name.values():
         if not (_is_number(rate) and 0 < rate < float("inf")):
-            raise InvalidSetup(f"fps is {value!r}; a rate is a number above 0.")
+            raise InvalidSetup(f"camera_fps is {value!r}; a rate is a number above 0.")
     return value if by_name is None else tuple(sorted(by_name.items()))
 
 

@@ -48,9 +48,9 @@ class DeviceAddress:
         """
         if isinstance(given, DeviceAddress):
             return given
-        if isinstance(given, str) and given:
+        if isinstance(given, str):
             driver, _, address = given.partition(":")
-            return DeviceAddress(driver=driver, address=address)
+            given = {"driver": driver, "address": address}
         try:
             return DeviceAddress(**given)
         except TypeError as err:
@@ -193,7 +193,7 @@ class Site:
                     found[kind].setdefault(name, given)
             else:
                 raise UnknownName("robot or camera of this setup", str(name), {*robots, *cameras})
-        return Site(**found)
+        return Site(arms=found["arms"], grippers=found["grippers"], hands=found["hands"], cameras=found["cameras"])
 
     def devices(
         self,

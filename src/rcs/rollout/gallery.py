@@ -65,7 +65,9 @@ def gallery(out: Path, *, seed: int = 0) -> Iterator[Shot]:
 def _shots(name: str, task: str, robot: str, out: Path, seed: int) -> Iterator[Shot]:
     stem = name.removeprefix("rcs/").removesuffix("-v0")
     for quality in get_args(Quality):
-        setup = Setup(task=task, robot=robot, cameras=tuple(lab_of(robot).cameras), size=(320, 240), quality=quality)
+        setup = Setup(
+            task=task, robot=robot, cameras=tuple(lab_of(robot).cameras), image_size=(320, 240), render_quality=quality
+        )
         env = make(setup)
         try:
             _go_on(env, setup, seed)

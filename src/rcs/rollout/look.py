@@ -38,13 +38,13 @@ class Look:
 
     cameras: tuple[str, ...] | None = None
     """Cameras to draw; `none` for none."""
-    size: int | None = None
+    image_size: int | None = None
     """Width and height of every frame [px]."""
-    fps: float | None = None
+    camera_fps: float | None = None
     """Frames per second of all cameras; one that is slower than the recording gives its last frame again."""
     depth: bool | None = None
     """Whether frames carry depth."""
-    quality: Quality | None = None
+    render_quality: Quality | None = None
     """`full` draws shadows, reflections and smooth edges."""
     assets: Assets | None = None
     """Robots of primitives (`builtin`) or with the meshes of MuJoCo Menagerie."""
@@ -67,16 +67,18 @@ class Look:
         """
         changes: dict[str, Any] = {
             name: getattr(self, name)
-            for name in ("size", "fps", "depth", "quality", "assets", "camera_noise", "calibration")
+            for name in ("image_size", "camera_fps", "depth", "render_quality", "assets", "camera_noise", "calibration")
             if getattr(self, name) is not None
         }
-        if "size" in changes:
-            changes["size"] = (self.size, self.size)
+        if "image_size" in changes:
+            changes["image_size"] = (self.image_size, self.image_size)
             changes["camera_mode"] = None
         if self.cameras is not None:
             changes["cameras"] = () if self.cameras in ((), (NONE,)) else self.cameras
-            if isinstance(setup.fps, tuple) and self.fps is None:
-                changes["fps"] = {name: rate for name, rate in setup.fps if name in changes["cameras"]} or None
+            if isinstance(setup.camera_fps, tuple) and self.camera_fps is None:
+                changes["camera_fps"] = {
+                    name: rate for name, rate in setup.camera_fps if name in changes["cameras"]
+                } or None
         if self.randomise:
             before, default = setup.randomisation or Randomisation.off(), Randomisation()
             changes["randomisation"] = replace(before, **{name: getattr(default, name) for name in LOOKS})

@@ -120,7 +120,7 @@ class RealToSim(Derivation):
             robot=self.robot or setup.robot,
             control="joints",
             relative="absolute",
-            mode="async" if setup.mode == "realtime" else setup.mode,
+            stepping="async" if setup.stepping == "realtime" else setup.stepping,
             frequency=self.frequency or setup.frequency,
             max_episode_steps=None,
         )

@@ -17,7 +17,7 @@ from rcs.envs import spaces as keys
 from rcs.envs.by_robot import by_robot, joined, prefixes
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import ACTION, EXECUTED, OBSERVATION
-from rcs.envs.setup import Relative, Setup
+from rcs.envs.setup import RelativeTo, Setup
 from rcs.envs.spaces import Control, Observation
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
@@ -75,7 +75,7 @@ class Reexecution(Derivation):
 
     control: Control | None = None
     """What actions shall say of the arm; None for what they say in the dataset."""
-    relative: Relative | None = None
+    relative: RelativeTo | None = None
     """What they shall be added to; None for nothing if `control` is given, and otherwise for as in the dataset."""
     tolerance: Tolerance = field(default_factory=Tolerance)
     grace: float = 1.0

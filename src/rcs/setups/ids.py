@@ -28,6 +28,11 @@ def ids() -> dict[str, tuple[str, str]]:
     return found
 
 
+def tasks_of(robot: str) -> list[str]:
+    """Return the tasks that have an id with a robot."""
+    return [task for task, other in ids().values() if other == robot and task != "Free"]
+
+
 def register() -> None:
     """Register all ids; imports no simulator."""
     for name, (task, robot) in ids().items():

@@ -123,8 +123,8 @@ def make_vec(
             raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least}.")
     copies, threads = int(copies), int(threads)
     setup = _setup(task, dict(options))
-    if setup.mode == "realtime":
-        raise InvalidSetup("Copies have no common wall clock; use mode='async' or 'sync'.")
+    if setup.stepping == "realtime":
+        raise InvalidSetup("Copies have no common wall clock; use stepping='async' or 'sync'.")
     try:
         mode = AutoresetMode(autoreset)
     except ValueError as err:
@@ -174,8 +174,8 @@ def _devices(hardware: Any, parts: Parts) -> Devices:
 
 def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:
     """Return the mode of a real camera that frames of a setup are cut out of: the smallest that is large enough."""
-    width, height = setup.size
-    rate = camera.camera.frame_rate(setup.size, setup.fps_of(camera.name))
+    width, height = setup.image_size
+    rate = camera.camera.frame_rate(setup.image_size, setup.fps_of(camera.name))
     large = [
         mode for mode in camera.camera.modes if mode.width >= width and mode.height >= height and rate in mode.rates
     ]

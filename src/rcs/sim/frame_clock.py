@@ -69,7 +69,7 @@ class FrameClock:
             rates: The rate of each camera, by name.
         """
         self._world = world
-        self._is_synchronous = world.mode == "sync"
+        self._is_synchronous = world.stepping == "sync"
         step = Fraction(world.model.opt.timestep).limit_denominator(10**9)
         frequency = Fraction(world.frequency).limit_denominator(10**6)
         # A synchronous step lasts as long as it needs, so there the physics steps are counted.

@@ -19,7 +19,7 @@ from rcs import _core
 from rcs._core import StepCallback, StepView
 from rcs.errors import InvalidSetup, SimulationError
 
-Mode = Literal["async", "sync", "realtime"]
+Stepping = Literal["async", "sync", "realtime"]
 """How long a step lasts: one control period of simulated time, until converged, or one on the wall clock."""
 
 Copies = NDArray[np.integer[Any]] | None
@@ -51,7 +51,7 @@ class World:
         copies: int | None = None,
         threads: int = 0,
         frequency: float = 30.0,
-        mode: Mode = "async",
+        stepping: Stepping = "async",
         max_substeps: int = 500,
     ) -> None:
         """Make a world on the user's data, or of `copies` copies.
@@ -62,7 +62,7 @@ class World:
             copies: Number of copies; None for one copy on `data`.
             threads: Threads for copies, 0 for one per CPU that this process may use.
             frequency: Control steps per second of simulated time [Hz].
-            mode: How long a step lasts.
+            stepping: How long a step lasts.
             max_substeps: Limit of physics steps in a synchronous step.
 
         Raises:
@@ -73,10 +73,10 @@ class World:
         if copies is not None and (not isinstance(copies, int | np.integer) or isinstance(copies, bool) or copies < 1):
             raise InvalidSetup(f"copies is {copies!r}; valid is a whole number from 1, or None.")
         period = control_period(frequency, model.opt.timestep)
-        timing = (period.numerator, period.denominator, mode == "sync", max_substeps)
+        timing = (period.numerator, period.denominator, stepping == "sync", max_substeps)
         self.model = model
         self.frequency = frequency
-        self.mode: Mode = mode
+        self.stepping: Stepping = stepping
         self.leading: tuple[int, ...] = () if copies is None else (int(copies),)
         """Leading shape of every array: () or (copies,)."""
         if copies is None:

@@ -28,7 +28,7 @@ INFO = DatasetInfo(
         Feature(key="time/frames/wrist", shape=(), dtype="float64", unit="s"),
         Feature(key="flags/frames/wrist", shape=(), dtype="uint8"),
     ),
-    setup={"robot": "fr3", "mode": "realtime", "cameras": ["wrist"]},
+    setup={"robot": "fr3", "stepping": "realtime", "cameras": ["wrist"]},
     instruction="pick the cuboid",
 )
 

@@ -79,6 +79,6 @@ def test_the_touch_of_nothing_is_not_frozen(tmp_path: Path, moving: MakeMoving) 
         for row in rows:
             row[RGB] = rows[0][RGB]
 
-    setup = {"robot": "fr3", "mode": "realtime", "cameras": [], "tactile": "digit"}
+    setup = {"robot": "fr3", "stepping": "realtime", "cameras": [], "tactile": "digit"}
     assert found(moving(tmp_path / "tactile", touch_nothing, setup=setup)) == []
     assert [finding.kind for finding in found(moving(tmp_path / "camera", touch_nothing))] == ["frozen"]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from conftest import MakeMoving, Rows
 
 JOINTS = "observation/joints"
-UNKNOWN: dict[str, Any] = {"robot": "one of our own", "mode": "realtime", "cameras": ["wrist"]}
+UNKNOWN: dict[str, Any] = {"robot": "one of our own", "stepping": "realtime", "cameras": ["wrist"]}
 
 
 def spike(by: float) -> Any:

@@ -67,7 +67,7 @@ def test_a_simulation_that_computes_slower_than_real_time_is_no_gap(
             row["simulated_time"] = i / 30
 
     features = (*moving_info.features, Feature(key="simulated_time", shape=(), dtype="float64"))
-    setup = {"robot": "fr3", "mode": "async", "cameras": ["wrist"]}
+    setup = {"robot": "fr3", "stepping": "async", "cameras": ["wrist"]}
     assert found(moving(tmp_path, change, features=features, setup=setup)) == []
 
 

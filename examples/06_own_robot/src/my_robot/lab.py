@@ -8,7 +8,6 @@ from rcs.envs.task import Area
 from rcs.setups.lab import CameraMount, Lab, Stand, looking
 
 LAB: Final = Lab(
-    label="MyRobot",
     stands=(Stand(name="my_robot", arm="my_robot"),),
     end_effector="franka_hand",
     # The hand can point down at every place here, at any yaw, from the table to 0.3 m above it.

@@ -21,7 +21,7 @@ from rich.table import Table
 
 from rcs.cli.console import plain_console
 from rcs.data import Dataset
-from rcs.envs.setup import Relative
+from rcs.envs.setup import RelativeTo
 from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
 from rcs.rollout.derive import Derivation, derive, row_counter
@@ -65,7 +65,7 @@ class ReplayCommand:
     """Print JSON instead of a table."""
     control: Control | None = None
     """actions: what they shall say of the arm; None for as recorded."""
-    relative: Relative | None = None
+    relative: RelativeTo | None = None
     """actions: what they shall be added to; None for nothing when `control` is given, and otherwise for as recorded."""
     grace: float = 1.0
     """actions, states: for how long the end is held when the task is not done yet [s]."""

@@ -12,7 +12,7 @@ from rcs.envs.layers.layer import Action, ActionSpaces, Layer, Where, everywhere
 from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, Control, Observation, xyzrpy_space
 from rcs.spatial import compose, distance, interpolate, normalize, xyzrpy_to_tquat
 
-RelativeTo = Literal["last_step", "origin"]
+Reference = Literal["last_step", "origin"]
 """What a relative action is added to: the target of the last step, or an origin that the user sets."""
 
 
@@ -28,7 +28,7 @@ class Relative(Layer):
         self,
         control: Control,
         *,
-        to: RelativeTo = "last_step",
+        to: Reference = "last_step",
         max_joint_step: float | NDArray[np.float64] = np.deg2rad(5.0),
         max_translation: float = 0.05,
         max_rotation: float = np.deg2rad(15.0),
@@ -43,7 +43,7 @@ class Relative(Layer):
             max_rotation: Largest rotation [rad].
         """
         self._control: Control = control
-        self._to: RelativeTo = to
+        self._to: Reference = to
         self._max_joint_step = max_joint_step
         self._max_translation = max_translation
         self._max_rotation = max_rotation

@@ -366,5 +366,7 @@ def require_recordable(setup: Setup) -> None:
     Raises:
         InvalidSetup: Its control mode has no fixed rate.
     """
-    if setup.mode == "sync":
-        raise InvalidSetup("A dataset has a fixed rate; synchronous steps have none. Use mode='async' or 'realtime'.")
+    if setup.stepping == "sync":
+        raise InvalidSetup(
+            "A dataset has a fixed rate; synchronous steps have none. Use stepping='async' or 'realtime'."
+        )
