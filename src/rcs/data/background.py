@@ -130,7 +130,9 @@ class BackgroundEpisode:
             self._most_bytes = max(self._most_bytes, self._encoders.waiting_bytes)
             self._waiting.append(taken)
             self._rows += 1
-        self._encoders.submit(self._write)
+            is_encoded = not taken.missing
+        if is_encoded:  # otherwise it is written after its last image
+            self._encoders.submit(self._write)
 
     def finish(
         self, success: bool | None, outcome: Mapping[str, Any] | None = None, *, instruction: str | None = None
