@@ -45,7 +45,7 @@ class Look:
     depth: bool | None = None
     """Whether frames carry depth."""
     quality: Quality | None = None
-    """`full` draws shadows, reflections and smooth edges."""
+    """`full` draws shadows, reflections and smooth edges; without a GPU, a frame takes some fifty times longer."""
     assets: Assets | None = None
     """Robots of primitives (`builtin`) or with the meshes of MuJoCo Menagerie."""
     camera_noise: bool | None = None
