@@ -17,8 +17,10 @@ import pytest
 pytest.register_assert_rewrite(
     "rcs.testing.arm_contract",
     "rcs.testing.camera_contract",
+    "rcs.testing.device_contract",
     "rcs.testing.env_contract",
     "rcs.testing.gripper_contract",
+    "rcs.testing.hand_contract",
     "rcs.testing.safety_contract",
 )
 
@@ -26,6 +28,7 @@ from rcs.testing.arm_contract import ArmContract  # noqa: E402  the call above c
 from rcs.testing.camera_contract import CameraContract  # noqa: E402
 from rcs.testing.env_contract import EnvContract  # noqa: E402
 from rcs.testing.gripper_contract import GripperContract  # noqa: E402
+from rcs.testing.hand_contract import HandContract  # noqa: E402
 from rcs.testing.safety_contract import SafetyContract  # noqa: E402
 
-__all__ = ["ArmContract", "CameraContract", "EnvContract", "GripperContract", "SafetyContract"]
+__all__ = ["ArmContract", "CameraContract", "EnvContract", "GripperContract", "HandContract", "SafetyContract"]
