@@ -62,7 +62,6 @@ void bind_arm(nb::module_& m) {
             "Force and torque on the TCP [N, N·m], (6,), in the frame of the base; empty when not measured.");
   state.def_ro("mode", &ArmState::mode, "The controller's name for what it is doing; may be empty.");
 
-  const auto doc = [](std::string what) { return what + kValidFor; };
   nb::class_<Arm, rcs::Device, PyArm>(
       m, "Arm",
       "One manipulator. Subclasses override `_state`, `_command_joints`, `_has_arrived`, `_hold` and, where needed, "
@@ -76,13 +75,16 @@ void bind_arm(nb::module_& m) {
       .def("commands", &Arm::commands, "The kinds of commands that the arm takes.")
       .def("state", &Arm::state, WithoutGil(), "Measure the arm.")
       .def("command_joints", vector_command(&Arm::command_joints), "joints"_a, "valid_for"_a = rcs::kForever,
-           doc("Set the joint target [rad] and return at once.").c_str())
+           "Set the joint target [rad] and return at once.\n\nWithout another command within `valid_for` [s], the arm "
+           "holds by itself. Raises InvalidAction for a wrong size, a value\nthat is not finite or out of limits, "
+           "WrongOrder when closed or guided, DeviceFault in the fault state; nothing has changed\nthen. So do all "
+           "other commands of devices.")
       .def("command_pose", &Arm::command_pose, WithoutGil(), "pose"_a, "valid_for"_a = rcs::kForever,
-           doc("Set the target of the TCP in the frame of the base and return at once.").c_str())
+           "Set the pose of the TCP in the frame of the base.")
       .def("command_twist", vector_command(&Arm::command_twist), "twist"_a, "valid_for"_a = rcs::kForever,
-           doc("Set the velocity of the TCP in the frame of the base [m/s, rad/s], (6,).").c_str())
+           "Set the velocity of the TCP in the frame of the base [m/s, rad/s], (6,).")
       .def("command_velocities", vector_command(&Arm::command_velocities), "velocities"_a,
-           "valid_for"_a = rcs::kForever, doc("Set the joint velocities [rad/s].").c_str())
+           "valid_for"_a = rcs::kForever, "Set the joint velocities [rad/s].")
       .def("command_torques", vector_command(&Arm::command_torques), "torques"_a, "valid_for"_a = rcs::kForever,
-           doc("Set the joint torques besides gravity [N·m].").c_str());
+           "Set the joint torques besides gravity [N·m].");
 }

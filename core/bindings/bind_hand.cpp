@@ -30,8 +30,6 @@ struct PyHand : PyDevice<rcs::Hand> {
 
 void bind_hand(nb::module_& m) {
   using rcs::Gripper, rcs::GripperState, rcs::Hand, rcs::HandState;
-  const auto doc = [](std::string what) { return what + kValidFor; };
-
   nb::class_<GripperState> gripper_state(m, "GripperState", "What a gripper measures.");
   gripper_state
       .def(nb::init<double, double, double, double>(), "opening"_a, "force"_a = rcs::kNaN, "time"_a = rcs::kNaN,
@@ -49,9 +47,8 @@ void bind_hand(nb::module_& m) {
       .def("state", &Gripper::state, WithoutGil(), "Measure the gripper.")
       .def("command_opening", &Gripper::command_opening, WithoutGil(), "opening"_a, "force"_a = nb::none(),
            "valid_for"_a = rcs::kForever,
-           doc("Set the opening (0 closed … 1 open) and, where given, the grasping force [N], and return at once.\n\n"
-               "It has arrived when the fingers stand still: at the target, or on an object.")
-               .c_str());
+           "Set the opening (0 closed … 1 open) and, where given, the grasping force [N]; ends and raises as "
+           "`Arm.command_joints`.\n\nIt has arrived when the fingers stand still: at the target, or on an object.");
 
   nb::class_<HandState> hand_state(m, "HandState", "What a hand measures.");
   hand_state.def(nb::init<std::vector<double>, double, double>(), "joints"_a, "time"_a = rcs::kNaN,
@@ -66,5 +63,5 @@ void bind_hand(nb::module_& m) {
       .def_prop_ro("joint_count", &Hand::joint_count)
       .def("state", &Hand::state, WithoutGil(), "Measure the hand.")
       .def("command_joints", vector_command(&Hand::command_joints), "joints"_a, "valid_for"_a = rcs::kForever,
-           doc("Set every joint (normalised, 0 … 1) and return at once.").c_str());
+           "Set every joint (normalised, 0 … 1); ends and raises as `Arm.command_joints`.");
 }

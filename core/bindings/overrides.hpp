@@ -106,11 +106,6 @@ struct PyDevice : Base {
   }
 };
 
-inline constexpr const char* kValidFor =
-    "\n\nWithout another command within `valid_for` [s], the device holds by itself. Raises InvalidAction for a wrong "
-    "size, a\nvalue that is not finite or out of limits, WrongOrder when closed or guided, DeviceFault in the fault "
-    "state; nothing has\nchanged then.";
-
 /// A command that takes a vector. It is copied before the GIL is given up: another thread may write to the array.
 template <typename Device>
 auto vector_command(void (Device::*command)(std::span<const double>, double)) {

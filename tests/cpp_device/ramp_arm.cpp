@@ -45,7 +45,7 @@ class RampArm final : public rcs::Arm {
   void disconnect() { is_connected_ = false; }
 
  protected:
-  rcs::ArmState do_state() override { return {joints_, velocities_, time_}; }
+  rcs::ArmState do_state() override { return {joints_, velocities_, rcs::kNaN, time_}; }
   void do_command_joints(std::span<const double> joints) override {
     if (!is_connected_) throw std::runtime_error("no answer from the controller");
     target_.assign(joints.begin(), joints.end());
@@ -64,6 +64,7 @@ class RampArm final : public rcs::Arm {
 }  // namespace
 
 NB_MODULE(ramp_arm, m) {
+  rcs::require_interface();
   nb::module_::import_("rcs.devices");  // registers the types that this module shares
   // pytest's fixtures hold this module and its arms to the very end of the process, which nanobind takes for a leak.
   nb::set_leak_warnings(false);
