@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import mujoco
 import pytest
 
 from rcs.devices import ArmLimits
@@ -52,6 +54,7 @@ def wheel_python(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathF
     (packages,) = (folder / "venv").glob("lib/python*/site-packages")
     # A path in a .pth file: that of this environment, without what makes an editable installation.
     (packages / "others.pth").write_text(sysconfig.get_path("purelib"))
+    (packages / "mujoco").symlink_to(Path(mujoco.__file__).parent)  # where the extension looks for it
     (wheel,) = folder.glob("*.whl")
     _run(*pip, "install", "--no-deps", "--target", packages, wheel)
     return folder / "venv" / "bin" / "python"
@@ -83,6 +86,7 @@ def _run(*command: str | Path) -> None:
 def import_device(cpp_devices: Path) -> Callable[[str], ModuleType]:
     """What imports one of these modules."""
 
+    @functools.cache
     def load(name: str) -> ModuleType:
         path = cpp_devices / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
         spec = importlib.util.spec_from_file_location(name, path)

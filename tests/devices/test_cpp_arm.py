@@ -29,6 +29,9 @@ class TestRampArm(ArmContract):
     def advance(self, seconds: float) -> None:
         self.arm.advance(seconds)
 
+    def lose_link(self, device: Any) -> None:
+        device.disconnect()
+
 
 class TestThreadedArm(ArmContract):
     distance = 0.3
