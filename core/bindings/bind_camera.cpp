@@ -21,7 +21,8 @@ struct PyCamera : PyDevice<rcs::Camera> {
   using PyDevice::PyDevice;
   rcs::Frame do_read() override { return call<rcs::Frame>("_read", "a Frame"); }
   std::optional<rcs::CameraCalibration> do_calibration() override {
-    return call<std::optional<rcs::CameraCalibration>>("_calibration", "a CameraCalibration or None");
+    using Calibration = std::optional<rcs::CameraCalibration>;
+    return call_or("_calibration", "a CameraCalibration or None", Calibration());
   }
 };
 

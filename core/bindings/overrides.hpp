@@ -71,10 +71,7 @@ struct PyDevice : Base {
   NB_TRAMPOLINE(Base);
   static constexpr bool kMoves = !std::is_base_of_v<rcs::Camera, Base>;
 
-  bool can_guide() const override {
-    const HeldGil gil;
-    NB_OVERRIDE_NAME("_can_guide", can_guide);
-  }
+  bool can_guide() const override { return call_or("_can_guide", "a bool", false); }
   void do_open() override {
     const HeldGil gil;
     NB_OVERRIDE_NAME("_open", do_open);
@@ -103,6 +100,13 @@ struct PyDevice : Base {
   template <typename Result, typename... Args>
   Result call(const char* name, const char* valid, const Args&... args) {
     return call_override<Result>(nb_trampoline, name, valid, args...);
+  }
+  /// The same where the class overrides the method, else a value.
+  template <typename Result>
+  Result call_or(const char* name, const char* valid, Result otherwise) const {
+    const HeldGil gil;
+    const bool is_there = nb::detail::ticket(nb_trampoline, name, nb::detail::str_hash(name), false).key.is_valid();
+    return is_there ? call_override<Result>(nb_trampoline, name, valid) : otherwise;
   }
 };
 

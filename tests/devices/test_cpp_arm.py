@@ -81,7 +81,9 @@ with ramp_arm.RampArm("ramp", limits) as arm:
     assert fault == "from the library that both share"
 
 
-def test_a_module_of_another_version_of_the_interfaces_is_not_imported(import_device: Callable[[str], ModuleType]) -> None:
+def test_a_module_of_another_version_of_the_interfaces_is_not_imported(
+    import_device: Callable[[str], ModuleType],
+) -> None:
     with pytest.raises(ImportError, match=r"compiled for version 1 of the device interfaces.*compile the device anew"):
         import_device("old_arm")
 

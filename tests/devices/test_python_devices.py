@@ -293,8 +293,16 @@ class Grasp(Hand):
     def _has_arrived(self) -> bool:
         return self.answer
 
+    def _can_guide(self) -> bool:
+        return self.answer
+
     def _hold(self) -> None:
         return
+
+
+def ask(device: Device, name: str) -> object:
+    attribute = getattr(device, name)
+    return attribute() if callable(attribute) else attribute
 
 
 @pytest.mark.parametrize(
@@ -320,6 +328,7 @@ class Grasp(Hand):
             "state",
             r"Grasp\._state returned .*GripperState, it must return a HandState",
         ),
+        (lambda limits: Grasp(1), "can_guide", r"Grasp\._can_guide returned 1 of type int, it must return a bool"),
         (
             lambda limits: Eye(CameraMode(6, 4, 30.0), RGB),
             "read",
@@ -331,7 +340,7 @@ def test_a_wrong_return_type_is_named_with_class_and_method(limits: ArmLimits, m
     device = make(limits)
     device.open()
     with pytest.raises(TypeError, match=text):
-        getattr(device, call)()
+        ask(device, call)
 
 
 class Half(Arm):

@@ -1,7 +1,7 @@
 """Devices without hardware and without physics, for tests and for writing a program before the robot arrives.
 
-All take a `clock`, which returns the time [s]: give the clock of a simulation to run faster than real time. Measurements
-have its time as that of the device. What can happen to a device can be made to happen: `lose_link`, `trip`, `restore`.
+All take a `clock`, which returns the time [s]: give the clock of a simulation to run faster than real time.
+Measurements have its time as that of the device. `lose_link`, `restore` and `trip` are what happens to real devices.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rcs.errors import DeviceFault
 Clock = Callable[[], float]
 
 
-class _Body:
+class Body:
     """What is behind a fake: values that run to their targets at constant speeds, and what has happened to it."""
 
     def __init__(self, clock: Clock, start: ArrayLike = (), speed: ArrayLike = ()) -> None:
@@ -44,6 +44,7 @@ class _Body:
         self.has_reflex = False
 
     def move(self) -> None:
+        """Let the time pass that has passed on the clock."""
         now = self._clock()
         passed = max(now - self.time, 0.0)
         self.time = now
@@ -52,13 +53,14 @@ class _Body:
         self.velocities = step / passed if passed > 0 else np.zeros_like(step)
 
     def stop(self) -> None:
+        """Stay here."""
         self.move()
         self.target = self.values.copy()
 
 
-def _reach(device: Fake) -> _Body:
+def _reach(device: Fake) -> Body:
     """Return what is behind a device as it is now, unless its link is lost."""
-    body = device._body
+    body = device.body
     if not body.has_link:
         device.set_fault("the link is lost")
         raise DeviceFault(f"{device.name}: the link is lost")
@@ -68,26 +70,26 @@ def _reach(device: Fake) -> _Body:
 
 def _lose_link(device: Fake) -> None:
     """Have every later call fail, as when the cable is out; the device stops by itself."""
-    device._body.stop()
-    device._body.has_link = False
+    device.body.stop()
+    device.body.has_link = False
 
 
 def _restore(device: Fake) -> None:
     """Put the cable back in; a fault stays until `recover`."""
-    device._body.has_link = True
+    device.body.has_link = True
 
 
 def _trip(device: Fake, reason: str) -> None:
     """Stop and go into fault as a controller does in a reflex: it refuses even `hold` until `recover`."""
-    device._body.stop()
-    device._body.has_reflex = True
+    device.body.stop()
+    device.body.has_reflex = True
     device.set_fault(reason)
 
 
 def _hold(device: Fake) -> None:
-    if device._body.has_reflex:
+    if device.body.has_reflex:
         raise DeviceFault(f"{device.name}: hold is refused in a reflex; call recover() first")
-    device._body.stop()
+    device.body.stop()
 
 
 def _recover(device: Fake) -> None:
@@ -123,13 +125,13 @@ class FakeArm(Arm):
         """
         super().__init__(name, limits)
         middle = (limits.joint_lower + limits.joint_upper) / 2
-        self._body = _Body(clock, middle if start is None else start, limits.joint_velocity)
+        self.body = Body(clock, middle if start is None else start, limits.joint_velocity)
 
     def push(self, joints: NDArray[np.float64]) -> None:
         """Move the arm by a difference of joints [rad] as a person would who guides it: its target goes with it."""
-        self._body.move()
-        self._body.values = np.clip(self._body.values + joints, self.limits.joint_lower, self.limits.joint_upper)
-        self._body.target = self._body.values.copy()
+        self.body.move()
+        self.body.values = np.clip(self.body.values + joints, self.limits.joint_lower, self.limits.joint_upper)
+        self.body.target = self.body.values.copy()
 
     def _can_guide(self) -> bool:
         return True
@@ -177,7 +179,7 @@ class FakeGripper(Gripper):
             name: Name in messages.
         """
         super().__init__(name, max_width, max_force)
-        self._body = _Body(clock, [1.0], [speed])
+        self.body = Body(clock, [1.0], [speed])
 
     def _state(self) -> GripperState:
         body = _reach(self)
@@ -198,7 +200,7 @@ class FakeHand(Hand):
     ) -> None:
         """Stand open, all joints at 0; `speed` is the change of every joint per second, as a share of its range."""
         super().__init__(name, joint_count)
-        self._body = _Body(clock, np.zeros(joint_count), speed)
+        self.body = Body(clock, np.zeros(joint_count), speed)
 
     def _state(self) -> HandState:
         body = _reach(self)
@@ -223,7 +225,7 @@ class FakeCamera(Camera):
     ) -> None:
         """Deliver frames of `mode`, a new one every `1 / fps` seconds of `clock`."""
         super().__init__(name, mode)
-        self._body = _Body(clock)
+        self.body = Body(clock)
         self._known_calibration = calibration
         self._frozen: Frame | None = None
 
