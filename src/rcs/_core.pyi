@@ -360,46 +360,24 @@ class Arm(Device):
         """
         Set the joint target [rad] and return at once.
 
-        Without another command within `valid_for` [s], the device holds by itself. Raises InvalidAction for a wrong size, a
-        value that is not finite or out of limits, WrongOrder when closed or guided, DeviceFault in the fault state; nothing has
-        changed then.
+        Without another command within `valid_for` [s], the arm holds by itself. Raises InvalidAction for a wrong size, a value
+        that is not finite or out of limits, WrongOrder when closed or guided, DeviceFault in the fault state; nothing has changed
+        then. So do all other commands of devices.
         """
 
     def command_pose(self, pose: Pose, valid_for: float = float('inf')) -> None:
-        """
-        Set the target of the TCP in the frame of the base and return at once.
-
-        Without another command within `valid_for` [s], the device holds by itself. Raises InvalidAction for a wrong size, a
-        value that is not finite or out of limits, WrongOrder when closed or guided, DeviceFault in the fault state; nothing has
-        changed then.
-        """
+        """Set the pose of the TCP in the frame of the base."""
 
     def command_twist(self, twist: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], valid_for: float = float('inf')) -> None:
         """
         Set the velocity of the TCP in the frame of the base [m/s, rad/s], (6,).
-
-        Without another command within `valid_for` [s], the device holds by itself. Raises InvalidAction for a wrong size, a
-        value that is not finite or out of limits, WrongOrder when closed or guided, DeviceFault in the fault state; nothing has
-        changed then.
         """
 
     def command_velocities(self, velocities: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], valid_for: float = float('inf')) -> None:
-        """
-        Set the joint velocities [rad/s].
-
-        Without another command within `valid_for` [s], the device holds by itself. Raises InvalidAction for a wrong size, a
-        value that is not finite or out of limits, WrongOrder when closed or guided, DeviceFault in the fault state; nothing has
-        changed then.
-        """
+        """Set the joint velocities [rad/s]."""
 
     def command_torques(self, torques: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], valid_for: float = float('inf')) -> None:
-        """
-        Set the joint torques besides gravity [N·m].
-
-        Without another command within `valid_for` [s], the device holds by itself. Raises InvalidAction for a wrong size, a
-        value that is not finite or out of limits, WrongOrder when closed or guided, DeviceFault in the fault state; nothing has
-        changed then.
-        """
+        """Set the joint torques besides gravity [N·m]."""
 
 class GripperState:
     """What a gripper measures."""
@@ -445,13 +423,9 @@ class Gripper(Device):
 
     def command_opening(self, opening: float, force: float | None = None, valid_for: float = float('inf')) -> None:
         """
-        Set the opening (0 closed … 1 open) and, where given, the grasping force [N], and return at once.
+        Set the opening (0 closed … 1 open) and, where given, the grasping force [N]; ends and raises as `Arm.command_joints`.
 
         It has arrived when the fingers stand still: at the target, or on an object.
-
-        Without another command within `valid_for` [s], the device holds by itself. Raises InvalidAction for a wrong size, a
-        value that is not finite or out of limits, WrongOrder when closed or guided, DeviceFault in the fault state; nothing has
-        changed then.
         """
 
 class HandState:
@@ -489,11 +463,7 @@ class Hand(Device):
 
     def command_joints(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], valid_for: float = float('inf')) -> None:
         """
-        Set every joint (normalised, 0 … 1) and return at once.
-
-        Without another command within `valid_for` [s], the device holds by itself. Raises InvalidAction for a wrong size, a
-        value that is not finite or out of limits, WrongOrder when closed or guided, DeviceFault in the fault state; nothing has
-        changed then.
+        Set every joint (normalised, 0 … 1); ends and raises as `Arm.command_joints`.
         """
 
 class CameraMode:

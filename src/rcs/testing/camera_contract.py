@@ -27,10 +27,6 @@ class CameraContract(DeviceContract[Camera]):
         """Return the newest frame."""
         return device.read()
 
-    def use(self, device: Camera) -> None:
-        """Read a frame."""
-        device.read()
-
     def test_a_frame_has_the_size_of_the_mode(self) -> None:
         """Colours always, depth when the mode has it."""
         with self.open_device() as camera:

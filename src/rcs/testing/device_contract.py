@@ -27,13 +27,13 @@ class DeviceContract(Generic[D]):
         """Return a new device, not opened."""
         raise NotImplementedError
 
-    def use(self, device: D) -> None:
-        """Make a call that is refused in the fault state and moves nothing."""
-        raise NotImplementedError
-
     def measure(self, device: D) -> Any:
         """Return what the device measures now, with its times."""
         raise NotImplementedError
+
+    def use(self, device: D) -> None:
+        """Make a call that is refused in the fault state and moves nothing."""
+        self.measure(device)
 
     def advance(self, seconds: float) -> None:
         """Let time pass; override it for a device on a simulated clock."""
@@ -53,8 +53,7 @@ class DeviceContract(Generic[D]):
     @contextmanager
     def open_device(self) -> Generator[D]:
         """Give an open device and close it in the end."""
-        device = self.make_device()
-        with device:
+        with self.make_device() as device:
             yield device
 
     def require_closed(self, device: D) -> None:
@@ -202,21 +201,13 @@ class MotionContract(DeviceContract[D]):
         """Return a target far enough that the device is under way for some ticks."""
         raise NotImplementedError
 
-    def bad_targets(self, device: D) -> dict[str, Any]:
-        """Return targets that the device must refuse, by what is wrong with them."""
+    def bad_targets(self, device: D) -> list[Any]:
+        """Return targets that the device must refuse."""
         raise NotImplementedError
 
     def use(self, device: D) -> None:
-        """Send the device where it is; one that cannot be measured is sent anywhere, for it refuses that."""
-        try:
-            target = self.position(device)
-        except (DeviceFault, WrongOrder):
-            target = self.somewhere(device)
-        self.command(device, target)
-
-    def somewhere(self, device: D) -> Any:
-        """Return a target inside of the limits, without measuring."""
-        raise NotImplementedError
+        """Send the device where it is."""
+        self.command(device, self.position(device))
 
     def is_near(self, device: D, target: Any) -> bool:
         """Return whether the device is at a target."""
@@ -276,7 +267,7 @@ class MotionContract(DeviceContract[D]):
         """Whatever is wrong with them; the device can be used afterwards."""
         with self.open_device() as device:
             before, target = self.position(device), self.target_of(device)
-            for bad in self.bad_targets(device).values():
+            for bad in self.bad_targets(device):
                 with pytest.raises(InvalidAction):
                     self.command(device, bad)
             for valid_for in (0.0, -1.0, math.nan):

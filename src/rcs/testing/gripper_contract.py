@@ -40,17 +40,13 @@ class GripperContract(MotionContract[Gripper]):
         """Send an opening."""
         device.command_opening(target, valid_for=valid_for)
 
-    def somewhere(self, device: Gripper) -> float:
-        """Return half of the way."""
-        return 0.5
-
     def target_of(self, device: Gripper) -> float:
         """Return the end of the range that is farther from the present opening."""
         return 0.0 if self.position(device) > 0.5 else 1.0
 
-    def bad_targets(self, device: Gripper) -> dict[str, float]:
+    def bad_targets(self, device: Gripper) -> list[float]:
         """Return openings that are not finite or out of range."""
-        return {str(value): value for value in (-0.01, 1.01, math.nan, math.inf, -math.inf)}
+        return [-0.01, 1.01, math.nan, math.inf, -math.inf]
 
     def test_a_state_is_an_opening_from_0_to_1_and_a_force_or_none(self) -> None:
         """The force is NaN where it is not measured."""

@@ -40,24 +40,16 @@ class HandContract(MotionContract[Hand]):
         """Send joints."""
         device.command_joints(target, valid_for)
 
-    def somewhere(self, device: Hand) -> NDArray[np.float64]:
-        """Return the middle of all joints."""
-        return np.full(device.joint_count, 0.5)
-
     def target_of(self, device: Hand) -> NDArray[np.float64]:
         """Return a target that is `distance` away at every joint."""
         joints = self.position(device)
         return joints + np.where(joints < 0.5, self.distance, -self.distance)
 
-    def bad_targets(self, device: Hand) -> dict[str, NDArray[np.float64]]:
+    def bad_targets(self, device: Hand) -> list[NDArray[np.float64]]:
         """Return targets of a wrong size, not finite and out of range."""
         joints = self.position(device)
-        values = (math.nan, math.inf, -math.inf, -0.01, 1.01)
-        return {
-            "too few": joints[1:],
-            "too many": np.append(joints, 0.0),
-            **{f"first is {value}": np.array([value, *joints[1:]]) for value in values},
-        }
+        bad = [np.array([value, *joints[1:]]) for value in (math.nan, math.inf, -math.inf, -0.01, 1.01)]
+        return [joints[1:], np.append(joints, 0.0), *bad]
 
     def test_a_state_has_a_normalised_value_for_every_joint(self) -> None:
         """Measurements are copies."""
