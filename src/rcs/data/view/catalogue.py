@@ -31,7 +31,9 @@ def catalogue(
         wall_time: How long the collection took [s]; None if it is not known.
     """
     info = dataset.info
-    simple = [[key, str(_short(value))] for key, value in info.setup.items() if isinstance(value, str | int | float | bool)]
+    simple = [
+        [key, str(_short(value))] for key, value in info.setup.items() if isinstance(value, str | int | float | bool)
+    ]
     whole = [record for record, _, _ in entries if _about(record)]
     shown = zip(pictures(info), clips, strict=True)
     return {
@@ -43,7 +45,15 @@ def catalogue(
         "setup": simple + [[name, version] for name, version in sorted(info.versions.items())],
         "wholeSetup": json.dumps(_short(info.setup), indent=2, ensure_ascii=False),
         "features": [[feature.key, _form(feature)] for feature in info.features],
-        "pictures": [{"label": _label(feature), "file": name, "unit": feature.unit, "aspect": feature.shape[1] / feature.shape[0]} for feature, name in shown],
+        "pictures": [
+            {
+                "label": _label(feature),
+                "file": name,
+                "unit": feature.unit,
+                "aspect": feature.shape[1] / feature.shape[0],
+            }
+            for feature, name in shown
+        ],
         "curves": [curve.to_json() for curve in curves(info)],
         "flaws": list(FLAWS),
         **_summary(dataset, whole, wall_time),

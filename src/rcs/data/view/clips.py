@@ -109,7 +109,9 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
             container.mux(stream.encode(frame))
             frames += 1
         container.mux(stream.encode())
-    return Clip(frames=frames, limits=None if limits is None else [[float(f"{v:.4g}") for v in pair] for pair in limits])
+    return Clip(
+        frames=frames, limits=None if limits is None else [[float(f"{v:.4g}") for v in pair] for pair in limits]
+    )
 
 
 def _is_map(feature: Feature) -> bool:
@@ -123,9 +125,7 @@ def _size(feature: Feature, height: int) -> tuple[int, int]:
     return max(2, 2 * round(scale * rows / 2)), max(2, 2 * round(scale * columns / 2))
 
 
-def _images(
-    episode: EpisodeRecord, feature: Feature, limits: _Limits | None, rows: int
-) -> Iterator[NDArray[np.uint8]]:
+def _images(episode: EpisodeRecord, feature: Feature, limits: _Limits | None, rows: int) -> Iterator[NDArray[np.uint8]]:
     """Yield what a clip shows, in colour; for JPEG near the clip's size already, which is faster to decode."""
     if limits is not None:
         for row, values in enumerate(_values(episode, feature)):

@@ -164,7 +164,9 @@ def _render(record: EpisodeRecord, folder: Path, options: ClipOptions) -> Render
     place = folder / record.id
     try:
         if record.length > MOST_STEPS:
-            return Rendered(record=record, flaws={}, why=f"It has {record.length} steps; a page shows up to {MOST_STEPS}.")
+            return Rendered(
+                record=record, flaws={}, why=f"It has {record.length} steps; a page shows up to {MOST_STEPS}."
+            )
         key = _key(record, options)
         flaws = _flaws_of(place / EPISODE_FILE, key)
         if flaws is not None:

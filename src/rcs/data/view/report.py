@@ -7,6 +7,7 @@ import html
 import os
 import re
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 from rcs.data.durable import disk_errors
@@ -83,9 +84,7 @@ def _shell() -> str:
     """Return the page with its style and scripts in it."""
     text = (WEB / "index.html").read_text("utf-8")
     text = re.sub(r'<link rel="stylesheet" href="([\w.]+)">', lambda m: f"<style>\n{_web(m[1])}</style>", text)
-    return re.sub(
-        r'<script src="(?!dataset)([\w.]+)"></script>', lambda m: f"<script>\n{_web(m[1])}</script>", text
-    )
+    return re.sub(r'<script src="(?!dataset)([\w.]+)"></script>', lambda m: f"<script>\n{_web(m[1])}</script>", text)
 
 
 def _web(name: str) -> str:
@@ -97,7 +96,7 @@ def _inert(text: str) -> str:
     return text.replace("<", "\\u003c")
 
 
-def _write_episode(write, folder: Path, episode_id: str, clips: list[str]) -> None:  # pyright: ignore
+def _write_episode(write: Callable[[str], object], folder: Path, episode_id: str, clips: list[str]) -> None:
     """Write an episode as data that the browser does not look at before it is asked for."""
     lines = (folder / EPISODE_FILE).read_text("ascii").split("\n", 1)[1]
     body = lines.strip().removeprefix("rcsEpisode(").removesuffix(");")

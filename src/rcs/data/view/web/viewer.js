@@ -150,19 +150,22 @@ function showPictures(entries) {
   return videos;
 }
 
-// Make the pictures of an episode as large as the width, and a share of the window's height, let them be.
+// Make the pictures of an episode as large as the width and a share of the window's height permit.
 function arrange() {
   const gap = 10;
   for (const box of document.querySelectorAll(".pictures")) {
     const figures = [...box.children];
+    box.style.width = "auto";
     const aspects = figures.map((figure) => Number(figure.dataset.aspect));
     const most = window.innerHeight * (open.length > 1 && window.innerWidth < 1000 ? 0.36 : 0.58);
-    let height = 0;
-    for (let n = 1; n <= figures.length; n++) {
+    let [height, width] = [0, 0];
+    for (let n = figures.length; n > 0; n--) {
       const lines = Math.ceil(figures.length / n);
       const widest = Math.max(...Array.from({ length: lines }, (_, i) => aspects.slice(i * n, (i + 1) * n).reduce((a, b) => a + b)));
-      height = Math.max(height, Math.min((box.clientWidth - gap * (n - 1) - 1) / widest, (most - gap * (lines - 1)) / lines));
+      const fits = Math.min((box.clientWidth - gap * (n - 1) - 1) / widest, (most - gap * (lines - 1)) / lines);
+      if (fits > 1.1 * height) [height, width] = [fits, widest * fits + gap * (n - 1) + 1]; // one line, unless more are clearly larger
     }
+    box.style.width = `${width}px`;
     figures.forEach((figure, i) => { Object.assign(figure.style, { height: `${height}px`, width: `${height * aspects[i]}px` }); });
   }
 }
