@@ -94,7 +94,7 @@ def test_no_value_of_an_episode_becomes_html(tmp_path: Path) -> None:
     text = write_report(path).read_text("utf-8")
     assert "<img" not in text
     assert text.count("<script") == scripts - 3, "the second episode, and its clips, are not in the page"
-    assert [episode["note"] for episode in facts(text)["episodes"]][0] == evil
+    assert facts(text)["episodes"][0]["note"] == evil
     assert "seed is" in facts(text)["episodes"][1]["why"], "an episode with a seed that is none is shown as damaged"
 
 
@@ -105,7 +105,7 @@ def test_damaged_episodes_are_listed_as_such(tmp_path: Path) -> None:
     text = write_report(tmp_path).read_text("utf-8")
     first, second, third = facts(text)["episodes"]
     assert first["damaged"]
-    assert second["why"].startswith("steps.parquet does not read")
+    assert second["why"].startswith("is damaged: steps.parquet does not read")
     assert not third["why"]
     assert len(clips(text)) == 2
 

@@ -18,6 +18,9 @@ from rcs.errors import CorruptEpisode
 Entry = tuple[EpisodeRecord, dict[str, int], str]
 """An episode, how many steps each of its flaws has, and why the page does not show it."""
 
+DAMAGED = "is damaged: "
+"""How the reason begins for an episode that does not read."""
+
 
 def catalogue(
     dataset: Dataset, entries: Sequence[Entry], clips: Sequence[str], *, wall_time: float | None = None
@@ -117,6 +120,7 @@ def _episode(record: EpisodeRecord, flaws: dict[str, int], why: str) -> dict[str
         "facts": [[name, v if isinstance(v, str) else json.dumps(_short(v))] for name, v in facts.items()],
         "flaws": flaws,
         "why": why,
+        "damaged": why.startswith(DAMAGED),
     }
 
 

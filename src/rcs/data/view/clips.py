@@ -30,7 +30,6 @@ _SMALLEST_MAP = 8
 _SAMPLES = 12
 # The colours of depth follow what the camera sees: they span the frames this long before and after [s].
 _WINDOW = 0.25
-_SLACK = np.array([0.0, 1e-6])  # two ends that are one would be no scale
 _Limits = NDArray[np.float64]
 
 
@@ -50,8 +49,8 @@ class ClipOptions:
     quality: int = 26
     """The codec's constant rate factor: lower is better and larger."""
     whole_frame_every: int = 10
-    """A browser that seeks decodes so many frames at most. With 10, clips of 224 x 224 are 1.6 times as large as with the
-    encoder's own choice of 250, and a third of those in which every frame is whole."""
+    """A browser that seeks decodes so many frames at most. With 10, clips of 224 x 224 are 1.6 times as large as with
+    the encoder's own choice of 250, and a third of those in which every frame is whole."""
 
     def __post_init__(self) -> None:
         """Refuse what no encoder takes."""
@@ -68,8 +67,8 @@ class Clip:
     frames: int
     """Frames in the clip: as many as the episode has rows."""
     limits: list[list[float]] | None
-    """The values that the darkest and the lightest colour stand for, for each frame, or once where they stay; None for a
-    picture in its own colours."""
+    """The values that the darkest and the lightest colour stand for, for each frame, or once where they stay; None for
+    a picture in its own colours."""
 
 
 def pictures(info: DatasetInfo) -> list[Feature]:
@@ -166,10 +165,10 @@ def _limits(episode: EpisodeRecord, feature: Feature) -> _Limits:
             else:
                 spans.append(spans[-1])
         reach = max(1, round(_WINDOW * episode.info.fps))
-        return _smooth(np.array(spans[1:], np.float64).reshape(-1, 2), reach)
+        return _apart(_smooth(np.array(spans[1:], np.float64).reshape(-1, 2), reach))
     shown = np.unique(np.linspace(0, episode.length - 1, _SAMPLES).astype(int))
     samples = episode.column(feature.key)[shown].astype(np.float64)
-    return np.nan_to_num(np.array([_span(samples[np.isfinite(samples)])]), nan=0.0) + _SLACK
+    return _apart(np.nan_to_num(np.array([_span(samples[np.isfinite(samples)])])))
 
 
 def _span(values: NDArray[Any]) -> tuple[float, float]:
@@ -179,10 +178,16 @@ def _span(values: NDArray[Any]) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def _apart(spans: _Limits) -> _Limits:
+    """Return spans whose ends differ, also in the four digits that are shown."""
+    least = np.maximum(2e-3 * np.abs(spans[:, 0]), 1e-6)
+    return np.stack([spans[:, 0], np.maximum(spans[:, 1], spans[:, 0] + least)], 1)
+
+
 def _smooth(spans: _Limits, reach: int) -> _Limits:
     """Return for each frame the mean of the spans around it, so that colours do not flicker."""
     kernel = np.ones(2 * reach + 1)
     known = np.isfinite(spans).astype(np.float64)
     sums = [np.convolve(column, kernel)[reach : reach + len(column)] for column in np.nan_to_num(spans).T]
     counts = [np.convolve(column, kernel)[reach : reach + len(column)] for column in known.T]
-    return np.stack(sums, 1) / np.maximum(np.stack(counts, 1), 1) + _SLACK
+    return np.stack(sums, 1) / np.maximum(np.stack(counts, 1), 1)

@@ -62,7 +62,8 @@ class Curves:
 
     def to_json(self) -> dict[str, Any]:
         """Return what the page needs to know."""
-        return {"names": self.names, "label": self.key.replace("/", " \N{MIDDLE DOT} "), "unit": self.unit, "shown": self.is_shown}  # fmt: skip
+        label = self.key.replace("/", " \N{MIDDLE DOT} ")
+        return {"label": label, "names": self.names, "unit": self.unit, "shown": self.is_shown}
 
 
 def curves(info: DatasetInfo) -> list[Curves]:
@@ -99,9 +100,9 @@ def episode_data(episode: EpisodeRecord) -> dict[str, Any]:
         episode: The episode.
 
     Returns:
-        `rows`; `stride`: a curve has a number for every so many rows; `curves`: for each of `curves`, for each line, its
-        numbers or None; `marks`: where, what, and the
-        first and last row of each run; `flaws`: how many rows each kind of flaw has.
+        `rows`; `stride`: a curve has a number for every so many rows; `curves`: for each of `curves`, for each line,
+        its numbers or None; `marks`: where, what, and the first and last row of each run; `flaws`: how many rows each
+        kind of flaw has.
 
     Raises:
         CorruptEpisode: The episode is damaged.

@@ -28,5 +28,6 @@ def pictures_page(title: str, groups: Mapping[str, Sequence[tuple[str, str]]]) -
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{html.escape(title)}</title><style>\n{style}</style></head>"
-        f'<body><header><h1>{html.escape(title)}</h1></header><main class="gallery">{"".join(parts)}</main></body></html>\n'
+        f'<body><header><h1>{html.escape(title)}</h1></header><main class="gallery">{"".join(parts)}</main></body>'
+        "</html>\n"
     )

@@ -16,7 +16,7 @@ from rcs.data.durable import disk_errors, remove_tree
 from rcs.data.feature import Feature
 from rcs.data.json_file import parsed_json
 from rcs.data.reader import Dataset, EpisodeRecord
-from rcs.data.view.catalogue import catalogue
+from rcs.data.view.catalogue import DAMAGED, catalogue
 from rcs.data.view.choice import chosen_episodes
 from rcs.data.view.clips import ClipOptions, pictures, write_clip
 from rcs.data.view.episode_data import MOST_STEPS, curves, episode_data
@@ -93,7 +93,7 @@ def write_view(
         path=folder / "index.html",
         rendered=sum(result.is_new for result in results),
         kept=sum(not (result.is_new or result.why) for result in results),
-        damaged=sum(bool(result.why) for result in results),
+        damaged=sum(result.why.startswith(DAMAGED) for result in results),
         size=size,
     )
 
@@ -114,7 +114,7 @@ class Rendered:
     flaws: dict[str, int]
     """How many steps each kind of flaw has."""
     why: str = ""
-    """Why the page does not show it; empty if it does."""
+    """Why the page does not show it, in words after its id; empty if it does."""
     is_new: bool = False
     """Whether it was rendered now."""
 
@@ -164,9 +164,7 @@ def _render(record: EpisodeRecord, folder: Path, options: ClipOptions) -> Render
     place = folder / record.id
     try:
         if record.length > MOST_STEPS:
-            return Rendered(
-                record=record, flaws={}, why=f"It has {record.length} steps; a page shows up to {MOST_STEPS}."
-            )
+            return Rendered(record=record, flaws={}, why=f"has {record.length} steps; a page shows up to {MOST_STEPS}.")
         key = _key(record, options)
         flaws = _flaws_of(place / EPISODE_FILE, key)
         if flaws is not None:
@@ -189,7 +187,7 @@ def _render(record: EpisodeRecord, folder: Path, options: ClipOptions) -> Render
     except CorruptEpisode as err:
         remove_tree(place)
         # Where the dataset lies on this machine is nothing for a page that is passed on.
-        return Rendered(record=record, flaws={}, why=str(err).replace(f"{record.path}/", ""))
+        return Rendered(record=record, flaws={}, why=DAMAGED + str(err).replace(f"{record.path}/", ""))
 
 
 def _key(record: EpisodeRecord, options: ClipOptions) -> str:

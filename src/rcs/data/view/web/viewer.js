@@ -76,7 +76,7 @@ async function show({ id = state.id, other = state.other, frame = null, isPlayed
   const hidden = entries.find((entry) => entry.why);
   delete document.body.dataset.episode;
   if (!entries.length || hidden) {
-    if (hidden) message.textContent = hidden.damaged ? `Episode ${hidden.id} is damaged: ${hidden.why}` : `${hidden.id}: ${hidden.why}`;
+    if (hidden) message.textContent = `Episode ${hidden.id} ${hidden.why}`;
     [message.hidden, stage.hidden] = [false, true];
     open = [];
     player.load([], 1, dataset.fps);
