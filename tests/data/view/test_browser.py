@@ -77,7 +77,7 @@ def test_it_opens_at_the_first_episode_and_says_what_is_there(page: str, show: C
     assert "50.0 %" in text
     assert "success, 1 of 2" in text
     caption = browser.run("document.querySelectorAll('#pictures figcaption')[1].textContent")
-    assert caption == "side depth540 to 541 mm", "what the frames around this one show"
+    assert caption == "side depth540 to 541.1 mm", "what the frames around this one show"
     assert browser.run("document.title") == "filmed"
     assert browser.run("document.querySelectorAll('#list li').length") == 3
     assert browser.run(f"{VIDEOS}.length") == 3

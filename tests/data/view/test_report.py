@@ -35,8 +35,11 @@ def record(path: Path, verdicts: list[bool | None], *, cameras: bool = True, len
         for number, success in enumerate(verdicts):
             with writer.episode(f"{number:06d}", seed=number) as episode:
                 for i in range(length):
-                    row = {"observation/joints": np.full(7, i / 10), "observation/gripper": np.ones(1, np.float32)}
-                    row |= {"time/monotonic": i / 30}  # pyright: ignore[reportAssignmentType]
+                    row: dict[str, Any] = {
+                        "observation/joints": np.full(7, i / 10),
+                        "observation/gripper": np.ones(1, np.float32),
+                    }
+                    row |= {"time/monotonic": i / 30}
                     for name, size in SIZES.items() if cameras else ():
                         row[f"observation/frames/{name}/rgb"] = np.full((*size, 3), 8 * i, np.uint8)
                     episode.add(row)
@@ -122,7 +125,7 @@ def test_of_many_episodes_the_first_and_the_failures_are_in_detail(
 ) -> None:
     monkeypatch.setattr(report, "_FIRST_IN_DETAIL", 3)
     monkeypatch.setattr(report, "_MOST_IN_DETAIL", 4)
-    verdicts = [True, True, True, True, False, True, False, True]
+    verdicts: list[bool | None] = [True, True, True, True, False, True, False, True]
     text = write_report(record(tmp_path, verdicts, cameras=False)).read_text("utf-8")
     assert re.findall(r'data-episode="(\w+)"', text) == ["000000", "000001", "000002", "000004"]
     left_out = [episode["id"] for episode in facts(text)["episodes"] if "left out" in episode["why"]]
