@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import base64
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import simplejpeg
+from numpy.typing import NDArray
 
-from rcs.data import Dataset
+from rcs.data import Dataset, EpisodeRecord
 from rcs.data.view import picture_tag
 
 
-def pictures(text: str) -> list[np.ndarray]:
+def html(shown: Dataset | EpisodeRecord) -> str:
+    return shown._repr_html_()  # pyright: ignore[reportPrivateUsage]  # what a notebook calls
+
+
+def pictures(text: str) -> list[NDArray[np.uint8]]:
     found = re.findall(r'src="data:image/jpeg;base64,([^"]+)"', text)
     return [simplejpeg.decode_jpeg(base64.b64decode(data, validate=True)) for data in found]
 
@@ -27,22 +33,20 @@ def test_a_picture_is_inside_of_its_tag_and_its_title_is_text() -> None:
 
 
 def test_a_dataset_has_a_row_and_the_first_frame_of_each_camera_for_each_episode(filmed: Path) -> None:
-    text = Dataset.open(filmed)._repr_html_()
+    text = html(Dataset.open(filmed))
     assert text.count("<tr>") == 4
     assert [round(float(image.mean())) for image in pictures(text)] == [30] * 6
     assert "failure: slip" in text
 
 
 def test_an_episode_shows_its_first_middle_and_last_frames(filmed: Path) -> None:
-    text = Dataset.open(filmed)["000000"]._repr_html_()
+    text = html(Dataset.open(filmed)["000000"])
     assert [round(float(image.mean())) for image in pictures(text)] == [30, 130, 225] * 2
 
 
 def test_a_damaged_episode_says_so(tmp_path: Path, filmed: Path) -> None:
-    import shutil
-
     copy = shutil.copytree(filmed, tmp_path / "copy")
     (copy / "episodes/000001/steps.parquet").write_bytes(b"PAR1")
     dataset = Dataset.open(copy)
-    assert "damaged" in dataset._repr_html_()
-    assert "does not read" in dataset["000001"]._repr_html_()
+    assert "damaged" in html(dataset)
+    assert "does not read" in html(dataset["000001"])
