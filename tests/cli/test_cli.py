@@ -285,7 +285,7 @@ def test_a_missing_gl_library_is_told_with_its_remedy(
         (["collect", "PickCuboid", "--cameras", "wirst"], ["wirst", "Did you mean 'wrist'"]),
         (["collect", "PickCuboid", "--episodes", "-1"], ["episodes is -1"]),
         (["collect", "PickCuboid", "--workers", "-2"], ["workers is -2"]),
-        (["collect", "PickCuboid", "--size", "0"], ["size"]),
+        (["collect", "PickCuboid", "--image-size", "0"], ["image_size"]),
         (["data", "info", "nowhere"], ["nowhere"]),
     ],
 )

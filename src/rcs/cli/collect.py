@@ -10,10 +10,10 @@ from rich.console import Console
 
 from rcs.cli.console import plain_console
 from rcs.cli.runs import INTERRUPTED, RunOptions, interruptible, results_table, show
+from rcs.data.view import write_report
 from rcs.envs.observers.recorder import Colour
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.evaluate import Summary
-from rcs.rollout.report import write_report
 
 
 @dataclass(kw_only=True)

@@ -6,6 +6,7 @@ Measurements have its time as that of the device. `lose_link`, `restore` and `tr
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 
@@ -35,6 +36,7 @@ class Body:
 
     def __init__(self, clock: Clock, start: ArrayLike = (), speed: ArrayLike = ()) -> None:
         self._clock = clock
+        self._lock = threading.Lock()  # a stop comes from any thread
         self._speed = np.asarray(speed, np.float64)
         self.values = np.array(start, np.float64)
         self.target = self.values.copy()
@@ -43,19 +45,21 @@ class Body:
         self.has_link = True
         self.has_reflex = False
 
-    def move(self) -> None:
-        """Let the time pass that has passed on the clock."""
+    def move(self, *, stops: bool = False) -> None:
+        """Let the time pass that has passed on the clock, and stay there if it stops."""
         now = self._clock()
-        passed = max(now - self.time, 0.0)
-        self.time = now
-        step = np.clip(self.target - self.values, -self._speed * passed, self._speed * passed)
-        self.values = self.values + step
-        self.velocities = step / passed if passed > 0 else np.zeros_like(step)
+        with self._lock:
+            passed = max(now - self.time, 0.0)
+            self.time = max(now, self.time)
+            step = np.clip(self.target - self.values, -self._speed * passed, self._speed * passed)
+            self.values = self.values + step
+            self.velocities = step / passed if passed > 0 else np.zeros_like(step)
+            if stops:
+                self.target = self.values.copy()
 
     def stop(self) -> None:
         """Stay here."""
-        self.move()
-        self.target = self.values.copy()
+        self.move(stops=True)
 
 
 def _reach(device: Fake) -> Body:

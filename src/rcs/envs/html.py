@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 from dataclasses import fields
 from html import escape
 
-from rcs.data.codec import encode_jpeg
 from rcs.envs.scenario import Scenario
 from rcs.envs.setup import Setup
 from rcs.errors import MissingDependency
@@ -37,11 +35,12 @@ def to_html(text: str, setup: Setup | None, scenario: Scenario | None) -> str:
 
 def _picture(scenario: Scenario) -> str:
     """Return a picture of the present state; nothing where none can be drawn."""
+    from rcs.data.view import picture_tag  # pages are nothing that an environment needs
+
     picture = Picture(scenario.world, size=SIZE)
     try:
-        drawn = base64.b64encode(encode_jpeg(picture.draw(), 90, "420")).decode("ascii")
+        return picture_tag(picture.draw(), height=SIZE[1], title="The scene")
     except MissingDependency:  # no OpenGL
         return ""
     finally:
         picture.close()
-    return f'<img src="data:image/jpeg;base64,{drawn}" width="{SIZE[0]}" height="{SIZE[1]}" alt="The scene">'

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from multiprocessing import get_context
@@ -101,12 +101,25 @@ class Workplace:
             self.recorder.forget_next()
             return self.job.give_up(episode, err)
 
-    def play(self, episode: EpisodeRecord, agent: Agent, options: Mapping[str, Any], most: int) -> Iterator[Step]:
-        """Have an agent act from a start, and record that in the place of a recorded episode; see `play`."""
+    def play(
+        self, episode: EpisodeRecord, agent: Agent, options: Mapping[str, Any], most: int, see: Callable[[Step], None]
+    ) -> Step:
+        """Have an agent act from a start, record that in the place of a recorded episode, and return the end.
+
+        Args:
+            episode: The recorded episode.
+            agent: Acts.
+            options: Of the reset: the start.
+            most: Steps to make at most.
+            see: Called after the reset and after every step.
+        """
         self.recorder.name_next(episode.id, instruction=episode.instruction)
+        step: Step | None = None
         for step in play(self.env, agent, seed=episode.seed, options=options, most=most):
+            see(step)
             self.count_row()
-            yield step
+        assert step is not None, "the reset is always seen"
+        return step
 
     def count_row(self) -> None:
         """Count a row that was made, for whoever watches."""
