@@ -1,4 +1,4 @@
-"""A package of someone else adds robot, task, agent, layer and driver by its entry points; nothing of ours is touched."""
+"""A package adds robot, task, agent, layer and driver by its entry points alone, and nothing of ours is touched."""
 
 from __future__ import annotations
 
@@ -95,7 +95,9 @@ def test_what_it_collected_replays_bit_for_bit(installed: dict[str, str], tmp_pa
     assert "1 of 1 episodes bit-equal" in run(installed, *RCS, "data", "replay", str(out))
 
 
-def test_its_task_is_collected_with_its_layer_and_replays_bit_for_bit(installed: dict[str, str], tmp_path: Path) -> None:
+def test_its_task_is_collected_with_its_layer_and_replays_bit_for_bit(
+    installed: dict[str, str], tmp_path: Path
+) -> None:
     out = tmp_path / "dataset"
     options = ("--robot", "my_robot", "--layers", "HalfSpeed", "--task-option", "reward=sparse", "--cameras", "none")
     run(installed, *RCS, "collect", "PushToLine", *options, "--episodes", "2", "--workers", "2", "--out", str(out))

@@ -9,13 +9,15 @@ import pytest
 
 import rcs
 from rcs.data import Dataset
+from rcs.envs.env import Env
 from rcs.envs.observers.record import record, record_all
+from rcs.errors import DatasetError
 
 COPIES = 24
 OPTIONS = {"task": "PickCuboid", "max_episode_steps": 6}
 
 
-def actions_of(env: rcs.envs.env.Env, seed: int, steps: int) -> list[dict[str, np.ndarray]]:
+def actions_of(env: Env, seed: int, steps: int) -> list[dict[str, np.ndarray]]:
     """Return actions that depend on the seed alone."""
     random = np.random.default_rng(seed)
     low, high = env.action_space["joints"].low, env.action_space["joints"].high
@@ -108,7 +110,7 @@ def test_takes_are_kept_discarded_and_done_again_by_a_person(tmp_path: Path) -> 
 def test_what_cannot_be_recorded_leaves_the_environment_as_it_was(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     env = rcs.make(**OPTIONS)
-    with pytest.raises(OSError), record_all(env, tmp_path / "file"):
+    with pytest.raises(DatasetError, match="file"), record_all(env, tmp_path / "file"):
         pass
     env.reset(seed=0)
     env.step(env.action_space.sample())
