@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import av
@@ -66,6 +69,26 @@ def test_gymnasiums_own_recordings_become_a_video(tmp_path: Path) -> None:
     video.close()
     assert len(pictures(tmp_path / "v.mp4")) == 4
     env.close()
+
+
+IN_A_WINDOW = """
+import rcs
+env = rcs.make("PickCuboid", render_mode="human")
+env.reset(seed=0)
+for _ in range(3):
+    env.step(env.action_space.sample())
+assert env.render() is None
+env.close()
+print("shown")
+"""
+
+
+@pytest.mark.gl
+@pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="there is no xvfb-run, which makes a display")
+def test_where_there_is_a_display_the_human_mode_opens_a_window_and_closes_it() -> None:
+    command = ["xvfb-run", "-a", sys.executable, "-c", IN_A_WINDOW]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, "shown"), done.stderr
 
 
 def test_real_devices_alone_cannot_be_filmed(tmp_path: Path) -> None:

@@ -92,6 +92,23 @@ def test_an_episode_that_is_open_in_the_end_is_kept_without_a_verdict_and_nothin
     assert (episode.length, episode.success) == (2, None)
 
 
+def test_an_episode_that_a_reset_cuts_short_is_not_kept_and_a_loop_in_real_time_is_recorded_beside_it(
+    tmp_path: Path,
+) -> None:
+    env = rcs.make("Free", hardware="fake", max_episode_steps=3)
+    with record_all(env, tmp_path / "set", notes=["latency"]):
+        for steps in (1, 3):
+            env.reset()
+            for _ in range(steps):
+                env.note(latency=0.25)
+                env.step(env.action_space.sample())
+    [episode] = Dataset.open(tmp_path / "set")
+    assert (episode.length, episode.success) == (4, None)
+    np.testing.assert_array_equal(episode.column("notes/latency")[1:], [0.25] * 3)
+    assert Dataset.open(tmp_path / "set").info.origin["platform"] == {"fr3": "fake", "fr3/franka_hand": "fake"}
+    env.close()
+
+
 def test_takes_are_kept_discarded_and_done_again_by_a_person(tmp_path: Path) -> None:
     env = rcs.make(**OPTIONS)
     with record(env, tmp_path / "set", notes=["intervention"]) as takes:
