@@ -15,6 +15,7 @@ from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import versions
 from rcs.envs.setup import Setup
+from rcs.envs.stack import for_all
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Attempt, seed_of
 from rcs.rollout.episode import EpisodeResult, Judge, run_episode
@@ -143,13 +144,8 @@ class Evaluator:
             return Attempt(number=number, result=run_episode(self._env, self._agent, seed=seed, judge=self._judge))
 
     def close(self) -> None:
-        """Close agent, film and environment."""
-        try:
-            self._agent.close()
-        finally:
-            if self._film is not None:
-                self._film.close()
-            self._env.close()
+        """Close agent, film and environment, whatever fails."""
+        for_all([self._agent.close, *([] if self._film is None else [self._film.close]), self._env.close])
 
 
 @dataclass(frozen=True)

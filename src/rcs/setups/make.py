@@ -62,7 +62,7 @@ def make(
             real time and in one world. None for simulation alone.
         layers: Your own layers on top of those of the setup, from the lowest to the highest, as objects, classes or
             names; of several robots, a sequence per robot by name. Names and classes in a sequence, up to its first
-            object, become part of the setup, which recordings keep.
+            object, become part of the setup, which recordings keep; replays go without the others.
         gates: What the targets of all robots must pass before a device sees them, as objects, classes or names.
         observers: See every step.
         render_mode: `rgb_array` for an environment whose `render` draws, `rgb_array_list` for one that draws every
