@@ -56,7 +56,7 @@ def assert_equal_but_for_frames(old: EpisodeRecord, new: EpisodeRecord) -> None:
     [
         {},
         {"depth": True, "camera_noise": True},
-        {"fps": 15.0},
+        {"camera_fps": 15.0},
         {"randomisation": True},
         {"render_quality": "full", "cameras": ("side",), "max_episode_steps": 2},
         {"task": "LiftBar", "robot": "dual_fr3", "cameras": ("front",)},
@@ -77,7 +77,7 @@ def test_with_nothing_changed_every_frame_has_the_same_bits(tmp_path: Path, opti
 
 def test_cameras_that_were_not_there_are_drawn_and_nothing_else_changes(tmp_path: Path) -> None:
     source = recorded(tmp_path / "source", cameras=())
-    made = run(source, tmp_path / "out", cameras=("wrist", "side"), size=SIZE, depth=True)
+    made = run(source, tmp_path / "out", cameras=("wrist", "side"), image_size=SIZE, depth=True)
     for old, new in zip(Dataset.open(source).episodes, made.episodes, strict=True):
         assert_equal_but_for_frames(old, new)
         rgb = new.column("observation/frames/wrist/rgb")
@@ -108,7 +108,7 @@ def test_dropped_cameras_leave_their_mark_on_the_scene_and_not_on_the_data(datas
 def test_size_and_quality_change_frames_alone(tmp_path: Path) -> None:
     source = recorded(tmp_path / "source", cameras=("side",), max_episode_steps=2)
     made = run(source, tmp_path / "out", image_size=64, render_quality="full", camera_noise=True)
-    assert setup_of(made).quality == "full"
+    assert setup_of(made).render_quality == "full"
     for old, new in zip(Dataset.open(source).episodes, made.episodes, strict=True):
         assert_equal_but_for_frames(old, new)
         assert new.column("observation/frames/side/rgb").shape[1:] == (64, 64, 3)
@@ -150,7 +150,7 @@ def test_new_looks_keep_the_physics_that_was_drawn(tmp_path: Path) -> None:
 
 
 def test_what_was_drawn_anew_still_replays_bit_for_bit(dataset: Path, tmp_path: Path) -> None:
-    made = run(dataset, tmp_path / "out", cameras=("side",), size=32)
+    made = run(dataset, tmp_path / "out", cameras=("side",), image_size=32)
     assert setup_of(made).cameras == ("side",)
     assert physics_of(made) == setup_of(Dataset.open(dataset))
     assert all(result.is_equal for result in replay(tmp_path / "out"))

@@ -53,7 +53,7 @@ def test_an_unknown_name_gives_the_nearest_match(options: dict[str, Any], texts:
         ({"copies": 0}, "copies"),
         ({"copies": 2.5}, "copies"),
         ({"threads": -1}, "threads"),
-        ({"mode": "realtime"}, "wall clock"),
+        ({"stepping": "realtime"}, "wall clock"),
     ],
 )
 def test_an_option_of_a_batch_that_makes_no_sense_is_refused(options: dict[str, Any], text: str) -> None:
@@ -145,7 +145,7 @@ def test_an_unknown_autoreset_lists_the_valid_ones() -> None:
 
 
 def test_numbers_may_be_those_of_numpy() -> None:
-    options: dict[str, Any] = {"size": (np.int64(32), np.int32(24)), "frequency": np.float32(20)}
+    options: dict[str, Any] = {"image_size": (np.int64(32), np.int32(24)), "frequency": np.float32(20)}
     setup = rcs.Setup(task="Free", max_episode_steps=np.int64(7), **options)
     assert setup == rcs.Setup(task="Free", max_episode_steps=7, image_size=(32, 24), frequency=20.0)
     assert rcs.Setup.from_json(json.loads(json.dumps(setup.to_json()))) == setup

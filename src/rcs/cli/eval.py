@@ -23,20 +23,23 @@ class EvalCommand(RunOptions):
     """How many episodes to run."""
     cameras: tuple[str, ...] | None = ()
     """Cameras that the agent sees; without them, episodes are fast."""
-    videos: int = 0
-    """How many of the first episodes to write a video of."""
+    video: bool = False
+    """Write videos of the first ten episodes."""
+    videos: int | None = None
+    """Write videos of this many of the first episodes."""
     out: Path = field(default_factory=lambda: Path("evaluation"))
     """Folder for the figures and the videos."""
 
     def run(self) -> int:
         """Evaluate, tell how it went and return the exit code."""
+        videos = (10 if self.video else 0) if self.videos is None else self.videos
         evaluation = Evaluation(
             setup=self.setup(),
             agent=self.agent,
             episodes=self.episodes,
             seed=self.seed,
             workers=self.processes,
-            videos=self.videos,
+            videos=videos,
             out=self.out,
         )
         console, summary = plain_console(soft_wrap=False), Summary()
@@ -49,6 +52,6 @@ class EvalCommand(RunOptions):
             if summary.attempts:
                 console.print(results_table(summary, time.perf_counter() - started, evaluation.workers))
                 console.print(f"Figures: {summary.write(evaluation)}", soft_wrap=True)
-                if self.videos:
+                if videos:
                     console.print(f"Videos: {self.out}", soft_wrap=True)
         return INTERRUPTED if summary.is_interrupted else 0

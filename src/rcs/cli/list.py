@@ -45,7 +45,7 @@ class ListCommand:
             table.add_row("robot", name, f"{arms} with {lab.end_effector}; cameras: {cameras}")
         for kind in ("task", "agent", "operator", "layer", "gate", "driver"):
             for entry in sorted(entry_points(group=f"rcs.{kind}s")):
-                table.add_row(kind, entry.name, summary(entry.value))
+                table.add_row(kind, entry.name, summary(entry.value) or entry.name)
         for name in ids():
             table.add_row("id", name, "gymnasium.make")
         console.print(table)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypedDict, get_args
@@ -126,6 +127,10 @@ class Setup:
         if steps is not None and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
             raise InvalidSetup(f"max_episode_steps is {steps!r}; valid is a whole number from 1, or None.")
 
+    def __hash__(self) -> int:
+        """Equal setups have equal hashes."""
+        return hash(json.dumps(self.to_json(), sort_keys=True))
+
     def fps_of(self, camera: str) -> float | None:
         """Return the frame rate that is asked for of a camera [frames/s]; None for the most that it offers."""
         return dict(self.camera_fps).get(camera) if isinstance(self.camera_fps, tuple) else self.camera_fps
@@ -148,7 +153,7 @@ class Setup:
         """
         fields = {own.name for own in dataclasses.fields(Setup)}
         if unknown := sorted(set(values) - fields):
-            raise UnknownName("option", unknown[0], fields)
+            raise InvalidSetup(UnknownName("option", unknown[0], fields).message)
         return Setup(**values)
 
 

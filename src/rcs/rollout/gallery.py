@@ -80,7 +80,7 @@ def _shots(name: str, task: str, robot: str, out: Path, seed: int) -> Iterator[S
             picture = Picture(env.scenario.world, size=SIZE, quality=quality)
             yield _write(group, f"scene, {quality}", picture.draw(), out / f"{stem}-{quality}.jpg")
             picture.close()
-            frames = env.stack.measure()["frames"]
+            frames = env.stack.lift(env.stack.measure())["frames"]
             for camera, frame in frames.items():
                 title = f"camera {camera}, {quality}"
                 yield _write(group, title, frame["rgb"], out / f"{stem}-camera-{camera}-{quality}.jpg")

@@ -1,11 +1,13 @@
-"""The ids of `gymnasium.make`, registered when `rcs` is imported; the simulator is imported when one is made.
+"""The ids of `gymnasium.make`. Importing `rcs` registers the built-in ones, without a look at other packages.
 
 A package adds ids through the entry-point group `rcs.ids`, such as `PickCuboid-MyRobot-v0 = "my_robot"`: the name is
 what follows `rcs/` in the id, its first word is the task, and the value is the robot. `rcs/MyRobot-v0` has no task.
+Importing `rcs.installed` registers those, as `gymnasium.make("rcs.installed:rcs/PickCuboid-MyRobot-v0")` does.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
@@ -18,10 +20,24 @@ if TYPE_CHECKING:
 EPISODE_STEPS = 300
 """Gymnasium truncates an episode after this many steps; `gymnasium.make(..., max_episode_steps=...)` changes it."""
 
+BUILT_IN = {
+    "rcs/FR3-v0": ("Free", "fr3"),
+    "rcs/PickCuboid-FR3-v0": ("PickCuboid", "fr3"),
+    "rcs/DualFR3-v0": ("Free", "dual_fr3"),
+    "rcs/LiftBar-DualFR3-v0": ("LiftBar", "dual_fr3"),
+    "rcs/SO101-v0": ("Free", "so101"),
+    "rcs/PickCuboid-SO101-v0": ("PickCuboid", "so101"),
+    "rcs/UR5e-v0": ("Free", "ur5e"),
+    "rcs/PickCuboid-UR5e-v0": ("PickCuboid", "ur5e"),
+    "rcs/XArm7-v0": ("Free", "xarm7"),
+    "rcs/PickToy-XArm7-v0": ("PickToy", "xarm7"),
+}
+"""Task and robot of the ids of this package."""
+
 
 def ids() -> dict[str, tuple[str, str]]:
-    """Return task and robot by id; imports no package."""
-    found: dict[str, tuple[str, str]] = {}
+    """Return task and robot by id, of this package and of all that are installed; imports none of them."""
+    found = dict(BUILT_IN)
     for entry in entry_points(group="rcs.ids"):
         task, _, rest = entry.name.partition("-")
         found[f"rcs/{entry.name}"] = (task if "-" in rest else "Free", entry.value)
@@ -33,9 +49,9 @@ def tasks_of(robot: str) -> list[str]:
     return [task for task, other in ids().values() if other == robot and task != "Free"]
 
 
-def register() -> None:
-    """Register all ids; imports no simulator."""
-    for name, (task, robot) in ids().items():
+def register(some: Mapping[str, tuple[str, str]] = BUILT_IN) -> None:
+    """Register ids with Gymnasium; imports no simulator."""
+    for name, (task, robot) in some.items():
         if name not in registry:
             register_id(
                 name,

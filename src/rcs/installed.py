@@ -1,0 +1,10 @@
+"""Importing this registers the Gymnasium ids of all installed packages; `import rcs` registers those of its own only.
+
+Example:
+    >>> import gymnasium
+    >>> env = gymnasium.make("rcs.installed:rcs/PickCuboid-FR3-v0")
+"""
+
+from rcs.setups import ids
+
+ids.register(ids.ids())
