@@ -11,9 +11,10 @@ from rcs.setups import tasks_of
 
 ROBOT = "fr3"  # or any other that `rcs list` names
 
-env = rcs.make(tasks_of(ROBOT)[0], robot=ROBOT)
+task = tasks_of(ROBOT)[0]
+env = rcs.make(task, robot=ROBOT)
 print(env)
 result = rcs.run_episode(env, agent_for(env), seed=0)
 seconds = result.steps / env.frequency
-print(f"{env.setup.task} on {ROBOT}: {'success' if result.success else result.failure} after {seconds:.1f} s")
+print(f"{task} on {ROBOT}: {'success' if result.success else result.failure} after {seconds:.1f} s")
 env.close()
