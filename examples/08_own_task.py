@@ -1,7 +1,4 @@
-"""A task, an expert and a layer of your own in one file or notebook, without a package or registration.
-
-Written with `...`, which leaves room for an axis of copies in front, the task also runs in `rcs.make_vec`.
-"""
+"""A task, an expert and a layer of your own in one file or notebook; `...` leaves room for an axis of copies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Import does nothing: no network, no file but modules and lists of names, no environment variable, no plugin, no GL."""
+"""Import does nothing: no network, no file but modules and lists of names, no variable, no plugin, no GL."""
 
 from __future__ import annotations
 
