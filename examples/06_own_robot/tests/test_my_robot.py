@@ -106,7 +106,7 @@ def test_the_expert_of_our_task_pushes_the_block() -> None:
     """From everywhere where it may lie."""
     env = rcs.make("PushToLine", robot="my_robot")
     expert = agent_for(env)
-    assert all(run_episode(env, expert, seed=seed).success for seed in range(10))
+    assert all(rcs.run_episode(env, expert, seed=seed).success for seed in range(10))
     env.close()
 
 
