@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from rcs.agents.agent import Action, Agent
-from rcs.envs.env import Env
-from rcs.envs.spaces import Observation
+from rcs.agents import Agent
+from rcs.envs import Action, Env, Observation
 
 
 class Wander(Agent):

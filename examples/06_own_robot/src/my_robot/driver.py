@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from rcs.devices import Arm, ArmLimits, Gripper
-from rcs.devices.fakes import FakeArm, FakeGripper
+from rcs.devices import Arm, ArmLimits, FakeArm, FakeGripper, Gripper
 from rcs.hardware import Driver
-from rcs.robots.description import ArmDescription, GripperDescription
+from rcs.robots import ArmDescription, GripperDescription
 
 
 class MyDriver(Driver):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from rcs.envs.layers import Action, Layer
-from rcs.envs.spaces import JOINTS
+from rcs.envs import Action, Layer
 
 
 class HalfSpeed(Layer):
@@ -11,4 +10,4 @@ class HalfSpeed(Layer):
 
     def map_action(self, action: Action) -> Action:
         """Halve the step of every joint."""
-        return {**action, JOINTS: 0.5 * action[JOINTS]}
+        return {**action, "joints": 0.5 * action["joints"]}

@@ -8,14 +8,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.agents.script import Phase, Plan, Script, ScriptedArm
-from rcs.envs.draws import Draws
-from rcs.envs.layers import Where
-from rcs.envs.task import Outcome, Task
-from rcs.sim.robot import SimRobot
-from rcs.sim.scene import Scene
-from rcs.sim.world import World
-from rcs.tasks.lifting import FreeBody, add_box, upright
+from rcs.agents import Phase, Plan, Script, ScriptedArm
+from rcs.envs import Draws, Judgement, Task, Where
+from rcs.sim import Scene, SimRobot, World
+from rcs.tasks import FreeBody, add_box, upright
 
 BLOCK = "block"
 EDGE = 0.05
@@ -55,7 +51,7 @@ class PushToLine(Task):
         """Have the block's pose in the scene read out, which is that in the base frame of a robot alone."""
         self._world = world
         self._body = FreeBody(world, BLOCK)
-        self._pose = world.core.read_body_pose(world.model.body(BLOCK).id, 0)
+        self._pose = world.read_pose(BLOCK)
 
     def reset(self, draws: Draws, where: Where) -> None:
         """Lay the block down before the line. Arrays have a row per copy that starts, or no such axis for one alone."""
@@ -63,12 +59,12 @@ class PushToLine(Task):
         place = draws.uniform([x - 0.05, y - 0.10, -0.2], [x + 0.03, y + 0.10, 0.2])
         self._body.place(upright(place, np.full(place.shape[:-1], EDGE / 2)), where)
 
-    def evaluate(self) -> Outcome:
+    def evaluate(self) -> Judgement:
         """Judge how far the block still has to go."""
         block = self._block()
         left = np.maximum(self.area.center[0] + LINE - block[..., 0], 0.0)
         success = left == 0.0
-        return Outcome(
+        return Judgement(
             reward=self.reward(1.0 - np.tanh(5.0 * left), success),
             terminated=success,
             info={"success": success, BLOCK: block},
