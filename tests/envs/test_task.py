@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rcs.envs.draws import Draws
-from rcs.envs.task import Area, Outcome, Task
+from rcs.envs.task import Area, Judgement, Task
 from rcs.errors import InvalidSetup
 
 
@@ -27,8 +27,8 @@ class Sorting(Task):
 
     def reset(self, draws: Any, where: Any) -> None: ...
 
-    def evaluate(self) -> Outcome:
-        return Outcome(reward=np.zeros(()), terminated=np.zeros((), np.bool_))
+    def evaluate(self) -> Judgement:
+        return Judgement(reward=np.zeros(()), terminated=np.zeros((), np.bool_))
 
 
 def test_options_survive_json() -> None:

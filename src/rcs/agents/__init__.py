@@ -1,8 +1,5 @@
 """Agents: they map observations to actions. Scripted experts, replay, and later planners, people and policies."""
 
-from rcs.agents.agent import Agent, Event
-from rcs.agents.choice import agent_for
-from rcs.agents.experts import LiftExpert, PickExpert, ToyExpert
-from rcs.agents.replay import Replay
+from rcs.lazy import load_on_use
 
-__all__ = ["Agent", "Event", "LiftExpert", "PickExpert", "Replay", "ToyExpert", "agent_for"]
+load_on_use(__name__)

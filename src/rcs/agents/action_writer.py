@@ -9,9 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.agents.agent import Action
 from rcs.envs.setup import Setup
-from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Observation
+from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Action, Observation
 from rcs.kinematics import IkOptions, IkStatus, Kinematics
 from rcs.spatial import Pose, compose, inverse, limit_step, tquat_to_xyzrpy
 

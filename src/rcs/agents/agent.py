@@ -6,10 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-from rcs.envs.spaces import Observation
-
-Action = dict[str, Any]
-"""An array per key, or, with several robots, such a dictionary per robot."""
+from rcs.envs.spaces import Action, Observation
 
 Event = Literal["engage", "release", "start", "stop", "discard", "reset", "takeover"]
 """What an operator asks for besides an action."""

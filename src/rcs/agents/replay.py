@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rcs.agents.agent import Action, Agent
-from rcs.envs.spaces import Observation
+from rcs.agents.agent import Agent
+from rcs.envs.spaces import Action, Observation
 from rcs.errors import WrongOrder
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents.action_writer import ActionWriter
-from rcs.agents.agent import Action, Agent
+from rcs.agents.agent import Agent
 from rcs.envs.env import Env
-from rcs.envs.spaces import JOINTS, TQUAT, Observation
+from rcs.envs.spaces import JOINTS, TQUAT, Action, Observation
 from rcs.errors import WrongOrder
 from rcs.kinematics import Kinematics, kinematics_of
 from rcs.sim.scene import RobotPlacement

@@ -1,35 +1,5 @@
 """Devices behind one interface each, implementable in C++ or in Python, and how to find them by name."""
 
-from rcs._core import (
-    Arm,
-    ArmLimits,
-    ArmState,
-    Camera,
-    CameraCalibration,
-    CameraMode,
-    CommandKind,
-    Device,
-    Frame,
-    Gripper,
-    GripperState,
-    Hand,
-    HandState,
-    stop_all,
-)
+from rcs.lazy import load_on_use
 
-__all__ = [
-    "Arm",
-    "ArmLimits",
-    "ArmState",
-    "Camera",
-    "CameraCalibration",
-    "CameraMode",
-    "CommandKind",
-    "Device",
-    "Frame",
-    "Gripper",
-    "GripperState",
-    "Hand",
-    "HandState",
-    "stop_all",
-]
+load_on_use(__name__)

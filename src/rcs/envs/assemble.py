@@ -38,7 +38,7 @@ from rcs.envs.start import base_in_scene
 from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
-from rcs.hardware import Devices
+from rcs.hardware.site import Devices
 from rcs.kinematics import kinematics_of
 from rcs.sim.camera import SimCameras
 from rcs.sim.frame_clock import FrameClock, FrameRate

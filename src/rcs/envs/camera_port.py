@@ -16,9 +16,8 @@ from rcs.data.scale import Scaler
 from rcs.devices import Camera, Frame
 from rcs.envs import spaces as keys
 from rcs.envs.gate import Gate
-from rcs.envs.layers import Action
 from rcs.envs.ports import Port
-from rcs.envs.spaces import Arrays, Observation
+from rcs.envs.spaces import Action, Arrays, Observation
 from rcs.errors import DeviceFault, Refused
 from rcs.hardware.site import OnStale
 from rcs.robots.description import CameraDescription

@@ -9,9 +9,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.layers import Action, Layer, Where
+from rcs.envs.layers.layer import Layer, Where
 from rcs.envs.ports import Port
-from rcs.envs.spaces import ActionCheck, Observation
+from rcs.envs.spaces import Action, ActionCheck, Observation
 from rcs.errors import InvalidSetup
 
 

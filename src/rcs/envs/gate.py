@@ -5,8 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
-from rcs.envs.layers import Action
-from rcs.envs.spaces import Observation
+from rcs.envs.spaces import Action, Observation
 
 
 class Gate(ABC):

@@ -12,7 +12,7 @@ from rcs.envs.layers import Where
 from rcs.envs.randomiser import Randomiser
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS
 from rcs.envs.start import Start, in_frame_of
-from rcs.envs.task import Outcome, Task
+from rcs.envs.task import Judgement, Task
 from rcs.sim.frame_clock import FrameClock
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import Copies, World
@@ -91,7 +91,7 @@ class Scenario:
         """
         return in_frame_of(self.robots, self.task.object_poses())
 
-    def evaluate(self) -> Outcome:
+    def evaluate(self) -> Judgement:
         """Judge the present state."""
         return self.task.evaluate()
 

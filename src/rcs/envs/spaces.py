@@ -32,6 +32,9 @@ Control = Literal["joints", "tquat", "xyzrpy"]
 Arrays = Mapping[str, NDArray[Any]]
 """An action or the robot's part of an observation: one array per key, of any leading shape."""
 
+Action = dict[str, Any]
+"""An array per key, or, with several robots, such a dictionary per robot."""
+
 Observation = dict[str, Any]
 """Arrays per key, and under `frames` a dictionary per camera."""
 

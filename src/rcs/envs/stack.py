@@ -11,9 +11,9 @@ from gymnasium import spaces
 
 from rcs.envs.chain import Chain
 from rcs.envs.gate import Gate
-from rcs.envs.layers import Action, Layer, Where
+from rcs.envs.layers.layer import Layer, Where
 from rcs.envs.ports import Port
-from rcs.envs.spaces import Observation
+from rcs.envs.spaces import Action, Observation
 from rcs.errors import InvalidAction, InvalidSetup, Refused, UnknownName
 
 NAMELESS = ""

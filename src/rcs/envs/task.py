@@ -40,7 +40,7 @@ class Area:
 
 
 @dataclass(kw_only=True)
-class Outcome:
+class Judgement:
     """What a task says of the present state. Arrays have the world's leading shape."""
 
     reward: NDArray[np.float64]
@@ -155,7 +155,7 @@ class Task(ABC):
         """
 
     @abstractmethod
-    def evaluate(self) -> Outcome:
+    def evaluate(self) -> Judgement:
         """Judge the present state of all copies. Called once per step."""
 
     def describe(self) -> dict[str, NDArray[Any]]:

@@ -1,7 +1,5 @@
 """Real devices by name: a site says which drivers reach them and where."""
 
-from rcs.hardware.driver import Driver
-from rcs.hardware.fake import FakeDriver
-from rcs.hardware.site import DeviceAddress, Devices, Site
+from rcs.lazy import load_on_use
 
-__all__ = ["DeviceAddress", "Devices", "Driver", "FakeDriver", "Site"]
+load_on_use(__name__)

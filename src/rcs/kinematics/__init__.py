@@ -1,15 +1,5 @@
 """Forward and inverse kinematics of a robot from its description."""
 
-from rcs._core import DampedLeastSquares, IkOptions, IkResult, IkStatus, Kinematics
-from rcs.kinematics.chain import attach_end_effector, kinematics_of, load
+from rcs.lazy import load_on_use
 
-__all__ = [
-    "DampedLeastSquares",
-    "IkOptions",
-    "IkResult",
-    "IkStatus",
-    "Kinematics",
-    "attach_end_effector",
-    "kinematics_of",
-    "load",
-]
+load_on_use(__name__)

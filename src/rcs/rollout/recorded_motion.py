@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents import Agent
-from rcs.agents.agent import Action
 from rcs.data import DatasetInfo, EpisodeRecord
 from rcs.envs import spaces as keys
 from rcs.envs.by_robot import by_robot, joined, prefixes
 from rcs.envs.observers.recorder import EXECUTED, OBSERVATION
-from rcs.envs.spaces import Observation
+from rcs.envs.spaces import Action, Observation
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 

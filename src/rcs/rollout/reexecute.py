@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from rcs.agents import Agent, Replay
 from rcs.agents.action_writer import ActionWriter
-from rcs.agents.agent import Action
 from rcs.data import Dataset, EpisodeRecord
 from rcs.envs import spaces as keys
 from rcs.envs.by_robot import by_robot, joined, prefixes
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import ACTION, EXECUTED
 from rcs.envs.setup import RelativeTo, Setup
-from rcs.envs.spaces import Control, Observation
+from rcs.envs.spaces import Action, Control, Observation
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.rollout.derive import Derivation, Workplace

@@ -20,7 +20,7 @@ from rcs.envs.setup import Options, Setup
 from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup, UnknownName
-from rcs.hardware import DeviceAddress, Devices, Site
+from rcs.hardware.site import DeviceAddress, Devices, Site
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
 from rcs.robots.tactile import TactileDescription
 from rcs.setups.calibration import calibrated

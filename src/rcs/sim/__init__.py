@@ -1,6 +1,5 @@
 """Simulation in MuJoCo: scenes, worlds of many copies, simulated devices and rendering."""
 
-from rcs.sim.scene import CameraPlacement, RobotPlacement, Scene
-from rcs.sim.world import Stepping, World
+from rcs.lazy import load_on_use
 
-__all__ = ["CameraPlacement", "RobotPlacement", "Scene", "Stepping", "World"]
+load_on_use(__name__)

@@ -11,7 +11,7 @@ from rcs.errors import InvalidSetup
 from rcs.robots.tactile import TactileDescription
 from rcs.sim.gel import Gel, Image
 
-Picture = NDArray[np.uint8]
+GelImage = NDArray[np.uint8]
 
 AMBIENT = 0.22
 """Share of full brightness that light from everywhere gives; our choice, as real frames are nowhere black."""
@@ -22,7 +22,7 @@ DIFFUSE = 0.40
 class GelRenderer(Protocol):
     """Turns the gel's displacement into the frame of the sensor's camera."""
 
-    def draw(self, displacement: Image) -> Picture:
+    def draw(self, displacement: Image) -> GelImage:
         """Return the frame, (height, width, 3), of a displacement towards the camera [m], (height, width)."""
         ...
 
@@ -38,7 +38,7 @@ class GelLight:
     real sensor can take the place of the computed one, and where nothing is felt every bit of it stays.
     """
 
-    def __init__(self, sensor: TactileDescription, gel: Gel, background: Picture | None = None) -> None:
+    def __init__(self, sensor: TactileDescription, gel: Gel, background: GelImage | None = None) -> None:
         """Light the gel at rest.
 
         Args:
@@ -66,10 +66,10 @@ class GelLight:
         self._at_rest = self._light(gel.rest, slice(0, height), slice(0, width))
         if background is None:
             background = np.clip(255.0 * AMBIENT + self._at_rest + 0.5, 0.0, 255.0).astype(np.uint8)
-        self.background: Picture = background.copy()
+        self.background: GelImage = background.copy()
         """The frame without contact, (height, width, 3)."""
 
-    def draw(self, displacement: Image) -> Picture:
+    def draw(self, displacement: Image) -> GelImage:
         """Return the frame of a displacement, (height, width, 3)."""
         frame = self.background.copy()
         felt = displacement > 0.0

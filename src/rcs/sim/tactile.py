@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rcs._core import Camera, CameraMode, Frame
 from rcs.errors import InvalidSetup
 from rcs.sim.gel import Gel
-from rcs.sim.gel_light import GelLight, GelRenderer, Picture
+from rcs.sim.gel_light import GelImage, GelLight, GelRenderer
 from rcs.sim.tactile_placement import UNFELT_GROUP, TactilePlacement
 from rcs.sim.world import World
 
@@ -26,7 +26,7 @@ Indentation = Literal["force", "geometry"]
 """What says how deep the gel gives in. `force`: the normal force on the gel, which grows with the depth up to the
 sensor's largest. `geometry`: how far objects are inside the gel, for poses that are set and not simulated."""
 
-Look = Literal["rcs", "tacto"]
+TactileLook = Literal["rcs", "tacto"]
 """Who draws the frame: this library, or Tacto (extra `tacto`)."""
 
 FELT_GROUPS = (0, 3)
@@ -46,11 +46,11 @@ class SimTactile:
         placement: TactilePlacement,
         *,
         indentation: Indentation = "force",
-        look: Look = "rcs",
-        background: Picture | None = None,
+        look: TactileLook = "rcs",
+        background: GelImage | None = None,
         noise_seed: int | None = None,
     ) -> None:
-        """Look the sensor up in a world, and have the force on its gel read out.
+        """TactileLook the sensor up in a world, and have the force on its gel read out.
 
         Args:
             world: The world.
@@ -65,9 +65,10 @@ class SimTactile:
             InvalidSetup: The sensor is not in the world, or an option that does not make sense.
             MissingDependency: Tacto was asked for and is not installed.
         """
-        if indentation not in get_args(Indentation) or look not in get_args(Look):
+        if indentation not in get_args(Indentation) or look not in get_args(TactileLook):
             raise InvalidSetup(
-                f"indentation={indentation!r}, look={look!r}; valid: {get_args(Indentation)} and {get_args(Look)}."
+                f"indentation={indentation!r}, look={look!r}; valid: {get_args(Indentation)} and "
+                f"{get_args(TactileLook)}."
             )
         if look == "tacto" and background is not None:
             raise InvalidSetup("Tacto has a background of its own; give none, or look='rcs'.")
@@ -212,7 +213,7 @@ class SimTactile:
         depth[(depth < 0.0) | (depth > farthest)] = np.inf
         return depth.reshape(rays.shape[:2])
 
-    def _with_noise(self, frame: Picture) -> Picture:
+    def _with_noise(self, frame: GelImage) -> GelImage:
         if self._noise is None:
             return frame
         noise = self._noise.standard_normal(frame.shape, np.float32)
@@ -230,7 +231,7 @@ def _around(flags: NDArray[np.bool_], across: int) -> slice:
     return slice(max(int(found[0]) - 2, 0) * COARSER, (int(found[-1]) + 3) * COARSER)
 
 
-def _renderer(placement: TactilePlacement, gel: Gel, look: Look, background: Picture | None) -> GelRenderer:
+def _renderer(placement: TactilePlacement, gel: Gel, look: TactileLook, background: GelImage | None) -> GelRenderer:
     if look == "tacto":
         # Here, because it needs packages that most users do not have.
         from rcs.sim.tacto import Tacto

@@ -23,7 +23,7 @@ from rcs._core import probe_gl
 from rcs.errors import InvalidSetup, MissingDependency
 from rcs.robots.tactile import TactileDescription
 from rcs.sim.gel import Gel, Image
-from rcs.sim.gel_light import Picture
+from rcs.sim.gel_light import GelImage
 
 MESH_ROWS = 160
 """Vertices of the surface along the sensor's z axis; twice as many take four times as long and look the same."""
@@ -55,7 +55,7 @@ class Tacto:
         z = sensor.gel_center[2] - z0 + sensor.gel_height * np.linspace(-0.5, 0.5, MESH_ROWS)
         self._y, self._z = np.meshgrid(y, z)
 
-    def draw(self, displacement: Image) -> Picture:
+    def draw(self, displacement: Image) -> GelImage:
         """Return the frame of a displacement, (height, width, 3).
 
         Raises:

@@ -6,7 +6,7 @@ import numpy as np
 
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
-from rcs.envs.task import Outcome, Task
+from rcs.envs.task import Judgement, Task
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import World
 
@@ -21,6 +21,6 @@ class Free(Task):
     def reset(self, draws: Draws, where: Where) -> None:
         """Leave everything as it is: the robot starts at home."""
 
-    def evaluate(self) -> Outcome:
+    def evaluate(self) -> Judgement:
         """Return reward 0, never terminated, and no `success`: there is nothing to judge."""
-        return Outcome(reward=np.zeros(self._leading), terminated=np.zeros(self._leading, np.bool_))
+        return Judgement(reward=np.zeros(self._leading), terminated=np.zeros(self._leading, np.bool_))

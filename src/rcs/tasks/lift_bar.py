@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
-from rcs.envs.task import Outcome, Task
+from rcs.envs.task import Judgement, Task
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
@@ -98,7 +98,7 @@ class LiftBar(Task):
         if BAR in poses:
             self._body.place(poses[BAR], where)
 
-    def evaluate(self) -> Outcome:
+    def evaluate(self) -> Judgement:
         """Judge height, level and grasps, and for how long."""
         poses = self._world.poses
         bar = poses[..., self._pose, :].copy()
@@ -118,7 +118,7 @@ class LiftBar(Task):
             "bar_in_scene": bar,
             "grasp_offset": self._grasp_offset.copy(),
         }
-        return Outcome(reward=reward, terminated=success, info=info)
+        return Judgement(reward=reward, terminated=success, info=info)
 
     def _grasps(self, bar: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where the two ends are to be grasped, in the scene, (..., 2, 3)."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
-from rcs.envs.task import Area, Outcome, Task
+from rcs.envs.task import Area, Judgement, Task
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
@@ -96,7 +96,7 @@ class PickCuboid(Task):
         if CUBOID in poses:
             self._body.place(poses[CUBOID], where)
 
-    def evaluate(self) -> Outcome:
+    def evaluate(self) -> Judgement:
         """Judge height, grasp and how long the cuboid was held."""
         touches = self._world.forces > TOUCH_FORCE
         poses = self._world.poses
@@ -113,7 +113,7 @@ class PickCuboid(Task):
             "is_touched": touches[..., self._touched],
             "cuboid": cuboid,
         }
-        return Outcome(reward=reward, terminated=success, info=info)
+        return Judgement(reward=reward, terminated=success, info=info)
 
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return where the cuboid lies."""

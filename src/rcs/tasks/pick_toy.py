@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
-from rcs.envs.task import Outcome, Task
+from rcs.envs.task import Judgement, Task
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.sim.robot import SimRobot
@@ -151,7 +151,7 @@ class PickToy(Task):
         nodes[..., 2] = lying[..., 2]
         self._world.qpos[where, self._qpos] = (nodes - self._center - self._nodes[where]).reshape(*yaw.shape[:-1], -1)
 
-    def evaluate(self) -> Outcome:
+    def evaluate(self) -> Judgement:
         """Judge height, grasp and how long the toy was held at home."""
         nodes = self._present_nodes()
         in_scene = self._pose(nodes)
@@ -165,7 +165,7 @@ class PickToy(Task):
         success = self._held.count((height > goal) & is_home)
         reward = self.reward(progress(norm(toy[..., :3] - tcp), is_squeezed, height, goal), success)
         info = {"success": success, "is_touched": is_touched, "toy": toy}
-        return Outcome(reward=reward, terminated=success, info=info)
+        return Judgement(reward=reward, terminated=success, info=info)
 
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return where the toy lies."""

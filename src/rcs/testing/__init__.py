@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import pytest
 
+from rcs.lazy import load_on_use
+
 # Before the suites are imported: a failed check then shows the values that it compared.
 pytest.register_assert_rewrite(
     "rcs.testing.arm_contract",
@@ -25,20 +27,4 @@ pytest.register_assert_rewrite(
     "rcs.testing.safety_contract",
 )
 
-from rcs.testing.arm_contract import ArmContract  # noqa: E402  the call above comes first
-from rcs.testing.camera_contract import CameraContract  # noqa: E402
-from rcs.testing.description_contract import DescriptionContract  # noqa: E402
-from rcs.testing.env_contract import EnvContract  # noqa: E402
-from rcs.testing.gripper_contract import GripperContract  # noqa: E402
-from rcs.testing.hand_contract import HandContract  # noqa: E402
-from rcs.testing.safety_contract import SafetyContract  # noqa: E402
-
-__all__ = [
-    "ArmContract",
-    "CameraContract",
-    "DescriptionContract",
-    "EnvContract",
-    "GripperContract",
-    "HandContract",
-    "SafetyContract",
-]
+load_on_use(__name__)

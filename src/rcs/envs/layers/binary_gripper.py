@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rcs.envs.layers.layer import Action, Layer
-from rcs.envs.spaces import GRIPPER
+from rcs.envs.layers.layer import Layer
+from rcs.envs.spaces import GRIPPER, Action
 
 THRESHOLD = 0.5
 """An action of at least this opens."""

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import Action, ActionSpaces, Layer, Where, everywhere, renew
-from rcs.envs.spaces import JOINTS, TQUAT, Observation, tquat_space
+from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.spaces import JOINTS, TQUAT, Action, Observation, tquat_space
 from rcs.errors import InvalidAction
 from rcs.kinematics import DampedLeastSquares, IkOptions, IkStatus
 from rcs.spatial import normalize

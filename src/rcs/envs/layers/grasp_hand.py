@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import spaces
 
 from rcs.envs.layers.binary_gripper import THRESHOLD
-from rcs.envs.layers.layer import Action, ActionSpaces, Layer
-from rcs.envs.spaces import GRIPPER, HAND, Observation, normalised_space
+from rcs.envs.layers.layer import ActionSpaces, Layer
+from rcs.envs.spaces import GRIPPER, HAND, Action, Observation, normalised_space
 
 
 class GraspHand(Layer):

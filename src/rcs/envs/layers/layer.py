@@ -18,13 +18,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.spaces import Observation
+from rcs.envs.spaces import Action, Observation
 
 ActionSpaces = dict[str, spaces.Box]
 """Space of every key of an action."""
-
-Action = dict[str, NDArray[Any]]
-"""A checked action: one array per key."""
 
 Where = EllipsisType | NDArray[np.integer]
 """Which copies a reset is for: `...` for all, or their numbers. Indexes the first axis of a batch."""

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs._core import limit_rows
-from rcs.envs.layers.layer import Action, Layer, Where, everywhere, renew
-from rcs.envs.spaces import JOINTS, Observation
+from rcs.envs.layers.layer import Layer, Where, everywhere, renew
+from rcs.envs.spaces import JOINTS, Action, Observation
 
 ROUNDING = 1e-9
 """A target cut by less than this [rad] counts as not cut."""

@@ -8,8 +8,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import Action, ActionSpaces, Layer, Where, everywhere, renew
-from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, Control, Observation, xyzrpy_space
+from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, Action, Control, Observation, xyzrpy_space
 from rcs.spatial import compose, distance, interpolate, normalize, xyzrpy_to_tquat
 
 Reference = Literal["last_step", "origin"]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rcs.envs.layers.layer import Action, ActionSpaces, Layer
-from rcs.envs.spaces import TQUAT, XYZRPY, xyzrpy_space
+from rcs.envs.layers.layer import ActionSpaces, Layer
+from rcs.envs.spaces import TQUAT, XYZRPY, Action, xyzrpy_space
 from rcs.spatial import xyzrpy_to_tquat
 
 

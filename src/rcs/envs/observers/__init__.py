@@ -1,5 +1,5 @@
 """Observers: they see every step and change nothing (the paper's identity wrappers)."""
 
-from rcs.envs.observers.observer import Observer, Transition
+from rcs.lazy import load_on_use
 
-__all__ = ["Observer", "Transition"]
+load_on_use(__name__)

@@ -1,0 +1,12 @@
+from rcs.agents.action_writer import ActionWriter as ActionWriter
+from rcs.agents.agent import Agent as Agent
+from rcs.agents.agent import Event as Event
+from rcs.agents.choice import agent_for as agent_for
+from rcs.agents.experts import LiftExpert as LiftExpert
+from rcs.agents.experts import PickExpert as PickExpert
+from rcs.agents.experts import ToyExpert as ToyExpert
+from rcs.agents.replay import Replay as Replay
+from rcs.agents.script import Phase as Phase
+from rcs.agents.script import Plan as Plan
+from rcs.agents.script import Script as Script
+from rcs.agents.script import ScriptedArm as ScriptedArm

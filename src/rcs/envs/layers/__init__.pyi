@@ -1,0 +1,13 @@
+from rcs.envs.layers.binary_gripper import BinaryGripper as BinaryGripper
+from rcs.envs.layers.cartesian import CartesianControl as CartesianControl
+from rcs.envs.layers.grasp_hand import GraspHand as GraspHand
+from rcs.envs.layers.layer import ActionSpaces as ActionSpaces
+from rcs.envs.layers.layer import Layer as Layer
+from rcs.envs.layers.layer import Where as Where
+from rcs.envs.layers.layer import everywhere as everywhere
+from rcs.envs.layers.layer import renew as renew
+from rcs.envs.layers.limit_step import LimitStep as LimitStep
+from rcs.envs.layers.relative import Relative as Relative
+from rcs.envs.layers.wrapper import LayerWrapper as LayerWrapper
+from rcs.envs.layers.wrist_camera import WristCamera as WristCamera
+from rcs.envs.layers.xyzrpy import XyzrpyControl as XyzrpyControl

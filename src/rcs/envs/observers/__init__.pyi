@@ -1,0 +1,2 @@
+from rcs.envs.observers.observer import Observer as Observer
+from rcs.envs.observers.observer import Transition as Transition

@@ -1,0 +1,4 @@
+from rcs.hardware.driver import Driver as Driver
+from rcs.hardware.fake import FakeDriver as FakeDriver
+from rcs.hardware.site import DeviceAddress as DeviceAddress
+from rcs.hardware.site import Site as Site

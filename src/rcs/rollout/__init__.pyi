@@ -1,0 +1,11 @@
+from rcs.rollout.collect import Collection as Collection
+from rcs.rollout.collect import Progress as Progress
+from rcs.rollout.collect import collect as collect
+from rcs.rollout.episode import EpisodeResult as EpisodeResult
+from rcs.rollout.episode import Judge as Judge
+from rcs.rollout.episode import ask as ask
+from rcs.rollout.episode import run_episode as run_episode
+from rcs.rollout.evaluate import Evaluation as Evaluation
+from rcs.rollout.evaluate import Summary as Summary
+from rcs.rollout.evaluate import evaluate as evaluate
+from rcs.rollout.replay import replay as replay

@@ -1,0 +1,15 @@
+from rcs._core import Pose as Pose
+from rcs.spatial.arrays import FloatArray as FloatArray
+from rcs.spatial.arrays import compose as compose
+from rcs.spatial.arrays import distance as distance
+from rcs.spatial.arrays import interpolate as interpolate
+from rcs.spatial.arrays import inverse as inverse
+from rcs.spatial.arrays import limit_step as limit_step
+from rcs.spatial.arrays import matrix_to_tquat as matrix_to_tquat
+from rcs.spatial.arrays import normalize as normalize
+from rcs.spatial.arrays import relative as relative
+from rcs.spatial.arrays import tquat_to_matrix as tquat_to_matrix
+from rcs.spatial.arrays import tquat_to_xyzrpy as tquat_to_xyzrpy
+from rcs.spatial.arrays import wxyz_to_xyzw as wxyz_to_xyzw
+from rcs.spatial.arrays import xyzrpy_to_tquat as xyzrpy_to_tquat
+from rcs.spatial.arrays import xyzw_to_wxyz as xyzw_to_wxyz
