@@ -1,8 +1,10 @@
-"""A robot of your own: an arm written in Python behind the device interface, driven through the same environment.
+"""A device of your own: an arm written in Python behind the device interface, driven through the same environment.
 
 An arm overrides a few functions with a leading underscore. Everything around them is checked by the interface: calls
 in a wrong order, targets that are not finite or outside the limits, and a fault state that only `recover` clears. On a
 real robot the functions talk to the vendor's library; here a velocity-limited motion stands in for it.
+
+The gripper has no device here, so it is simulated beside the arm, in real time.
 """
 
 from __future__ import annotations
@@ -12,19 +14,9 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+import rcs
 from rcs.devices import Arm, ArmLimits, ArmState
-from rcs.devices.fakes import FakeGripper
-from rcs.envs.chain import Chain
-from rcs.envs.clock import Clock
-from rcs.envs.env import Env
-from rcs.envs.layers import BinaryGripper, CartesianControl, LimitStep, Relative
-from rcs.envs.ports import ArmPort, GripperPort
-from rcs.envs.stack import Stack
-from rcs.kinematics import kinematics_of
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
-
-FREQUENCY = 50.0  # Hz
+from rcs.robots import FR3
 
 
 class MyArm(Arm):
@@ -60,19 +52,13 @@ class MyArm(Arm):
         self._target = self._joints.copy()
 
 
-kinematics = kinematics_of(FR3, FRANKA_HAND)
-ports = [ArmPort(MyArm(), kinematics), GripperPort(FakeGripper())]
-max_step = 0.2 * np.array(FR3.velocity_limit) / FREQUENCY
-layers = [LimitStep(max_step), CartesianControl(kinematics), Relative("xyzrpy"), BinaryGripper()]
-env = Env(Stack(Chain(ports, layers)), Clock(ports=ports, frequency=FREQUENCY), title="my robot")
-print(env)
-
-observation, info = env.reset()
-start = time.perf_counter()
-first = observation["tquat"]
-for _ in range(25):
-    action = {"xyzrpy": np.array([0.0, 0.002, 0.0, 0.0, 0.0, 0.0]), "gripper": np.array([0.0])}
-    observation, reward, terminated, truncated, info = env.step(action)
-print("the TCP moved by", (observation["tquat"] - first)[:3].round(3), "m")
-print(f"25 steps at {FREQUENCY:g} Hz took {time.perf_counter() - start:.2f} s")
-env.close()
+with rcs.make("Free", robot="fr3", control="xyzrpy", frequency=50, hardware={"fr3": MyArm()}) as env:
+    print(env)
+    print(env.limits())
+    observation, info = env.reset()
+    start, first = time.perf_counter(), observation["tquat"]
+    for _ in range(25):
+        action = {"xyzrpy": np.array([0.0, 0.002, 0.0, 0.0, 0.0, 0.0]), "gripper": np.array([0.0])}
+        observation, reward, terminated, truncated, info = env.step(action)
+    print("the TCP moved by", (observation["tquat"] - first)[:3].round(3), "m")
+    print(f"25 steps at {env.frequency:g} Hz took {time.perf_counter() - start:.2f} s; each part is {env.platform}")

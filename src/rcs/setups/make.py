@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, Unpack
+from typing import Any, Literal, Unpack, get_type_hints
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -183,6 +184,22 @@ def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:
     large = large or [mode for mode in camera.camera.modes if rate in mode.rates]
     mode = min(large, key=lambda mode: mode.width * mode.height)
     return CameraMode(mode.width, mode.height, rate, setup.depth)
+
+
+def _show_options(function: Callable[..., Any]) -> None:
+    """Have `help` and `inspect.signature` show the fields of `Setup`, with their defaults, in the place of `options`."""
+    shown = inspect.signature(function, eval_str=True)
+    usual = Setup()
+    own = [one for one in shown.parameters.values() if one.kind is not one.VAR_KEYWORD]
+    more = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=getattr(usual, name), annotation=hint)
+        for name, hint in get_type_hints(Options).items()
+    ]
+    vars(function)["__signature__"] = shown.replace(parameters=[*own, *more])
+
+
+_show_options(make)
+_show_options(make_vec)
 
 
 def resolve(setup: Setup) -> Parts:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs import _core
-from rcs._core import StepCallback, StepView
+from rcs._core import StepCallback, StepEnd, StepView
 from rcs.errors import InvalidSetup, SimulationError
 
 Stepping = Literal["async", "sync", "realtime"]
@@ -24,6 +24,9 @@ Stepping = Literal["async", "sync", "realtime"]
 
 Copies = NDArray[np.integer[Any]] | None
 """Which copies a call is for: their ids, in any order, each once; none if there are none. None means all."""
+
+StepFunction = Callable[[StepView], bool | None]
+"""A function that sees a copy during a step; None counts as False."""
 
 LOWEST_FREQUENCY = 1e-6
 """Lowest rate of control steps [Hz]: one in eleven days."""
@@ -114,6 +117,50 @@ class World:
         """Number of copies."""
         return self.core.copies
 
+    def converge_when(self, is_done: StepFunction) -> None:
+        """Have a synchronous step end when this and all other such functions return True."""
+        self.core.converge_when(Callback(is_done))
+
+    def interrupt_when(self, is_reason: StepFunction) -> None:
+        """Have a synchronous step end as soon as a function returns True; an asynchronous one then says so in its end."""
+        self.core.interrupt_when(Callback(is_reason))
+
+    def on_period(self, function: StepFunction, period: float) -> None:
+        """Call a function at a rate of simulated time, of every copy; True interrupts the step.
+
+        Args:
+            function: Gets the state of the copy, to look at and to write controls into.
+            period: Time between two calls [s], a multiple of the time step of the physics.
+        """
+        self.core.on_period(Callback(function), period)
+
+    @property
+    def ends(self) -> list[StepEnd]:
+        """Why the last step of each copy ended."""
+        return [StepEnd(int(end)) for end in self.core.ends]
+
+    @property
+    def substeps(self) -> NDArray[np.int32]:
+        """How many steps of the physics the last step of each copy had, (copies,)."""
+        return self.core.substeps
+
+    def read_pose(self, body: str, frame: str = "world") -> int:
+        """Have the pose of a body in the frame of another one read out; returns its index in `poses`.
+
+        Raises:
+            KeyError: A body is not in the model.
+        """
+        return self.core.read_body_pose(self.model.body(body).id, self.model.body(frame).id)
+
+    def read_force(self, first: NDArray[np.uint8], second: NDArray[np.uint8]) -> int:
+        """Have the normal force between two sets of surfaces read out; returns its index in `forces`.
+
+        Args:
+            first: Flags of `geom_flags` or `subtree_flags`.
+            second: As `first`.
+        """
+        return self.core.read_force(first, second)
+
     def _read_out(self) -> None:
         """Take views of what is read out. The first use ends the time in which readouts may be added."""
         self._poses, self._xyzrpy = self.core.poses, self.core.xyzrpy
@@ -122,7 +169,7 @@ class World:
 
     @property
     def poses(self) -> NDArray[np.float64]:
-        """Live poses asked for by `core.read_pose`, (*leading, readouts, 7): translation [m], quaternion xyzw."""
+        """Live poses asked for by `read_pose`, (*leading, readouts, 7): translation [m], quaternion xyzw."""
         if not self._is_read_out:
             self._read_out()
         return self._poses
@@ -136,7 +183,7 @@ class World:
 
     @property
     def forces(self) -> NDArray[np.float64]:
-        """Live forces of what was asked for by `core.read_force`, (*leading, readouts) [N]."""
+        """Live forces of what was asked for by `read_force`, (*leading, readouts) [N]."""
         if not self._is_read_out:
             self._read_out()
         return self._forces
@@ -281,7 +328,7 @@ class World:
 class Callback(StepCallback):
     """A Python function as a step callback."""
 
-    def __init__(self, function: Callable[[StepView], bool | None]) -> None:
+    def __init__(self, function: StepFunction) -> None:
         """Wrap `function(view) -> bool`; None counts as False."""
         super().__init__()
         self._function = function
