@@ -96,7 +96,6 @@ def test_the_glossary_defines_each_word_once_in_alphabetical_order() -> None:
 
 
 def test_every_public_name_has_a_place_in_the_reference() -> None:
-    pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
     site: Any = tool("site_pages")
     text = "\n".join(site.reference().values())
     missing = [f"{package}.{name}" for package in site.PACKAGES for name in site.homes_of(package)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 import rcs
 from rcs.agents import agent_for
-from rcs.rollout.episode import run_episode
 from rcs.sim.picture import Picture
 
 FOLDER = Path(__file__).parents[1] / "docs" / "img"
@@ -30,30 +29,31 @@ FREQUENCY = 30.0
 PAUSE = 0.7
 """How long the last picture stays [s]."""
 SHOWN = {
-    "pick_cuboid_fr3": ("PickCuboid", "fr3", 3),
-    "pick_cuboid_ur5e": ("PickCuboid", "ur5e", 1),
-    "pick_cuboid_so101": ("PickCuboid", "so101", 2),
-    "pick_toy_xarm7": ("PickToy", "xarm7", 1),
-    "lift_bar_dual_fr3": ("LiftBar", "dual_fr3", 1),
+    "pick_cuboid_fr3": ("PickCuboid", "fr3", 3, 1.0),
+    "pick_cuboid_ur5e": ("PickCuboid", "ur5e", 1, 1.2),
+    "pick_cuboid_so101": ("PickCuboid", "so101", 2, 2.6),
+    "pick_toy_xarm7": ("PickToy", "xarm7", 1, 1.1),
+    "lift_bar_dual_fr3": ("LiftBar", "dual_fr3", 1, 1.0),
 }
-"""Task, robot and seed by the file's name."""
+"""Task, robot, seed and magnification by the file's name; the middle of a magnified picture is shown."""
 
 
-def episode(task: str, robot: str, seed: int) -> list[NDArray[np.uint8]]:
+def episode(task: str, robot: str, seed: int, magnification: float) -> list[NDArray[np.uint8]]:
     """Return pictures of the expert at work."""
     env = rcs.make(task, robot=robot, frequency=FREQUENCY)
-    size = (OVERSAMPLING * SIZE[0], OVERSAMPLING * SIZE[1])
-    picture = Picture(env.scenario.world, size=size, quality="full")
+    width, height = (round(min(OVERSAMPLING, 4 / magnification) * magnification * edge) for edge in SIZE)
+    picture = Picture(env.scenario.world, size=(width, height), quality="full")
+    left, top = (round(edge * (1 - 1 / magnification) / 2) for edge in (width, height))
     pictures: list[NDArray[np.uint8]] = []
     steps = 0
 
     def look() -> None:
         nonlocal steps
         if steps % round(FREQUENCY / RATE) == 0:
-            pictures.append(picture.draw())
+            pictures.append(np.ascontiguousarray(picture.draw()[top : height - top, left : width - left]))
         steps += 1
 
-    result = run_episode(env, agent_for(env), seed=seed, on_step=look)
+    result = rcs.run_episode(env, agent_for(env), seed=seed, on_step=look)
     picture.close()
     env.close()
     if not result.success:

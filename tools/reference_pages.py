@@ -13,18 +13,21 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from gymnasium import spaces
 
 import rcs
 from rcs.devices import lookup
-from rcs.envs.spaces import UNITS
-from rcs.envs.task import Task
-from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
-from rcs.setups import ids
-from rcs.setups.lab import CameraMount, Lab, lab_of
+from rcs.envs.spaces import UNITS, Control
+from rcs.envs import Task
+from rcs.robots import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.envs.setup import Options, RelativeTo
+from rcs.setups import CameraMount, Lab, ids, lab_of, tasks_of
+from rcs.sim.camera import Quality
+from rcs.sim.detail import Assets
+from rcs.sim.world import Stepping
 from rcs.tasks.lift_bar import MAX_YAW
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -60,9 +63,16 @@ MEANINGS = {
 }
 """What the keys of observations, actions and info are; a key that is missing here is an error."""
 
+VALUES = {
+    "Quality": get_args(Quality), "Assets": get_args(Assets), "Control": get_args(Control),
+    "RelativeTo": get_args(RelativeTo), "Stepping": get_args(Stepping),
+}  # fmt: skip
+"""Values of options by the name of their type."""
+
+NO_REWARD = "The reward is 0, no step terminates the episode, and `info` has no `success`: there is nothing to judge."
+
 STARTS = {
     "LiftBar": f"The bar is turned by at most {MAX_YAW:g} rad, so that the arms need not cross.",
-    "Free": "There are no objects; the robot starts at home.",
 }
 """What the start of a task has besides the place that is drawn."""
 
@@ -74,6 +84,11 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """Return a table of Markdown."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
+
+
+def listed(facts: Iterable[tuple[str, str]]) -> str:
+    """Return a list of facts."""
+    return "".join(f"- **{name[:1].upper()}{name[1:]}:** {text}\n" for name, text in facts)
 
 
 def number(value: float) -> str:
@@ -98,7 +113,7 @@ def bounds(box: spaces.Box) -> str:
             runs.append([one, 1])
     if len(runs) == 1:
         return runs[0][0]
-    return ", ".join(one if count == 1 else f"{one} ({count} times)" for one, count in runs)
+    return ", ".join(one if count == 1 else f"{count} × {one}" for one, count in runs)
 
 
 def paragraphs(thing: Any) -> list[str]:
@@ -209,21 +224,23 @@ def camera_table(lab: Lab) -> str:
     return table(head, [row(name, mount) for name, mount in lab.cameras.items()])
 
 
-def choices(kind: str) -> str:
+def choices(annotation: str) -> str:
     """Return an annotation as people read it: a list of values where it has some."""
-    values = {
-        "Quality": "fast, full", "Assets": "builtin, menagerie", "Control": "joints, tquat, xyzrpy",
-        "RelativeTo": "last_step, origin, absolute", "Stepping": "async, sync, realtime",
-    }.get(kind)  # fmt: skip
-    if kind.startswith("Literal"):
-        values = ", ".join(map(str, ast.literal_eval(kind.removeprefix("Literal["). rstrip("]"))))
-    return f"`{kind}`" if values is None else " or ".join(f'`"{one}"`' for one in values.split(", "))
+    shown = []
+    for kind in re.split(r" \| (?![^\[]*\])", annotation):
+        values = VALUES.get(kind, ())
+        if kind.startswith("Literal["):
+            values = ast.literal_eval(f"({kind[8:-1]},)")
+        shown += [f'`"{value}"`' for value in values] or [f"`{kind}`"]
+    return " or ".join(shown)
 
 
 def options_table(kind: Any) -> str:
     """Return the fields of a dataclass with their defaults."""
     rows = []
+    wider = Options.__annotations__ if kind is rcs.Setup else {}  # `rcs.make` takes more than a setup keeps
     for name, annotation, default, told in fields_of(kind):
+        annotation = getattr(wider.get(name), "__forward_arg__", annotation)
         shown = f'"{default}"' if isinstance(default, str) else str(default)
         rows.append((f"`{name}`", choices(annotation), f"`{shown}`", told))
     return table(("option", "type", "default", "meaning"), rows)
@@ -234,7 +251,7 @@ def options_table(kind: Any) -> str:
 
 def robots_of(task: str) -> list[str]:
     """Return the robots that have an id with a task."""
-    return [robot for name, robot in ids.ids().values() if name == task]
+    return [robot for name, robot in ids().values() if name == task]
 
 
 def task_page(name: str) -> str:
@@ -243,12 +260,12 @@ def task_page(name: str) -> str:
     robots = robots_of(name)
     first = robots[0]
     done, *more = paragraphs(kind)
-    reward = [text for text in more if text.startswith("The reward")] or paragraphs(kind.evaluate)[:1]
+    reward = [text for text in more if text.startswith("The reward")] or [NO_REWARD]
     parts = [NOTE, f"# {name}\n", figure(f"{slug(name)}_{first}", f"The expert of {name} on {first}"), done + "\n"]
     parts += [text + "\n" for text in more if text not in reward]
     facts = [("instruction", f"“{kind.instruction}”")] if kind.instruction else []
     facts += [("expert", f"`{kind.expert}`")] if kind.expert else []
-    parts.append(table(("", ""), facts) if facts else "")
+    parts.append(listed(facts))
     parts.append(f'```python\nimport rcs\n\nenv = rcs.make("{name}", robot="{first}")\nenv.reset(seed=0)\nenv.close()\n```\n')
     parts += ["## Success and reward\n", " ".join(reward) + "\n"]
     if name != "Free":
@@ -262,11 +279,11 @@ def task_page(name: str) -> str:
     for robot in robots:
         area = lab_of(robot).area
         x, y = (f"{number(c - s / 2)} … {number(c + s / 2)}" for c, s in zip(area.center, area.size, strict=True))
-        key = next(key for key, value in ids.ids().items() if value == (name, robot))
+        key = next(key for key, value in ids().items() if value == (name, robot))
         cameras = ", ".join(f"`{camera}`" for camera in lab_of(robot).cameras)
         rows.append((f"[{robot}](../robots/{robot}.md)", f"`{key}`", x, y, number(area.object_scale), cameras))
     head = ("robot", "id of `gymnasium.make`", "x [m]", "y [m]", "scale of objects", "cameras")
-    parts += ["The places are uniform over this area of the scene, the yaw too:\n" if name != "Free" else "", table(head, rows)]
+    parts += ["The place is uniform over this area of the scene, and so is the yaw:\n" if name != "Free" else "", table(head, rows)]
     env = rcs.make(name, robot=first, cameras=tuple(lab_of(first).cameras)[:1])
     parts += [f"## Observation\n\nOf `{first}`, with one of its cameras:\n", space_table(env.observation_space)]
     env.close()
@@ -282,14 +299,14 @@ def robot_page(robot: str) -> str:
     for kind in ("gripper", "hand"):
         if lab.end_effector in lookup.names(kind):
             effector = lookup.find(kind, lab.end_effector)
-    task = ids.tasks_of(robot)[0]
+    task = tasks_of(robot)[0]
     title = arm.label if len(lab.stands) == 1 else f"{len(lab.stands)} × {arm.label}"
     parts = [NOTE, f"# {title}\n", figure(f"{slug(task)}_{robot}", f"{task} on {robot}")]
     module = import_module(lookup._entries("lab")[robot].module)  # noqa: SLF001
     facts = [
         ("name", f"`{robot}`"),
         ("lab", paragraphs(module)[0]),
-        ("tasks", ", ".join(f"[{name}](../tasks/{slug(name)}.md)" for name in [*ids.tasks_of(robot), "Free"])),
+        ("tasks", ", ".join(f"[{name}](../tasks/{slug(name)}.md)" for name in [*tasks_of(robot), "Free"])),
         ("reach of the flange", f"{number(arm.workspace_reach)} m"),
     ]
     if isinstance(effector, GripperDescription):
@@ -297,7 +314,7 @@ def robot_page(robot: str) -> str:
         facts.append(("end effector", f"`{effector.name}`, {effector.label}: {figures}"))
     elif effector is not None:
         facts.append(("end effector", f"`{effector.name}`, {effector.label}: {len(effector.joints)} joints"))
-    parts += [table(("", ""), facts), "## Joints\n"]
+    parts += [listed(facts), "## Joints\n"]
     rows = zip(arm.joints, arm.joint_lower, arm.joint_upper, arm.home, arm.velocity_limit, arm.acceleration_limit,
                arm.effort_limit, strict=True)  # fmt: skip
     head = ("joint", "lowest [rad]", "highest [rad]", "home [rad]", "speed [rad/s]", "acceleration [rad/s²]", "torque [Nm]")

@@ -11,8 +11,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-from mkdocs.structure.files import File, Files  # pyright: ignore[reportMissingImports]
-
 ROOT = Path(__file__).parents[1]
 PACKAGES = (
     "rcs", "rcs.envs", "rcs.envs.layers", "rcs.tasks", "rcs.agents", "rcs.rollout", "rcs.devices", "rcs.hardware",
@@ -75,8 +73,10 @@ def start_page() -> str:
     return re.sub(r"\[([^\]]*)\]\(([^)]+)\)", move, (ROOT / "README.md").read_text("utf-8"))
 
 
-def on_files(files: Files, *, config: Any) -> Files:
-    """Add the pages."""
+def on_files(files: Any, *, config: Any) -> Any:
+    """Add the pages to those of `docs`."""
+    from mkdocs.structure.files import File  # pyright: ignore[reportMissingImports]
+
     for path, text in {"index.md": start_page(), **reference()}.items():
         files.append(File.generated(config, path, content=text))
     return files
