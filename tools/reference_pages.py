@@ -1,6 +1,6 @@
 """Write the pages of the documents that describe tasks, robots and options, from the code itself.
 
-python tools/reference_pages.py    # writes docs/tasks, docs/robots and docs/options.md; a test tells when they are stale
+python tools/reference_pages.py    # writes docs/tasks, docs/robots and docs/options.md; a test finds stale ones
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import re
 import textwrap
 from collections.abc import Iterable, Sequence
 from importlib import import_module
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, get_args
 
@@ -20,10 +21,10 @@ from gymnasium import spaces
 
 import rcs
 from rcs.devices import lookup
-from rcs.envs.spaces import UNITS, Control
 from rcs.envs import Task
-from rcs.robots import ArmDescription, CameraDescription, GripperDescription, HandDescription
 from rcs.envs.setup import Options, RelativeTo
+from rcs.envs.spaces import UNITS, Control
+from rcs.robots import ArmDescription, CameraDescription, GripperDescription, HandDescription
 from rcs.setups import CameraMount, Lab, ids, lab_of, tasks_of
 from rcs.sim.camera import Quality
 from rcs.sim.detail import Assets
@@ -56,7 +57,7 @@ MEANINGS = {
     "grasp_offset": "distance of each grasp from the middle of the bar, along its y axis [m]",
     "instruction": "what a language-conditioned policy is told; after `reset` only",
     "time": "time of the observation [s]",
-    "end": "why the step ended: `period`, `converged`, `interrupted`, `limit`, `diverged` or `fault`; after `step` only",
+    "end": "why the step ended: `period`, `converged`, `interrupted`, `limit`, `diverged`, `fault`; after `step` only",
     "target": "what the action came to: absolute targets by key; after `step` only",
     "is_limited": "whether a joint target was cut to the robot's speed; after `step` only",
     "ik_status": "result of the inverse kinematics, an `IkStatus`; with `tquat` and `xyzrpy`, after `step` only",
@@ -266,7 +267,9 @@ def task_page(name: str) -> str:
     facts = [("instruction", f"“{kind.instruction}”")] if kind.instruction else []
     facts += [("expert", f"`{kind.expert}`")] if kind.expert else []
     parts.append(listed(facts))
-    parts.append(f'```python\nimport rcs\n\nenv = rcs.make("{name}", robot="{first}")\nenv.reset(seed=0)\nenv.close()\n```\n')
+    parts.append(
+        f'```python\nimport rcs\n\nenv = rcs.make("{name}", robot="{first}")\nenv.reset(seed=0)\nenv.close()\n```\n'
+    )
     parts += ["## Success and reward\n", " ".join(reward) + "\n"]
     if name != "Free":
         parts += [
@@ -283,7 +286,10 @@ def task_page(name: str) -> str:
         cameras = ", ".join(f"`{camera}`" for camera in lab_of(robot).cameras)
         rows.append((f"[{robot}](../robots/{robot}.md)", f"`{key}`", x, y, number(area.object_scale), cameras))
     head = ("robot", "id of `gymnasium.make`", "x [m]", "y [m]", "scale of objects", "cameras")
-    parts += ["The place is uniform over this area of the scene, and so is the yaw:\n" if name != "Free" else "", table(head, rows)]
+    parts += [
+        "The place is uniform over this area of the scene, and so is the yaw:\n" if name != "Free" else "",
+        table(head, rows),
+    ]
     env = rcs.make(name, robot=first, cameras=tuple(lab_of(first).cameras)[:1])
     parts += [f"## Observation\n\nOf `{first}`, with one of its cameras:\n", space_table(env.observation_space)]
     env.close()
@@ -302,7 +308,7 @@ def robot_page(robot: str) -> str:
     task = tasks_of(robot)[0]
     title = arm.label if len(lab.stands) == 1 else f"{len(lab.stands)} × {arm.label}"
     parts = [NOTE, f"# {title}\n", figure(f"{slug(task)}_{robot}", f"{task} on {robot}")]
-    module = import_module(lookup._entries("lab")[robot].module)  # noqa: SLF001
+    module = import_module(entry_points(group="rcs.labs")[robot].module)
     facts = [
         ("name", f"`{robot}`"),
         ("lab", paragraphs(module)[0]),
@@ -317,7 +323,15 @@ def robot_page(robot: str) -> str:
     parts += [listed(facts), "## Joints\n"]
     rows = zip(arm.joints, arm.joint_lower, arm.joint_upper, arm.home, arm.velocity_limit, arm.acceleration_limit,
                arm.effort_limit, strict=True)  # fmt: skip
-    head = ("joint", "lowest [rad]", "highest [rad]", "home [rad]", "speed [rad/s]", "acceleration [rad/s²]", "torque [Nm]")
+    head = (
+        "joint",
+        "lowest [rad]",
+        "highest [rad]",
+        "home [rad]",
+        "speed [rad/s]",
+        "acceleration [rad/s²]",
+        "torque [Nm]",
+    )
     parts.append(table(head, [(f"`{name}`", *map(number, figures)) for name, *figures in rows]))
     parts += ["## Cameras\n", camera_table(lab)]
     has_depth = all(lookup.find("camera", mount.camera).has_depth for mount in lab.cameras.values())
@@ -343,21 +357,21 @@ def options_page() -> str:
     parts = [
         NOTE,
         "# Options\n",
-        "Everything that `rcs.make` takes. `rcs.make_vec` takes the fields of `Setup`, `layers`, and `copies`, `threads` "
-        "and `autoreset` besides.\n",
+        "Everything that `rcs.make` takes. `rcs.make_vec` takes the fields of `Setup`, `layers`, and also `copies`, "
+        "`threads` and `autoreset`.\n",
         '```python\nimport rcs\n\nenv = rcs.make("PickCuboid", robot="ur5e", control="tquat", relative="absolute")\n'
-        'env.close()\n```\n',
+        "env.close()\n```\n",
         "## Fields of `Setup`\n",
         "They define the environment. A dataset stores them, and `rcs.Setup(...)` holds them as one record, which "
-        "`rcs.make` takes in the place of a task. `relative=True` is short for `\"last_step\"`, `relative=False` for "
-        "`\"absolute\"`.\n",
+        '`rcs.make` takes in the place of a task. `relative=True` is short for `"last_step"`, `relative=False` for '
+        '`"absolute"`.\n',
         options_table(rcs.Setup),
         "## Arguments of `rcs.make`\n",
         "They are about this run, and are not stored.\n",
         table(("argument", "meaning"), rows),
         "## Ranges of `Randomisation`\n",
-        "`randomisation=True` takes these; `rcs.Randomisation(...)` changes some, and `rcs.Randomisation.off(...)` varies "
-        "nothing but what is given.\n",
+        "`randomisation=True` takes these; `rcs.Randomisation(...)` changes some, and `rcs.Randomisation.off(...)` "
+        "varies nothing but what is given.\n",
         options_table(rcs.Randomisation),
     ]
     return "\n".join(parts)
