@@ -10,8 +10,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from rcs import _core
-from rcs.sim.world import Callback, World
+from rcs.sim import StepView, World
 
 MODEL = """
 <mujoco>
@@ -35,29 +34,29 @@ world = World(model, data=data, stepping="sync", max_substeps=2000)
 trace: list[float] = []
 
 
-def is_there(view: _core.StepView) -> bool:
+def is_there(view: StepView) -> bool:
     """Return whether the block stands at its target."""
     return bool(abs(view.qpos[0] - view.ctrl[0]) < 1e-3 and abs(view.qvel[0]) < 1e-3)
 
 
-def is_touching(view: _core.StepView) -> bool:
+def is_touching(view: StepView) -> bool:
     """Return whether anything touches anything."""
     return view.contacts > 0
 
 
-def record(view: _core.StepView) -> None:
+def record(view: StepView) -> None:
     """Note where the block is."""
     trace.append(float(view.qpos[0]))
 
 
-world.core.converge_when(Callback(is_there))
-world.core.interrupt_when(Callback(is_touching))
-world.core.on_period(Callback(record), 0.05)
+world.converge_when(is_there)
+world.interrupt_when(is_touching)
+world.on_period(record, 0.05)
 
 for target in (0.1, -0.2, 0.5):
     data.ctrl[0] = target
     trace.clear()
     world.advance()
-    end = _core.StepEnd(int(world.core.ends[0])).name
-    print(f"to {target:+.1f} m: {end} at {data.qpos[0]:+.3f} m after {world.core.substeps[0]} physics steps")
+    end, substeps = world.ends[0].name, world.substeps[0]
+    print(f"to {target:+.1f} m: {end} at {data.qpos[0]:+.3f} m after {substeps} physics steps")
     print("   every 0.05 s:", np.round(trace[:12], 2), "..." if len(trace) > 12 else "")

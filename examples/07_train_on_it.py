@@ -13,7 +13,7 @@ import torch  # pyright: ignore[reportMissingImports]
 import rcs
 from rcs.data import Dataset, Windows
 from rcs.data.torch import TorchDataset, collate
-from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout import Collection, Progress, collect
 
 folder = tempfile.TemporaryDirectory()
 setup = rcs.Setup(task="PickCuboid", robot="fr3")

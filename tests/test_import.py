@@ -1,4 +1,4 @@
-"""Import does nothing: no network, no file but modules and the lists of names beside them, no environment variable, no plugin, no GL."""
+"""Import does nothing: no network, no file but modules and lists of names, no variable, no plugin, no GL."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ import json, os, sys
 import encodings.idna, site  # what any program has
 
 opened, connected, asked, found = [], [], [], []
+MODULES = (".py", ".pyi", ".pyc", ".so", ".pth", ".zip", "entry_points.txt")
 
 def watch(event, arguments):
-    if event == "open" and not str(arguments[0]).endswith((".py", ".pyi", ".pyc", ".so", ".pth", ".zip", "entry_points.txt")):
+    if event == "open" and not str(arguments[0]).endswith(MODULES):
         opened.append(str(arguments[0]))
     if event.startswith("socket."):
         connected.append(event)

@@ -16,8 +16,7 @@ import rcs
 from rcs.agents import agent_for
 from rcs.devices import Arm
 from rcs.kinematics import kinematics_of, load
-from rcs.robots.franka_hand.description import FRANKA_HAND
-from rcs.rollout.episode import run_episode
+from rcs.robots import FRANKA_HAND
 from rcs.testing import ArmContract, DescriptionContract, EnvContract
 
 ROBOTS = ("my_robot", "my_robot_urdf")
@@ -98,7 +97,7 @@ def test_the_scripted_expert_picks_the_cuboid(robot: str) -> None:
     setup = rcs.Setup(task="PickCuboid", robot=robot)
     env = rcs.make(setup)
     expert = agent_for(env)
-    assert sum(run_episode(env, expert, seed=seed).success is True for seed in range(10)) >= 9
+    assert sum(rcs.run_episode(env, expert, seed=seed).success is True for seed in range(10)) >= 9
     env.close()
 
 

@@ -35,7 +35,7 @@ class Scaler:
                 f"Images cannot be scaled from {source} to {target}; sizes are (height, width), at least 1."
             )
         self.source, self.target = source, target
-        self._rows, self._columns = (_weights(a, b) for a, b in zip(source, target, strict=True))
+        self._rows, self._columns = (_taps(a, b) for a, b in zip(source, target, strict=True))
 
     def __call__(self, image: NDArray[Any], out: NDArray[np.uint8]) -> None:
         """Scale one image.
@@ -47,16 +47,28 @@ class Scaler:
         if self.source == self.target:
             out[...] = image
             return
-        (height, width), (rows, columns) = self.source, self.target
-        lines = self._rows @ image.reshape(height, -1).astype(np.float32)
+        (_, width), (rows, _) = self.source, self.target
+        lines = _sum(self._rows, image.reshape(len(image), -1))
         np.rint(lines * np.float32(_BETWEEN / _WEIGHT), out=lines)
-        turned = lines.reshape(rows, width, -1).transpose(1, 0, 2).reshape(width, -1)
-        scaled = np.rint(self._columns @ turned * np.float32(1 / (_BETWEEN * _WEIGHT)))
-        out[...] = scaled.reshape(columns, rows, -1).transpose(1, 0, 2)
+        scaled = _sum(self._columns, lines.reshape(rows, width, -1).swapaxes(0, 1))
+        out[...] = np.rint(scaled * np.float32(1 / (_BETWEEN * _WEIGHT))).swapaxes(0, 1)
 
 
-def _weights(source: int, target: int) -> NDArray[np.float32]:
-    """Return how much of each pixel of a line is in each of the new one [1/4096], shape (target, source)."""
+Taps = list[tuple[NDArray[np.intp], NDArray[np.float32]]]
+"""Of every new pixel of a line one more old one, and its weight [1/4096]; both (target,)."""
+
+
+def _sum(taps: Taps, pixels: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the weighted sums of pixels along the first axis; a product of matrices would sum mostly zeros."""
+    shape = (-1, *[1] * (pixels.ndim - 1))
+    total = np.zeros((), np.float32)
+    for chosen, weights in taps:
+        total = total + pixels[chosen] * weights.reshape(shape)
+    return total
+
+
+def _taps(source: int, target: int) -> Taps:
+    """Return which pixels of a line are in each of the new one, and how much."""
     ratio = source / target
     centres = (np.arange(target) + 0.5) * ratio - 0.5
     distance = np.abs(np.arange(source) - centres[:, None])
@@ -64,4 +76,7 @@ def _weights(source: int, target: int) -> NDArray[np.float32]:
     weights = np.rint(triangle / triangle.sum(axis=1, keepdims=True) * _WEIGHT)
     # What rounding took or gave is made up for at the largest weight, so that a plain surface stays as it is.
     weights[np.arange(target), weights.argmax(axis=1)] += _WEIGHT - weights.sum(axis=1)
-    return weights.astype(np.float32)
+    first, reach = (weights > 0).argmax(axis=1), int((weights > 0).sum(axis=1).max())
+    padded = np.pad(weights, ((0, 0), (0, reach))).astype(np.float32)
+    chosen = [first + tap for tap in range(reach)]
+    return [(np.minimum(one, source - 1), padded[np.arange(target), one]) for one in chosen]

@@ -6,6 +6,7 @@ from rcs.envs.draws import Draws as Draws
 from rcs.envs.env import Env as Env
 from rcs.envs.gate import Gate as Gate
 from rcs.envs.layers.layer import Layer as Layer
+from rcs.envs.layers.layer import Where as Where
 from rcs.envs.limits import Limits as Limits
 from rcs.envs.observers.observer import Observer as Observer
 from rcs.envs.observers.observer import Transition as Transition

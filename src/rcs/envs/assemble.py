@@ -110,7 +110,8 @@ def assemble(
         raise InvalidSetup("Real devices have no picture to render; use the frames of a camera.")
     scenario, stack = _populate(parts, world, cameras)
     picture = None if render_mode is None or world is None else Picture(world, quality=setup.render_quality)
-    simulated = [robot.name for robot in parts.robots] + [camera.name for camera in cameras]
+    effectors = [f"{robot.name}/{robot.end_effector.name}" for robot in parts.robots if robot.end_effector is not None]
+    simulated = [*(robot.name for robot in parts.robots), *effectors, *(camera.name for camera in cameras)]
     return Env(
         stack,
         Clock(

@@ -59,7 +59,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             scenario: A simulated world with its task; None for real devices alone.
             setup: What the environment was made from; None for one that is put together by hand.
             robots: Its robots, simulated or real; None for those of the scenario.
-            platform: What every robot, end effector and camera is by name: `simulation`, or the name of a driver.
+            platform: What every robot, `robot/end effector` and camera is: `simulation`, or the name of a driver.
             instruction: What the robot is asked to do; None for what the task says.
             max_episode_steps: An episode is truncated after this many steps; None for no limit.
             observers: See every step.

@@ -187,7 +187,7 @@ def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:
 
 
 def _show_options(function: Callable[..., Any]) -> None:
-    """Have `help` and `inspect.signature` show the fields of `Setup`, with their defaults, in the place of `options`."""
+    """Have `help` and `inspect.signature` show the fields of `Setup` with their defaults, not `**options`."""
     shown = inspect.signature(function, eval_str=True)
     usual = Setup()
     own = [one for one in shown.parameters.values() if one.kind is not one.VAR_KEYWORD]

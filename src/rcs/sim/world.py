@@ -118,11 +118,11 @@ class World:
         return self.core.copies
 
     def converge_when(self, is_done: StepFunction) -> None:
-        """Have a synchronous step end when this and all other such functions return True."""
+        """End a synchronous step when this and all other such functions return True."""
         self.core.converge_when(Callback(is_done))
 
     def interrupt_when(self, is_reason: StepFunction) -> None:
-        """Have a synchronous step end as soon as a function returns True; an asynchronous one then says so in its end."""
+        """End a synchronous step as soon as a function returns True; an asynchronous one only says so in `ends`."""
         self.core.interrupt_when(Callback(is_reason))
 
     def on_period(self, function: StepFunction, period: float) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import pi
 from typing import Final
 
-from rcs.robots.description import ArmDescription
+from rcs.robots import ArmDescription
 
 JOINTS: Final = ("joint1", "joint2", "joint3", "joint4", "joint5", "joint6")
 

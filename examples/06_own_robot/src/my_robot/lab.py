@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from rcs.envs.task import Area
-from rcs.setups.lab import CameraMount, Lab, Stand, looking
+from rcs.envs import Area
+from rcs.setups import CameraMount, Lab, Stand, looking
 
 LAB: Final = Lab(
     stands=(Stand(name="my_robot", arm="my_robot"),),

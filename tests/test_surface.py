@@ -1,0 +1,103 @@
+"""The public surface: what packages export, and that documents and examples need nothing else."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import importlib
+import inspect
+import pkgutil
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import get_type_hints
+
+import pytest
+
+import rcs
+from rcs.envs.setup import Options, Setup
+from rcs.lazy import LazyPackage
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ["rcs", *(found.name for found in pkgutil.walk_packages(rcs.__path__, "rcs.") if found.ispkg)]
+LAZY = [name for name in PACKAGES if isinstance(importlib.import_module(name), LazyPackage)]
+MODULES = ["rcs.errors", "rcs.data.torch"]  # errors are no package; torch is an extra
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def programs() -> Iterator[tuple[str, str]]:
+    """Give every example and every Python snippet of the documents, by where it is."""
+    for path in sorted((ROOT / "examples").rglob("*.py")):
+        yield str(path.relative_to(ROOT)), path.read_text()
+    for path in DOCUMENTS:
+        for number, snippet in enumerate(re.findall(r"```python\n(.*?)```", path.read_text(), re.DOTALL)):
+            yield f"{path.relative_to(ROOT)}, snippet {number}", snippet
+
+
+def imports(program: str) -> Iterator[tuple[str, str | None]]:
+    """Give the modules of ours that a program imports, and the names that it imports from them."""
+    for node in ast.walk(ast.parse(program)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "rcs":
+            yield from ((str(node.module), alias.name) for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from ((alias.name, None) for alias in node.names if alias.name.partition(".")[0] == "rcs")
+
+
+@pytest.mark.parametrize(("where", "program"), list(programs()), ids=lambda text: text if len(text) < 60 else "")
+def test_documents_and_examples_import_public_names_only(where: str, program: str) -> None:
+    for module, name in imports(program):
+        assert module in PACKAGES + MODULES, f"{where} imports {module}, which is no package"
+        if name is not None:
+            assert name in public(module), f"{where} imports {name} from {module}, which has {public(module)}"
+
+
+def test_examples_reach_below_no_public_name() -> None:
+    for path in (ROOT / "examples").rglob("*.py"):
+        assert not re.search(r"\b(?:rcs|env|world)\.(?:_\w|core\b)", path.read_text()), path
+
+
+def public(module: str) -> list[str]:
+    found = importlib.import_module(module)
+    return list(getattr(found, "__all__", [name for name in vars(found) if not name.startswith("_")]))
+
+
+@pytest.mark.parametrize("package", LAZY)
+def test_every_name_that_a_package_lists_is_there(package: str) -> None:
+    module = importlib.import_module(package)
+    assert dir(module) == sorted(module.__all__)
+    assert [name for name in module.__all__ if getattr(module, name, None) is None] == []
+    assert [name for name in module.__all__ if name.startswith("_") and name != "__version__"] == []
+
+
+def test_a_name_means_the_same_in_every_package() -> None:
+    homes: dict[str, set[int]] = {}
+    for package in LAZY:
+        for name in public(package):
+            homes.setdefault(name, set()).add(id(getattr(importlib.import_module(package), name)))
+    assert [name for name, meanings in homes.items() if len(meanings) > 1] == []
+
+
+def test_a_public_function_is_not_hidden_by_the_module_of_its_name() -> None:
+    importlib.import_module("rcs.rollout.collect")
+    from rcs.rollout import collect
+
+    assert inspect.isfunction(collect)
+    assert inspect.isfunction(importlib.import_module("rcs.rollout").collect)
+
+
+def test_options_are_the_fields_of_a_setup() -> None:
+    assert [*get_type_hints(Options)] == [own.name for own in dataclasses.fields(Setup) if own.name != "task"]
+
+
+@pytest.mark.parametrize("make", [rcs.make, rcs.make_vec])
+def test_the_signature_of_make_shows_every_option_with_its_default_and_type(make: object) -> None:
+    shown = inspect.signature(make).parameters  # pyright: ignore[reportArgumentType]
+    for name, hint in get_type_hints(Options).items():
+        assert shown[name].default == getattr(Setup(), name)
+        assert shown[name].annotation == hint
+    assert "options" not in shown
+
+
+def test_a_mistyped_option_gets_the_nearest_one() -> None:
+    with pytest.raises(rcs.errors.UnknownName, match=r"no option named 'contrl'. Did you mean 'control'"):
+        rcs.make(contrl="joints")  # pyright: ignore[reportCallIssue]
