@@ -8,6 +8,7 @@
 #                    behaviour; the C++ tests under that of threads. Any finding ends it. About 15 minutes; FUZZ=300000 has the
 #                    fuzzer make that many calls besides
 # make check         format, lint, types, import layers, stubs
+# make docs          build the documents as a site, with a reference of all public names, in build/docs; warnings are errors
 # make bench         every benchmark: one line of JSON each
 # make format        format Python and C++;   make stubs   write the stubs of the extension anew
 # make clean         remove build products; .venv and datasets stay
@@ -34,7 +35,7 @@ CXX_FILES = $(shell find core tests -name '*.cpp' -o -name '*.hpp')
 STUB := src/rcs/_core.pyi
 STUBGEN = $(BIN)/python -m nanobind.stubgen --quiet --module rcs._core --output-file
 
-.PHONY: help build gl demo test test-cpp test-sanitize test-extras test-wheel test-interop check bench format stubs clean
+.PHONY: help build gl demo docs test test-cpp test-sanitize test-extras test-wheel test-interop check bench format stubs clean
 
 help:
 	@sed '/^$$/q; s/^# \{0,1\}//' Makefile
@@ -74,6 +75,19 @@ demo: build gl
 
 bench: build gl
 	@for file in benchmarks/*.py; do [ -e "$$file" ] || continue; $(BIN)/python "$$file" || exit 1; done
+
+# --- Documents -------------------------------------------------------------------------------------------------------
+
+$(VENV)/.stamp-docs: $(VENV)/.stamp-built
+	@echo "==> Installing what builds the site (first time: about 60 MB)"
+	@$(PIP) install -c constraints.txt mkdocs mkdocs-material 'mkdocstrings[python]'
+	@touch $@
+
+# Some pages are written from the code, and are committed; tests/test_docs.py tells when they are stale.
+docs: $(VENV)/.stamp-docs
+	@$(BIN)/python tools/reference_pages.py >/dev/null
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --clean
+	@echo "==> The start page is $(CURDIR)/build/docs/index.html"
 
 # --- Tests -----------------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,104 @@
+"""What README and documents show runs as it is written, and pages that are made from the code are current."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from rcs.cli.main import main
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+LINK = re.compile(r"\]\(([^)#\s]+)(#[^)]*)?\)")
+PYTHON, SHELL, NOT_RUN = "python", "sh", {"text", "toml", "json", "xml"}
+MOST_LINES_OF_README = 150
+OWN_ROBOT = ROOT / "examples" / "06_own_robot" / "src"  # the package that docs/extend/robot.md shows pieces of
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def snippets(path: Path) -> list[tuple[str, str]]:
+    return FENCE.findall(path.read_text("utf-8"))
+
+
+def tool(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def run_python(program: str, page: ModuleType) -> None:
+    if "torch" in program and importlib.util.find_spec("torch") is None:
+        return  # `make test-extras` runs this one
+    exec(compile(program, page.__name__, "exec"), vars(page))
+
+
+def run_shell(program: str) -> None:
+    for line in program.splitlines():
+        words = shlex.split(line, comments=True)
+        if words[:1] == ["rcs"]:
+            with pytest.raises(SystemExit) as end:
+                main(words[1:])
+            assert end.value.code == 0, line
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_what_a_page_shows_runs_in_order(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(OWN_ROBOT)
+    page = ModuleType(f"page_{path.stem}")  # found by its name, as a task of one's own must be
+    monkeypatch.setitem(sys.modules, page.__name__, page)
+    for language, program in snippets(path):
+        if language == PYTHON:
+            run_python(program, page)
+        elif language == SHELL:
+            run_shell(program)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_every_snippet_says_what_it_is(path: Path) -> None:
+    assert {language for language, _ in snippets(path)} <= {PYTHON, SHELL, *NOT_RUN}
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_links_and_pictures_lead_to_files(path: Path) -> None:
+    targets = [target for target, _ in LINK.findall(path.read_text("utf-8")) if "://" not in target]
+    assert [target for target in targets if not (path.parent / target).exists()] == []
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text("utf-8").splitlines()) < MOST_LINES_OF_README
+
+
+def test_pages_of_tasks_robots_and_options_are_what_the_code_says() -> None:
+    made: dict[Path, str] = tool("reference_pages").pages()
+    stale = [name_of(path) for path, text in made.items() if path.read_text("utf-8") != text]
+    assert stale == [], "run: python tools/reference_pages.py"
+
+
+def test_the_glossary_defines_each_word_once_in_alphabetical_order() -> None:
+    text = (ROOT / "docs" / "glossary.md").read_text("utf-8")
+    words = [word.lower() for word in re.findall(r"^\| \*\*(.+?)\*\* \|", text, re.MULTILINE)]
+    assert words == sorted(set(words)) and len(words) > 40
+
+
+def test_every_public_name_has_a_place_in_the_reference() -> None:
+    site: Any = tool("site_pages")
+    text = "\n".join(site.reference().values())
+    missing = [f"{package}.{name}" for package in site.PACKAGES for name in site.homes_of(package)
+               if f"{package}.{name}" not in text]  # fmt: skip
+    assert missing == []

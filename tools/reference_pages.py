@@ -1,0 +1,392 @@
+"""Write the pages of the documents that describe tasks, robots and options, from the code itself.
+
+python tools/reference_pages.py    # writes docs/tasks, docs/robots and docs/options.md; a test finds stale ones
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import re
+import textwrap
+from collections.abc import Iterable, Sequence
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from gymnasium import spaces
+
+import rcs
+from rcs.devices import lookup
+from rcs.envs import Task
+from rcs.envs.setup import Options, RelativeTo
+from rcs.envs.spaces import UNITS, Control
+from rcs.robots import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.setups import CameraMount, Lab, ids, lab_of, tasks_of
+from rcs.sim.camera import Quality
+from rcs.sim.detail import Assets
+from rcs.sim.world import Stepping
+from rcs.tasks.lift_bar import MAX_YAW
+
+DOCS = Path(__file__).parents[1] / "docs"
+CONTROLS = ("joints", "tquat", "xyzrpy")
+TASKS = ("PickCuboid", "PickToy", "LiftBar", "Free")
+NOTE = "<!-- Written by tools/reference_pages.py from the code; do not edit. -->\n"
+
+MEANINGS = {
+    "joints": "joint positions",
+    "tquat": "TCP in the base frame: translation, quaternion xyzw",
+    "xyzrpy": "TCP in the base frame: translation; roll, pitch, yaw about the fixed x, y, z axes",
+    "joint_velocities": "joint velocities",
+    "gripper": "opening: 0 closed … 1 open",
+    "hand": "finger joints, normalised to their ranges",
+    "rgb": "colour, rows from the top",
+    "depth": "depth; 0 where there is no reading; only with `depth=True`",
+    "intrinsics": "camera matrix",
+    "extrinsics": "pose of the camera as a matrix; x right, y down, z forward",
+    # Keys of info.
+    "success": "whether the task is done",
+    "is_grasped": "whether the object is grasped: both pads of the gripper press on it (of two arms: of both)",
+    "is_touched": "whether any part of the robot presses on the object",
+    "cuboid": "pose of the cuboid in the robot's base frame: translation [m], quaternion xyzw",
+    "toy": "pose of the toy in the robot's base frame: translation [m], quaternion xyzw; only its yaw counts",
+    "bar_in_scene": "pose of the bar in the scene: translation [m], quaternion xyzw",
+    "grasp_offset": "distance of each grasp from the middle of the bar, along its y axis [m]",
+    "instruction": "what a language-conditioned policy is told; after `reset` only",
+    "time": "time of the observation [s]",
+    "end": "why the step ended: `period`, `converged`, `interrupted`, `limit`, `diverged`, `fault`; after `step` only",
+    "target": "what the action came to: absolute targets by key; after `step` only",
+    "is_limited": "whether a joint target was cut to the robot's speed; after `step` only",
+    "ik_status": "result of the inverse kinematics, an `IkStatus`; with `tquat` and `xyzrpy`, after `step` only",
+}
+"""What the keys of observations, actions and info are; a key that is missing here is an error."""
+
+VALUES = {
+    "Quality": get_args(Quality), "Assets": get_args(Assets), "Control": get_args(Control),
+    "RelativeTo": get_args(RelativeTo), "Stepping": get_args(Stepping),
+}  # fmt: skip
+"""Values of options by the name of their type."""
+
+NO_REWARD = "The reward is 0, no step terminates the episode, and `info` has no `success`: there is nothing to judge."
+
+STARTS = {
+    "LiftBar": f"The bar is turned by at most {MAX_YAW:g} rad, so that the arms need not cross.",
+}
+"""What the start of a task has besides the place that is drawn."""
+
+
+# --- Text -------------------------------------------------------------------------------------------------------------
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return a table of Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
+
+
+def listed(facts: Iterable[tuple[str, str]]) -> str:
+    """Return a list of facts."""
+    return "".join(f"- **{name[:1].upper()}{name[1:]}:** {text}\n" for name, text in facts)
+
+
+def number(value: float) -> str:
+    """Return a number with as many digits as people read."""
+    return f"{float(value):.3f}".rstrip("0").rstrip(".").replace("-", "−")
+
+
+def span(low: Any, high: Any) -> str:
+    """Return a range."""
+    low, high = float(low), float(high)
+    return f"±{number(high)}" if low == -high and high else f"{number(low)} … {number(high)}"
+
+
+def bounds(box: spaces.Box) -> str:
+    """Return the bounds of a space; equal neighbours are counted."""
+    spans = [span(low, high) for low, high in zip(box.low.reshape(-1), box.high.reshape(-1), strict=True)]
+    runs: list[list[Any]] = []
+    for one in spans:
+        if runs and runs[-1][0] == one:
+            runs[-1][1] += 1
+        else:
+            runs.append([one, 1])
+    if len(runs) == 1:
+        return runs[0][0]
+    return ", ".join(one if count == 1 else f"{count} × {one}" for one, count in runs)
+
+
+def paragraphs(thing: Any) -> list[str]:
+    """Return the paragraphs of a docstring, each on one line."""
+    return [" ".join(part.split()) for part in (inspect.getdoc(thing) or "").split("\n\n")]
+
+
+def fields_of(kind: Any) -> list[tuple[str, str, Any, str]]:
+    """Return name, type, default and docstring of every field of a dataclass."""
+    told: dict[str, tuple[str, str]] = {}
+    for base in reversed(kind.__mro__[:-1]):
+        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0].body  # pyright: ignore[reportAttributeAccessIssue]
+        for line, after in zip(body, [*body[1:], None], strict=True):
+            if isinstance(line, ast.AnnAssign) and isinstance(after, ast.Expr):
+                text = " ".join(str(ast.literal_eval(after.value)).split())
+                told[ast.unparse(line.target)] = ast.unparse(line.annotation), text
+    found = []
+    for own in dataclasses.fields(kind):
+        default = own.default if own.default_factory is dataclasses.MISSING else own.default_factory()
+        found.append((own.name, *told[own.name][:1], default, told[own.name][1]))
+    return found
+
+
+def slug(name: str) -> str:
+    """Return the name of a page: `PickCuboid` is `pick_cuboid`."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+
+
+def figure(name: str, words: str) -> str:
+    """Return a moving picture where there is one."""
+    return f"![{words}](../img/{name}.webp)\n" if (DOCS / "img" / f"{name}.webp").exists() else ""
+
+
+# --- Tables -----------------------------------------------------------------------------------------------------------
+
+
+def leaves(space: spaces.Space[Any], above: str = "") -> Iterable[tuple[str, spaces.Box]]:
+    """Return every array of a space, with the path of its keys."""
+    if isinstance(space, spaces.Dict):
+        for key, inner in space.spaces.items():
+            yield from leaves(inner, f"{above}/{key}" if above else key)
+    elif isinstance(space, spaces.Box):
+        yield above, space
+
+
+def space_table(space: spaces.Space[Any]) -> str:
+    """Return keys, shapes, types, units and bounds."""
+    rows = []
+    for path, box in leaves(space):
+        key = path.rpartition("/")[2]
+        named = " → ".join(f"`{part}`" for part in path.split("/"))
+        unit = UNITS.get(key, "")
+        rows.append((named, f"{box.shape} {box.dtype}", unit, bounds(box), MEANINGS[key]))
+    return table(("key", "shape and type", "unit", "bounds", "meaning"), rows)
+
+
+def action_table(task: str, robot: str) -> str:
+    """Return the keys of actions in every control mode, absolute and relative."""
+    rows = []
+    for control in CONTROLS:
+        for relative in ("last_step", "absolute"):
+            env = rcs.make(task, robot=robot, control=control, relative=relative)
+            for path, box in leaves(env.action_space):
+                parts = path.split("/")
+                if parts[-1] == control and parts[:-1] in ([], [next(iter(env.robots))]):
+                    mode = f'`control="{control}"`' + (', `relative="absolute"`' if relative == "absolute" else "")
+                    rows.append((mode, f"`{control}`", box.shape, UNITS[control], bounds(box)))
+            env.close()
+    env = rcs.make(task, robot=robot)
+    for path, box in leaves(env.action_space):
+        if (key := path.rpartition("/")[2]) in ("gripper", "hand"):
+            rows.append(("always", f"`{key}`", box.shape, UNITS.get(key, ""), bounds(box)))
+            break
+    several = [f"`{name}`" for name in env.robots] if len(env.robots) > 1 else []
+    env.close()
+    told = f"An action has one dictionary per robot, under {' and '.join(several)}; each has these keys.\n\n"
+    return (told if several else "") + table(("mode", "key", "shape", "unit", "bounds"), rows)
+
+
+def info_table(task: str, robot: str) -> str:
+    """Return the keys of info after a reset and a step."""
+    env = rcs.make(task, robot=robot, control="tquat")
+    _, info = env.reset(seed=0)
+    *_, after = env.step(env.action_space.sample())
+    env.close()
+    rows = []
+    for key, value in {**info, **after}.items():
+        name = key.rpartition("/")[2]
+        if "/" in key and not key.startswith(next(iter(env.robots))):
+            continue  # the other robot's are the same
+        named = f"`{name}`" if "/" not in key else f"`{key}`, and so on"
+        kind = "dictionary" if isinstance(value, dict) else f"{np.shape(value)} {np.asarray(value).dtype}"
+        kind = kind if np.shape(value) or isinstance(value, dict) else type(value).__name__
+        rows.append((named, kind, MEANINGS[name]))
+    return table(("key", "type", "meaning"), rows)
+
+
+def camera_table(lab: Lab) -> str:
+    """Return the cameras of a lab and where they are."""
+
+    def row(name: str, mount: CameraMount) -> tuple[str, ...]:
+        camera: CameraDescription = lookup.find("camera", mount.camera)
+        where = "fixed in the scene" if mount.on_gripper_of is None else f"on the gripper of `{mount.on_gripper_of}`"
+        depth = f"{number(camera.depth_range[0])} … {number(camera.depth_range[1])} m" if camera.has_depth else "none"
+        return f"`{name}`", camera.label, where, f"{number(np.rad2deg(mount.fovy or camera.fovy))}°", depth
+
+    head = ("name", "camera", "where", "vertical field of view", "depth")
+    return table(head, [row(name, mount) for name, mount in lab.cameras.items()])
+
+
+def choices(annotation: str) -> str:
+    """Return an annotation as people read it: a list of values where it has some."""
+    shown = []
+    for kind in re.split(r" \| (?![^\[]*\])", annotation):
+        values = VALUES.get(kind, ())
+        if kind.startswith("Literal["):
+            values = ast.literal_eval(f"({kind[8:-1]},)")
+        shown += [f'`"{value}"`' for value in values] or [f"`{kind}`"]
+    return " or ".join(shown)
+
+
+def options_table(kind: Any) -> str:
+    """Return the fields of a dataclass with their defaults."""
+    rows = []
+    wider = Options.__annotations__ if kind is rcs.Setup else {}  # `rcs.make` takes more than a setup keeps
+    for name, annotation, default, told in fields_of(kind):
+        annotation = getattr(wider.get(name), "__forward_arg__", annotation)
+        shown = f'"{default}"' if isinstance(default, str) else str(default)
+        rows.append((f"`{name}`", choices(annotation), f"`{shown}`", told))
+    return table(("option", "type", "default", "meaning"), rows)
+
+
+# --- Pages ------------------------------------------------------------------------------------------------------------
+
+
+def robots_of(task: str) -> list[str]:
+    """Return the robots that have an id with a task."""
+    return [robot for name, robot in ids().values() if name == task]
+
+
+def task_page(name: str) -> str:
+    """Return the page of a task."""
+    kind: type[Task] = lookup.find("task", name)
+    robots = robots_of(name)
+    first = robots[0]
+    done, *more = paragraphs(kind)
+    reward = [text for text in more if text.startswith("The reward")] or [NO_REWARD]
+    parts = [NOTE, f"# {name}\n", figure(f"{slug(name)}_{first}", f"The expert of {name} on {first}"), done + "\n"]
+    parts += [text + "\n" for text in more if text not in reward]
+    facts = [("instruction", f"“{kind.instruction}”")] if kind.instruction else []
+    facts += [("expert", f"`{kind.expert}`")] if kind.expert else []
+    parts.append(listed(facts))
+    parts.append(
+        f'```python\nimport rcs\n\nenv = rcs.make("{name}", robot="{first}")\nenv.reset(seed=0)\nenv.close()\n```\n'
+    )
+    parts += ["## Success and reward\n", " ".join(reward) + "\n"]
+    if name != "Free":
+        parts += [
+            "An episode is terminated by success, and truncated after `max_episode_steps` (300). "
+            "Options are given as `task_options={…}`:\n",
+            options_table(kind.Options),
+        ]
+    parts += ["## Start\n", paragraphs(kind.reset)[0] + " " + STARTS.get(name, "") + "\n"]
+    rows = []
+    for robot in robots:
+        area = lab_of(robot).area
+        x, y = (f"{number(c - s / 2)} … {number(c + s / 2)}" for c, s in zip(area.center, area.size, strict=True))
+        key = next(key for key, value in ids().items() if value == (name, robot))
+        cameras = ", ".join(f"`{camera}`" for camera in lab_of(robot).cameras)
+        rows.append((f"[{robot}](../robots/{robot}.md)", f"`{key}`", x, y, number(area.object_scale), cameras))
+    head = ("robot", "id of `gymnasium.make`", "x [m]", "y [m]", "scale of objects", "cameras")
+    parts += [
+        "The place is uniform over this area of the scene, and so is the yaw:\n" if name != "Free" else "",
+        table(head, rows),
+    ]
+    env = rcs.make(name, robot=first, cameras=tuple(lab_of(first).cameras)[:1])
+    parts += [f"## Observation\n\nOf `{first}`, with one of its cameras:\n", space_table(env.observation_space)]
+    env.close()
+    parts += ["## Action\n", action_table(name, first), "## Info\n", info_table(name, first)]
+    return "\n".join(part for part in parts if part)
+
+
+def robot_page(robot: str) -> str:
+    """Return the page of a robot."""
+    lab = lab_of(robot)
+    arm: ArmDescription = lookup.find("arm", lab.stands[0].arm)
+    effector: GripperDescription | HandDescription | None = None
+    for kind in ("gripper", "hand"):
+        if lab.end_effector in lookup.names(kind):
+            effector = lookup.find(kind, lab.end_effector)
+    task = tasks_of(robot)[0]
+    title = arm.label if len(lab.stands) == 1 else f"{len(lab.stands)} × {arm.label}"
+    parts = [NOTE, f"# {title}\n", figure(f"{slug(task)}_{robot}", f"{task} on {robot}")]
+    module = import_module(entry_points(group="rcs.labs")[robot].module)
+    facts = [
+        ("name", f"`{robot}`"),
+        ("lab", paragraphs(module)[0]),
+        ("tasks", ", ".join(f"[{name}](../tasks/{slug(name)}.md)" for name in [*tasks_of(robot), "Free"])),
+        ("reach of the flange", f"{number(arm.workspace_reach)} m"),
+    ]
+    if isinstance(effector, GripperDescription):
+        figures = f"opens to {number(1000 * effector.max_width)} mm, grasps with {number(effector.grasp_force)} N"
+        facts.append(("end effector", f"`{effector.name}`, {effector.label}: {figures}"))
+    elif effector is not None:
+        facts.append(("end effector", f"`{effector.name}`, {effector.label}: {len(effector.joints)} joints"))
+    parts += [listed(facts), "## Joints\n"]
+    rows = zip(arm.joints, arm.joint_lower, arm.joint_upper, arm.home, arm.velocity_limit, arm.acceleration_limit,
+               arm.effort_limit, strict=True)  # fmt: skip
+    head = (
+        "joint",
+        "lowest [rad]",
+        "highest [rad]",
+        "home [rad]",
+        "speed [rad/s]",
+        "acceleration [rad/s²]",
+        "torque [Nm]",
+    )
+    parts.append(table(head, [(f"`{name}`", *map(number, figures)) for name, *figures in rows]))
+    parts += ["## Cameras\n", camera_table(lab)]
+    has_depth = all(lookup.find("camera", mount.camera).has_depth for mount in lab.cameras.values())
+    env = rcs.make("Free", robot=robot, cameras=tuple(lab.cameras), depth=has_depth)
+    named = "all cameras and `depth=True`" if has_depth else "all cameras"
+    parts += [f"## Observation\n\nWith {named}:\n", space_table(env.observation_space)]
+    env.close()
+    parts += ["## Action\n", action_table("Free", robot), "## Sources of the figures\n"]
+    parts.append("\n".join(f"- {source}" for source in [*arm.sources, *(effector.sources if effector else ())]) + "\n")
+    return "\n".join(part for part in parts if part)
+
+
+def options_page() -> str:
+    """Return the reference of all options of `rcs.make`."""
+    told = inspect.getdoc(rcs.make) or ""
+    args = re.search(r"Args:\n(.*?)\n\n", told, re.DOTALL)
+    assert args is not None
+    rows = [
+        (f"`{name}`", " ".join(text.split()))
+        for name, text in re.findall(r"^    (\w+): (.*?)(?=\n    \w|\Z)", args[1], re.DOTALL | re.MULTILINE)
+        if name != "options"
+    ]
+    parts = [
+        NOTE,
+        "# Options\n",
+        "Everything that `rcs.make` takes. `rcs.make_vec` takes the fields of `Setup`, `layers`, and also `copies`, "
+        "`threads` and `autoreset`.\n",
+        '```python\nimport rcs\n\nenv = rcs.make("PickCuboid", robot="ur5e", control="tquat", relative="absolute")\n'
+        "env.close()\n```\n",
+        "## Fields of `Setup`\n",
+        "They define the environment. A dataset stores them, and `rcs.Setup(...)` holds them as one record, which "
+        '`rcs.make` takes in the place of a task. `relative=True` is short for `"last_step"`, `relative=False` for '
+        '`"absolute"`.\n',
+        options_table(rcs.Setup),
+        "## Arguments of `rcs.make`\n",
+        "They are about this run, and are not stored.\n",
+        table(("argument", "meaning"), rows),
+        "## Ranges of `Randomisation`\n",
+        "`randomisation=True` takes these; `rcs.Randomisation(...)` changes some, and `rcs.Randomisation.off(...)` "
+        "varies nothing but what is given.\n",
+        options_table(rcs.Randomisation),
+    ]
+    return "\n".join(parts)
+
+
+def pages() -> dict[Path, str]:
+    """Return every page by its path."""
+    made = {DOCS / "options.md": options_page()}
+    made |= {DOCS / "tasks" / f"{slug(name)}.md": task_page(name) for name in TASKS}
+    made |= {DOCS / "robots" / f"{robot}.md": robot_page(robot) for robot in lookup.names("lab")}
+    return {path: text.rstrip() + "\n" for path, text in made.items()}
+
+
+if __name__ == "__main__":
+    for path, text in pages().items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, "utf-8")
+        print(path.relative_to(DOCS.parent))
