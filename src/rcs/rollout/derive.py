@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -43,6 +44,8 @@ class Derivation(ABC):
     look: Look = field(default_factory=Look)
     workers: int = 1
     """Processes; one works in this process, 0 for one per core."""
+    trust: tuple[str, ...] = ()
+    """Modules that may be imported because the dataset's setup names them, such as `my_tasks`."""
 
     @abstractmethod
     def stage(self, dataset: Dataset) -> Stage:
@@ -86,7 +89,7 @@ class Workplace:
     @cached_property
     def transfer(self) -> StateTransfer:
         """Carries recorded simulation states over to the scene of the environment."""
-        source = compose(resolve(replace(physics_of(self.dataset), assets="builtin"))).compile()
+        source = compose(resolve(replace(physics_of(self.dataset, trust=self.job.trust), assets="builtin"))).compile()
         return StateTransfer(source, self.env.scenario.world.model)
 
     def attempt(self, number: int) -> Any:
@@ -168,6 +171,7 @@ def derive(job: Derivation, rows: Synchronized[int] | None = None) -> Iterator[A
         raise InvalidSetup(f"workers is {job.workers!r}; valid is 0 (one per core) and more.")
     dataset = Dataset.open(job.source)
     stage = job.stage(dataset)
+    job = replace(job, trust=tuple(sys.modules))  # what is imported here may be imported by the workers
     env, _ = stage.env()
     try:
         info = job.info(dataset, stage, env)

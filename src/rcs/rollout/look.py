@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import zlib
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -181,11 +183,17 @@ def varied(env: Env) -> dict[str, Any]:
     return {"randomisation": drawn} if drawn else {}
 
 
-def setup_of(dataset: Dataset) -> Setup:
+def setup_of(dataset: Dataset, *, trust: Collection[str] = (), task: str | None = None) -> Setup:
     """Return the setup of a dataset's observations: an environment of it gives frames like the recorded ones.
 
+    Args:
+        dataset: The dataset.
+        trust: Modules that may be imported because the setup names them.
+        task: Replaces the recorded task; its module is trusted.
+
     Raises:
-        InvalidSetup: The dataset has none, or one of another version, or was merged from datasets of several.
+        InvalidSetup: The dataset has no setup, one of another version, several that were merged, or one that names a
+            module that is neither imported nor trusted.
     """
     setup = dataset.info.setup
     for name, part in dataset.info.origin.get(MERGED, {}).items():
@@ -195,26 +203,53 @@ def setup_of(dataset: Dataset) -> Setup:
                 f"{dataset.path} was merged from datasets whose setups differ in {', '.join(different)} ({name} is one "
                 "of them). Split it and replay each part."
             )
-    return Setup.from_json({key: value for key, value in setup.items() if key != RECORDED})
+    values = {key: value for key, value in setup.items() if key != RECORDED}
+    if task is not None:
+        values, trust = {**values, "task": task}, {*trust, *_modules(task)}
+    return _parse(dataset, values, trust)
 
 
-def physics_of(dataset: Dataset) -> Setup:
-    """Return the setup that a dataset's states came from; differs from `setup_of` where frames were drawn anew.
+def physics_of(dataset: Dataset, *, trust: Collection[str] = ()) -> Setup:
+    """Return the setup that a dataset's states come from; it differs from `setup_of` where frames were drawn anew.
+
+    Args:
+        dataset: The dataset.
+        trust: Modules that may be imported because the setup names them.
 
     Raises:
-        InvalidSetup: The dataset has none, or one of another version.
+        InvalidSetup: See `setup_of`.
     """
     recorded = dataset.info.setup.get(RECORDED)
-    return setup_of(dataset) if recorded is None else Setup.from_json(recorded)
+    return setup_of(dataset, trust=trust) if recorded is None else _parse(dataset, recorded, trust)
 
 
-def require_rate(dataset: Dataset) -> None:
-    """Check that a dataset has a row for every control step, so that its actions can be executed.
+def _parse(dataset: Dataset, values: Any, trust: Collection[str]) -> Setup:
+    """Read a setup. A dataset from elsewhere must not run code by naming a module, whatever the field."""
+    for module in sorted(_modules(values)):
+        if module not in sys.modules and module not in trust:
+            raise InvalidSetup(
+                f"The setup of {dataset.path} names a class of the module {module!r}, which is not imported. Importing "
+                f"it runs its code; if you trust it, import it first, or give --trust {module}."
+            )
+    return Setup.from_json(values)
+
+
+def _modules(value: Any) -> set[str]:
+    """Return the modules of all `module:Class` in a JSON value."""
+    if isinstance(value, dict | list):
+        return set().union(*map(_modules, value.values() if isinstance(value, dict) else value))
+    module, colon, name = value.partition(":") if isinstance(value, str) else ("", "", "")
+    is_reference = colon and all(part.isidentifier() for part in (*module.split("."), *name.split(".")))
+    return {module} if is_reference else set()
+
+
+def require_rate(dataset: Dataset, physics: Setup) -> None:
+    """Check that a dataset still has a row for every control step, so that its actions can be executed.
 
     Raises:
-        InvalidSetup: It has another rate than it was recorded at.
+        InvalidSetup: The dataset was resampled.
     """
-    recorded = physics_of(dataset).frequency
+    recorded = physics.frequency
     if dataset.info.fps != recorded:
         raise InvalidSetup(
             f"The dataset in {dataset.path} was recorded at {recorded:g} Hz and now has {dataset.info.fps:g} rows per "

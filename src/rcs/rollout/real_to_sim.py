@@ -106,7 +106,7 @@ class RealToSim(Derivation):
             InvalidSetup: The dataset's setup is not one of ours, and task or robot is not given; or it has no rate.
         """
         try:
-            setup = setup_of(dataset)
+            setup = setup_of(dataset, trust=self.trust, task=self.task)
         except InvalidSetup as err:
             if self.task is None or self.robot is None:
                 raise InvalidSetup(

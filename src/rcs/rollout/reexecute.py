@@ -98,11 +98,11 @@ class Reexecution(Derivation):
     def stage(self, dataset: Dataset) -> Stage:
         """Return the scene of the recording, with the control mode that is asked for."""
         require_states(dataset)
-        require_rate(dataset)
-        before = setup_of(dataset)
+        physics, before = physics_of(dataset, trust=self.trust), setup_of(dataset, trust=self.trust)
+        require_rate(dataset, physics)
         relative = self.relative or ("absolute" if self.control is not None else before.relative)
         setup = replace(before, control=self.control or before.control, relative=relative)
-        return Stage.of(physics_of(dataset), setup, self.look)
+        return Stage.of(physics, setup, self.look)
 
     def make(self, workplace: Workplace, episode: EpisodeRecord) -> ReexecutionResult:
         """Execute one episode again."""

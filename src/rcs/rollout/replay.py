@@ -37,21 +37,23 @@ class ReplayResult:
         return self.first_difference is None
 
 
-def replay(path: str | Path) -> Iterator[ReplayResult]:
+def replay(path: str | Path, *, trust: Collection[str] = ()) -> Iterator[ReplayResult]:
     """Play every episode's actions from its first state, without cameras, and compare all states.
 
     Args:
         path: The dataset.
+        trust: Modules that may be imported because the dataset's setup names them.
 
     Raises:
-        InvalidSetup: The dataset is not from simulation.
+        InvalidSetup: The dataset is not from simulation, or its setup names a module that is not trusted.
         DatasetError, CorruptEpisode: The dataset cannot be read.
     """
     dataset = Dataset.open(path)
     require_states(dataset)
-    require_rate(dataset)
-    # Cameras look and change nothing; without their frames a replay is ten times faster. Looks change nothing either.
-    env = assemble(resolve(dataclasses.replace(physics_of(dataset), assets="builtin")), is_blind=True)
+    setup = dataclasses.replace(physics_of(dataset, trust=trust), assets="builtin")
+    require_rate(dataset, setup)
+    # Neither cameras nor looks change the physics, and without frames a replay is ten times faster.
+    env = assemble(resolve(setup), is_blind=True)
     try:
         for episode in dataset.episodes:
             yield replay_episode(env, episode)

@@ -43,12 +43,12 @@ class Rerendering(Derivation):
     def stage(self, dataset: Dataset) -> Stage:
         """Return the scene of the recording, seen by the cameras that are asked for."""
         require_states(dataset)
-        return Stage.of(physics_of(dataset), setup_of(dataset), self.look)
+        return Stage.of(physics_of(dataset, trust=self.trust), setup_of(dataset, trust=self.trust), self.look)
 
     def info(self, dataset: Dataset, stage: Stage, env: Env) -> DatasetInfo:
         """Return the info of the new dataset: features in the order in which they would be recorded."""
         recorded = dataset.info
-        fresh = stage.info(env, recorded, physics_of(dataset))
+        fresh = stage.info(env, recorded, physics_of(dataset, trust=self.trust))
         cameras = [*camera_names(recorded), *camera_names(fresh)]
         kept = {f.key: f for f in recorded.features if not is_of_camera(f.key, cameras)}
         features = [kept.pop(f.key, f) for f in fresh.features if f.key in kept or is_of_camera(f.key, cameras)]
@@ -64,7 +64,7 @@ class Rerendering(Derivation):
         """Draw one episode anew: in each row, the cameras that have a frame due."""
         scenario, info = workplace.env.scenario, workplace.writer.info
         world = scenario.world
-        if episode.seed is None and physics_of(workplace.dataset).randomisation is not None:
+        if episode.seed is None and physics_of(workplace.dataset, trust=self.trust).randomisation is not None:
             raise InvalidSetup(f"Episode {episode.id!r} was randomised without a seed; how it looked is not known.")
         states = episode.sim_state()
         scenario.begin(Draws(episode.seed or 0, 0))
