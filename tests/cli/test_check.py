@@ -16,7 +16,7 @@ from rcs.data import Dataset, DatasetInfo, DatasetWriter, Feature
 def dataset(tmp_path: Path) -> Path:
     path = tmp_path / "a [bold] dataset"
     features = (Feature(key="observation/joints", shape=(2,), dtype="float64"),)
-    info = DatasetInfo(fps=30, features=features, setup={}, instruction="wave")
+    info = DatasetInfo(frequency=30, features=features, setup={}, instruction="wave")
     with DatasetWriter.open(path, info) as writer:
         for name in ("a", "b [red]"):
             with writer.episode(name, seed=0) as episode:

@@ -18,7 +18,7 @@ def source(tmp_path: Path) -> Path:
         Feature(key="observation/joints", shape=(2,), dtype="float64"),
         Feature(key="action/joints", shape=(2,), dtype="float64"),
     )
-    info = DatasetInfo(fps=10, features=features, setup={"robot": "so101"}, instruction="wave")
+    info = DatasetInfo(frequency=10, features=features, setup={"robot": "so101"}, instruction="wave")
     with DatasetWriter.open(tmp_path / "source", info) as writer:
         for name, verdict in (("a", True), ("b", False)):
             with writer.episode(name, seed=None) as episode:

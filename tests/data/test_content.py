@@ -26,7 +26,7 @@ FEATURES = (
     Feature(key="observation/frames/wrist/rgb", shape=(8, 8, 3), dtype="uint8", encoding="jpeg"),
     Feature(key="time/monotonic", shape=(), dtype="float64"),
 )
-INFO = DatasetInfo(fps=30, features=FEATURES, setup={}, instruction="")
+INFO = DatasetInfo(frequency=30, features=FEATURES, setup={}, instruction="")
 
 
 def table(rows: int, seed: int = 0) -> pa.Table:

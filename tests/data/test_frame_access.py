@@ -26,7 +26,7 @@ def make(path: Path, length: int, held: tuple[int, ...] = ()) -> Dataset:
         Feature(key=LOSSLESS, shape=(6, 8, 3), dtype="uint8", encoding="lossless"),
         Feature(key=DEPTH, shape=(6, 8), dtype="uint16", encoding="depth"),
     )
-    info = DatasetInfo(fps=30.0, features=features, setup={}, instruction="move")
+    info = DatasetInfo(frequency=30.0, features=features, setup={}, instruction="move")
     rng = np.random.default_rng(0)
     with DatasetWriter.open(path, info) as writer:
         for seed in range(2):

@@ -102,7 +102,7 @@ def test_a_table_of_all_episodes_has_every_value_at_its_place(dataset: Path) -> 
 
 def test_a_table_has_held_values_in_every_row(tmp_path: Path) -> None:
     matrix = Feature(key="observation/matrix", shape=(2, 2), dtype="float64", encoding="held")
-    info = DatasetInfo(fps=10.0, features=(matrix,), setup={}, instruction="")
+    info = DatasetInfo(frequency=10.0, features=(matrix,), setup={}, instruction="")
     with DatasetWriter.open(tmp_path / "dataset", info) as writer:
         assert Dataset.open(tmp_path / "dataset").to_arrow().column_names == ["episode", "row", matrix.key]
         for name, values in (("a", [1, 1, 1, 2]), ("b", [2, 3, 3])):

@@ -30,7 +30,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
         Feature(key=RGB, shape=(8, 12, 3), dtype="uint8", encoding="jpeg"),
         Feature(key=DEPTH, shape=(4, 6), dtype="uint16", encoding="depth"),
     )
-    info = DatasetInfo(fps=30.0, features=features, setup={}, instruction="move")
+    info = DatasetInfo(frequency=30.0, features=features, setup={}, instruction="move")
     path = tmp_path_factory.mktemp("torch") / "dataset"
     rng = np.random.default_rng(0)
     with DatasetWriter.open(path, info) as writer:

@@ -28,7 +28,7 @@ def record(path: Path, steps: tuple[int, ...] = STEPS) -> Dataset:
         Feature(key=RGB, shape=(8, 12, 3), dtype="uint8", encoding="jpeg"),
         Feature(key=DEPTH, shape=(4, 6), dtype="uint16", encoding="depth"),
     )
-    info = DatasetInfo(fps=30.0, features=features, setup={}, instruction="move")
+    info = DatasetInfo(frequency=30.0, features=features, setup={}, instruction="move")
     rng = np.random.default_rng(0)
     with DatasetWriter.open(path, info) as writer:
         for e, count in enumerate(steps):
@@ -220,7 +220,7 @@ def test_what_makes_no_sense_is_refused(dataset: Dataset, options: dict[str, Any
 
 
 def test_an_episode_of_another_dataset_is_refused(dataset: Dataset, tmp_path: Path) -> None:
-    info = DatasetInfo(fps=5.0, features=dataset.info.features, setup={}, instruction="")
+    info = DatasetInfo(frequency=5.0, features=dataset.info.features, setup={}, instruction="")
     with DatasetWriter.open(tmp_path / "other", info):
         other = Dataset.open(tmp_path / "other")
     with pytest.raises(InvalidSetup, match="Episode '000000' is not of the dataset"):

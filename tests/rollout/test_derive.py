@@ -43,8 +43,8 @@ def test_a_mixed_dataset_replays_in_every_way(dataset: Path, tmp_path: Path) -> 
     assert [result.is_equal for result in replay(mixed.path)] == [True] * 3
     for job in JOBS:
         options: dict[str, Any] = {"keep": "all"} if job is RealToSim else {}
-        list(derive(job(source=mixed.path, out=tmp_path / job.mode, **options)))
-        assert len(Dataset.open(tmp_path / job.mode)) == 3
+        list(derive(job(source=mixed.path, out=tmp_path / job.kind, **options)))
+        assert len(Dataset.open(tmp_path / job.kind)) == 3
     executed, before = Dataset.open(tmp_path / "actions").episodes, mixed.episodes
     assert [episode.content_hash for episode in executed] == [episode.content_hash for episode in before]
 

@@ -33,7 +33,7 @@ def record(path: Path, verdicts: list[bool | None], *, cameras: bool = True, len
         key = f"observation/frames/{name}/rgb"
         features.append(Feature(key=key, shape=(*size, 3), dtype="uint8", encoding="jpeg"))
     values = {"setup": {"robot": "fr3", "nested": {"deep": "<script>"}}, "instruction": "pick <it> & go", **info}
-    with DatasetWriter.open(path, DatasetInfo(fps=30.0, features=tuple(features), **values)) as writer:  # pyright: ignore[reportArgumentType]
+    with DatasetWriter.open(path, DatasetInfo(frequency=30.0, features=tuple(features), **values)) as writer:  # pyright: ignore[reportArgumentType]
         for number, success in enumerate(verdicts):
             with writer.episode(f"{number:06d}", seed=number) as episode:
                 for i in range(length):
@@ -130,7 +130,7 @@ def test_the_clip_shows_all_cameras_at_the_recorded_speed(tmp_path: Path) -> Non
 
 def test_a_large_image_becomes_a_small_clip(tmp_path: Path) -> None:
     info = DatasetInfo(
-        fps=30,
+        frequency=30,
         features=(Feature(key="observation/frames/a/rgb", shape=(481, 640, 3), dtype="uint8", encoding="jpeg"),),
         setup={},
         instruction="",

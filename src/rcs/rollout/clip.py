@@ -37,10 +37,10 @@ def encode_clip(episode: EpisodeRecord) -> bytes | None:
     keys = colour_cameras(episode)
     if not keys:
         return None
-    stride = max(1, round(episode.info.fps / _FPS))
+    stride = max(1, round(episode.info.frequency / _FPS))
     shapes = [episode.info.feature(key).shape for key in keys]
     columns = [list(episode.encoded_frames(key))[::stride] for key in keys]
-    rate = Fraction(max(1, round(1000 * episode.info.fps / stride)), 1000)
+    rate = Fraction(max(1, round(1000 * episode.info.frequency / stride)), 1000)
     target = io.BytesIO()
     with av.open(target, "w", format="mp4") as container:
         stream: Any = None

@@ -34,7 +34,7 @@ SOURCE = "source"
 class Derivation(ABC):
     """What is made of which dataset: `derive` makes it."""
 
-    mode: ClassVar[str]
+    kind: ClassVar[str]
     """How outcomes name the way in which their episodes were made."""
 
     source: Path
@@ -128,7 +128,7 @@ class Workplace:
             "dataset": self.dataset.path.resolve().name,
             "episode": episode.id,
             "content_hash": episode.content_hash,
-            "mode": self.job.mode,
+            "kind": self.job.kind,
             SOURCE: episode.outcome.get(SOURCE, episode.source),  # what that one was made from
         }
         return {**varied(self.env), SOURCE: {**source, **(more or {})}}

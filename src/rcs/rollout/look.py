@@ -250,10 +250,10 @@ def require_rate(dataset: Dataset, physics: Setup) -> None:
         InvalidSetup: The dataset was resampled.
     """
     recorded = physics.frequency
-    if dataset.info.fps != recorded:
+    if dataset.info.frequency != recorded:
         raise InvalidSetup(
-            f"The dataset in {dataset.path} was recorded at {recorded:g} Hz and now has {dataset.info.fps:g} rows per "
-            "second; its actions cannot be executed step by step. Replay it by `--mode states`, or replay what it was "
+            f"The dataset in {dataset.path} was recorded at {recorded:g} Hz and now has {dataset.info.frequency:g} rows per "
+            "second; its actions cannot be executed step by step. Replay it by `--kind states`, or replay what it was "
             "made from."
         )
 
@@ -267,5 +267,5 @@ def require_states(dataset: Dataset) -> None:
     if dataset.info.sim_state_size is None:
         raise InvalidSetup(
             f"The dataset in {dataset.path} has no simulation states; only simulated episodes can be replayed so. "
-            "For recordings of real robots there is `--mode states`."
+            "For recordings of real robots there is `--kind states`."
         )

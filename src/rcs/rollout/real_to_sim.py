@@ -60,7 +60,7 @@ class RealToSimResult:
 class RealToSim(Derivation):
     """Replays every episode of real (or simulated) robots in simulation and records those that are to be kept."""
 
-    mode = "states"
+    kind = "states"
 
     task: str | None = None
     """Name of the task that judges; None for that of the dataset's setup."""
@@ -113,7 +113,7 @@ class RealToSim(Derivation):
                     f"The setup of {dataset.path} is not one of this library ({err}) Say what to simulate: give a "
                     "robot and a task."
                 ) from err
-            setup = Setup(max_episode_steps=None, frequency=dataset.info.fps)
+            setup = Setup(max_episode_steps=None, frequency=dataset.info.frequency)
         setup = replace(
             setup,
             task=self.task or setup.task,

@@ -64,7 +64,7 @@ class RecordedMotion(Agent):
         places = find_states(episode.info, robots, gripper, state)
         columns = {feature: episode.column(feature).astype(np.float64) for feature, _ in places.values()}
         values = {key: columns[feature][:, part] for key, (feature, part) in places.items()}
-        self._times: NDArray[np.float64] = np.arange(episode.length) / episode.info.fps
+        self._times: NDArray[np.float64] = np.arange(episode.length) / episode.info.frequency
         self._frequency = frequency
         self._steps = 0
         before = prefixes(robot.placement.name for robot in robots)

@@ -71,7 +71,7 @@ class Reexecution(Derivation):
     targets themselves, or the TCP's poses there.
     """
 
-    mode = "actions"
+    kind = "actions"
 
     control: Control | None = None
     """What actions shall say of the arm; None for what they say in the dataset."""

@@ -102,7 +102,7 @@ class _Facts:
 
     @property
     def period(self) -> dict[str, Any]:
-        return self.about.get("quality", {}).get("period") or {}
+        return self.about.get("timing", {}).get("period") or {}
 
     @property
     def verdict(self) -> str:
@@ -134,7 +134,7 @@ def _tiles(dataset: Dataset, facts: Sequence[_Facts], wall_time: float | None) -
     yield _tile(f"{len(facts)}", "episodes")
     rate = "\N{EN DASH}" if verdicts.rate is None else f"{100 * verdicts.rate:.1f} %"
     yield _tile(rate, f"success, {verdicts.succeeded} of {verdicts.judged} judged")
-    yield _tile(f"{rows:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"), f"rows at {dataset.info.fps:g} Hz")
+    yield _tile(f"{rows:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"), f"rows at {dataset.info.frequency:g} Hz")
     cameras = len(colour_cameras(facts[0].record)) if facts else 0
     yield _tile(str(cameras), "colour camera" if cameras == 1 else "colour cameras")
     size = sum(path.stat().st_size for path in dataset.path.glob("episodes/*/*") if path.is_file())
@@ -184,7 +184,7 @@ def _failures(facts: Sequence[_Facts]) -> str:
 
 
 def _quality(facts: Sequence[_Facts], *, is_live: bool) -> str:
-    qualities = [episode.about["quality"] for episode in facts if not episode.damage]
+    qualities = [episode.about["timing"] for episode in facts if not episode.damage]
     periods = [episode.period for episode in facts if episode.period]
     cameras = [camera for quality in qualities for camera in (quality.get("cameras") or {}).values()]
     captures = [camera["repeated_captures"] for camera in cameras if camera.get("repeated_captures") is not None]

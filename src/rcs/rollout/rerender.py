@@ -38,7 +38,7 @@ class Rerendering(Derivation):
     tactile sensors stay too: what they felt is not in the states.
     """
 
-    mode = "render"
+    kind = "render"
 
     def stage(self, dataset: Dataset) -> Stage:
         """Return the scene of the recording, seen by the cameras that are asked for."""

@@ -310,12 +310,12 @@ def test_a_dataset_without_cameras_has_no_videos(make_dataset: Any, tmp_path: Pa
 
 
 def test_a_rate_that_is_no_whole_number_is_refused_or_claimed_knowingly(make_dataset: Any, tmp_path: Path) -> None:
-    dataset = make_dataset(fps=29.97, cameras=False)
+    dataset = make_dataset(frequency=29.97, cameras=False)
     with pytest.raises(InvalidSetup, match=r"29\.97.*fps=30.*0\.10%"):
         export_lerobot(dataset, tmp_path / "out")
     report = export_lerobot(dataset, tmp_path / "out", ExportOptions(fps=30))
     assert load(tmp_path / "out" / "meta" / "info.json")["fps"] == 30
-    assert load(tmp_path / "out" / "meta" / "rcs.json")["fps"] == 29.97
+    assert load(tmp_path / "out" / "meta" / "rcs.json")["frequency"] == 29.97
     assert any("29.97" in note for note in report.notes)
 
 

@@ -44,7 +44,7 @@ def test_export_and_import_give_everything_back(source: Dataset, tmp_path: Path,
     export_lerobot(source, tmp_path / "lerobot", ExportOptions(extra=EXTRA), version=version)
     back = import_lerobot(tmp_path / "lerobot", tmp_path / "back")
     assert back.info.features == source.info.features
-    assert back.info.fps == source.info.fps
+    assert back.info.frequency == source.info.frequency
     assert back.info.instruction == source.info.instruction
     assert back.info.setup["imported"]["setup"] == source.info.setup
     for feature in source.info.features:

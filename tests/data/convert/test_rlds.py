@@ -191,7 +191,7 @@ def test_the_folder_gives_the_name(tmp_path: Path, folder: str, name: str) -> No
 def test_two_parts_of_one_name_are_refused(tmp_path: Path) -> None:
     keys = ("observation/left/joints", "observation/left_joints", "action/joints")
     info = DatasetInfo(
-        fps=10,
+        frequency=10,
         features=tuple(Feature(key=key, shape=(1,), dtype="float64") for key in keys),
         setup={},
         instruction="",
@@ -230,7 +230,7 @@ def _varied(path: Path) -> Dataset:
         Feature(key="observation/frames/left/wrist/rgb", shape=(6, 8, 3), dtype="uint8", encoding="lossless"),
         Feature(key="time/monotonic", shape=(), dtype="float64"),
     )
-    info = DatasetInfo(fps=12.5, features=features, setup={}, instruction="立方体を持ち上げる – é")
+    info = DatasetInfo(frequency=12.5, features=features, setup={}, instruction="立方体を持ち上げる – é")
     rng = np.random.default_rng(0)
     with DatasetWriter.open(path, info) as writer:
         for i in range(2):

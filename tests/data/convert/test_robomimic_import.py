@@ -70,7 +70,7 @@ def test_two_robots_held_values_missing_times_and_any_words_come_back(tmp_path: 
         Feature(key="observation/touch", shape=(3,), dtype="bool"),
         Feature(key="time/monotonic", shape=(), dtype="float64"),
     )
-    info = DatasetInfo(fps=12.5, features=features, setup={"robot": "dual"}, instruction="立方体 – é")
+    info = DatasetInfo(frequency=12.5, features=features, setup={"robot": "dual"}, instruction="立方体 – é")
     rng = np.random.default_rng(0)
     with DatasetWriter.open(tmp_path / "source", info) as writer, writer.episode("é 1", seed=None) as episode:
         for i in range(4):
@@ -114,7 +114,7 @@ def test_a_file_of_others_becomes_a_dataset(tmp_path: Path) -> None:
             file[f"data/demo_{i}/obs/agentview_depth"] = rng.integers(0, 65536, (4, 6, 8, 1), np.uint16)
     assert import_format("auto", tmp_path / "in.hdf5") is import_robomimic
     back = import_robomimic(tmp_path / "in.hdf5", tmp_path / "back")
-    assert back.info.fps == 20 and back.info.instruction == "Lift"
+    assert back.info.frequency == 20 and back.info.instruction == "Lift"
     assert back.info.setup["imported"]["env_args"]["env_name"] == "Lift"
     kinds = {feature.key: (feature.shape, feature.dtype, feature.encoding) for feature in back.info.features}
     assert kinds == {
@@ -184,10 +184,10 @@ def test_what_is_unknown_is_kept_and_what_is_no_number_is_named(tmp_path: Path) 
 
 def test_a_rate_that_the_file_does_not_have_must_be_given(tmp_path: Path) -> None:
     _foreign(tmp_path / "in.hdf5", [("demo_0", 3, {})], environment={"env_name": "x", "type": 2, "env_kwargs": None})
-    with pytest.raises(InvalidSetup, match="give fps"):
+    with pytest.raises(InvalidSetup, match="give frequency"):
         import_robomimic(tmp_path / "in.hdf5", tmp_path / "back")
     assert not (tmp_path / "back").exists()
-    assert import_robomimic(tmp_path / "in.hdf5", tmp_path / "back", ImportOptions(fps=12.5)).info.fps == 12.5
+    assert import_robomimic(tmp_path / "in.hdf5", tmp_path / "back", ImportOptions(frequency=12.5)).info.frequency == 12.5
 
 
 @pytest.mark.parametrize(

@@ -89,12 +89,12 @@ def test_other_features_are_refused_with_what_differs_or_mapped(tmp_path: Path, 
     edit.rename_camera(real, "wrist", "hand")
     edit.resample(sim, 10)
     parts = [Part(path=real), Part(path=sim)]
-    with pytest.raises(DatasetError, match=r"(?s)real and sim do not fit.*hand/rgb.*fps: real has 30.0, sim has 10"):
+    with pytest.raises(DatasetError, match=r"(?s)real and sim do not fit.*hand/rgb.*frequency: real has 30.0, sim has 10"):
         mix(parts, tmp_path / "mix")
-    how = Harmonise(rename={"real": {"hand": "wrist"}}, size=(12, 8), fps=10)
+    how = Harmonise(rename={"real": {"hand": "wrist"}}, size=(12, 8), frequency=10)
     mixed = mix(parts, tmp_path / "mix", mapping=how)
     assert check(mixed.path).is_ok, str(check(mixed.path))
-    assert (mixed.info.fps, mixed.info.feature(RGB).shape, len(mixed)) == (10, (8, 12, 3), 9)
+    assert (mixed.info.frequency, mixed.info.feature(RGB).shape, len(mixed)) == (10, (8, 12, 3), 9)
     for episode in mixed.episodes:
         joints = episode.column("observation/joints")
         np.testing.assert_allclose(np.diff(joints, axis=0), episode.column("action/joints")[1:], atol=1e-12)

@@ -70,7 +70,7 @@ class MixCommand:
     """Other names of cameras, as DATASET/CAMERA=NAME."""
     size: tuple[int, int] | None = None
     """Width and height of all frames [px]."""
-    fps: float | None = None
+    frequency: float | None = None
     """Rate of all episodes [Hz]."""
 
     def run(self) -> int:
@@ -82,7 +82,7 @@ class MixCommand:
             if not (equals and slash):
                 raise InvalidSetup(f"--rename {text!r} is no rename of a camera; write DATASET/CAMERA=NAME.")
             names.setdefault(dataset, {})[camera] = name
-        how = edit.Harmonise(common=self.common, drop=self.drop, rename=names, size=self.size, fps=self.fps)
+        how = edit.Harmonise(common=self.common, drop=self.drop, rename=names, size=self.size, frequency=self.frequency)
         parts = [edit.parse_part(text) for text in self.parts]
         with progress("Mixing") as on_progress:
             mixed = edit.mix(parts, self.out, seed=self.seed, total=self.total, mapping=how, on_progress=on_progress)

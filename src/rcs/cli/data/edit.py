@@ -123,13 +123,13 @@ class ResampleCommand:
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
-    fps: float
+    frequency: float
     """The new rate [Hz]."""
 
     def run(self) -> int:
         """Resample and say what there is."""
         with progress("Resampling") as on_progress:
-            edit.resample(self.path, self.fps, on_progress=on_progress)
+            edit.resample(self.path, self.frequency, on_progress=on_progress)
         return _tell(self.path)
 
 
@@ -212,6 +212,6 @@ def progress(doing: str) -> Generator[OnProgress]:
 def _tell(path: Path) -> int:
     dataset = Dataset.open(path)
     rows = sum(episode.length for episode in dataset.episodes)
-    text = f"{len(dataset)} episodes, {rows} rows at {dataset.info.fps:g} Hz. `rcs data undo {path}` takes it back."
+    text = f"{len(dataset)} episodes, {rows} rows at {dataset.info.frequency:g} Hz. `rcs data undo {path}` takes it back."
     plain_console().print(text)
     return 0

@@ -33,10 +33,10 @@ from rcs.rollout.reexecute import Reexecution, ReexecutionResult
 from rcs.rollout.replay import replay
 from rcs.rollout.rerender import Rerendering
 
-Mode = Literal["check", "render", "actions", "states"]
+Kind = Literal["check", "render", "actions", "states"]
 
-JOBS: dict[Mode, type[Derivation]] = {"render": Rerendering, "actions": Reexecution, "states": RealToSim}
-"""What makes a dataset; a mode takes the options that its job has."""
+JOBS: dict[Kind, type[Derivation]] = {"render": Rerendering, "actions": Reexecution, "states": RealToSim}
+"""What makes a dataset; a kind takes the options that its job has."""
 PATIENCE = 30.0
 """Where no bar can be drawn, a line says how far it is, this often [s]."""
 WIDTH = 116
@@ -48,21 +48,23 @@ class ReplayCommand:
     """Replay every episode in simulation.
 
     `check` plays the recorded actions and compares all states bit for bit; exit code 1 when one differs. The other
-    modes make a new dataset: `render` restores the recorded states and draws them anew, `actions` executes the recorded
+    kinds make a new dataset: `render` restores the recorded states and draws them anew, `actions` executes the recorded
     actions again, if wanted in another control mode, and measures the divergence, `states` has a simulated robot follow
     the recorded one, real or not, and keeps what succeeds.
     """
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
-    mode: Mode = "check"
+    kind: Kind = "check"
     """What to do."""
     out: Path | None = None
-    """Folder of the new dataset; for all modes but `check`."""
+    """Folder of the new dataset; for all kinds but `check`."""
     workers: int = 0
     """Processes; 0 for one per CPU core."""
     json: bool = False
     """Print JSON instead of a table."""
+    trust: tuple[str, ...] = ()
+    """Modules that may be imported because the dataset's setup names them, such as `my_tasks`."""
     control: Control | None = None
     """actions: what they shall say of the arm; None for as recorded."""
     relative: RelativeTo | None = None
@@ -102,30 +104,30 @@ class ReplayCommand:
             told.out(json.dumps(self._as_json(results, seconds), indent=1))
         else:
             self._tell(results, seconds, told)
-        return 1 if self.mode == "check" and not all(result.is_equal for result in results) else 0
+        return 1 if self.kind == "check" and not all(result.is_equal for result in results) else 0
 
     def _check_options(self) -> None:
-        if self.mode != "check" and self.out is None:
-            raise InvalidSetup(f"--mode {self.mode} makes a dataset; say where with --out.")
-        valid = {mode: {option.name for option in dataclasses.fields(job)} for mode, job in JOBS.items()}
+        if self.kind != "check" and self.out is None:
+            raise InvalidSetup(f"--kind {self.kind} makes a dataset; say where with --out.")
+        valid = {kind: {option.name for option in dataclasses.fields(job)} for kind, job in JOBS.items()}
         for option in dataclasses.fields(self):
             given, default = getattr(self, option.name), _default(option)
-            modes = [mode for mode, names in valid.items() if option.name in names]
-            if option.name in ("path", "mode", "json") or self.mode in modes or given == default:
+            kinds = [kind for kind, names in valid.items() if option.name in names]
+            if option.name in ("path", "kind", "json", "trust") or self.kind in kinds or given == default:
                 continue
             changed = [option.name]
             if dataclasses.is_dataclass(given):
                 parts = [part.name for part in dataclasses.fields(given)]
                 changed = [part for part in parts if getattr(given, part) != getattr(default, part)]
             options = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
-            raise InvalidSetup(f"{options} has no meaning for --mode {self.mode}, only for {', '.join(modes)}.")
+            raise InvalidSetup(f"{options} has no meaning for --kind {self.kind}, only for {', '.join(kinds)}.")
 
     def _replay(self, console: Console) -> list[Any]:
         """Replay all episodes, and say meanwhile how far that is and how long it will take."""
         dataset = Dataset.open(self.path)
-        if self.mode == "check":
-            return list(track(replay(self.path), "Replaying", total=len(dataset), console=console))
-        job = JOBS[self.mode]
+        if self.kind == "check":
+            return list(track(replay(self.path, trust=self.trust), "Replaying", total=len(dataset), console=console))
+        job = JOBS[self.kind]
         options = {
             option.name: getattr(self, option.name) for option in dataclasses.fields(job) if option.name != "source"
         }
@@ -135,23 +137,23 @@ class ReplayCommand:
             return list(derive(job(source=self.path, **options), rows))
 
     def _as_json(self, results: list[Any], seconds: float) -> dict[str, Any]:
-        values: dict[str, Any] = {"mode": self.mode, "dataset": str(self.path), "seconds": seconds}
+        values: dict[str, Any] = {"kind": self.kind, "dataset": str(self.path), "seconds": seconds}
         if self.out is not None:
             values["out"] = str(self.out)
         ordered = sorted(results, key=lambda result: result.episode_id)
-        if self.mode == "check":
+        if self.kind == "check":
             values["equal"] = sum(result.is_equal for result in ordered)
-        elif self.mode != "render":
+        elif self.kind != "render":
             values["successes"] = sum(result.success for result in ordered)
-        if self.mode == "actions":
+        if self.kind == "actions":
             return {**values, "episodes": [result.to_json(with_rows=True) for result in ordered]}
-        if self.mode == "states":
+        if self.kind == "states":
             return {**values, "episodes": [result.to_json() for result in ordered]}
         return {**values, "episodes": [dataclasses.asdict(result) for result in ordered]}
 
     def _tell(self, results: list[Any], seconds: float, console: Console) -> None:
         ordered = sorted(results, key=lambda result: result.episode_id)
-        if self.mode == "check":
+        if self.kind == "check":
             for result in ordered:
                 if not result.is_equal:
                     console.print(
@@ -159,10 +161,10 @@ class ReplayCommand:
                     )
             steps, equal = sum(result.steps for result in ordered), sum(result.is_equal for result in ordered)
             told = f"{equal} of {len(ordered)} episodes bit-equal ({steps} steps in {seconds:.1f} s)"
-        elif self.mode == "render":
+        elif self.kind == "render":
             rows = sum(result.rows for result in ordered)
             told = f"{len(ordered)} episodes drawn anew ({rows} rows in {seconds:.1f} s, {rows / seconds:.0f}/s)"
-        elif self.mode == "actions":
+        elif self.kind == "actions":
             _print_wide(divergence_table(ordered), console)
             good = sum(result.success for result in ordered)
             within = sum(result.first_beyond is None for result in ordered)

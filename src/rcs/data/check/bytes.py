@@ -22,7 +22,7 @@ from rcs.data.info import DatasetInfo
 from rcs.data.json_file import read_bytes
 from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
 from rcs.data.parquet import UNREADABLE, ParquetSource
-from rcs.data.quality import QualityMeter
+from rcs.data.timing import TimingMeter
 from rcs.data.rows import sim_state_schema, steps_schema
 from rcs.errors import CorruptEpisode, DatasetError
 
@@ -51,8 +51,8 @@ class EpisodeBytes:
         self.rows = EpisodeRows(info)
         self.frames = 0
         """Images that were decoded."""
-        self.quality: dict[str, Any] = {}
-        """What the quality report would be today."""
+        self.timing: dict[str, Any] = {}
+        """What the timing report would be today."""
 
     def findings(self) -> Iterator[Finding]:
         """Yield all damage; and numbers that are not finite, as warnings."""
@@ -109,7 +109,7 @@ class EpisodeBytes:
 
     def _check_groups(self, source: ParquetSource, name: str, schema: pa.Schema) -> Iterator[Finding]:
         file = source.file
-        content, meter = (ContentHash(self._info), QualityMeter(self._info)) if name == STEPS_FILE else (None, None)
+        content, meter = (ContentHash(self._info), TimingMeter(self._info)) if name == STEPS_FILE else (None, None)
         not_finite = _NotFinite()
         is_whole = True
         first = 0
@@ -140,7 +140,7 @@ class EpisodeBytes:
             message = f"{key!r} is not finite in {counted(number, 'row')}"
             yield self._place.finding("warning", "not_finite", message, file=name, rows=(start, end))
         if is_whole and content is not None and meter is not None:
-            self.quality = meter.report()
+            self.timing = meter.report()
             if content.hexdigest() != self.rows.about["content_hash"]:
                 yield self._damage("content", "its values are not those that were written", name)
 

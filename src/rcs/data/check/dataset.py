@@ -18,7 +18,7 @@ from rcs.data.check.images import check_images
 from rcs.data.check.labels import check_labels, check_verdicts
 from rcs.data.check.motion import check_motion
 from rcs.data.check.report import CheckReport, Finding, counted
-from rcs.data.check.stored_quality import check_quality
+from rcs.data.check.stored_timing import check_timing
 from rcs.data.check.times import check_times
 from rcs.data.head import Head
 from rcs.data.info import MERGED, DatasetInfo
@@ -110,7 +110,7 @@ def _check_episode(place: EpisodePlace, how: _How) -> _Checked:
         findings += check_times(place, rows, is_resampled=how.is_resampled)
         findings += check_images(place, rows)
         findings += check_motion(place, rows, how.arms)
-        findings += check_quality(place, about, bytes_.quality)
+        findings += check_timing(place, about, bytes_.timing)
     return _Checked(
         rows=int(about.get("length", 0)),
         frames=bytes_.frames,

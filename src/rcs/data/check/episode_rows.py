@@ -114,7 +114,7 @@ class EpisodeRows:
 
     def seconds_per_step(self) -> NDArray[np.float64]:
         """Return how long each step took [s], shape (length - 1,), and never less than the rate says."""
-        nominal = np.full(max(self.length - 1, 0), 1 / self.info.fps)
+        nominal = np.full(max(self.length - 1, 0), 1 / self.info.frequency)
         clock = self.column(self.clock) if self.clock is not None else None
         if clock is None:
             return nominal

@@ -76,12 +76,12 @@ def _frozen(place: EpisodePlace, rows: EpisodeRows, camera: str, keys: list[str]
         ends = np.append(starts[1:], rows.length) - 1
         period = float(np.median(ends - starts + 1))
         # Of a camera that is frozen from the start the own period is no measure.
-        bound = max(_FREEZE_S * rows.info.fps, min(_FREEZE_PERIODS * period, rows.length / 2))
+        bound = max(_FREEZE_S * rows.info.frequency, min(_FREEZE_PERIODS * period, rows.length / 2))
         runs = zip(starts.tolist(), ends.tolist(), strict=True)
         long = [(a, b) for a, b in runs if b - a > bound and _moved(joints, a, b) > _MOVED]
         if long:
             first, last = max(long, key=lambda run: run[1] - run[0])
-            message = f"{camera!r} is frozen for {(last - first) / rows.info.fps:.1f} s while the robot moves ({key!r})"
+            message = f"{camera!r} is frozen for {(last - first) / rows.info.frequency:.1f} s while the robot moves ({key!r})"
             yield place.finding("warning", "frozen", message, rows=(first, last))
             continue
         moves = np.min([np.abs(np.diff(column, axis=0)).max(axis=1) for column in joints], axis=0)

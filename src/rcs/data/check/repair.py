@@ -47,7 +47,7 @@ from rcs.data.recover import recover
 from rcs.errors import CorruptEpisode, InvalidSetup
 
 What = Literal["restored", "recovered", "removed", "rewritten", "recomputed", "quarantined", "noted", "failed"]
-_REWRITTEN = ("quality", "flags", "wrong_id")
+_REWRITTEN = ("timing", "flags", "wrong_id")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,10 +214,10 @@ def _mend_episodes(
 
 
 def _rewrite(edit: Transaction, episode: EpisodeRecord) -> Mending:
-    """Write an episode with flags that go with its images, and the quality report that its rows give."""
+    """Write an episode with flags that go with its images, and the timing report that its rows give."""
     rows = rows_of(episode)
     edit.write(episode, _with_right_flags(rows, episode.info))
-    return Mending(what="recomputed", episode=episode.id, message="flags and quality report, from its rows")
+    return Mending(what="recomputed", episode=episode.id, message="flags and timing report, from its rows")
 
 
 def _with_right_flags(table: pa.Table, info: DatasetInfo) -> pa.Table:
@@ -240,7 +240,7 @@ def _mend(edit: Transaction, folder: Path, quarantine: Path, contents: dict[str,
     others = [other for other in reversed(former) if other.name == folder.name]  # the newest first
     found = salvage(folder, edit.info, others=others)
     episode = EpisodeRecord(folder, edit.info)
-    vars(episode)["about"] = {"quality": {}, **found.about}  # in the place of what the file says
+    vars(episode)["about"] = {"timing": {}, **found.about}  # in the place of what the file says
     where = f"What was there is in {quarantine}."
     twin = None if found.is_exact else contents.get(found.content_hash)
     if found.rows.num_rows == 0 or twin is not None:

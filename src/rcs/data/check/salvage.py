@@ -176,7 +176,7 @@ def _rebuilt(folder: Path, info: DatasetInfo) -> dict[str, Any]:
         "started": None if started is None else started[1],
         "ended": None,
         "versions": {},
-        "quality": {},
+        "timing": {},
     }
 
 

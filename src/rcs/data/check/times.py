@@ -10,7 +10,7 @@ from rcs.data.check.episode_rows import SIMULATED_TIME, EpisodePlace, EpisodeRow
 from rcs.data.check.report import Finding, counted
 from rcs.data.flags import FrameFlag, time_key
 
-# A period this many times the wanted one means that at least one step is missing, as in the quality report.
+# A period this many times the wanted one means that at least one step is missing, as in the timing report.
 _GAP = 1.5
 # A lower rate that is no divisor of the old one leaves steps of up to twice its period.
 _GAP_OF_RESAMPLED = 2.1
@@ -39,7 +39,7 @@ def check_times(place: EpisodePlace, rows: EpisodeRows, *, is_resampled: bool) -
     yield from _backwards(place, rows)
     yield from _periods(place, rows, is_resampled)
     yield from _camera_flags(place, rows)
-    writer = rows.about.get("quality", {}).get("writer") or {}
+    writer = rows.about.get("timing", {}).get("writer") or {}
     if dropped := writer.get("dropped_rows"):
         message = f"the recorder dropped {counted(dropped, 'whole row')}; the disk or the processor is too slow"
         yield place.warning("dropped_rows", message)
@@ -66,7 +66,7 @@ def _periods(place: EpisodePlace, rows: EpisodeRows, is_resampled: bool) -> Iter
     clock = rows.column(key) if key is not None else None
     if clock is None:
         return
-    wanted = 1 / rows.info.fps
+    wanted = 1 / rows.info.frequency
     periods = np.diff(clock)
     is_gap = periods > (_GAP_OF_RESAMPLED if is_resampled else _GAP) * wanted
     if is_gap.any():
@@ -78,7 +78,7 @@ def _periods(place: EpisodePlace, rows: EpisodeRows, is_resampled: bool) -> Iter
     if key != SIMULATED_TIME and not is_resampled and len(steady) >= _FEW_ROWS:
         late = float(np.percentile(np.abs(steady - wanted), 99))
         if late > _JITTER * wanted:
-            message = f"the loop does not keep its {rows.info.fps:g} Hz: 1 step in 100 is off by {1e3 * late:.1f} ms"
+            message = f"the loop does not keep its {rows.info.frequency:g} Hz: 1 step in 100 is off by {1e3 * late:.1f} ms"
             yield place.warning("time_jitter", message)
 
 

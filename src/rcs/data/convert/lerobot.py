@@ -189,7 +189,7 @@ def _write_beside(root: Path, dataset: Dataset, episodes: Sequence[EpisodeRecord
     about = {
         "schema_version": 1,
         "dataset": digest,
-        "fps": info.fps,
+        "frequency": info.frequency,
         "instruction": info.instruction,
         "robot_type": robot,
         "setup": info.setup,
@@ -226,8 +226,8 @@ def _notes(dataset: Dataset, layout: LeRobotLayout) -> Iterator[str]:
         yield f"Nobody said of every episode whether it succeeded, so there is no column {SUCCESS}."
     if layout.depths:
         yield "LeRobot has no place for lossless depth; it is in rcs/depth, a video per episode (FFV1, 16 bits, mm)."
-    if layout.fps != dataset.info.fps:
-        yield f"The data claims {layout.fps} frames per second; it was recorded at {dataset.info.fps:g}."
+    if layout.fps != dataset.info.frequency:
+        yield f"The data claims {layout.fps} frames per second; it was recorded at {dataset.info.frequency:g}."
     used = {f.key for column in layout.columns for f in column.parts.features}
     left = [f.key for f in dataset.info.features if not f.is_image and "/frames/" not in f.key and f.key not in used]
     if left:

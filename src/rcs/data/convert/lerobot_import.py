@@ -239,7 +239,7 @@ def _info(
         imported |= {"dataset": own.get("dataset"), "setup": own.get("setup")}
     words = chain([own.get("instruction"), options.instruction], source.tasks.values())
     return DatasetInfo(
-        fps=own.get("fps", source.fps),
+        frequency=own.get("frequency", source.fps),
         features=tuple(stored_as(feature, options) for feature in mapping.features),
         setup={"imported": imported},
         instruction=next((text for text in words if isinstance(text, str) and text), ""),

@@ -234,7 +234,7 @@ def _values(column: Column, episode: EpisodeRecord) -> NDArray[Any]:
 
 
 def _whole_rate(info: DatasetInfo, options: ExportOptions) -> int:
-    rate = options.fps or info.fps
+    rate = options.fps or info.frequency
     if rate == round(rate):
         return round(rate)
     near = max(1, round(rate))

@@ -71,7 +71,7 @@ class ImportOptions:
     """Whether colour images are kept without loss instead."""
     instruction: str | None = None
     """What the robot was asked to do, where the source does not say so."""
-    fps: float | None = None
+    frequency: float | None = None
     """Steps per second [Hz], where the source does not say so."""
     on_progress: OnProgress | None = None
     """Called now and then while the import runs."""

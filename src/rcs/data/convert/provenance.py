@@ -35,7 +35,7 @@ def episode_provenance(episode: EpisodeRecord, digest: str) -> dict[str, Any]:
         "instruction": episode.instruction,
         "rows": episode.length,
         "recorded": about.get("started"),
-        "quality": episode.quality,
+        "timing": episode.timing,
         "source": about.get("source"),
     }
 

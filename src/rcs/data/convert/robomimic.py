@@ -190,7 +190,7 @@ def _environment(info: DatasetInfo) -> dict[str, Any]:
     return {
         "env_name": str(info.setup.get("task") or info.instruction),
         "type": _GYM_ENVIRONMENT,
-        "env_kwargs": {**info.setup, "control_freq": info.fps, "instruction": info.instruction},
+        "env_kwargs": {**info.setup, "control_freq": info.frequency, "instruction": info.instruction},
     }
 
 

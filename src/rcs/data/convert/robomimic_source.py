@@ -158,9 +158,9 @@ def _foreign_plan(file: Any, demo: Any, options: ImportOptions) -> SourcePlan:
     data = file["data"]
     environment = _json_attribute(data, "env_args")
     kwargs = environment.get("env_kwargs")
-    fps = (kwargs.get("control_freq") if isinstance(kwargs, dict) else None) or options.fps
-    if not isinstance(fps, int | float) or not fps:
-        raise InvalidSetup(f"{file.filename} does not say how many steps a second has; give fps.")
+    frequency = (kwargs.get("control_freq") if isinstance(kwargs, dict) else None) or options.frequency
+    if not isinstance(frequency, int | float) or not frequency:
+        raise InvalidSetup(f"{file.filename} does not say how many steps a second has; give frequency.")
     seen = demo.get("obs", {})
     arrays = {f"obs/{name}": values for name, values in seen.items()} if hasattr(seen, "items") else {}
     arrays |= {name: values for name, values in demo.items() if name not in _KNOWN}
@@ -186,7 +186,7 @@ def _foreign_plan(file: Any, demo: Any, options: ImportOptions) -> SourcePlan:
     if "states" in demo and is_numeric(demo["states"]) and demo["states"].size:
         columns.append(Column(feature=_feature("simulation/states", demo["states"]), path="states"))
     info = DatasetInfo(
-        fps=float(fps),
+        frequency=float(frequency),
         features=tuple(column.feature for column in columns),
         setup={"imported": {"format": "robomimic", "env_args": environment, "left_out": left_out}},
         instruction=_instruction(data, demo) or options.instruction or str(environment.get("env_name", "")),

@@ -53,7 +53,7 @@ class Harmonise:
     """Other names of cameras, by the name of the dataset: {"real": {"front": "side"}}."""
     size: tuple[int, int] | None = None
     """Width and height of all frames [px]; None for what they are."""
-    fps: float | None = None
+    frequency: float | None = None
     """The rate of all episodes [Hz]; None for what it is."""
 
 
@@ -169,8 +169,8 @@ def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Ha
     infos: list[DatasetInfo] = []
     for name, dataset in zip(names, datasets, strict=True):
         info = renamed(dataset.info, how.rename.get(name, {}))
-        if how.fps is not None and info.fps != how.fps:
-            info = at_rate(info, how.fps)
+        if how.frequency is not None and info.frequency != how.frequency:
+            info = at_rate(info, how.frequency)
         if how.size is not None and cameras_of(info):
             info = resized(info, how.size)
         kept = [f for f in info.features if not any(f.key == key or f.key.startswith(f"{key}/") for key in how.drop)]
@@ -190,13 +190,13 @@ def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Ha
             text = "\n  ".join(lines)
             raise DatasetError(
                 f"{names[0]} and {name} do not fit each other. Leave out what differs (drop, common), rename cameras, "
-                f"or give one size and rate (size, fps). What differs:\n  {text}"
+                f"or give one size and rate (size, frequency). What differs:\n  {text}"
             )
     return [replace(info, features=first.features) for info in infos]
 
 
 def _rows_stay(before: DatasetInfo, after: DatasetInfo) -> bool:
-    return before.features == after.features and before.fps == after.fps
+    return before.features == after.features and before.frequency == after.frequency
 
 
 def _mapped(rows: pa.Table, before: DatasetInfo, after: DatasetInfo, rename: Mapping[str, str]) -> pa.Table:
@@ -204,8 +204,8 @@ def _mapped(rows: pa.Table, before: DatasetInfo, after: DatasetInfo, rename: Map
     if rename:
         info = renamed(info, rename)
         rows = with_names(rows, info)
-    if info.fps != after.fps:
-        rows = resampled(rows, info, after.fps)
+    if info.frequency != after.frequency:
+        rows = resampled(rows, info, after.frequency)
     sizes = {feature.key: feature for feature in after.features}
     target = replace(info, features=tuple(sizes.get(f.key, f) if f.is_image else f for f in info.features))
     if target.features != info.features:

@@ -21,7 +21,7 @@ from rcs.errors import InvalidSetup
 from rcs.spatial import compose, normalize, tquat_to_xyzrpy, xyzrpy_to_tquat
 
 
-def resample(path: str | Path, fps: float, *, on_progress: OnProgress | None = None) -> None:
+def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | None = None) -> None:
     """Lower the rate, as from 30 to 5 Hz for policies that predict the next of few steps.
 
     A step of the new rate ends where the nearest row of the old one is; the last row always stays. Its action is what
@@ -30,7 +30,7 @@ def resample(path: str | Path, fps: float, *, on_progress: OnProgress | None = N
 
     Args:
         path: The dataset.
-        fps: The new rate [Hz], at most that of the dataset.
+        frequency: The new rate [Hz], at most that of the dataset.
         on_progress: Called with the number of episodes done and of all.
 
     Raises:
@@ -38,34 +38,34 @@ def resample(path: str | Path, fps: float, *, on_progress: OnProgress | None = N
         CorruptEpisode: An episode is damaged; nothing changes.
         DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
     """
-    with editing(path, "resample", {"fps": fps}, new_info=lambda info: at_rate(info, fps)) as edit:
+    with editing(path, "resample", {"frequency": frequency}, new_info=lambda info: at_rate(info, frequency)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
-            edit.write(episode, resampled(rows_of(episode), episode.info, fps))
+            edit.write(episode, resampled(rows_of(episode), episode.info, frequency))
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 
 
-def at_rate(info: DatasetInfo, fps: float) -> DatasetInfo:
+def at_rate(info: DatasetInfo, frequency: float) -> DatasetInfo:
     """Return the info at a lower rate.
 
     Raises:
         InvalidSetup: The rate is not lower than the dataset's.
     """
-    if not 0 < fps < info.fps:
-        raise InvalidSetup(f"fps is {fps:g}; a dataset of {info.fps:g} Hz can be resampled to less, and more than 0.")
-    return replace(info, fps=fps)
+    if not 0 < frequency < info.frequency:
+        raise InvalidSetup(f"frequency is {frequency:g}; a dataset of {info.frequency:g} Hz can be resampled to less, and more than 0.")
+    return replace(info, frequency=frequency)
 
 
-def resampled(rows: pa.Table, info: DatasetInfo, fps: float) -> pa.Table:
+def resampled(rows: pa.Table, info: DatasetInfo, frequency: float) -> pa.Table:
     """Return the rows of an episode at a lower rate.
 
     Args:
         rows: All its rows.
         info: What its columns are, and their rate.
-        fps: The new rate [Hz].
+        frequency: The new rate [Hz].
     """
-    kept = kept_rows(rows.num_rows, info.fps / fps)
+    kept = kept_rows(rows.num_rows, info.frequency / frequency)
     taken = take_rows(rows, info, kept)
     columns = {field.name: taken.column(field.name).combine_chunks() for field in taken.schema}
     is_relative = info.setup.get("relative") == "last_step"

@@ -90,7 +90,7 @@ class EpisodeFolder:
             episode_id: Its id from now on; None for the same.
             about: What `episode.json` says otherwise from now on.
         """
-        found = ("length", "content_hash", "sha256", "quality", "schema_version")
+        found = ("length", "content_hash", "sha256", "timing", "schema_version")
         kept = {key: value for key, value in episode.about.items() if key not in found}
         name = episode_id or episode.id
         seal(
@@ -98,7 +98,7 @@ class EpisodeFolder:
             self.info,
             cut(rows, self.info),
             {**kept, "id": name, **about},
-            quality=_same_writer(episode),
+            timing=_same_writer(episode),
         )
 
     def _new(self, episode_id: str) -> Path:
@@ -111,8 +111,8 @@ class EpisodeFolder:
 
 
 def _same_writer(episode: EpisodeRecord) -> Callable[[], Mapping[str, Any]]:
-    """Keep what the quality report says of the recording and cannot be found in the rows."""
-    kept = {key: value for key, value in episode.quality.items() if key in ("writer", "is_torn")}
+    """Keep what the timing report says of the recording and cannot be found in the rows."""
+    kept = {key: value for key, value in episode.timing.items() if key in ("writer", "is_torn")}
     return lambda: kept
 
 

@@ -31,7 +31,7 @@ def catalogue(dataset: Dataset, entries: Sequence[Entry], clips: Sequence[str]) 
     return {
         "name": dataset.path.resolve().name,
         "instruction": info.instruction,
-        "fps": info.fps,
+        "fps": info.frequency,
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "isFasterThanLife": is_faster_than_life(info),
         "setup": simple + [[name, version] for name, version in sorted(info.versions.items())],

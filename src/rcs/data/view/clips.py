@@ -86,7 +86,7 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
 
     limits = None if feature.shape[-1:] == (3,) and len(feature.shape) == 3 else _limits(episode, feature)
     encoder, settings = _ENCODERS[options.codec]
-    rate = Fraction(episode.info.fps).limit_denominator(1000)
+    rate = Fraction(episode.info.frequency).limit_denominator(1000)
     rows, columns = _size(feature, options.height)
     frames = 0
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:

@@ -80,7 +80,7 @@ def dataset_info(
     features += [Feature(key=flags_key(name), shape=(), dtype="uint8") for name in sensors]
     features += [Feature(key=f"{NOTES}/{name}", shape=(), dtype="float64") for name in notes]
     return DatasetInfo(
-        fps=env.frequency,
+        frequency=env.frequency,
         features=tuple(features),
         setup={} if setup is None else setup.to_json(),
         instruction=env.instruction if instruction is None else instruction,
