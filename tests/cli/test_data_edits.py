@@ -75,7 +75,18 @@ def test_split_merge_and_mix(dataset: Path, tmp_path: Path) -> None:
     assert (len(ids(parts / "train")), len(ids(parts / "val"))) == (2, 1)
     assert call("data", "merge", str(parts / "train"), str(parts / "val"), "--out", str(merged)) == 0
     assert Dataset.open(merged).digest() == Dataset.open(dataset).digest()
-    words = ["data", "mix", f"{parts / 'train'}:1", f"{dataset}:2", "--out", str(mixed), "--seed", "3", "--frequency", "6"]
+    words = [
+        "data",
+        "mix",
+        f"{parts / 'train'}:1",
+        f"{dataset}:2",
+        "--out",
+        str(mixed),
+        "--seed",
+        "3",
+        "--frequency",
+        "6",
+    ]
     assert call(*words, "--rename", "train/side=front", "set/side=front") == 0
     opened = Dataset.open(mixed)
     assert len(opened) == 3

@@ -119,8 +119,7 @@ def _is_timing(value: Any) -> bool:
 
 
 def _is_source(value: Any) -> bool:
-    """Return whether this is a valid source of an episode; its names become folders' names when the episode goes
-    back."""
+    """Return whether this is a valid source of an episode; its names may become folders' names."""
     if value is None:
         return True
     if not isinstance(value, dict):

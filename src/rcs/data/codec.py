@@ -40,7 +40,8 @@ def decode_frame(feature: Feature, data: bytes, out: NDArray[Any] | None = None)
 
     Args:
         feature: An image feature.
-        data: The bytes as stored. out: Where to put it: contiguous, with the feature's shape and dtype; None for a new
+        data: The bytes as stored.
+        out: Where to put it: contiguous, with the feature's shape and dtype; None for a new
             array.
 
     Raises:

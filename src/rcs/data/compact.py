@@ -35,9 +35,9 @@ from rcs.data.layout import (
     episode_folder,
     open_folder,
 )
-from rcs.data.timing import TimingMeter
 from rcs.data.rows import SIM_STATE, sim_state_schema, steps_schema, stream_schema
 from rcs.data.stream import StreamReader
+from rcs.data.timing import TimingMeter
 from rcs.errors import CorruptEpisode, DatasetError
 
 # Rows per Parquet row group. It is fixed, so that the bytes do not depend on how the stream was flushed, and small with
@@ -80,7 +80,7 @@ def compact(
         if header is None or stream.schema is None:
             return None
         if not stream.schema.equals(stream_schema(info)):
-            raise CorruptEpisode(f"The columns of the open episode in {folder} differ from the dataset's; it is left alone.")
+            raise CorruptEpisode(f"The open episode in {folder} has other columns than the dataset; it is left alone.")
         groups = _groups(stream, info)
         first = next(groups, None)
         if first is None:

@@ -190,7 +190,8 @@ def unsealed(data: bytes, path: Path) -> dict[str, Any]:
     """Return the values in sealed JSON.
 
     Args:
-        data: The bytes of the file. path: The file, for the message.
+        data: The bytes of the file.
+        path: The file, for the message.
 
     Raises:
         CorruptEpisode: The bytes are not JSON, not the JSON that was written, or more than any dataset has.

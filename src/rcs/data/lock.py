@@ -134,7 +134,7 @@ def _refuse_links_out(root: Path) -> None:
     if found:
         names = ", ".join(f"{path.relative_to(root)} to {path.readlink()}" for path in found)
         raise DatasetError(
-            f"{root} has links that lead out of it: {names}. Nothing is written through links. Put the folders  "
+            f"{root} has links that lead out of it: {names}. Nothing is written through links. Put the folders "
             "themselves in their place, or link the whole dataset."
         )
 

@@ -37,8 +37,7 @@ def sim_state_schema(size: int) -> pa.Schema:
 
 
 def stream_schema(info: DatasetInfo) -> pa.Schema:
-    """Return the schema of an open episode: a step and its simulation state in one row, so that a kill never separates
-    them."""
+    """Return the schema of an open episode: step and simulation state share a row, so a kill loses both or neither."""
     schema = steps_schema(info)
     return schema if info.sim_state_size is None else schema.append(sim_state_schema(info.sim_state_size).field(0))
 

@@ -24,7 +24,8 @@ class Scaler:
         """Prepare the weights.
 
         Args:
-            source: Height and width of the input [px]. target: Height and width of the output [px].
+            source: Height and width of the input [px].
+            target: Height and width of the output [px].
 
         Raises:
             InvalidSetup: A size is smaller than one pixel.

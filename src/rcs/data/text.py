@@ -33,7 +33,7 @@ def check_text(text: object, what: str) -> None:
     if not is_storable(text):
         place = next(i for i, letter in enumerate(text) if "\ud800" <= letter <= "\udfff")
         raise InvalidSetup(
-            f"{what} is {text!r}, and its character {place} is half a surrogate pair, which cannot  "
+            f"{what} is {text!r}, and its character {place} is half a surrogate pair, which cannot "
             "be stored. Was it read in another encoding than UTF-8, or cut in the middle of an emoji?"
         )
 
@@ -42,7 +42,8 @@ def check_texts(value: Any, what: str) -> None:
     """Refuse JSON values whose texts or keys cannot be stored.
 
     Args:
-        value: The JSON values. what: What they are, for the message.
+        value: The JSON values.
+        what: What they are, for the message.
 
     Raises:
         InvalidSetup: A text has half a surrogate pair.

@@ -97,7 +97,8 @@ class ChosenWindows(Sequence[Tensors]):
         """Choose windows.
 
         Args:
-            dataset: All windows. indices: The numbers of those chosen.
+            dataset: All windows.
+            indices: The numbers of those chosen.
         """
         self.dataset = dataset
         self.indices = indices

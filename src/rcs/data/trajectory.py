@@ -128,7 +128,8 @@ def trajectory(episode: EpisodeRecord, state: VectorLayout, action: VectorLayout
 
     Args:
         episode: The episode.
-        state: The layout of states. action: The layout of actions.
+        state: The layout of states.
+        action: The layout of actions.
 
     Raises:
         CorruptEpisode: The episode is damaged.

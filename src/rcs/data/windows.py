@@ -313,7 +313,7 @@ def _scalers(cameras: Mapping[str, Feature], image_size: tuple[int, int] | None)
         return {}
     depth = [name for name, feature in cameras.items() if feature.encoding == "depth"]
     if depth:
-        raise InvalidSetup(f"{', '.join(depth)} cannot be scaled, since depth cannot be averaged; leave image_size out.")
+        raise InvalidSetup(f"{', '.join(depth)} cannot be scaled: depth cannot be averaged; leave image_size out.")
     height, width = image_size[::-1]
     return {name: Scaler((feature.shape[0], feature.shape[1]), (height, width)) for name, feature in cameras.items()}
 

@@ -198,6 +198,6 @@ def _refuse_strangers(root: Path) -> None:
 def _refuse_other_info(root: Path, head: Head, info: DatasetInfo, resume: bool) -> None:
     lines = differences(head.info, info)
     if lines:
-        raise DatasetError(f"The dataset in {root} was made with another setup. Differences:\n    " + "\n  ".join(lines))
+        raise DatasetError(f"The dataset in {root} was made with another setup. Differences:\n  " + "\n  ".join(lines))
     if not resume:
         raise DatasetError(f"There already is a dataset in {root}. Resume it (resume=True), or choose another folder.")

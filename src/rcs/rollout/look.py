@@ -252,9 +252,9 @@ def require_rate(dataset: Dataset, physics: Setup) -> None:
     recorded = physics.frequency
     if dataset.info.frequency != recorded:
         raise InvalidSetup(
-            f"The dataset in {dataset.path} was recorded at {recorded:g} Hz and now has {dataset.info.frequency:g} rows per "
-            "second; its actions cannot be executed step by step. Replay it by `--kind states`, or replay what it was "
-            "made from."
+            f"The dataset in {dataset.path} was recorded at {recorded:g} Hz and is now at "
+            f"{dataset.info.frequency:g} Hz, so its actions cannot be executed step by step. Use `--kind states`, or "
+            "replay the original dataset."
         )
 
 
@@ -266,6 +266,6 @@ def require_states(dataset: Dataset) -> None:
     """
     if dataset.info.sim_state_size is None:
         raise InvalidSetup(
-            f"The dataset in {dataset.path} has no simulation states; only simulated episodes can be replayed so. "
-            "For recordings of real robots there is `--kind states`."
+            f"The dataset in {dataset.path} has no simulation states, which this replay needs. "
+            "For recordings of real robots, use `--kind states`."
         )

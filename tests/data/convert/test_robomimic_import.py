@@ -187,7 +187,9 @@ def test_a_rate_that_the_file_does_not_have_must_be_given(tmp_path: Path) -> Non
     with pytest.raises(InvalidSetup, match="give frequency"):
         import_robomimic(tmp_path / "in.hdf5", tmp_path / "back")
     assert not (tmp_path / "back").exists()
-    assert import_robomimic(tmp_path / "in.hdf5", tmp_path / "back", ImportOptions(frequency=12.5)).info.frequency == 12.5
+    assert (
+        import_robomimic(tmp_path / "in.hdf5", tmp_path / "back", ImportOptions(frequency=12.5)).info.frequency == 12.5
+    )
 
 
 @pytest.mark.parametrize(

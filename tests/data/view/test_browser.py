@@ -119,7 +119,10 @@ def test_it_plays_all_cameras_in_step_to_the_end_and_stops(page: str, show: Call
 
 def test_without_videos_the_clock_plays(tmp_path: Path, show: Callable[[str], Browser]) -> None:
     info = DatasetInfo(
-        frequency=30, features=(Feature(key="observation/joints", shape=(2,), dtype="float64"),), setup={}, instruction=""
+        frequency=30,
+        features=(Feature(key="observation/joints", shape=(2,), dtype="float64"),),
+        setup={},
+        instruction="",
     )
     with DatasetWriter.open(tmp_path / "data", info) as writer:
         episode = writer.episode("a", seed=0)

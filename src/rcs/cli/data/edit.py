@@ -212,6 +212,6 @@ def progress(doing: str) -> Generator[OnProgress]:
 def _tell(path: Path) -> int:
     dataset = Dataset.open(path)
     rows = sum(episode.length for episode in dataset.episodes)
-    text = f"{len(dataset)} episodes, {rows} rows at {dataset.info.frequency:g} Hz. `rcs data undo {path}` takes it back."
+    text = f"{len(dataset)} episodes, {rows} rows at {dataset.info.frequency:g} Hz. Undo: `rcs data undo {path}`."
     plain_console().print(text)
     return 0

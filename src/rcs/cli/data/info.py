@@ -40,7 +40,8 @@ class InfoCommand:
             table.add_row("not judged", str(verdicts.not_judged))
         if verdicts.judged:
             table.add_row("failures", ", ".join(f"{name} {count}" for name, count in failures.most_common()) or "none")
-        table.add_row("rows", f"{steps} at {dataset.info.frequency:g} Hz = {steps / dataset.info.frequency / 60:.1f} min")
+        rate = dataset.info.frequency
+        table.add_row("rows", f"{steps} at {rate:g} Hz = {steps / rate / 60:.1f} min")
         table.add_row("content", f"sha256 {dataset.digest()}")
         console.print(table)
         features = Table("feature", "shape", "dtype", "unit", "stored as", box=None, pad_edge=False)

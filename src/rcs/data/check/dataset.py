@@ -1,4 +1,4 @@
-"""Checks a whole dataset: its description, every episode, and what lies beside them."""
+"""Checks a whole dataset: its description, every episode, and other files in its folder."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rcs.robots.description import ArmDescription
 
 OnProgress = Callable[[int, int], object]
-"""Called with the number of episodes done and of all."""
+"""Called with the number of episodes done and in all."""
 
 
 def check(
@@ -38,13 +38,13 @@ def check(
     workers: int | None = None,
     on_progress: OnProgress | None = None,
 ) -> CheckReport:
-    """Check every episode of a dataset: against what was written, and for what makes doubtful training data.
+    """Check every episode of a dataset for damage and for doubtful training data.
 
     Args:
         path: The dataset's folder.
-        decode_frames: Whether each image is decoded too, which takes most of the time.
-        workers: Threads; None for one per core. Decoding and hashing do not hold the interpreter.
-        on_progress: Called with the number of episodes done and of all.
+        decode_frames: Whether to decode each image too, which takes most of the time.
+        workers: Threads; None for one per core. Decoding and hashing release the GIL.
+        on_progress: Called with the number of episodes done and in all.
 
     Raises:
         DatasetError: There is no dataset, or its layout is newer than this code.
@@ -81,7 +81,7 @@ def check(
 
 @dataclass(frozen=True, kw_only=True)
 class _How:
-    """What the check of every episode is given."""
+    """Arguments of the check of every episode."""
 
     info: DatasetInfo
     arms: Mapping[str, ArmDescription]
@@ -91,7 +91,7 @@ class _How:
 
 @dataclass(frozen=True, kw_only=True)
 class _Checked:
-    """What the check of one episode gives."""
+    """Result of the check of one episode."""
 
     rows: int
     frames: int
@@ -104,7 +104,7 @@ def _check_episode(place: EpisodePlace, how: _How) -> _Checked:
     bytes_ = EpisodeBytes(place, how.info, decode_frames=how.decode_frames)
     findings = list(bytes_.findings())
     about: dict[str, Any] = bytes_.rows.about
-    if not any(finding.severity == "damage" for finding in findings):  # of damaged rows nothing else is asked
+    if not any(finding.severity == "damage" for finding in findings):  # damaged rows are not checked further
         rows = bytes_.rows
         findings += check_labels(place, about)
         findings += check_times(place, rows, is_resampled=how.is_resampled)
@@ -130,6 +130,6 @@ def _known(root: Path, head: Head) -> Iterator[str]:
     count = len(folders & known_damage(head))
     if count:
         yield (
-            f"{counted(count, 'damaged folder')} of former generations known from a repair: an undo can bring the "
-            "damage back, and rcs data prune removes it."
+            f"{counted(count, 'damaged folder')} of former generations, known from a repair: an undo can bring the "
+            "damage back; `rcs data prune` removes it."
         )
