@@ -38,40 +38,40 @@ INTERRUPTED = 130
 class CollectCommand:
     """Collect a dataset of scripted episodes and write a report page.
 
-    Episode i depends on the seed and on i alone: an interrupted collection is resumed by the same command, and the
-    number of workers does not change the data. Ctrl-C ends after the episodes at work; a second one ends at once.
+    Episode i depends only on the seed and on i, so the same command resumes an interrupted collection, and the number
+    of workers does not change the data. Ctrl-C ends after the running episodes; a second one ends at once.
     """
 
     task: tyro.conf.Positional[str]
     """Name of the task, such as PickCuboid, or `module:Class`."""
     agent: str | None = None
-    """Name of the agent, or `module:Class`, which is called with the environment; the task's expert by default."""
+    """Name of the agent, or `module:Class` to be called with the environment; default: the task's expert."""
     end_effector: str | None = None
-    """Name of the end effector; the robot's usual one by default."""
+    """Name of the end effector; default: the robot's usual one."""
     robot: str = "fr3"
     """Name of the robot."""
     episodes: int = 20
-    """How many episodes the dataset shall have in the end; parts of episodes that a kill left do not count."""
+    """Number of episodes in the finished dataset; partial episodes left by a kill do not count."""
     out: Path = field(default_factory=lambda: Path("datasets/collected"))
     """Folder of the dataset."""
     seed: int = 0
     """Same seed, same data."""
     cameras: tuple[str, ...] | None = None
-    """Cameras to record; those of the robot's lab when not given, `none` for none."""
+    """Cameras to record; default: those of the robot's lab, `none` for none."""
     image_size: int = 224
     """Width and height of every frame in pixels."""
     camera_mode: str | None = None
-    """Mode of the cameras in the place of the size, such as `848x480`; `rcs list --cameras` has them."""
+    """Mode of the cameras instead of a size, such as `848x480`; see `rcs list --cameras`."""
     camera_fps: float | None = None
-    """Frames per second of the cameras; the most that each offers when not given."""
+    """Frames per second of the cameras; default: each camera's highest rate."""
     depth: bool = False
     """Record depth too."""
     tactile: str | None = None
-    """Tactile sensor in the place of the gripper's pads, such as `digit`, whose frames are recorded too."""
+    """Tactile sensor to record and to mount instead of the gripper's pads, such as `digit`."""
     control: Control = "joints"
-    """What actions say of the arm."""
+    """What an arm's action is: joints or a pose."""
     absolute: bool = False
-    """Absolute actions instead of differences to the last step."""
+    """Use absolute actions instead of differences to the last step."""
     randomise: bool = False
     """Vary lights, colours, textures, cameras, objects, friction and damping from episode to episode."""
     workers: int = 0
@@ -79,7 +79,7 @@ class CollectCommand:
     only_success: bool = False
     """Keep successful episodes only, and try until there are enough."""
     colour: Colour = "jpeg"
-    """How colour frames are stored; `lossless` takes some four times the space."""
+    """Encoding of colour frames; `lossless` takes about four times the space."""
     jpeg_quality: int = 95
     """JPEG quality of colour frames."""
     camera_noise: bool = False
@@ -92,7 +92,7 @@ class CollectCommand:
     """Watch in a window, in real time; needs a display."""
 
     def run(self) -> int:
-        """Collect, tell how it went and return the exit code."""
+        """Collect, print the results and return the exit code."""
         console = plain_console(soft_wrap=False)
         collection = self._collection()
         if self.viewer:
@@ -169,16 +169,16 @@ class CollectCommand:
 
 @contextmanager
 def _interruptible(progress: CollectionProgress, console: Console) -> Generator[None]:
-    """Let the first Ctrl-C end the collection after the episodes at work; the second, or SIGTERM, at once."""
+    """Let the first Ctrl-C end the collection after the running episodes; the second, or SIGTERM, at once."""
 
     def on_interrupt(number: int, frame: object) -> None:
         if progress.is_interrupted:
             raise KeyboardInterrupt
         progress.is_interrupted = True
-        console.print("Ending after the episodes at work; Ctrl-C again ends at once.")
+        console.print("Ending after the running episodes; Ctrl-C again ends at once.")
 
     def on_termination(number: int, frame: object) -> None:
-        raise KeyboardInterrupt  # who sends it will not wait for long: close what is open, and end
+        raise KeyboardInterrupt  # the sender will not wait for long: close everything, and end
 
     before = {
         signal.SIGINT: signal.signal(signal.SIGINT, on_interrupt),
@@ -194,9 +194,9 @@ def _interruptible(progress: CollectionProgress, console: Console) -> Generator[
 def _summarise(collection: Collection, progress: CollectionProgress, console: Console) -> None:
     made = len(progress.attempts)
     if progress.found:
-        console.print(f"{progress.found} episodes were there already.")
+        console.print(f"{progress.found} episodes existed already.")
     if progress.again:
-        console.print(f"{progress.again} that a kill had cut short were collected again from their start.")
+        console.print(f"{progress.again} episodes cut short by a kill were collected again.")
     if not made:
         console.print(f"Nothing to do: {collection.out} has {progress.kept} episodes.", soft_wrap=True)
         return

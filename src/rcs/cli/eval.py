@@ -19,41 +19,41 @@ from rcs.rollout.evaluate import Evaluation, Summary, evaluate
 
 @dataclass(kw_only=True)
 class EvalCommand:
-    """Run an agent in seeded episodes and tell how often it succeeds."""
+    """Run an agent in seeded episodes and show how often it succeeds."""
 
     task: Annotated[str, tyro.conf.Positional]
     """Name of the task, or `module:Class`."""
     robot: str = "fr3"
     """Name of the robot."""
     agent: str | None = None
-    """Name of the agent, or `module:Class`, which is called with the environment; the task's expert by default."""
+    """Name of the agent, or `module:Class` to be called with the environment; default: the task's expert."""
     episodes: int = 50
-    """How many episodes to run."""
+    """Number of episodes."""
     seed: int = 0
     """Same seed, same episodes."""
     workers: int = 0
     """Processes; 0 for one per core."""
     end_effector: str | None = None
-    """Name of the end effector; the robot's usual one by default."""
+    """Name of the end effector; default: the robot's usual one."""
     cameras: tuple[str, ...] = ()
     """Cameras that the agent sees."""
     image_size: int = 224
     """Width and height of frames [px]."""
     control: Control = "joints"
-    """What actions say of the arm."""
+    """What an arm's action is: joints or a pose."""
     absolute: bool = False
-    """Take absolute targets as actions, not differences to the last ones."""
+    """Use absolute actions instead of differences to the last step."""
     frequency: float = 30.0
     """Control steps per second [Hz]."""
     video: bool = False
     """Write videos of the first episodes."""
     video_episodes: int = 10
-    """How many episodes have a video."""
+    """Number of episodes with a video."""
     out: Path = Path("evaluation")
     """Folder for the figures and the videos."""
 
     def run(self) -> int:
-        """Evaluate, tell how it went and return the exit code."""
+        """Evaluate, print the results and return the exit code."""
         if self.workers < 0:
             raise InvalidSetup(f"workers is {self.workers}; valid is 0 (one per core) and more.")
         setup = Setup(

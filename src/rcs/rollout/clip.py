@@ -14,12 +14,12 @@ from rcs.data import EpisodeRecord
 from rcs.data.codec import decode_small_jpeg
 
 HEIGHT = 224
-"""The largest height of a clip [px]."""
+"""Largest height of a clip [px]."""
 _FPS = 15.0
 
 
 def colour_cameras(episode: EpisodeRecord) -> list[str]:
-    """Return the keys of the cameras that a clip shows."""
+    """Return the keys of the cameras in a clip."""
     return [feature.key for feature in episode.info.features if feature.encoding == "jpeg"]
 
 
@@ -27,12 +27,12 @@ def encode_clip(episode: EpisodeRecord) -> bytes | None:
     """Return an MP4 (H.264) of at most 15 frames per second; None if there is no camera.
 
     Args:
-        episode: The episode, whose recorded rate is the clip's speed.
+        episode: The episode; the clip plays at its recorded rate.
 
     Raises:
-        CorruptEpisode: The frames do not read.
+        CorruptEpisode: The frames cannot be read.
     """
-    import av  # half a tenth of a second to import, for a report only
+    import av  # takes 50 ms to import, and only reports need it
 
     keys = colour_cameras(episode)
     if not keys:
@@ -51,7 +51,7 @@ def encode_clip(episode: EpisodeRecord) -> bytes | None:
                 stream = container.add_stream("libx264", rate=rate, options=options)
                 stream.height, stream.width = image.shape[:2]
                 stream.pix_fmt = "yuv420p"
-                stream.thread_count = 1  # several clips are made at the same time
+                stream.thread_count = 1  # several clips are made in parallel
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         if stream is not None:
             container.mux(stream.encode())
@@ -59,7 +59,7 @@ def encode_clip(episode: EpisodeRecord) -> bytes | None:
 
 
 def _small(jpeg: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    # The decoder can shrink to any eighth while it decodes, which is faster and finer than leaving out pixels later.
+    # The decoder can shrink images by eighths, which is faster and finer than dropping pixels later.
     eighths = [-(-shape[0] * k // 8) for k in range(1, 9)]
     wanted = max([h for h in eighths if h <= HEIGHT], default=eighths[0])
     image = decode_small_jpeg(jpeg, shape, wanted)

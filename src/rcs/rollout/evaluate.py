@@ -1,4 +1,4 @@
-"""How often an agent succeeds: seeded episodes, on one process or several, with videos of the first ones."""
+"""Measures how often an agent succeeds in seeded episodes, in one process or several, with videos."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ class Evaluation:
     """An agent's class or name, `module:Class`; None for the expert of the task."""
     episodes: int = 50
     seed: int = 0
-    """Same seed, same episodes; those of other seeds are others."""
+    """Same seed, same episodes; different seeds share none."""
     workers: int = 1
     """Processes; one works in this process."""
     videos: Path | None = None
     """Folder for the videos of the first episodes; None for no videos."""
     video_episodes: int = 10
-    """How many episodes have a video."""
+    """Number of episodes with a video."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
 
         Raises:
-            InvalidSetup: A number that makes no sense.
+            InvalidSetup: A number is not valid.
         """
         for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("video_episodes", 0)):
             value = getattr(self, name)
@@ -52,13 +52,13 @@ class Evaluation:
 
 @dataclass(kw_only=True)
 class Summary:
-    """How an evaluation went."""
+    """The results of an evaluation."""
 
     results: list[EpisodeResult] = field(default_factory=list[EpisodeResult])
 
     @property
     def judged(self) -> int:
-        """Episodes that somebody judged."""
+        """Episodes with a verdict."""
         return sum(result.success is not None for result in self.results)
 
     @property
@@ -73,7 +73,7 @@ class Summary:
 
     @property
     def failures(self) -> Counter[str]:
-        """Classes of failures and how often each came."""
+        """Number of failures by class."""
         return Counter(str(result.failure) for result in self.results if not result.success)
 
     def to_json(self) -> dict[str, Any]:
@@ -90,14 +90,14 @@ class Summary:
         }
 
     def write(self, path: Path, evaluation: Evaluation) -> None:
-        """Write what was evaluated and the figures to a JSON file."""
+        """Write the evaluation and its figures to a JSON file."""
         agent = evaluation.agent if isinstance(evaluation.agent, str | None) else evaluation.agent.__qualname__
         about = {"setup": evaluation.setup.to_json(), "agent": agent, "seed": evaluation.seed}
         path.write_text(json.dumps({**about, **self.to_json()}, indent=2) + "\n", "utf-8")
 
 
 class Evaluator:
-    """Runs the episodes of an evaluation: the part that one process does."""
+    """Runs episodes: one process of an evaluation."""
 
     def __init__(self, evaluation: Evaluation, env: Env | None = None, judge: Judge | None = None) -> None:
         """Make the environment and the agent."""
@@ -136,7 +136,7 @@ class Evaluator:
 
 @dataclass(frozen=True)
 class _Work:
-    """What a worker process does; sent to it once."""
+    """Makes the worker in its process; sent to it once."""
 
     evaluation: Evaluation
 
@@ -152,11 +152,11 @@ def evaluate(
     Args:
         evaluation: What to evaluate.
         summary: Takes the results.
-        env: An environment to use in this process; made when not given, and closed in the end.
-        judge: Says whether an episode was a success, in the place of the task; only in this process.
+        env: An environment to use in this process; None for a new one. It is closed at the end.
+        judge: Judges episodes instead of the task; only in this process.
 
     Raises:
-        InvalidSetup: The setup makes no sense, or there is no agent for the task.
+        InvalidSetup: The setup is not valid, or there is no agent for the task.
     """
     summary = Summary() if summary is None else summary
     if evaluation.workers == 1 or env is not None or judge is not None:

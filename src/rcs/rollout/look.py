@@ -1,4 +1,4 @@
-"""How the frames of a replay look: what is asked for, over what was recorded."""
+"""The look of a replay's frames: changes to the recorded one."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from rcs.sim.randomisation import Randomisation
 from rcs.sim.world import Copies
 
 NONE = "none"
-"""The name of no camera."""
+"""Stands for no cameras."""
 LOOKS = (
     "light_intensity", "light_direction", "light_position", "table_colour", "object_colour", "room_colour", "textures",
     "camera_translation", "camera_rotation", "field_of_view",
 )  # fmt: skip
-"""Fields of a randomisation that change pictures and nothing else."""
+"""Fields of a randomisation that change only pictures."""
 RECORDED = "recorded"
-"""Key in a dataset's setup: the setup that the states came from, where frames were drawn anew with another one."""
+"""Key in a dataset's setup: the setup that its states are from, if its frames were drawn with another one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """How frames are drawn; None for as they were recorded."""
+    """How to draw frames; None keeps the recorded value."""
 
     cameras: tuple[str, ...] | None = None
     """Cameras to draw; `none` for none."""
     image_size: int | None = None
     """Width and height of every frame [px]."""
     camera_fps: float | None = None
-    """Frames per second of all cameras; one that is slower than the recording gives its last frame again."""
+    """Frames per second of all cameras; one slower than the recording repeats its last frame."""
     depth: bool | None = None
     """Whether frames carry depth."""
     render_quality: Quality | None = None
@@ -55,17 +55,17 @@ class Look:
     calibration: str | None = None
     """Calibration file with poses and fields of view of cameras."""
     randomise: bool = False
-    """Draw lights, colours, textures and camera poses anew for every episode."""
+    """Randomise lights, colours, textures and camera poses in every episode."""
     looks_seed: int = 0
-    """Same seed, same looks: several seeds make several variants of a dataset."""
+    """Same seed, same looks; different seeds make variants of a dataset."""
     jpeg_quality: int | None = None
-    """Of colour frames, 1 to 100."""
+    """JPEG quality of colour frames, 1 to 100."""
 
     def apply(self, setup: Setup) -> Setup:
         """Return a setup with this look.
 
         Raises:
-            InvalidSetup: Something that makes no sense.
+            InvalidSetup: A value is not valid.
         """
         changes: dict[str, Any] = {
             name: getattr(self, name)
@@ -89,14 +89,14 @@ class Look:
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """An environment with the scene that was recorded in, and frames of any of its cameras or of new ones.
+    """The recorded scene, seen by the same or other cameras.
 
-    Cameras have a mass and housings that collide and are seen. What was recorded in a scene is therefore replayed in a
-    scene with all its cameras, whichever of them are drawn.
+    Cameras have mass and visible housings that collide. The scene therefore keeps all recorded cameras, whichever are
+    drawn.
     """
 
     setup: Setup
-    """What is observed."""
+    """The setup of the frames."""
     mounted: tuple[str, ...]
     """All cameras of the scene."""
     looks: Look
@@ -104,12 +104,12 @@ class Stage:
 
     @staticmethod
     def of(physics: Setup, setup: Setup, look: Look) -> Stage:
-        """Return the stage for a look at something recorded.
+        """Return the stage for a look at a recording.
 
         Args:
             physics: The setup of the recording's states.
-            setup: The setup of its frames, with whatever is to be different.
-            look: What is asked for of the frames.
+            setup: The setup of its frames, with any changes.
+            look: Changes to the frames' look.
         """
         seen = look.apply(setup)
         return Stage(setup=seen, mounted=tuple(dict.fromkeys((*physics.cameras, *seen.cameras))), looks=look)
@@ -120,7 +120,7 @@ class Stage:
         return replace(self.setup, cameras=self.mounted)
 
     def env(self) -> tuple[Env, NewLooks | None]:
-        """Make the environment, and what draws the looks of its episodes anew; None when they are as recorded."""
+        """Make the environment, and the randomiser of its looks; None if they are as recorded."""
         parts = resolve(self.scene)
         env = assemble(parts, drawn=self.setup.cameras)
         if not self.looks.randomise:
@@ -130,12 +130,12 @@ class Stage:
         return env, looks
 
     def info(self, env: Env, recorded: DatasetInfo, physics: Setup | None = None) -> DatasetInfo:
-        """Return what a dataset of this stage has in common, made from another one.
+        """Return the info of a dataset of this stage that is derived from another one.
 
         Args:
             env: The environment.
-            recorded: What the other has.
-            physics: The setup that its states come from; None when they come from this stage.
+            recorded: The info of the other.
+            physics: The setup that its states are from; None for this stage.
         """
         is_lossless = any(feature.encoding == "lossless" for feature in recorded.features)
         info = dataset_info(
@@ -147,10 +147,10 @@ class Stage:
         return replace(info, jpeg_subsampling=recorded.jpeg_subsampling, **described)
 
     def described(self, physics: Setup | None = None) -> dict[str, Any]:
-        """Return what a dataset keeps as its setup.
+        """Return the setup to store in a dataset.
 
         Args:
-            physics: The setup that its states come from; None when they come from this stage.
+            physics: The setup that its states are from; None for this stage.
         """
         described = self.setup.to_json()
         origin = self.scene if physics is None else physics
@@ -158,10 +158,10 @@ class Stage:
 
 
 class NewLooks(Randomiser):
-    """Draws the looks of episodes from a seed of its own and the episodes' names, whatever seed they are reset with."""
+    """Draws the looks of episodes from its own seed and the episodes' ids, independent of the reset's seed."""
 
     def __init__(self, env: Env, parts: Parts, seed: int) -> None:
-        """Take the nominal looks of an environment that was not reset yet."""
+        """Take the nominal looks of an environment that has not been reset yet."""
         ranges = parts.setup.randomisation
         assert ranges is not None
         looks = Randomisation.off(**{name: getattr(ranges, name) for name in LOOKS})
@@ -170,7 +170,7 @@ class NewLooks(Randomiser):
         )
         self._seed = seed
         self.episode_id = ""
-        """The episode that begins next."""
+        """The id of the next episode."""
 
     def begin(self, draws: Draws, copies: Copies = None) -> None:
         """Draw and write the looks of an episode."""
@@ -178,7 +178,7 @@ class NewLooks(Randomiser):
 
 
 def varied(env: Env) -> dict[str, Any]:
-    """Return what an outcome keeps of what was drawn for the present episode."""
+    """Return the outcome's entry about the randomisation of the present episode."""
     drawn = {field: values.tolist() for field, values in env.scenario.randomisation.items()}
     return {"randomisation": drawn} if drawn else {}
 
@@ -210,7 +210,7 @@ def setup_of(dataset: Dataset, *, trust: Collection[str] = (), task: str | None 
 
 
 def physics_of(dataset: Dataset, *, trust: Collection[str] = ()) -> Setup:
-    """Return the setup that a dataset's states come from; it differs from `setup_of` where frames were drawn anew.
+    """Return the setup that a dataset's states come from; it differs from `setup_of` where frames were drawn later.
 
     Args:
         dataset: The dataset.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 _WIDTH, _HEIGHT = 520, 190
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46, 8, 8, 24
-# More points than this are not seen at this width.
+# More points than this are not visible at this width.
 _POINTS = 130
 
 
@@ -25,8 +25,8 @@ def line_plot(
 
     Args:
         x: Shape (points,), ascending.
-        lines: Shape (points, len(names)); a gap where a value is not finite.
-        names: What each line is.
+        lines: Shape (points, len(names)); values that are not finite make gaps.
+        names: Name of each line.
         x_label: Name and unit of the x axis.
         y_label: Name and unit of the y axis.
     """

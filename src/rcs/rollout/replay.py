@@ -1,4 +1,4 @@
-"""Replay recorded episodes in simulation and compare the states bit for bit."""
+"""Replays recorded episodes in simulation and compares the states bit for bit."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
 
 @dataclass(frozen=True)
 class Step:
-    """What is seen after the reset, and after every step."""
+    """The result of the reset, or of a step."""
 
     observation: Observation
     info: dict[str, Any]
@@ -93,14 +93,14 @@ class Step:
 
 
 def play(env: Env, agent: Agent, *, seed: int | None, options: Mapping[str, Any], most: int) -> Iterator[Step]:
-    """Have an agent act from a given start until the episode is over.
+    """Let an agent act from a given start until the episode is over.
 
     Args:
         env: The environment.
         agent: Acts in it.
         seed: Of the reset.
         options: Of the reset: the start.
-        most: Steps to make at most.
+        most: Largest number of steps.
     """
     observation, info = env.reset(seed=seed, options=options)
     agent.reset(observation, info)
@@ -115,10 +115,10 @@ def play(env: Env, agent: Agent, *, seed: int | None, options: Mapping[str, Any]
 
 
 def recorded(episode: EpisodeRecord, prefix: str, space: spaces.Dict) -> dict[str, Any]:
-    """Read what was recorded of all steps under a prefix such as `action`, nested as a space is: (steps, ...) each.
+    """Read the columns of all steps under a prefix such as `action`, nested like a space: (steps, ...) each.
 
     Raises:
-        InvalidSetup: The dataset has other features.
+        InvalidSetup: The dataset lacks a feature.
         CorruptEpisode: The episode is damaged.
     """
     return {

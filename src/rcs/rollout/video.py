@@ -1,4 +1,4 @@
-"""Pictures as an H.264 video that browsers and players show."""
+"""Writes pictures as an H.264 video for browsers and players."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Video:
         """Begin a file.
 
         Args:
-            path: Of the file, `.mp4`; its folder is made.
+            path: Path of the file, `.mp4`; its folder is created.
             rate: Pictures per second.
         """
         path = Path(path)

@@ -1,4 +1,4 @@
-"""`rcs data info`: what is in a dataset."""
+"""`rcs data info`: show the contents of a dataset."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rcs.data.verdicts import Verdicts
 
 @dataclass(kw_only=True)
 class InfoCommand:
-    """Show what is in a dataset."""
+    """Show show the contents of a dataset."""
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
