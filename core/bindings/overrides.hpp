@@ -2,6 +2,7 @@
 #pragma once
 
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/trampoline.h>
 
@@ -9,9 +10,11 @@
 #include <stdexcept>
 #include <string>
 #include <type_traits>
+#include <vector>
 
 #include "arrays.hpp"
 #include "gil.hpp"
+#include "rcs/camera.hpp"
 
 namespace nb = nanobind;
 
@@ -62,13 +65,20 @@ Result call_override(const nb::detail::trampoline& trampoline, const char* name,
   }
 }
 
-/// A device that is written in Python: what all devices share.
+/// A device that is written in Python: what all devices share. Sensors need not hold or arrive.
 template <typename Base>
 struct PyDevice : Base {
   NB_TRAMPOLINE(Base);
+  static constexpr bool kMoves = !std::is_base_of_v<rcs::Camera, Base>;
+
+  bool can_guide() const override { return call_or("_can_guide", "a bool", false); }
   void do_open() override {
     const HeldGil gil;
     NB_OVERRIDE_NAME("_open", do_open);
+  }
+  void do_guide() override {
+    const HeldGil gil;
+    NB_OVERRIDE_NAME("_guide", do_guide);
   }
   void do_recover() override {
     const HeldGil gil;
@@ -78,10 +88,47 @@ struct PyDevice : Base {
     const HeldGil gil;
     NB_OVERRIDE_NAME("_close", do_close);
   }
+  void do_hold() override {
+    if constexpr (kMoves) call<void>("_hold", "None");
+  }
+  bool do_has_arrived() override {
+    if constexpr (kMoves) return call<bool>("_has_arrived", "a bool");
+    return true;
+  }
 
  protected:
   template <typename Result, typename... Args>
   Result call(const char* name, const char* valid, const Args&... args) {
     return call_override<Result>(nb_trampoline, name, valid, args...);
   }
+  /// The same where the class overrides the method, else a value.
+  template <typename Result>
+  Result call_or(const char* name, const char* valid, Result otherwise) const {
+    const HeldGil gil;
+    const bool is_there = nb::detail::ticket(nb_trampoline, name, nb::detail::str_hash(name), false).key.is_valid();
+    return is_there ? call_override<Result>(nb_trampoline, name, valid) : otherwise;
+  }
 };
+
+/// A command that takes a vector. It is copied before the GIL is given up: another thread may write to the array.
+template <typename Device>
+auto vector_command(void (Device::*command)(std::span<const double>, double)) {
+  return [command](Device& device, const Vector& values, double valid_for) {
+    const std::vector<double> copy = to_vector(values);
+    const ReleasedGil released;
+    (device.*command)(copy, valid_for);
+  };
+}
+
+/// A property that is a numpy array of its own.
+template <typename Struct>
+void def_array(nb::class_<Struct>& type, const char* name, std::vector<double> Struct::* field, const char* doc) {
+  type.def_prop_ro(name, [field](const Struct& value) { return to_array(value.*field); }, nb::rv_policy::move, doc);
+}
+
+/// When something was measured.
+template <typename Struct>
+void def_times(nb::class_<Struct>& type) {
+  type.def_ro("time", &Struct::time, "When it was measured [s], on the host's clock that `time.monotonic` reads.")
+      .def_ro("device_time", &Struct::device_time, "The same on the device's own clock [s]; NaN when it has none.");
+}

@@ -28,7 +28,7 @@ class TurnTable final : public rcs::Arm {
   }
 
  protected:
-  rcs::ArmState do_state() override { return {joints_, velocities_, time_}; }
+  rcs::ArmState do_state() override { return {joints_, velocities_, rcs::kNaN, time_}; }
   void do_command_joints(std::span<const double> joints) override { target_.assign(joints.begin(), joints.end()); }
   bool do_has_arrived() override { return joints_ == target_; }
   void do_hold() override { target_ = joints_; }
@@ -51,7 +51,7 @@ int main() {
   arm.command_joints(target);
   while (!arm.has_arrived()) arm.advance(0.01);
   const rcs::ArmState state = arm.state();
-  std::printf("arrived at %.2f %.2f rad after %.2f s\n", state.joints[0], state.joints[1], state.time);
+  std::printf("arrived at %.2f %.2f rad after %.2f s\n", state.joints[0], state.joints[1], state.device_time);
 
   // A bad target never reaches the device.
   try {

@@ -1,12 +1,18 @@
 #include "rcs/camera.hpp"
 
-#include <utility>
+#include <cmath>
 
 #include "rcs/result.hpp"
 
 namespace rcs {
 
-Camera::Camera(std::string name, CameraMode mode) : Device(std::move(name)), mode_(mode) {
+namespace {
+std::string describe(int width, int height, bool has_depth) {
+  return std::to_string(width) + " x " + std::to_string(height) + (has_depth ? " with depth" : " without depth");
+}
+}  // namespace
+
+Camera::Camera(std::string name, CameraMode mode, int built_for) : Device(std::move(name), built_for), mode_(mode) {
   if (mode.width < 1 || mode.height < 1 || !(mode.fps > 0.0))
     throw InvalidSetup(this->name() + ": width, height and fps must be positive");
 }
@@ -14,10 +20,13 @@ Camera::Camera(std::string name, CameraMode mode) : Device(std::move(name)), mod
 Frame Camera::read() {
   require_ready("read");
   Frame frame = do_read();
-  const auto pixels = static_cast<std::size_t>(mode_.width) * static_cast<std::size_t>(mode_.height);
-  if (frame.rgb.size() != 3 * pixels || frame.depth_mm.size() != (mode_.has_depth ? pixels : 0))
-    fail("a frame has " + std::to_string(frame.rgb.size()) + " colour bytes and " +
-         std::to_string(frame.depth_mm.size()) + " depth pixels, which is not the size of the camera's mode");
+  const bool has_depth = frame.depth_mm != nullptr;
+  if (!frame.rgb || frame.width != mode_.width || frame.height != mode_.height || has_depth != mode_.has_depth)
+    fail("a frame is " + describe(frame.width, frame.height, has_depth) + ", the camera's mode is " +
+         describe(mode_.width, mode_.height, mode_.has_depth));
+  if (std::isnan(frame.time)) frame.time = frame.number == last_number_ ? last_time_ : monotonic_time();
+  last_number_ = frame.number;
+  last_time_ = frame.time;
   return frame;
 }
 

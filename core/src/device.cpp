@@ -3,7 +3,9 @@
 #include <cmath>
 #include <exception>
 #include <sstream>
+#include <utility>
 
+#include "open_devices.hpp"
 #include "rcs/result.hpp"
 
 namespace rcs {
@@ -11,6 +13,8 @@ namespace rcs {
 namespace {
 // A limit that went through float32 comes back up to 1e-7 relative off; that is no reason to refuse it.
 constexpr double kTolerance = 1e-6;
+// Longer than that is for ever, as far as a clock of nanoseconds goes [s].
+constexpr double kLongest = 1e9;
 
 // The message of an exception. One from Python has its whole traceback, of which the last line says what happened.
 std::string summary(const std::exception& error) {
@@ -19,6 +23,24 @@ std::string summary(const std::exception& error) {
   return text.starts_with("Traceback ") ? text.substr(text.rfind('\n') + 1) : text;
 }
 }  // namespace
+
+void require_interface(int built_for) {
+  if (built_for == kInterfaceVersion) return;
+  throw InvalidSetup("this device was compiled for version " + std::to_string(built_for) +
+                     " of the device interfaces, the installed robot-control-stack has version " +
+                     std::to_string(kInterfaceVersion) + "; compile the device anew against it");
+}
+
+double monotonic_time() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+Device::Device(std::string name, int built_for) : name_(std::move(name)) { require_interface(built_for); }
+
+Device::~Device() {
+  OpenDevices::get().remove(*this);
+  OpenDevices::get().await(*this);
+}
 
 std::string Device::fault() const {
   const std::lock_guard lock(fault_mutex_);
@@ -29,27 +51,86 @@ void Device::open() {
   if (is_open_) return;
   do_open();
   is_open_ = true;
+  OpenDevices::get().add(*this);
+}
+
+void Device::stop() {
+  ++stops_;
+  is_guided_ = false;
+  if (has_deadline_.exchange(false)) OpenDevices::get().exchange_deadline(*this, OpenDevices::kNever);
+  do_hold();
 }
 
 void Device::hold() {
   const std::lock_guard lock(holding_);
   require_open("hold");
-  ++stops_;
-  do_hold();
+  stop();
+}
+
+bool Device::has_arrived() {
+  require_open("has_arrived");
+  return do_has_arrived();
+}
+
+void Device::guide(bool on) {
+  require_ready("guide");
+  if (!can_guide()) throw InvalidCommand(name_ + ": this device cannot be guided by hand (can_guide is false)");
+  if (on == is_guided_) return;
+  if (!on) return hold();
+  command("guide", kForever, [this] {
+    do_guide();
+    is_guided_ = true;
+  });
+}
+
+void Device::require_commandable(const char* call, double valid_for) const {
+  require_ready(call);
+  if (is_guided_)
+    throw WrongOrder(name_ + ": " + call + " is refused while the device is guided; call guide(false) first");
+  if (valid_for > 0.0) return;
+  std::ostringstream text;
+  text << name_ << ": " << call << " is valid for " << valid_for << " s, it must be more than 0";
+  throw InvalidCommand(text.str());
+}
+
+Device::TimePoint Device::exchange_deadline(double valid_for) {
+  using std::chrono::steady_clock;
+  has_deadline_ = valid_for < kLongest;
+  const std::chrono::duration<double> time(has_deadline_ ? valid_for : 0.0);
+  return OpenDevices::get().exchange_deadline(
+      *this, has_deadline_ ? steady_clock::now() + std::chrono::duration_cast<steady_clock::duration>(time)
+                           : OpenDevices::kNever);
+}
+
+void Device::restore_deadline(TimePoint former) {
+  has_deadline_ = former < OpenDevices::kNever;
+  OpenDevices::get().exchange_deadline(*this, former);
+}
+
+// A command that comes while the device is held here is held too: it came after the end of the one before.
+void Device::lapse() {
+  const std::lock_guard lock(holding_);
+  if (!is_open_) return;
+  try {
+    stop();
+  } catch (const std::exception&) {
+    set_fault("the time of the last command is over");  // holds again, and says that this fails
+  }
+}
+
+void Device::mark_fault(const std::string& reason) {
+  const std::lock_guard lock(fault_mutex_);
+  if (fault_.empty() || is_recovering_) fault_ = reason.empty() ? "unknown fault" : reason;
+  is_recovering_ = false;
+  has_fault_ = true;
 }
 
 void Device::set_fault(const std::string& reason) {
-  {
-    const std::lock_guard lock(fault_mutex_);
-    if (fault_.empty() || is_recovering_) fault_ = reason.empty() ? "unknown fault" : reason;
-    is_recovering_ = false;
-    has_fault_ = true;
-  }
+  mark_fault(reason);
   const std::lock_guard lock(holding_);
-  ++stops_;
   if (!is_open_) return;
   try {
-    do_hold();
+    stop();
   } catch (const std::exception& error) {
     // Before the lock: an exception from Python waits for the interpreter to give its message.
     const std::string failure = "; holding failed: " + summary(error);
@@ -87,7 +168,9 @@ void Device::close() {
     const std::lock_guard lock(holding_);
     // The device counts as closed even when letting go of it fails, so that a second close is harmless.
     if (!is_open_.exchange(false)) return;
+    is_guided_ = has_deadline_ = false;
   }
+  OpenDevices::get().remove(*this);
   // A target must not outlive the connection: the device would move on unwatched, or at the next `open`.
   try {
     do_hold();

@@ -1,38 +1,38 @@
 #include "rcs/gripper.hpp"
 
-#include <array>
 #include <cmath>
+#include <sstream>
 #include <utility>
+#include <vector>
 
 #include "rcs/result.hpp"
 
 namespace rcs {
 
-Gripper::Gripper(std::string name, double max_width, double max_force)
-    : Device(std::move(name)), max_width_(max_width), max_force_(max_force) {
+Gripper::Gripper(std::string name, double max_width, double max_force, int built_for)
+    : Device(std::move(name), built_for), max_width_(max_width), max_force_(max_force) {
   if (!(max_width > 0.0) || !(max_force > 0.0))
     throw InvalidSetup(this->name() + ": max_width [m] and max_force [N] must be positive");
 }
 
 GripperState Gripper::state() {
   require_open("state");
-  const GripperState state = do_state();
+  GripperState state = do_state();
   if (!std::isfinite(state.opening)) fail("the device measured an opening that is not finite");
+  if (std::isnan(state.time)) state.time = monotonic_time();
   return state;
 }
 
-void Gripper::command_opening(double opening) {
-  command("command_opening", [&] {
-    constexpr std::array<double, 1> kLower{0.0}, kUpper{1.0};
-    const std::array<double, 1> value{opening};
-    check_command(name(), "opening", value, kLower, kUpper);
-    do_command_opening(opening);
+void Gripper::command_opening(double opening, std::optional<double> force, double valid_for) {
+  command("command_opening", valid_for, [&] {
+    check_command(name(), "opening", std::vector{opening}, std::vector{0.0}, std::vector{1.0});
+    if (force && !(*force > 0.0 && *force <= max_force_)) {
+      std::ostringstream text;
+      text << name() << ": force is " << *force << " N, valid is more than 0 and up to " << max_force_;
+      throw InvalidCommand(text.str());
+    }
+    do_command_opening(opening, force);
   });
-}
-
-bool Gripper::has_arrived() {
-  require_open("has_arrived");
-  return do_has_arrived();
 }
 
 }  // namespace rcs

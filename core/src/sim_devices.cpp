@@ -51,7 +51,9 @@ ArmState SimArm::do_state() {
     state.joints.push_back(qpos[world_->model()->jnt_qposadr[joint]]);
     state.joint_velocities.push_back(qvel[world_->model()->jnt_dofadr[joint]]);
   }
-  state.time = *row(*world_, mjSTATE_TIME, copy_);
+  const double* ctrl = row(*world_, mjSTATE_CTRL, copy_);
+  for (const int actuator : actuators_) state.commanded_joints.push_back(ctrl[actuator]);
+  state.device_time = *row(*world_, mjSTATE_TIME, copy_);
   return state;
 }
 
@@ -103,9 +105,11 @@ double SimGripper::target() const {
 
 double SimGripper::time() const { return *row(*world_, mjSTATE_TIME, copy_); }
 
-GripperState SimGripper::do_state() { return {opening(), 0.0, time()}; }
+GripperState SimGripper::do_state() { return {opening(), kNaN, kNaN, time()}; }
 
-void SimGripper::do_command_opening(double opening) {
+void SimGripper::do_command_opening(double opening, std::optional<double>) { set_opening(opening); }
+
+void SimGripper::set_opening(double opening) {
   opening = std::clamp(opening, 0.0, 1.0);
   row(*world_, mjSTATE_CTRL, copy_)[actuator_] = map_.ctrl_closed + opening * (map_.ctrl_open - map_.ctrl_closed);
   commanded_at_ = time();
@@ -122,7 +126,7 @@ bool SimGripper::do_has_arrived() {
 
 void SimGripper::do_hold() {
   // Fingers that press on an object go on pressing: letting it fall is not holding.
-  if (!do_has_arrived()) do_command_opening(opening());
+  if (!do_has_arrived()) set_opening(opening());
 }
 
 }  // namespace rcs

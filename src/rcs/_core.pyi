@@ -1,8 +1,8 @@
 """The C++ core of the Robot Control Stack."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 import enum
-from typing import Annotated, Any, overload
+from typing import Annotated, Any, Self, overload
 
 import mujoco
 import numpy
@@ -172,9 +172,9 @@ class Device:
     """
     What all devices share: a name, a connection, and a fault that stays until `recover`.
 
-    `name`, `is_open`, `fault`, `hold` (where there is one) and `set_fault` may be used from any thread at any
-    time, also while another call is under way. All other calls are for one thread at a time. No call keeps other
-    threads from running.
+    `name`, `is_open`, `is_guided`, `fault`, `hold` and `set_fault` may be used from any thread at any time, also while
+    another call is under way. All other calls are for one thread at a time. No call keeps other threads from running. An
+    open device stays alive until it is closed; `with device:` opens and closes it.
     """
 
     @property
@@ -188,8 +188,32 @@ class Device:
     def fault(self) -> str:
         """The reason of the fault state, empty when there is none."""
 
+    @property
+    def can_guide(self) -> bool:
+        """Whether a person can move it by hand."""
+
+    @property
+    def is_guided(self) -> bool:
+        """Whether a person may move it by hand now."""
+
     def open(self) -> None:
         """Connect. Nothing moves. Opening an open device does nothing."""
+
+    def hold(self) -> None:
+        """
+        Stop where the device is now and stay there. Allowed in the fault state.
+        """
+
+    def has_arrived(self) -> bool:
+        """Whether the last target is reached and the device stands still."""
+
+    def guide(self, on: bool) -> None:
+        """
+        Let a person move the device by hand, or hold it again.
+
+        While it is guided, commands raise WrongOrder; `hold`, a fault and `close` end it. Raises InvalidAction when the device
+        cannot be guided.
+        """
 
     def set_fault(self, reason: str) -> None:
         """
@@ -209,12 +233,38 @@ class Device:
     def close(self) -> None:
         """Hold and let go of the device. Closing twice is harmless."""
 
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
+def stop_all(reason: str) -> None:
+    """
+    Have every open device of this process that moves enter its fault state and hold, all at once.
+
+    From any thread, but not from inside of a `_hold`. All refuse commands before the first one is held.
+    """
+
+class CommandKind(enum.Enum):
+    """What an arm can be told. Every arm takes joints."""
+
+    joints = 0
+
+    pose = 1
+
+    twist = 2
+
+    velocities = 3
+
+    torques = 4
+
 class ArmLimits:
     """Limits of an arm, one value per joint."""
 
-    def __init__(self, joint_lower: Sequence[float], joint_upper: Sequence[float], joint_velocity: Sequence[float]) -> None:
+    def __init__(self, joint_lower: Sequence[float], joint_upper: Sequence[float], joint_velocity: Sequence[float], joint_acceleration: Sequence[float] = [], joint_jerk: Sequence[float] = [], joint_effort: Sequence[float] = []) -> None:
         """
-        Lower and upper joint limits [rad] and largest joint velocities [rad/s].
+        Joint limits [rad], largest velocities [rad/s], accelerations [rad/s²], jerks [rad/s³] and torques [N·m].
+
+        The last three are empty where they are unknown.
         """
 
     @property
@@ -229,12 +279,24 @@ class ArmLimits:
     def joint_velocity(self) -> NDArray[numpy.float64]:
         """Largest velocities [rad/s]."""
 
+    @property
+    def joint_acceleration(self) -> NDArray[numpy.float64]:
+        """Largest accelerations [rad/s²], or empty."""
+
+    @property
+    def joint_jerk(self) -> NDArray[numpy.float64]:
+        """Largest jerks [rad/s³], or empty."""
+
+    @property
+    def joint_effort(self) -> NDArray[numpy.float64]:
+        """Largest torques [N·m], or empty."""
+
 class ArmState:
     """What an arm measures."""
 
-    def __init__(self, joints: Sequence[float], joint_velocities: Sequence[float], time: float) -> None:
+    def __init__(self, joints: Sequence[float], joint_velocities: Sequence[float], time: float = float('nan'), device_time: float = float('nan'), commanded_joints: Sequence[float] = [], efforts: Sequence[float] = [], wrench: Sequence[float] = [], mode: str = '') -> None:
         """
-        Joints [rad], joint velocities [rad/s] and the time of measurement [s] on the device's monotonic clock.
+        What the arm does not measure is left out; without a `time`, `Arm.state` gives it the present one.
         """
 
     @property
@@ -247,14 +309,39 @@ class ArmState:
 
     @property
     def time(self) -> float:
-        """When it was measured [s]."""
+        """
+        When it was measured [s], on the host's clock that `time.monotonic` reads.
+        """
+
+    @property
+    def device_time(self) -> float:
+        """The same on the device's own clock [s]; NaN when it has none."""
+
+    @property
+    def commanded_joints(self) -> NDArray[numpy.float64]:
+        """Where the controller wants the joints to be [rad]; empty when unknown."""
+
+    @property
+    def efforts(self) -> NDArray[numpy.float64]:
+        """Torques at the joints [N·m]; empty when not measured."""
+
+    @property
+    def wrench(self) -> NDArray[numpy.float64]:
+        """
+        Force and torque on the TCP [N, N·m], (6,), in the frame of the base; empty when not measured.
+        """
+
+    @property
+    def mode(self) -> str:
+        """The controller's name for what it is doing; may be empty."""
 
 class Arm(Device):
     """
-    One manipulator. Subclasses override `_state`, `_command_joints`, `_has_arrived`, `_hold` and, where needed, `_open`, `_recover`, `_close`; users call the others.
+    One manipulator. Subclasses override `_state`, `_command_joints`, `_has_arrived`, `_hold` and, where needed, `_open`,
+    `_recover`, `_close`, `_can_guide`, `_guide` and the commands that they name in `more_commands`; users call the others.
     """
 
-    def __init__(self, name: str, limits: ArmLimits) -> None: ...
+    def __init__(self, name: str, limits: ArmLimits, more_commands: Set[CommandKind] = ...) -> None: ...
 
     @property
     def dof(self) -> int:
@@ -263,27 +350,39 @@ class Arm(Device):
     @property
     def limits(self) -> ArmLimits: ...
 
-    def state(self) -> ArmState:
-        """Measure joints and velocities."""
+    def commands(self) -> set[CommandKind]:
+        """The kinds of commands that the arm takes."""
 
-    def command_joints(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+    def state(self) -> ArmState:
+        """Measure the arm."""
+
+    def command_joints(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], valid_for: float = float('inf')) -> None:
         """
         Set the joint target [rad] and return at once.
 
-        Raises InvalidAction for a wrong size, a value that is not finite or out of limits,
-        WrongOrder when closed, DeviceFault in the fault state; the arm then holds.
+        Without another command within `valid_for` [s], the arm holds by itself. Raises InvalidAction for a wrong size, a value
+        that is not finite or out of limits, WrongOrder when closed or guided, DeviceFault in the fault state; nothing has changed
+        then. So do all other commands of devices.
         """
 
-    def has_arrived(self) -> bool:
-        """Whether the last target is reached and the arm stands still."""
+    def command_pose(self, pose: Pose, valid_for: float = float('inf')) -> None:
+        """Set the pose of the TCP in the frame of the base."""
 
-    def hold(self) -> None:
-        """Stop where the arm is now. Allowed in the fault state."""
+    def command_twist(self, twist: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], valid_for: float = float('inf')) -> None:
+        """
+        Set the velocity of the TCP in the frame of the base [m/s, rad/s], (6,).
+        """
+
+    def command_velocities(self, velocities: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], valid_for: float = float('inf')) -> None:
+        """Set the joint velocities [rad/s]."""
+
+    def command_torques(self, torques: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], valid_for: float = float('inf')) -> None:
+        """Set the joint torques besides gravity [N·m]."""
 
 class GripperState:
     """What a gripper measures."""
 
-    def __init__(self, opening: float, force: float, time: float) -> None: ...
+    def __init__(self, opening: float, force: float = float('nan'), time: float = float('nan'), device_time: float = float('nan')) -> None: ...
 
     @property
     def opening(self) -> float:
@@ -291,15 +390,22 @@ class GripperState:
 
     @property
     def force(self) -> float:
-        """Grasping force [N], 0 when not measured."""
+        """Grasping force [N], NaN when not measured."""
 
     @property
     def time(self) -> float:
-        """When it was measured [s]."""
+        """
+        When it was measured [s], on the host's clock that `time.monotonic` reads.
+        """
+
+    @property
+    def device_time(self) -> float:
+        """The same on the device's own clock [s]; NaN when it has none."""
 
 class Gripper(Device):
     """
-    One gripper. Subclasses override `_state`, `_command_opening`, `_has_arrived`, `_hold` and, where needed, `_open`, `_recover`, `_close`.
+    One gripper. Subclasses override `_state`, `_command_opening`, `_has_arrived`, `_hold` and, where needed, `_open`,
+    `_recover`, `_close`, `_can_guide`, `_guide`.
     """
 
     def __init__(self, name: str, max_width: float, max_force: float) -> None: ...
@@ -312,22 +418,20 @@ class Gripper(Device):
     def max_force(self) -> float:
         """Largest grasping force [N]."""
 
-    def state(self) -> GripperState: ...
+    def state(self) -> GripperState:
+        """Measure the gripper."""
 
-    def command_opening(self, opening: float) -> None:
+    def command_opening(self, opening: float, force: float | None = None, valid_for: float = float('inf')) -> None:
         """
-        Set the opening (0 closed … 1 open) and return at once. Raises as `Arm.command_joints` does.
+        Set the opening (0 closed … 1 open) and, where given, the grasping force [N]; ends and raises as `Arm.command_joints`.
+
+        It has arrived when the fingers stand still: at the target, or on an object.
         """
-
-    def has_arrived(self) -> bool:
-        """Whether the fingers stand still: at the target, or on an object."""
-
-    def hold(self) -> None: ...
 
 class HandState:
     """What a hand measures."""
 
-    def __init__(self, joints: Sequence[float], time: float) -> None: ...
+    def __init__(self, joints: Sequence[float], time: float = float('nan'), device_time: float = float('nan')) -> None: ...
 
     @property
     def joints(self) -> NDArray[numpy.float64]:
@@ -335,11 +439,18 @@ class HandState:
 
     @property
     def time(self) -> float:
-        """When it was measured [s]."""
+        """
+        When it was measured [s], on the host's clock that `time.monotonic` reads.
+        """
+
+    @property
+    def device_time(self) -> float:
+        """The same on the device's own clock [s]; NaN when it has none."""
 
 class Hand(Device):
     """
-    One multi-fingered hand. Subclasses override `_state`, `_command_joints`, `_has_arrived`, `_hold` and, where needed, `_open`, `_recover`, `_close`.
+    One multi-fingered hand. Subclasses override `_state`, `_command_joints`, `_has_arrived`, `_hold` and, where needed,
+    `_open`, `_recover`, `_close`, `_can_guide`, `_guide`.
     """
 
     def __init__(self, name: str, joint_count: int) -> None: ...
@@ -347,16 +458,13 @@ class Hand(Device):
     @property
     def joint_count(self) -> int: ...
 
-    def state(self) -> HandState: ...
+    def state(self) -> HandState:
+        """Measure the hand."""
 
-    def command_joints(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+    def command_joints(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], valid_for: float = float('inf')) -> None:
         """
-        Set every joint (normalised, 0 … 1) and return at once. Raises as `Arm.command_joints` does.
+        Set every joint (normalised, 0 … 1); ends and raises as `Arm.command_joints`.
         """
-
-    def has_arrived(self) -> bool: ...
-
-    def hold(self) -> None: ...
 
 class CameraMode:
     """What a camera delivers, and at what size."""
@@ -378,39 +486,73 @@ class CameraMode:
     @property
     def has_depth(self) -> bool: ...
 
+class CameraCalibration:
+    """How a camera maps directions to pixels."""
+
+    def __init__(self, matrix: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], distortion: Sequence[float] = []) -> None: ...
+
+    @property
+    def matrix(self) -> NDArray[numpy.float64]:
+        """
+        Camera matrix K [px], (3, 3); the centre of the top left pixel is (0, 0), as in OpenCV.
+        """
+
+    @property
+    def distortion(self) -> NDArray[numpy.float64]:
+        """OpenCV's distortion coefficients, (n,); empty without distortion."""
+
 class Frame:
-    """One picture. Arrays are flat copies; `Camera.read` knows the size."""
+    """
+    One picture. Its arrays are read-only views of memory that all copies share.
+    """
 
-    def __init__(self, rgb: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], depth_mm: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None, time: float = 0.0, number: int = 0) -> None:
+    def __init__(self, rgb: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], depth_mm: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None, *, number: int = 0, time: float = float('nan'), device_time: float = float('nan')) -> None:
         """
-        Make a frame of rgb (H, W, 3) uint8, depth [mm] (H, W) uint16 or None, and its capture time [s].
+        Make a frame of rgb (H, W, 3) uint8 and depth [mm] (H, W) uint16 or None.
+
+        It keeps the arrays and does not copy them: write to them no more. Without a `time`, `Camera.read` gives it that of
+        the first read of its number.
         """
 
     @property
-    def rgb(self) -> NDArray[numpy.uint8]:
-        """Colours, (H·W, 3) uint8, rows from the top."""
+    def rgb(self) -> Annotated[NDArray[numpy.uint8], dict(writable=False)]:
+        """Colours, (H, W, 3) uint8, rows from the top, read-only."""
 
     @property
-    def depth_mm(self) -> NDArray[numpy.uint16]:
-        """Depth [mm], (H·W,) uint16, 0 = no reading; empty without depth."""
-
-    @property
-    def time(self) -> float:
-        """When the picture was taken [s]."""
+    def depth_mm(self) -> Annotated[NDArray[numpy.uint16], dict(writable=False)] | None:
+        """
+        Depth [mm], (H, W) uint16, 0 = no reading, read-only; None without depth.
+        """
 
     @property
     def number(self) -> int:
         """Counts frames of the device."""
 
+    @property
+    def time(self) -> float:
+        """
+        When it was measured [s], on the host's clock that `time.monotonic` reads.
+        """
+
+    @property
+    def device_time(self) -> float:
+        """The same on the device's own clock [s]; NaN when it has none."""
+
 class Camera(Device):
     """
-    One camera. Subclasses override `_read` and, where needed, `_open`, `_recover`, `_close`.
+    One camera. Subclasses override `_read` and, where needed, `_calibration`, `_open`, `_recover`, `_close`.
     """
 
     def __init__(self, name: str, mode: CameraMode) -> None: ...
 
     @property
     def mode(self) -> CameraMode: ...
+
+    @property
+    def calibration(self) -> CameraCalibration | None:
+        """
+        Matrix and distortion; None when they are unknown, which may be so until the camera is open.
+        """
 
     def read(self) -> Frame:
         """

@@ -56,7 +56,7 @@ class BlockingArm final : public rcs::Arm {
   rcs::ArmState do_state() override {
     gate.wait();
     const std::vector<double> zeros(static_cast<std::size_t>(dof()), 0.0);
-    return {zeros, zeros, 0.0};
+    return {zeros, zeros};
   }
   void do_command_joints(std::span<const double>) override {
     gate.wait();
@@ -80,7 +80,7 @@ class BlockingCamera final : public rcs::Camera {
   void do_open() override { gate.wait(); }
   rcs::Frame do_read() override {
     gate.wait();
-    return {std::vector<std::uint8_t>(4 * 2 * 3), {}, 0.0, 0};
+    return {4, 2, rcs::share(std::vector<std::uint8_t>(4 * 2 * 3))};
   }
   void do_close() override { gate.wait(); }
 };

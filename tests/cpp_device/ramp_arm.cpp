@@ -41,11 +41,14 @@ class RampArm final : public rcs::Arm {
   /// Have the device report what no device should: a joint too few, or a value that is not a number.
   void lose_joint() { joints_.pop_back(); }
   void measure_nan() { joints_.front() = std::nan(""); }
-  /// Have the next command fail as a broken connection does.
+  /// Have commands and measurements fail as with a broken connection.
   void disconnect() { is_connected_ = false; }
 
  protected:
-  rcs::ArmState do_state() override { return {joints_, velocities_, time_}; }
+  rcs::ArmState do_state() override {
+    if (!is_connected_) fail("no answer from the controller");
+    return {joints_, velocities_, rcs::kNaN, time_};
+  }
   void do_command_joints(std::span<const double> joints) override {
     if (!is_connected_) throw std::runtime_error("no answer from the controller");
     target_.assign(joints.begin(), joints.end());
@@ -64,6 +67,7 @@ class RampArm final : public rcs::Arm {
 }  // namespace
 
 NB_MODULE(ramp_arm, m) {
+  rcs::require_interface();
   nb::module_::import_("rcs.devices");  // registers the types that this module shares
   // pytest's fixtures hold this module and its arms to the very end of the process, which nanobind takes for a leak.
   nb::set_leak_warnings(false);

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from hypothesis import given, strategies
 
-from rcs.data.verdicts import Verdicts
-from rcs.data.wilson import wilson_interval
+from rcs.data.verdicts import Verdicts, wilson_interval
 
 verdicts = strategies.lists(strategies.sampled_from([True, False, None]))
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rcs.data.wilson import wilson_interval
+from rcs.data.verdicts import wilson_interval
 from rcs.errors import InvalidSetup
 
 counts = st.integers(0, 2000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import shutil
 import subprocess
 import sys
 import sysconfig
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import mujoco
 import pytest
 
 from rcs.devices import ArmLimits
@@ -42,43 +45,68 @@ def limits() -> ArmLimits:
 
 
 @pytest.fixture(scope="session")
-def cpp_devices(pytestconfig: pytest.Config) -> Path:
-    """The folder of the extension modules of `tests/cpp_device`, built in pytest's cache."""
+def wheel_python(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An interpreter that has the wheel of this project, and of this environment's packages all others."""
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
+    _run(*pip, "wheel", "--no-build-isolation", "--no-deps", "--wheel-dir", folder, pytestconfig.rootpath)
+    _run(sys.executable, "-m", "venv", "--without-pip", folder / "venv")
+    (packages,) = (folder / "venv").glob("lib/python*/site-packages")
+    # A path in a .pth file: that of this environment, without what makes an editable installation.
+    (packages / "others.pth").write_text(sysconfig.get_path("purelib"))
+    (packages / "mujoco").symlink_to(Path(mujoco.__file__).parent)  # where the extension looks for it
+    (wheel,) = folder.glob("*.whl")
+    _run(*pip, "install", "--no-deps", "--target", packages, wheel)
+    return folder / "venv" / "bin" / "python"
+
+
+@pytest.fixture(scope="session")
+def cpp_devices(pytestconfig: pytest.Config, wheel_python: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the extension modules of `tests/cpp_device`, built from a copy against the wheel alone."""
     cmake = _tool("cmake")
     if cmake is None or not (shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")):
         pytest.skip("building an arm in C++ needs cmake and a C++ compiler")
-    build = pytestconfig.cache.mkdir(f"cpp_device-{sys.version_info.major}{sys.version_info.minor}")
+    folder = tmp_path_factory.mktemp("cpp_device")
+    shutil.copytree(CPP_DEVICE, folder / "source")
     ninja = _tool("ninja")
     generator = ["-G", "Ninja", f"-DCMAKE_MAKE_PROGRAM={ninja}"] if ninja else []
-    configure = [
-        *(cmake, "-S", str(CPP_DEVICE), "-B", str(build), *generator),
-        *("-DCMAKE_BUILD_TYPE=Release", f"-DPython_EXECUTABLE={sys.executable}"),
-    ]
-    for command in (configure, [cmake, "--build", str(build), "--parallel", "2"]):
-        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-        if done.returncode:
-            pytest.fail(f"{' '.join(command)}\n{done.stdout}{done.stderr}", pytrace=False)
-    return build
+    options = ["-DCMAKE_BUILD_TYPE=Release", f"-DPython_EXECUTABLE={wheel_python}"]
+    _run(cmake, "-S", folder / "source", "-B", folder / "build", *generator, *options)
+    _run(cmake, "--build", folder / "build", "--parallel", "2")
+    return folder / "build"
+
+
+def _run(*command: str | Path) -> None:
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, timeout=600, check=False)
+    if done.returncode:
+        pytest.fail(f"{' '.join(map(str, command))}\n{done.stdout}{done.stderr}", pytrace=False)
 
 
 @pytest.fixture(scope="session")
-def ramp_arm(cpp_devices: Path) -> ModuleType:
-    return _load(cpp_devices, "ramp_arm")
+def import_device(cpp_devices: Path) -> Callable[[str], ModuleType]:
+    """What imports one of these modules."""
+
+    @functools.cache
+    def load(name: str) -> ModuleType:
+        path = cpp_devices / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return load
 
 
 @pytest.fixture(scope="session")
-def blocking_devices(cpp_devices: Path) -> ModuleType:
-    return _load(cpp_devices, "blocking_devices")
+def ramp_arm(import_device: Callable[[str], ModuleType]) -> ModuleType:
+    return import_device("ramp_arm")
 
 
-def _load(folder: Path, name: str) -> ModuleType:
-    path = folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+@pytest.fixture(scope="session")
+def blocking_devices(import_device: Callable[[str], ModuleType]) -> ModuleType:
+    return import_device("blocking_devices")
 
 
 def _tool(name: str) -> str | None:

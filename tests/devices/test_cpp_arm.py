@@ -1,13 +1,18 @@
-"""An arm written in C++ outside of the project is as good as one from inside."""
+"""An arm written in C++ outside of the project, against the wheel alone, is as good as one from inside."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 
-from rcs.devices import Arm, ArmLimits
+from rcs.devices import Arm, ArmLimits, CommandKind
 from rcs.errors import DeviceFault
 from rcs.testing import ArmContract
 
@@ -24,6 +29,33 @@ class TestRampArm(ArmContract):
     def advance(self, seconds: float) -> None:
         self.arm.advance(seconds)
 
+    def lose_link(self, device: Any) -> None:
+        device.disconnect()
+
+
+class TestThreadedArm(ArmContract):
+    distance = 0.3
+    stopping_time = 0.05
+
+    @pytest.fixture(autouse=True)
+    def _from_the_extension(self, import_device: Callable[[str], ModuleType], limits: ArmLimits) -> None:
+        self.module, self.limits = import_device("threaded_arm"), limits
+
+    def make_arm(self) -> Arm:
+        return self.module.ThreadedArm(self.limits)
+
+    def lose_link(self, device: Any) -> None:
+        device.lose_link()
+
+    def test_velocities_end_when_their_time_is_over(self) -> None:
+        with self.open_device() as arm:
+            assert arm.commands() == {CommandKind.joints, CommandKind.velocities}
+            before = self.position(arm)
+            arm.command_velocities(np.full(3, 0.1), valid_for=0.05)
+            self.move(arm)
+            assert (self.position(arm) > before).all()
+            assert (self.position(arm) < arm.limits.joint_upper).all()
+
 
 @pytest.fixture
 def arm(ramp_arm: ModuleType, limits: ArmLimits):
@@ -31,6 +63,29 @@ def arm(ramp_arm: ModuleType, limits: ArmLimits):
     arm.open()
     yield arm
     arm.close()
+
+
+def test_the_wheel_alone_serves_an_arm_in_cpp(wheel_python: Path, cpp_devices: Path) -> None:
+    program = """
+import rcs.devices, ramp_arm
+limits = rcs.devices.ArmLimits([-1.0], [1.0], [1.0])
+with ramp_arm.RampArm("ramp", limits) as arm:
+    rcs.devices.stop_all("from the library that both share")
+    print(rcs.__file__)
+    print(arm.fault)
+"""
+    environment = {**os.environ, "PYTHONPATH": str(cpp_devices)}
+    done = subprocess.run([wheel_python, "-c", program], capture_output=True, text=True, env=environment, check=False)
+    file, fault = done.stdout.splitlines() or [done.stderr, ""]
+    assert Path(file).is_relative_to(wheel_python.parents[1])
+    assert fault == "from the library that both share"
+
+
+def test_a_module_of_another_version_of_the_interfaces_is_not_imported(
+    import_device: Callable[[str], ModuleType],
+) -> None:
+    with pytest.raises(ImportError, match=r"compiled for version 1 of the device interfaces.*compile the device anew"):
+        import_device("old_arm")
 
 
 def test_an_extension_shares_the_types_of_the_core(arm) -> None:

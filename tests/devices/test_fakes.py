@@ -2,62 +2,75 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
-from rcs.devices import Arm, ArmLimits, Camera, CameraMode, Gripper
+from rcs.devices import Arm, ArmLimits, Camera, CameraCalibration, CameraMode, Gripper, Hand
 from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper, FakeHand
-from rcs.errors import DeviceFault, InvalidAction, WrongOrder
-from rcs.testing import ArmContract, CameraContract, GripperContract
+from rcs.errors import DeviceFault
+from rcs.testing import ArmContract, CameraContract, GripperContract, HandContract
+
+CALIBRATION = CameraCalibration(np.array([[10.0, 0.0, 7.5], [0.0, 10.0, 3.5], [0.0, 0.0, 1.0]]), [0.1, -0.02])
 
 
-class TestFakeArm(ArmContract):
+class OnAHandClock:
+    """What the contracts of all fakes share."""
+
     @pytest.fixture(autouse=True)
     def _on_a_hand_clock(self, clock: Callable[[], float], limits: ArmLimits) -> None:
         self.clock, self.limits = clock, limits
 
+    def advance(self, seconds: float) -> None:
+        self.clock.advance(seconds)
+
+    def lose_link(self, device: Any) -> None:
+        device.lose_link()
+
+
+class TestFakeArm(OnAHandClock, ArmContract):
     def make_arm(self) -> Arm:
         return FakeArm(self.limits, clock=self.clock)
 
-    def advance(self, seconds: float) -> None:
-        self.clock.advance(seconds)
 
-
-class TestFakeArmThatTrips(TestFakeArm):
-    def provoke_fault(self, arm: Arm) -> None:
-        arm.trip("collision")
-        with pytest.raises(DeviceFault, match="hold is refused in a reflex"):
-            arm.hold()
-
-
-class TestFakeGripper(GripperContract):
-    @pytest.fixture(autouse=True)
-    def _on_a_hand_clock(self, clock: Callable[[], float]) -> None:
-        self.clock = clock
-
+class TestFakeGripper(OnAHandClock, GripperContract):
     def make_gripper(self) -> Gripper:
         return FakeGripper(clock=self.clock)
 
-    def advance(self, seconds: float) -> None:
-        self.clock.advance(seconds)
+
+class TestFakeHand(OnAHandClock, HandContract):
+    def make_hand(self) -> Hand:
+        return FakeHand(3, clock=self.clock)
 
 
-class TestFakeCamera(CameraContract):
-    @pytest.fixture(autouse=True)
-    def _on_a_hand_clock(self, clock: Callable[[], float]) -> None:
-        self.clock = clock
-
+class TestFakeCamera(OnAHandClock, CameraContract):
     def make_camera(self) -> Camera:
-        return FakeCamera(CameraMode(16, 8, 30.0, True), clock=self.clock)
-
-    def advance(self, seconds: float) -> None:
-        self.clock.advance(seconds)
+        return FakeCamera(CameraMode(16, 8, 30.0, True), calibration=CALIBRATION, clock=self.clock)
 
 
 class TestFakeCameraWithoutDepth(TestFakeCamera):
     def make_camera(self) -> Camera:
         return FakeCamera(CameraMode(8, 16, 60.0), clock=self.clock)
+
+
+class Trips(OnAHandClock):
+    def provoke_fault(self, device: Any) -> None:
+        device.trip("collision")
+        with pytest.raises(DeviceFault, match="hold is refused in a reflex"):
+            device.hold()
+
+
+class TestFakeArmThatTrips(Trips, TestFakeArm):
+    pass
+
+
+class TestFakeGripperThatTrips(Trips, TestFakeGripper):
+    pass
+
+
+class TestFakeHandThatTrips(Trips, TestFakeHand):
+    pass
 
 
 def test_a_fake_arm_moves_at_its_largest_velocity(limits: ArmLimits, clock) -> None:
@@ -81,21 +94,42 @@ def test_a_fake_camera_repeats_its_frame_until_the_next_one_is_due(clock) -> Non
     assert not np.array_equal(first.rgb, second.rgb)
 
 
-def test_a_fake_hand_takes_normalised_joints_only(clock) -> None:
-    hand = FakeHand(4, clock=clock)
-    with pytest.raises(WrongOrder):
-        hand.command_joints(np.zeros(4))
-    hand.open()
-    hand.command_joints(np.array([0.0, 0.25, 0.5, 1.0]))
-    assert hand.has_arrived()
-    for bad in (np.zeros(3), np.full(4, 1.01), np.full(4, np.nan)):
-        with pytest.raises(InvalidAction):
-            hand.command_joints(bad)
-    np.testing.assert_array_equal(hand.state().joints, [0.0, 0.25, 0.5, 1.0])
-    hand.hold()
-    hand.recover()
-    hand.close()
-    hand.close()
+def test_a_frozen_camera_repeats_its_frame_until_it_is_restored(clock) -> None:
+    with FakeCamera(CameraMode(16, 4, 30.0), clock=clock) as camera:
+        first = camera.read()
+        camera.freeze()
+        clock.advance(1.0)
+        assert (camera.read().number, camera.read().time) == (first.number, first.time)
+        camera.restore()
+        assert camera.read().number == first.number + 30
+
+
+def test_a_camera_whose_cable_is_back_in_goes_on_after_recover(clock) -> None:
+    with FakeCamera(CameraMode(16, 4, 30.0), clock=clock) as camera:
+        camera.lose_link()
+        with pytest.raises(DeviceFault, match="the link is lost"):
+            camera.read()
+        with pytest.raises(DeviceFault, match="recover failed"):
+            camera.recover()
+        camera.restore()
+        camera.recover()
+        camera.read()
+
+
+def test_a_guided_fake_arm_stays_where_it_was_pushed(limits: ArmLimits, clock) -> None:
+    with FakeArm(limits, clock=clock, start=np.zeros(3)) as arm:
+        arm.command_joints(np.array([1.0, 1.0, 1.0]))
+        clock.advance(0.1)
+        arm.guide(True)
+        assert arm.state().mode == "guided"
+        clock.advance(1.0)
+        arm.push(np.array([0.2, 0.0, 0.0]))
+        arm.guide(False)
+        clock.advance(1.0)
+        state = arm.state()
+        np.testing.assert_allclose(state.joints, [0.3, 0.2, 0.05])
+        np.testing.assert_array_equal(state.commanded_joints, state.joints)
+        np.testing.assert_array_equal(state.efforts, np.zeros(3))
 
 
 def test_the_fault_is_read_and_set_while_a_measurement_takes_its_time(limits: ArmLimits, clock) -> None:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import subprocess
+import sys
+import weakref
 from typing import Any
 
 import numpy as np
@@ -14,14 +18,17 @@ from rcs.devices import (
     ArmState,
     Camera,
     CameraMode,
+    CommandKind,
     Device,
     Frame,
     Gripper,
     GripperState,
     Hand,
     HandState,
+    stop_all,
 )
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, WrongOrder
+from rcs.spatial import Pose
 
 
 class Scripted(Arm):
@@ -184,10 +191,10 @@ class Pincers(Gripper):
         self.opening = opening
 
     def _state(self) -> GripperState:
-        return GripperState(self.opening, 0.0, 0.0)
+        return GripperState(self.opening)
 
-    def _command_opening(self, opening: float) -> None:
-        self.opening = opening
+    def _command_opening(self, opening: float, force: float | None) -> None:
+        self.opening, self.force = opening, force
 
     def _has_arrived(self) -> bool:
         return True
@@ -201,6 +208,16 @@ def test_a_gripper_that_measures_nonsense_is_in_fault() -> None:
     gripper.open()
     with pytest.raises(DeviceFault, match="not finite"):
         gripper.state()
+
+
+def test_a_gripper_is_told_the_force_only_where_one_is_given() -> None:
+    gripper = Pincers()
+    with gripper:
+        gripper.command_opening(0.1)
+        assert gripper.force is None
+        gripper.command_opening(0.1, 5.0, valid_for=1.0)
+        assert gripper.force == 5.0
+        assert math.isnan(gripper.state().force)
 
 
 @pytest.mark.parametrize("figures", [{"max_width": 0.0}, {"max_force": -1.0}, {"max_width": math.nan}])
@@ -228,15 +245,35 @@ DEPTH = np.zeros((4, 6), np.uint16)
         (CameraMode(6, 5, 30.0), Frame(RGB)),
         (CameraMode(6, 4, 30.0), Frame(RGB, DEPTH)),
         (CameraMode(6, 4, 30.0, True), Frame(RGB)),
-        (CameraMode(6, 4, 30.0, True), Frame(RGB, DEPTH[1:])),
     ],
 )
 def test_a_frame_of_another_size_than_the_mode_is_a_fault(mode: CameraMode, frame: Frame) -> None:
     camera = Eye(mode, frame)
     camera.open()
-    with pytest.raises(DeviceFault, match="not the size of the camera's mode"):
+    with pytest.raises(DeviceFault, match=r"a frame is 6 x 4 with.*, the camera's mode is"):
         camera.read()
     assert camera.fault != ""
+
+
+def test_a_frame_whose_depth_has_another_size_than_its_colours_is_refused() -> None:
+    with pytest.raises(InvalidSetup, match="of one size"):
+        Frame(RGB, DEPTH[1:])
+
+
+def test_a_frame_shares_the_arrays_that_it_was_made_of() -> None:
+    rgb, depth = np.zeros((4, 6, 3), np.uint8), np.ones((4, 6), np.uint16)
+    camera = Eye(CameraMode(6, 4, 30.0, True), Frame(rgb, depth))
+    with camera:
+        frame, again = camera.read(), camera.read()
+    del camera
+    for mine, first, second in ((rgb, frame.rgb, again.rgb), (depth, frame.depth_mm, again.depth_mm)):
+        assert np.shares_memory(mine, first)
+        assert np.shares_memory(mine, second)
+        assert not first.flags.writeable
+    view = frame.rgb
+    del frame, again, first, second, mine, rgb
+    gc.collect()
+    assert (view == 0).all()
 
 
 @pytest.mark.parametrize("mode", [CameraMode(0, 4, 30.0), CameraMode(6, -1, 30.0), CameraMode(6, 4, 0.0)])
@@ -256,8 +293,16 @@ class Grasp(Hand):
     def _has_arrived(self) -> bool:
         return self.answer
 
+    def _can_guide(self) -> bool:
+        return self.answer
+
     def _hold(self) -> None:
         return
+
+
+def ask(device: Device, name: str) -> object:
+    attribute = getattr(device, name)
+    return attribute() if callable(attribute) else attribute
 
 
 @pytest.mark.parametrize(
@@ -283,6 +328,7 @@ class Grasp(Hand):
             "state",
             r"Grasp\._state returned .*GripperState, it must return a HandState",
         ),
+        (lambda limits: Grasp(1), "can_guide", r"Grasp\._can_guide returned 1 of type int, it must return a bool"),
         (
             lambda limits: Eye(CameraMode(6, 4, 30.0), RGB),
             "read",
@@ -294,7 +340,7 @@ def test_a_wrong_return_type_is_named_with_class_and_method(limits: ArmLimits, m
     device = make(limits)
     device.open()
     with pytest.raises(TypeError, match=text):
-        getattr(device, call)()
+        ask(device, call)
 
 
 class Half(Arm):
@@ -323,3 +369,74 @@ def test_a_hand_of_two_billion_joints_refuses_a_target_before_it_makes_as_many_l
     hand.open()
     with pytest.raises(InvalidAction, match="joints has 2 values, 2147483647 are needed"):
         hand.command_joints(np.zeros(2))
+
+
+class Streamed(Scripted):
+    """An arm that takes a pose and a twist besides joints, and forgot to override the torques that it names."""
+
+    def __init__(self, limits: ArmLimits) -> None:
+        Arm.__init__(self, "streamed", limits, {CommandKind.pose, CommandKind.twist, CommandKind.torques})
+        self.answers, self.calls = {}, []
+
+    def _command_pose(self, pose: Pose) -> None:
+        self.calls.append(pose)
+
+    def _command_twist(self, twist: Any) -> None:
+        self.calls.append(list(twist))
+
+
+def test_the_kinds_of_commands_that_an_arm_names_reach_it(limits: ArmLimits) -> None:
+    arm = Streamed(limits)
+    assert arm.commands() == {CommandKind.joints, CommandKind.pose, CommandKind.twist, CommandKind.torques}
+    pose, twist = Pose.from_rpy([0.1, 0.2, 0.3], [0.4, 0.5, 0.6]), [0.1, 0.0, 0.0, 0.0, 0.0, 0.2]
+    with arm:
+        arm.command_pose(pose)
+        arm.command_twist(np.array(twist), valid_for=10.0)
+        with pytest.raises(InvalidAction, match="takes no velocities; it takes joints, pose, twist, torques"):
+            arm.command_velocities(np.zeros(3))
+        with pytest.raises(TypeError, match="Streamed must define the method _command_torques"):
+            arm.command_torques(np.zeros(3))
+    assert arm.calls[1:3] == [pose, twist]
+
+
+def test_an_open_device_lives_until_it_is_closed(limits: ArmLimits) -> None:
+    arm = Scripted(limits)
+    seen = weakref.ref(arm)
+    arm.open()
+    del arm
+    gc.collect()
+    stop_all("nobody refers to it")
+    arm = seen()
+    assert arm is not None
+    assert arm.fault == "nobody refers to it"
+    arm.close()
+    del arm
+    gc.collect()
+    assert seen() is None
+
+
+def test_a_child_process_has_deadlines_of_its_own_and_none_of_its_parents_devices(limits: ArmLimits) -> None:
+    # In a process of its own, for threads of other tests make a fork dangerous.
+    program = """
+import os, time
+from rcs.devices import stop_all
+from rcs.devices.fakes import FakeGripper
+ours = FakeGripper(speed=0.01)
+ours.open()
+ours.command_opening(0.0, valid_for=0.01)
+while not ours.has_arrived():
+    time.sleep(0.001)
+child = os.fork()
+if child == 0:
+    own = FakeGripper(speed=0.01)
+    own.open()
+    own.command_opening(0.0, valid_for=0.01)
+    while not own.has_arrived():
+        time.sleep(0.001)
+    stop_all("child")
+    os._exit(0 if own.fault == "child" and ours.fault == "" else 1)
+assert os.waitpid(child, 0)[1] == 0
+print("both held")
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout == "both held\n", done.stderr

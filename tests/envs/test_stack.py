@@ -177,4 +177,16 @@ def test_time_is_that_of_the_simulation_or_of_the_host(make_bench: Callable[...,
     *_, info = bench.env.step({"joints": np.zeros(7), "gripper": np.ones(1)})
     assert info["time"] == pytest.approx(100.0 + 1 / 30)
     assert info["late"] == 0.0
-    assert info["ages"] == pytest.approx({"joints": 0.0, "gripper": 0.0})
+    assert set(info["ages"]) == {"joints", "gripper"}
+
+
+def test_in_real_time_a_step_says_how_late_it_is_and_how_old_its_readings_are() -> None:
+    env = rcs.make("Free", hardware="fake", frequency=50.0)
+    env.reset(seed=0)
+    for _ in range(3):
+        *_, info = env.step(env.action_space.sample())
+        assert all(0.0 <= age < 1.0 for age in info["ages"].values())
+        assert info["late"] >= 0.0
+    time.sleep(0.1)
+    assert env.step(env.action_space.sample())[-1]["late"] > 0.05
+    env.close()

@@ -17,8 +17,8 @@ from rcs.cli.data.view import ViewCommand
 from rcs.cli.main import run
 from rcs.data import Dataset, DatasetWriter, FrameAccess, Windows, check, recover
 from rcs.data.check.repair import repair
+from rcs.data.view import write_report
 from rcs.rollout.look import physics_of
-from rcs.rollout.report import write_report
 
 Exercise = Callable[[Path, Path], object]
 

@@ -86,6 +86,8 @@ def run_round(
         else:
             note(first, text)
             attempt(text, call)
+    note(number * CALLS_PER_ROUND, "closing")
+    attempt("closing", stage.close)
     return findings
 
 

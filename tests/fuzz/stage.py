@@ -204,9 +204,15 @@ class Stage:
             Kept(self),
             Callback(lambda view: view.time > 1e9),
         ]
-        for thing in self.objects:
-            if isinstance(thing, _core.Device) and self.r.random() < 0.8:
-                thing.open()
+        self.devices = [thing for thing in self.objects if isinstance(thing, _core.Device)]
+        for device in self.devices:
+            if self.r.random() < 0.8:
+                device.open()
+
+    def close(self) -> None:
+        """Close all devices: an open one lives on, and its world with it."""
+        for device in self.devices:
+            device.close()
 
     def keep(self, value: Any) -> None:
         """Remember what a call returned, to use it later."""
@@ -217,6 +223,8 @@ class Stage:
             del self.kept[self.r.randrange(len(self.kept))]
         if type(value).__module__ == "rcs._core" or isinstance(value, World):
             self.objects.append(value)
+            if isinstance(value, _core.Device):
+                self.devices.append(value)
             if len(self.objects) > 60:
                 del self.objects[self.r.randrange(22, len(self.objects))]
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -13,6 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rcs.robots.tilburg_hand.description import TILBURG_HAND
+from rcs.spatial import Pose
+from tests.robots.published import pose_of, read_figures
 
 Figures = dict[str, Any]
 LOWER, UPPER = np.array(TILBURG_HAND.joint_lower), np.array(TILBURG_HAND.joint_upper)
@@ -21,7 +21,7 @@ every_grasp = pytest.mark.parametrize("grasp", sorted(TILBURG_HAND.grasps))
 
 @pytest.fixture(scope="module")
 def figures() -> Figures:
-    return json.loads((Path(__file__).parent / "data" / "tilburg_hand.json").read_text())
+    return read_figures("tilburg_hand")
 
 
 @pytest.fixture(scope="module")
@@ -32,24 +32,12 @@ def hand() -> mujoco.MjModel:
     return spec.compile()
 
 
-def rotation(quat_wxyz: list[float]) -> NDArray[np.float64]:
-    """Rotation matrix of a quaternion."""
-    w, x, y, z = np.array(quat_wxyz) / np.linalg.norm(quat_wxyz)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
-
-
-def bodies_from_chain(figures: Figures, q: dict[str, float]) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
-    """Position and rotation of every body in the base frame, from the joint table."""
-    poses = {"hand": (np.zeros(3), np.eye(3))}
+def bodies_from_chain(figures: Figures, q: dict[str, float]) -> dict[str, Pose]:
+    """Pose of every body in the base frame, from the joint table."""
+    poses = {"hand": Pose()}
     for link in figures["chain"]:
-        position, orientation = poses[link["parent"]]
-        angle = link["sign"] * q[link["joint"]]
-        turn = rotation([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
-        poses[link["body"]] = (
-            position + orientation @ link["xyz"],
-            orientation @ rotation(link["quat_wxyz"]) @ turn,
-        )
+        turn = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, link["sign"] * q[link["joint"]]))
+        poses[link["body"]] = poses[link["parent"]] * pose_of(link) * turn
     return poses
 
 
@@ -92,9 +80,9 @@ def test_all_bodies_follow_the_joint_table(hand: mujoco.MjModel, figures: Figure
     for q in [joints(TILBURG_HAND.open_pose), *rng.uniform(LOWER, UPPER, (20, 16))]:
         data = at(hand, q)
         poses = bodies_from_chain(figures, dict(zip(TILBURG_HAND.joints, q, strict=True)))
-        for name, (position, orientation) in poses.items():
-            np.testing.assert_allclose(data.body(name).xpos, position, atol=1e-9)
-            np.testing.assert_allclose(data.body(name).xmat.reshape(3, 3), orientation, atol=1e-9)
+        for name, pose in poses.items():
+            np.testing.assert_allclose(data.body(name).xpos, pose.translation, atol=1e-9)
+            np.testing.assert_allclose(data.body(name).xmat.reshape(3, 3), pose.matrix[:3, :3], atol=1e-9)
 
 
 def test_masses_and_inertias_equal_the_table(
@@ -135,10 +123,9 @@ def test_the_fingers_bend_towards_where_the_palm_faces(hand: mujoco.MjModel) -> 
 
 
 def test_the_mount_points_the_fingers_along_the_flanges_x_axis_and_the_tcp_has_the_flanges_axes() -> None:
-    turn = [TILBURG_HAND.mount_in_flange.quaternion[i] for i in (3, 0, 1, 2)]
-    np.testing.assert_allclose(rotation(turn) @ [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], atol=1e-15)
-    tcp = [TILBURG_HAND.tcp_in_base.quaternion[i] for i in (3, 0, 1, 2)]
-    np.testing.assert_allclose(rotation(turn) @ rotation(tcp), np.eye(3), atol=1e-15)
+    mount, tcp = (one.pose.matrix[:3, :3] for one in (TILBURG_HAND.mount_in_flange, TILBURG_HAND.tcp_in_base))
+    np.testing.assert_allclose(mount @ [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(mount @ tcp, np.eye(3), atol=1e-15)
 
 
 def test_site_and_description_agree_on_the_tcp(hand: mujoco.MjModel) -> None:

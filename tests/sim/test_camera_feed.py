@@ -201,7 +201,7 @@ def test_a_device_has_the_rate_that_is_asked_for(model: mujoco.MjModel) -> None:
         world.advance()
         frames.append(camera.read())
     assert [frame.number for frame in frames] == [0, 0, 1, 1, 2]
-    assert [frame.time for frame in frames] == pytest.approx([0.0, 0.0, 2 / 60, 2 / 60, 4 / 60], abs=0.002)
+    assert [frame.device_time for frame in frames] == pytest.approx([0.0, 0.0, 2 / 60, 2 / 60, 4 / 60], abs=0.002)
     np.testing.assert_array_equal(frames[1].rgb, frames[0].rgb)
     camera.close()
 

@@ -11,14 +11,14 @@ from rcs.errors import InvalidSetup
 from rcs.robots.usb_webcam.description import USB_WEBCAM
 from rcs.sim import World
 from rcs.sim.frame_clock import FrameClock, FrameRate
-from rcs.sim.world import Mode
+from rcs.sim.world import Stepping
 
 MODEL = mujoco.MjModel.from_xml_string("<mujoco><option timestep='0.002'/></mujoco>")
 WEBCAM = FrameRate(fps=30, longest_exposure=0.04)
 
 
 def steady(
-    fps: float, frequency: float, *, mode: Mode = "async", copies: int | None = None
+    fps: float, frequency: float, *, mode: Stepping = "async", copies: int | None = None
 ) -> tuple[World, FrameClock]:
     world = World(MODEL, frequency=frequency, stepping=mode, copies=copies)
     world.reset()

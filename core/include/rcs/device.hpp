@@ -1,24 +1,37 @@
-// What all devices share: a name, a connection, and a fault that stays until `recover`.
+// What all devices share: a name, a connection, deadlines of commands, and a fault that stays until `recover`.
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
+#include <limits>
 #include <mutex>
 #include <span>
 #include <string>
 
+#include "rcs/interface.hpp"
+
 namespace rcs {
+
+inline constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+/// How long a command is valid when nothing else is said.
+inline constexpr double kForever = std::numeric_limits<double>::infinity();
+
+/// The host's CLOCK_MONOTONIC [s], which Python's `time.monotonic` reads too.
+RCS_API double monotonic_time();
 
 /// The life of a device: closed, open, and a fault that may come in either.
 ///
-/// Threads: `name`, `is_open`, `fault`, `hold` and `set_fault` may be called from any thread at any time, also while
-/// another call is under way. The first three never wait for the device. When `hold` or `set_fault` returns, a command
-/// that another thread gave before does not move the device: if it was still under way, the device is held again as
-/// soon as it ends. All other calls are for one thread at a time.
-class Device {
+/// Threads: `name`, `is_open`, `is_guided`, `fault`, `hold` and `set_fault` may be called from any thread at any time,
+/// also while another call is under way. The first four never wait for the device. When `hold` or `set_fault` returns,
+/// a command that another thread gave before does not move the device: if it was still under way, the device is held
+/// again as soon as it ends. All other calls are for one thread at a time.
+///
+/// An open device can be stopped from elsewhere at any time, so close it before you destroy it.
+class RCS_API Device {
  public:
-  explicit Device(std::string name) : name_(std::move(name)) {}
-  virtual ~Device() = default;
+  Device(std::string name, int built_for);
+  virtual ~Device();
   Device(const Device&) = delete;
   Device& operator=(const Device&) = delete;
 
@@ -29,6 +42,16 @@ class Device {
 
   /// Connect. Nothing moves. Opening an open device does nothing.
   void open();
+  /// Stop where the device is now and stay there. Allowed in the fault state.
+  void hold();
+  /// Whether the last target is reached and the device stands still.
+  bool has_arrived();
+  /// Whether a person can move the device by hand.
+  virtual bool can_guide() const { return false; }
+  /// Let a person move the device by hand, or hold it again. While it is guided, commands throw `WrongOrder`; `hold`,
+  /// a fault and `close` end it. Throws `InvalidCommand` when the device cannot be guided.
+  void guide(bool on);
+  bool is_guided() const { return is_guided_; }
   /// Enter the fault state and hold: commands are refused until `recover`. The first reason stays; if holding fails,
   /// the fault says that too, and nothing is thrown.
   ///
@@ -42,37 +65,59 @@ class Device {
   void close();
 
  protected:
-  /// Stop where the device is now and stay there. Allowed in the fault state. Public in devices that move.
-  void hold();
-
   /// Throw `WrongOrder` when the device is not open.
   void require_open(const char* call) const;
   /// Throw `WrongOrder` when not open and `DeviceFault` when in the fault state.
   void require_ready(const char* call) const;
   /// Enter the fault state and throw it.
   [[noreturn]] void fail(const std::string& reason);
-  /// Send a command if the device is ready. No lock unless another thread stops the device meanwhile.
+  /// Send a command if the device is ready, and have it held when `valid_for` [s] has passed without another. No lock
+  /// unless the command or the one before has a deadline, or another thread stops the device meanwhile.
   template <typename Send>
-  void command(const char* call, Send send) {
+  void command(const char* call, double valid_for, Send send) {
     const std::uint64_t stops = stops_;
-    require_ready(call);
-    send();
+    require_commandable(call, valid_for);
+    const bool has_deadline = has_deadline_ || valid_for < kForever;
+    const TimePoint former = has_deadline ? exchange_deadline(valid_for) : TimePoint::max();
+    try {
+      send();
+    } catch (...) {
+      if (has_deadline) restore_deadline(former);
+      throw;
+    }
     if (stops_ == stops) return;
     hold();
     require_ready(call);
   }
 
+  /// Whether stopping it means anything: not so for sensors.
+  virtual bool moves() const { return true; }
   virtual void do_open() {}
-  /// Runs on the thread that stops, beside whatever else the device does, but never twice at once, and never beside
-  /// `do_open` or `do_close`.
+  /// Stop, and end guiding. Runs on the thread that stops, beside whatever else the device does, but never twice at
+  /// once, and never beside `do_open` or `do_close`.
   virtual void do_hold() {}
+  virtual bool do_has_arrived() { return true; }
+  /// Give way to a person's hand until `do_hold`.
+  virtual void do_guide() {}
   /// Leave the device's own fault state, in which it may refuse to hold.
   virtual void do_recover() {}
   virtual void do_close() {}
 
  private:
+  friend class OpenDevices;
+  using TimePoint = std::chrono::steady_clock::time_point;
+
+  void require_commandable(const char* call, double valid_for) const;
+  TimePoint exchange_deadline(double valid_for);
+  void restore_deadline(TimePoint former);
+  void mark_fault(const std::string& reason);
+  void stop();
+  void lapse();
+
   const std::string name_;
   std::atomic<bool> is_open_ = false;
+  std::atomic<bool> is_guided_ = false;
+  std::atomic<bool> has_deadline_ = false;
   std::atomic<bool> has_fault_ = false;  // what commands look at, without a lock
   std::atomic<std::uint64_t> stops_ = 0;
   std::recursive_mutex holding_;  // recursive: a `do_hold` may find a fault and set it
@@ -81,12 +126,17 @@ class Device {
   bool is_recovering_ = false;  // the next fault is a new one, not a consequence of the first
 };
 
+/// Have every open device of this process that moves enter its fault state and hold, all at once; from any thread. All
+/// refuse commands before the first one is held. Not to be called from a `do_hold`.
+RCS_API void stop_all(const std::string& reason);
+
 /// Throw `InvalidCommand` unless there are as many values as needed.
-void check_count(const std::string& device, const char* what, std::span<const double> values, std::size_t needed);
+RCS_API void check_count(const std::string& device, const char* what, std::span<const double> values,
+                         std::size_t needed);
 
 /// Throw `InvalidCommand` unless there are as many values as limits, and every value is finite and inside
 /// its limits (with 1e-6 to spare for rounding).
-void check_command(const std::string& device, const char* what, std::span<const double> values,
-                   std::span<const double> lower, std::span<const double> upper);
+RCS_API void check_command(const std::string& device, const char* what, std::span<const double> values,
+                           std::span<const double> lower, std::span<const double> upper);
 
 }  // namespace rcs

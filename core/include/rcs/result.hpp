@@ -5,6 +5,8 @@
 #include <stdexcept>
 #include <string>
 
+#include "rcs/interface.hpp"
+
 namespace rcs {
 
 /// Why a control step of a simulation ended.
@@ -24,27 +26,27 @@ enum class IkStatus : std::uint8_t {
 };
 
 /// A command that a device may not execute: wrong size, not finite, or outside its limits.
-struct InvalidCommand : std::invalid_argument {
+struct RCS_API InvalidCommand : std::invalid_argument {
   using std::invalid_argument::invalid_argument;
 };
 
 /// A setup, an option or an argument that does not make sense.
-struct InvalidSetup : std::invalid_argument {
+struct RCS_API InvalidSetup : std::invalid_argument {
   using std::invalid_argument::invalid_argument;
 };
 
 /// A call at a time when it has no meaning, such as a command before `open`.
-struct WrongOrder : std::logic_error {
+struct RCS_API WrongOrder : std::logic_error {
   using std::logic_error::logic_error;
 };
 
 /// MuJoCo stopped, or dropped contacts, because it ran out of memory or met a model that it cannot compute.
-struct SimulationError : std::runtime_error {
+struct RCS_API SimulationError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
 /// A device is in its fault state; `recover` clears it.
-struct DeviceFault : std::runtime_error {
+struct RCS_API DeviceFault : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 

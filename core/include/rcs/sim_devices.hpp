@@ -2,6 +2,7 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -39,7 +40,7 @@ struct GripperMap {
   double ctrl_open = 0.0;     ///< control of the actuator at opening 1
 };
 
-/// The gripper of one copy of a world.
+/// The gripper of one copy of a world. It has the force of its model: one in a command changes nothing.
 class SimGripper final : public Gripper {
  public:
   SimGripper(std::string name, double max_width, double max_force, std::shared_ptr<World> world, int copy,
@@ -47,11 +48,12 @@ class SimGripper final : public Gripper {
 
  protected:
   GripperState do_state() override;
-  void do_command_opening(double opening) override;
+  void do_command_opening(double opening, std::optional<double> force) override;
   bool do_has_arrived() override;
   void do_hold() override;
 
  private:
+  void set_opening(double opening);
   double opening() const;
   double target() const;
   double time() const;

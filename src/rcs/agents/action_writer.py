@@ -22,8 +22,11 @@ MARGIN = 0.9
 def ik_options(kinematics: Kinematics, restarts: int = 0) -> IkOptions:
     """Return what an arm can be asked for: any pose, or, with fewer than six joints, a place.
 
-    The tool of such an arm leans as little as it can and by up to 1.6 rad. It may need `restarts` from other joints,
-    unless it is solved for a pose near the last one.
+    The tool of such an arm leans as little as possible, by up to 1.6 rad.
+
+    Args:
+        kinematics: Of the arm.
+        restarts: Random starts for an arm with fewer than six joints; 0 keeps to the branch of the last joints.
     """
     if kinematics.dof >= 6:
         return IkOptions(restarts=0, iterations=100)

@@ -64,8 +64,8 @@ def plan_from_above(
     Args:
         arm: The arm.
         where: Pose whose origin is to be grasped, in the base frame.
-        turns: Angles of the tool about the vertical [rad], best first; of several in one group, the one is taken whose
-            largest joint motion is the smallest.
+        turns: Groups of angles of the tool about the vertical [rad], best first. Within a group, the angle with the
+            smallest largest joint motion wins.
         lift: Height to lift to above the grasp [m]; the tasks want 0.10.
         in_tcp: Where the grasped place is along the TCP's x and y [m].
 

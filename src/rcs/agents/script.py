@@ -1,4 +1,4 @@
-"""Scripted behaviours: phases that all arms of an environment go through in step, by the actions of a policy."""
+"""Scripted behaviours: phases that all arms of an environment go through in step, with the actions of a policy."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ class Phase:
     risk: tuple[str, Condition] | None = None
     """Class of a failure that ends the attempt, and when that is the case."""
     is_judged_at_end: bool = False
-    """Whether the failure is looked for only when the phase is done."""
+    """Whether to check for the failure only when the phase is done."""
 
 
 GIVEN_UP = Phase("given up")
 
 
 class ScriptedArm:
-    """One arm of a script: its parts, what it has measured in this step and in the one before, and where it goes."""
+    """One arm of a script: its solver, its latest two observations, and its plan."""
 
     def __init__(self, env: Env, key: str | None, robot: RobotPlacement) -> None:
         self.key, self.robot = key, robot
@@ -65,14 +65,14 @@ class ScriptedArm:
         self.plan: Plan = {}
 
     def see(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Take over what came of the last step."""
+        """Take the observation of a new step, and what the last action came to."""
         own = observation if self.key is None else observation[self.key]
         self.before, self.observation = self.observation or own, own
         self.writer.follow(info, self.key)
 
 
 class Script(Agent):
-    """Goes through phases, and tries again from above after a failure; subclasses declare the phases and plan."""
+    """Goes through phases, and retries from the first pose after a failure. A subclass declares phases and a plan."""
 
     task: ClassVar[str]
     needs: ClassVar[tuple[str, ...]]

@@ -18,14 +18,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from rcs.cli.console import plain_console
-from rcs.data.wilson import wilson_interval
+from rcs.data.verdicts import wilson_interval
+from rcs.data.view import write_report
 from rcs.envs.observers.recorder import Colour
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, collect
 from rcs.rollout.collect import Progress as CollectionProgress
-from rcs.rollout.report import write_report
 from rcs.setups.lab import lab_of
 from rcs.sim.detail import Assets
 from rcs.sim.randomisation import Randomisation

@@ -23,6 +23,6 @@ class GalleryCommand:
         console = plain_console()
         with console.status("Drawing"):
             for shot in gallery(self.out, seed=self.seed):
-                console.print(f"{shot.title}: {shot.file}")
+                console.print(f"{shot.group}, {shot.title}: {shot.file}")
         console.print(f"Page: {self.out / 'index.html'}")
         return 0

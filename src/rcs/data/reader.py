@@ -53,6 +53,11 @@ class EpisodeRecord:
         """Name the episode."""
         return f"EpisodeRecord({self.id!r})"
 
+    def _repr_html_(self) -> str:
+        from rcs.data.view.notebook import episode_html  # which reads episodes itself
+
+        return episode_html(self)
+
     @property
     def id(self) -> str:
         """The name, unique in the dataset."""
@@ -309,6 +314,15 @@ class Dataset:
             place = [pa.array([episode.id] * len(rows), pa.string()), pa.array(range(len(rows)), pa.int64())]
             tables.append(pa.Table.from_arrays([*place, *whole], schema=tables[0].schema))
         return pa.concat_tables(tables)
+
+    def __repr__(self) -> str:
+        """Name the dataset and say how many episodes it has."""
+        return f"Dataset({str(self.path)!r}, {len(self)} episodes)"
+
+    def _repr_html_(self) -> str:
+        from rcs.data.view.notebook import dataset_html  # which reads datasets itself
+
+        return dataset_html(self)
 
     def __iter__(self) -> Iterator[EpisodeRecord]:
         """Yield the complete episodes, sorted by id."""

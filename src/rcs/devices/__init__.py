@@ -5,13 +5,16 @@ from rcs._core import (
     ArmLimits,
     ArmState,
     Camera,
+    CameraCalibration,
     CameraMode,
+    CommandKind,
     Device,
     Frame,
     Gripper,
     GripperState,
     Hand,
     HandState,
+    stop_all,
 )
 
 __all__ = [
@@ -19,11 +22,14 @@ __all__ = [
     "ArmLimits",
     "ArmState",
     "Camera",
+    "CameraCalibration",
     "CameraMode",
+    "CommandKind",
     "Device",
     "Frame",
     "Gripper",
     "GripperState",
     "Hand",
     "HandState",
+    "stop_all",
 ]

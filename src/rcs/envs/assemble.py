@@ -103,7 +103,9 @@ def assemble(
     if not _is_all_real(parts, cameras):
         if devices and setup.stepping == "sync":
             raise InvalidSetup("Synchronous steps are of simulated or of real devices alone; use stepping='realtime'.")
-        world = World(compose(parts).compile(), frequency=setup.frequency, stepping=setup.stepping)
+        world = World(
+            compose(parts).compile(), frequency=setup.frequency, stepping="realtime" if devices else setup.stepping
+        )
     elif render_mode is not None:
         raise InvalidSetup("Real devices have no picture to render; use the frames of a camera.")
     scenario, stack = _populate(parts, world, cameras)

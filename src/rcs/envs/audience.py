@@ -16,7 +16,7 @@ from rcs.envs.spaces import Observation
 from rcs.envs.stack import Stack, for_all
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, slots=True)
 class Step:
     """What a step led to. Arrays have the leading shape, () or (copies,)."""
 
@@ -114,16 +114,18 @@ def _ends(step: Step, copy: int, is_batch: bool) -> tuple[float, bool, bool]:
     return float(reward), bool(terminated), bool(truncated)
 
 
+_ARRAYS = np.ndarray, np.generic
+
+
 def row(told: Mapping[str, Any], where: Any) -> dict[str, Any]:
     """Return the values of one copy: numbers and booleans as Python's own, arrays as views of theirs."""
     own_values: dict[str, Any] = {}
     for key, value in told.items():
-        # `dict` and not `Mapping`: an abstract class takes ten times as long to ask for.
-        if isinstance(value, dict):
+        if isinstance(value, _ARRAYS):
+            own: Any = value if where is ... else value[where]  # pyright: ignore[reportIndexIssue]  batches have arrays
+            own_values[key] = own if getattr(own, "ndim", 1) else own.item()
+        elif isinstance(value, dict):  # not `Mapping`: an abstract class takes ten times as long to ask for
             own_values[key] = row(value, where)
-        elif isinstance(value, np.ndarray | np.generic):
-            own: Any = value if where is ... else np.asarray(value)[where]
-            own_values[key] = own.item() if isinstance(own, np.ndarray | np.generic) and not own.ndim else own
         else:
             own_values[key] = value
     return own_values

@@ -137,7 +137,7 @@ class CameraPort(Port):
             now: Monotonic time of the host [s].
         """
         self._size = size
-        self._stale_after = stale_after
+        self.stale_after = self._limit = stale_after
         self._on_stale = on_stale
         self._now = now
         self.timed = tuple(f"{keys.FRAMES}/{name}" for name in cameras)
@@ -188,7 +188,7 @@ class CameraPort(Port):
         now = self._now()
         found: dict[str, str] = {}
         for name, feed in self._feeds.items():
-            if feed.newest is not None and now - feed.newest[1] > self._stale_after:
+            if feed.newest is not None and now - feed.newest[1] > self._limit:
                 why = f" ({feed.failure})" if feed.failure else ""
                 found[name] = f"no new frame for {now - feed.newest[1]:.2f} s{why}"
         return found

@@ -28,8 +28,9 @@ from rcs.sim.world import Copies
 DIVERGED, FAULT = "diverged", "fault"
 """What `info["end"]` says of a simulation that left the range of finite numbers, and of a device that failed."""
 
+_FAILED = StepEnd.failed.value
 _ENDS = {end.value: end.name for end in StepEnd}
-END_NAMES = np.array([{**_ENDS, StepEnd.failed.value: DIVERGED}.get(i, "") for i in range(1 + max(_ENDS))])
+END_NAMES = np.array([{**_ENDS, _FAILED: DIVERGED}.get(i, "") for i in range(1 + max(_ENDS))])
 """What `info["end"]` says of a step, by the value of `StepEnd`."""
 
 
@@ -54,7 +55,7 @@ class Engine:
         self.seeds = np.zeros(self.leading, np.int64)
         self.episodes = np.full(self.leading, -1, np.int64)
         """Number of the present episode since the seed was set."""
-        self.is_over = np.zeros(self.leading, np.bool_)
+        self.is_over: NDArray[np.bool_] = np.zeros(self.leading, np.bool_)
         """Which copies' episodes are over."""
         self.is_open = True
         self.instruction = "" if scenario is None else scenario.task.instruction
@@ -64,7 +65,7 @@ class Engine:
         """The observers."""
         self._resources: list[Callable[[], None]] = [] if scenario is None else [scenario.world.close]
         self._ends: NDArray[np.uint8] = clock.ends.reshape(self.leading)
-        self._steps = np.zeros(self.leading, np.int64)
+        self._steps: NDArray[np.int64] = np.zeros(self.leading, np.int64)
         self._is_started = False
         self._broken_off_by = ""
         self._must_rebase = False
@@ -125,6 +126,8 @@ class Engine:
     def _begin(self, copies: Copies) -> None:
         where: Where = ... if copies is None else copies
         self.episodes[where] += 1
+        # Of one copy they are numbers of NumPy's, which are faster than arrays.
+        self._steps, self.is_over = np.array(self._steps), np.array(self.is_over)
         self._steps[where] = 0
         self.is_over[where] = False
         if self.scenario is not None:
@@ -229,14 +232,14 @@ class Engine:
         if self.scenario is not None:
             outcome = self.scenario.evaluate()
             reward, terminated, info = outcome.reward, outcome.terminated, outcome.info
-        truncated = diverged = self._ends == StepEnd.failed.value
+        truncated = diverged = self._ends == _FAILED
         if starting is None:
-            self._steps += 1
+            self._steps = self._steps + 1
         else:
-            self._steps += ~starting
+            self._steps = self._steps + ~starting
             diverged = truncated = diverged & ~starting
             reward, terminated = np.where(starting, 0.0, reward), terminated & ~starting
-        if diverged.any():
+        if diverged.any() if self.leading else diverged:
             reward, terminated = np.where(diverged, 0.0, reward), terminated & ~diverged
             if not self.leading and self.scenario is not None:
                 told["faults"] = {"simulation": self.scenario.world.why_diverged() or "a step failed"}
@@ -244,9 +247,11 @@ class Engine:
             truncated = truncated | ((self._steps >= self._max_episode_steps) & ~terminated)
             truncated = truncated if starting is None else truncated & ~starting
         info = {**info, **self.stack.info(), "time": self._time(), "end": END_NAMES[self._ends]}
-        info = info if self.leading else row(info, ...)
+        if not self.leading:
+            info = row(info, ...)
         info["target"] = copied(self.stack.target)
-        info.update(told)
+        if told:
+            info.update(told)
         if self._clock.is_real:
             now = self._clock.now()
             info["late"] = self._clock.late
@@ -254,7 +259,7 @@ class Engine:
         if faults:
             info.update(end=FAULT, faults=faults)
             terminated, truncated = np.False_, np.True_
-        self.is_over[...] = terminated | truncated
+        self.is_over = terminated | truncated
         return Step(observation=observation, reward=reward, terminated=terminated, truncated=truncated, info=info)
 
     def _time(self) -> Any:
@@ -281,7 +286,7 @@ class Engine:
 
     def _end_without_row(self, faults: dict[str, str]) -> Step:
         """End the episode in a step that not all devices took part in: observers are told its end, but see no step."""
-        self.is_over[...] = True
+        self.is_over = np.ones(self.leading, np.bool_)
         self.audience.tell_end(FAULT, faults)
         try:
             observation = self.stack.lift(self.stack.measure())

@@ -31,6 +31,8 @@ class Port(ABC):
     """Space of every key that the port gives."""
     timed: tuple[str, ...] = ()
     """What `capture_times` has an entry for, such as `joints` or `frames/wrist`."""
+    stale_after: float | None = None
+    """Age from which what the port reads counts as stale [s]; None for never."""
     device: Arm | Gripper | Hand | None = None
     """The device that the port opens, holds and closes, where it is one behind a device interface."""
 

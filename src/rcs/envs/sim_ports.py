@@ -13,6 +13,7 @@ from rcs.envs.spaces import Arrays, Observation
 from rcs.sim.camera import SimCameras
 from rcs.sim.camera_feed import CameraFeed
 from rcs.sim.frame_clock import FrameClock, FrameRate
+from rcs.sim.render_thread import RenderThread
 from rcs.sim.robot import SimRobot
 from rcs.sim.tactile import SimTactile
 
@@ -103,7 +104,8 @@ class SimCameraPort(Port):
             clock = FrameClock(cameras.world, rates)
         self.cameras = cameras
         self.timed = tuple(f"{keys.FRAMES}/{name}" for name in cameras.names)
-        self._feed = CameraFeed(cameras, clock)
+        is_beside_the_loop = cameras.world.stepping == "realtime" and not cameras.world.leading
+        self._feed = RenderThread(cameras, clock) if is_beside_the_loop else CameraFeed(cameras, clock)
         self.action_spaces = {}
         self.observation_spaces = {keys.FRAMES: cameras_space(cameras)}
 
@@ -113,14 +115,14 @@ class SimCameraPort(Port):
 
     def capture_times(self) -> dict[str, float]:
         """Return when each camera's frame was drawn; one that is returned again keeps its time."""
-        return {f"{keys.FRAMES}/{name}": time for name, time in self.cameras.capture_times.items()}
+        return {f"{keys.FRAMES}/{name}": time for name, time in self._feed.capture_times.items()}
 
     def command(self, action: Arrays) -> None:
         """Do nothing: a camera takes no commands."""
 
     def close(self) -> None:
         """Free the renderer."""
-        self.cameras.close()
+        self._feed.close()
 
 
 class SimTactilePort(Port):

@@ -79,7 +79,10 @@ class Task(ABC):
                     is_number = isinstance(value, int | float) and not isinstance(value, bool)
                     is_valid, valid = is_number and math.isfinite(value), "a finite number"
                 else:
-                    is_valid, valid = kind not in (bool, int, str) or type(value) is kind, f"of type {kind}"
+                    is_valid, valid = (
+                        kind not in (bool, int, str) or type(value) is kind,
+                        f"a value of type {getattr(kind, '__name__', kind)}",
+                    )
                 if not is_valid:
                     raise InvalidSetup(f"The task option {name} is {value!r}; valid: {valid}.")
 
@@ -118,7 +121,7 @@ class Task(ABC):
                 "with some of its fields, or None."
             )
         valid = [option.name for option in dataclasses.fields(cls.Options)]
-        if unknown := sorted(set(values or ()) - set(valid)):
+        if unknown := sorted(set(values or ()) - set(valid), key=str):
             raise InvalidSetup(f"The task {cls.__name__} has no options {unknown}; valid: {', '.join(valid)}.")
         return cls.Options(**(values or {}))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from multiprocessing import get_context
@@ -104,12 +104,25 @@ class Workplace:
             self.recorder.forget_next()
             return self.job.give_up(episode, err)
 
-    def play(self, episode: EpisodeRecord, agent: Agent, options: Mapping[str, Any], most: int) -> Iterator[Step]:
-        """Let an agent act from a given start, and record that under the recorded episode's id; see `play`."""
+    def play(
+        self, episode: EpisodeRecord, agent: Agent, options: Mapping[str, Any], most: int, see: Callable[[Step], None]
+    ) -> Step:
+        """Let an agent act from a given start, record that under the recorded episode's id, and return the end.
+
+        Args:
+            episode: The recorded episode.
+            agent: The agent.
+            options: Options of the reset: the start.
+            most: Largest number of steps.
+            see: Called after the reset and after every step.
+        """
         self.recorder.name_next(episode.id, instruction=episode.instruction)
+        step: Step | None = None
         for step in play(self.env, agent, seed=episode.seed, options=options, most=most):
+            see(step)
             self.count_row()
-            yield step
+        assert step is not None, "the reset always yields"
+        return step
 
     def count_row(self) -> None:
         """Count a new row, for progress bars."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rcs.agents import Agent, agent_for
-from rcs.data.wilson import wilson_interval
+from rcs.data.verdicts import wilson_interval
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from rcs.agents import agent_for
+from rcs.data.view import pictures_page
 from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup
@@ -34,6 +34,8 @@ STEPS = 45
 class Shot:
     """One picture of the gallery."""
 
+    group: str
+    """Task and robot."""
     title: str
     file: Path
 
@@ -57,12 +59,16 @@ def gallery(out: Path, *, seed: int = 0) -> Iterator[Shot]:
             for shot in _shots(name, task, robot, out, seed):
                 shots.append(shot)
                 yield shot
-        (out / "index.html").write_text(_page(shots), "utf-8")
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for shot in shots:
+            groups.setdefault(shot.group, []).append((shot.title, shot.file.name))
+        (out / "index.html").write_text(pictures_page("Gallery", groups), "utf-8")
     except OSError as err:
         raise DatasetError(f"The gallery cannot be written to {out}: {err}") from err
 
 
 def _shots(name: str, task: str, robot: str, out: Path, seed: int) -> Iterator[Shot]:
+    group = f"{task}, {robot}"
     stem = name.removeprefix("rcs/").removesuffix("-v0")
     for quality in get_args(Quality):
         setup = Setup(
@@ -72,12 +78,12 @@ def _shots(name: str, task: str, robot: str, out: Path, seed: int) -> Iterator[S
         try:
             _go_on(env, setup, seed)
             picture = Picture(env.scenario.world, size=SIZE, quality=quality)
-            yield _write(f"{stem}, {quality}", picture.draw(), out / f"{stem}-{quality}.jpg")
+            yield _write(group, f"scene, {quality}", picture.draw(), out / f"{stem}-{quality}.jpg")
             picture.close()
             frames = env.stack.measure()["frames"]
             for camera, frame in frames.items():
-                title = f"{stem}, camera {camera}, {quality}"
-                yield _write(title, frame["rgb"], out / f"{stem}-camera-{camera}-{quality}.jpg")
+                title = f"camera {camera}, {quality}"
+                yield _write(group, title, frame["rgb"], out / f"{stem}-camera-{camera}-{quality}.jpg")
         finally:
             env.close()
 
@@ -96,24 +102,8 @@ def _go_on(env: Env, setup: Setup, seed: int) -> None:
     blind.close()
 
 
-def _write(title: str, picture: NDArray[np.uint8], file: Path) -> Shot:
+def _write(group: str, title: str, picture: NDArray[np.uint8], file: Path) -> Shot:
     file.write_bytes(
         simplejpeg.encode_jpeg(np.ascontiguousarray(picture), quality=JPEG_QUALITY, colorsubsampling="444")
     )
-    return Shot(title=title, file=file)
-
-
-def _page(shots: list[Shot]) -> str:
-    figures = "\n".join(
-        f'<figure><img src="{html.escape(shot.file.name)}" alt="{html.escape(shot.title)}">'
-        f"<figcaption>{html.escape(shot.title)}</figcaption></figure>"
-        for shot in shots
-    )
-    return (
-        '<!doctype html><html lang="en"><meta charset="utf-8"><title>Gallery</title><style>'
-        "body{font:15px system-ui,sans-serif;margin:2rem;background:#f5f6f8;color:#1c2430}"
-        "main{display:grid;grid-template-columns:repeat(auto-fill,minmax(380px,1fr));gap:1.2rem}"
-        "figure{margin:0;background:#fff;border-radius:8px;overflow:hidden;border:1px solid #dde1e6}"
-        "img{width:100%;display:block}figcaption{padding:.6rem .8rem}"
-        f"</style><h1>Gallery</h1><main>{figures}</main></html>\n"
-    )
+    return Shot(group=group, title=title, file=file)

@@ -47,7 +47,7 @@ class Look:
     depth: bool | None = None
     """Whether frames carry depth."""
     render_quality: Quality | None = None
-    """`full` draws shadows, reflections and smooth edges."""
+    """`full` draws shadows, reflections and smooth edges; without a GPU, a frame takes some fifty times longer."""
     assets: Assets | None = None
     """Robots of primitives (`builtin`) or with the meshes of MuJoCo Menagerie."""
     camera_noise: bool | None = None
@@ -143,18 +143,11 @@ class Stage:
             colour="lossless" if is_lossless else "jpeg",
             jpeg_quality=self.looks.jpeg_quality or recorded.jpeg_quality,
         )
-        described = {"setup": self.described(physics), "instruction": recorded.instruction or info.instruction}
-        return replace(info, jpeg_subsampling=recorded.jpeg_subsampling, **described)
-
-    def described(self, physics: Setup | None = None) -> dict[str, Any]:
-        """Return the setup to store in a dataset.
-
-        Args:
-            physics: The setup that its states are from; None for this stage.
-        """
-        described = self.setup.to_json()
-        origin = self.scene if physics is None else physics
-        return described if origin == self.setup else {**described, RECORDED: origin.to_json()}
+        setup, origin = self.setup.to_json(), self.scene if physics is None else physics
+        if origin != self.setup:
+            setup[RECORDED] = origin.to_json()
+        instruction = recorded.instruction or info.instruction
+        return replace(info, setup=setup, instruction=instruction, jpeg_subsampling=recorded.jpeg_subsampling)
 
 
 class NewLooks(Randomiser):

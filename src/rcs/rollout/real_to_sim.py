@@ -23,6 +23,7 @@ from rcs.errors import InvalidSetup
 from rcs.rollout.derive import Derivation, Workplace
 from rcs.rollout.look import Stage, setup_of
 from rcs.rollout.recorded_motion import GripperFrom, RecordedMotion, find_states
+from rcs.rollout.replay import Step
 
 Keep = Literal["successes", "all"]
 """Episodes to keep: those that succeed in simulation, or all that could be replayed."""
@@ -154,16 +155,17 @@ class RealToSim(Derivation):
             options[OBJECTS] = self._poses(episode)
         most = int(np.ceil((motion.duration + self.grace) * setup.frequency - 1e-9))
         errors: list[float] = []
-        steps, last = -1, None
-        for steps, last in enumerate(workplace.play(episode, motion, options, most)):
-            if (time := steps / setup.frequency) <= motion.duration:
-                errors.append(motion.error(last.observation, time))
-        assert last is not None, "the reset is always seen"
+
+        def compare(step: Step) -> None:
+            if (time := step.row / setup.frequency) <= motion.duration:
+                errors.append(motion.error(step.observation, time))
+
+        last = workplace.play(episode, motion, options, most, compare)
         result = RealToSimResult(
             episode_id=episode.id,
             recorded_success=episode.success,
             success=last.success,
-            steps=steps,
+            steps=last.row,
             joint_error=(float(max(errors)), float(np.median(errors))),
         )
         if last.success or self.keep == "all":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from rcs.data import Dataset, EpisodeRecord
 from rcs.envs import spaces as keys
 from rcs.envs.by_robot import by_robot, joined, prefixes
 from rcs.envs.env import Env
-from rcs.envs.observers.recorder import ACTION, EXECUTED, OBSERVATION
+from rcs.envs.observers.recorder import ACTION, EXECUTED
 from rcs.envs.setup import RelativeTo, Setup
 from rcs.envs.spaces import Control, Observation
 from rcs.errors import InvalidSetup
@@ -108,23 +108,18 @@ class Reexecution(Derivation):
         """Execute one episode again."""
         env, setup = workplace.env, workplace.stage.setup
         states = workplace.transfer(episode.sim_state())
-        before = _recorded_trace(env, episode, states)
-        agent: Agent
-        if self.is_translated:
-            agent = Translator(env, setup, episode)
-        else:
-            agent = Replay(recorded(episode, ACTION, env.stack.action_space))
+        before = Trace.of([*_restored(env, states)])
+        space = env.stack.action_space
+        agent = Translator(env, setup, episode) if self.is_translated else Replay(recorded(episode, ACTION, space))
         steps = len(states) - 1
         most = steps + (round(self.grace * setup.frequency) if self.is_translated else 0)
         rows: list[Trace] = []
-        last = None
-        for last in workplace.play(episode, agent, {"state": states[0]}, most):
-            rows.append(_trace(env, last.observation))
-        assert last is not None, "the reset is always seen"
+        start = {"state": states[0]}
+        last = workplace.play(episode, agent, start, most, lambda step: rows.append(_trace(env)))
         divergence = Divergence.between(before, Trace.of(rows))
         result = ReexecutionResult(
             episode_id=episode.id,
-            steps=len(rows) - 1,
+            steps=last.row,
             recorded_steps=steps,
             success=last.success,
             recorded_success=episode.success,
@@ -182,32 +177,20 @@ class Translator(Agent):
         return joined(action)
 
 
-def _trace(env: Env, observation: Observation) -> Trace:
+def _trace(env: Env) -> Trace:
     """Return the present row of an environment's trace."""
-    parts = list(by_robot([robot.placement.name for robot in env.scenario.robots], observation).values())
+    robots = env.scenario.robots
     return Trace(
-        joints=np.concatenate([part[keys.JOINTS] for part in parts]),
-        tcps=np.stack([part[keys.TQUAT] for part in parts]),
-        objects=_objects(env),
+        joints=np.concatenate([robot.joints for robot in robots]),
+        tcps=np.stack([robot.tcp_tquat for robot in robots]),
+        objects=np.array(list(env.scenario.object_poses().values())).reshape(-1, 7),
     )
 
 
-def _recorded_trace(env: Env, episode: EpisodeRecord, states: NDArray[np.float64]) -> Trace:
-    """Return the trace of the recorded episode; poses of objects are read from its restored states."""
+def _restored(env: Env, states: NDArray[np.float64]) -> Iterator[Trace]:
+    """Give what the recorded episode did, row by row: its states are restored for that."""
     world = env.scenario.world
-    objects: list[NDArray[np.float64]] = []
     for state in states:
         world.core.set_state(state)
         world.refresh()
-        objects.append(_objects(env))
-    before = prefixes(robot.placement.name for robot in env.scenario.robots).values()
-    return Trace(
-        joints=np.hstack([episode.column(f"{OBSERVATION}/{prefix}{keys.JOINTS}") for prefix in before]),
-        tcps=np.stack([episode.column(f"{OBSERVATION}/{prefix}{keys.TQUAT}") for prefix in before], axis=1),
-        objects=np.stack(objects),
-    )
-
-
-def _objects(env: Env) -> NDArray[np.float64]:
-    """Return the poses of all objects, (objects, 7)."""
-    return np.array(list(env.scenario.object_poses().values())).reshape(-1, 7)
+        yield _trace(env)

@@ -68,10 +68,10 @@ def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
     agent = Replay(recorded(episode, ACTION, env.stack.action_space))
     steps = play(env, agent, seed=episode.seed, options={"state": states[0]}, most=most)
     first_difference: int | None = None
-    for row, step in enumerate(steps):
-        is_equal = env.scenario.world.states().tobytes() == states[row].tobytes()
-        if not is_equal or (step.is_over and row < most):
-            first_difference = row
+    for step in steps:
+        is_equal = env.scenario.world.states().tobytes() == states[step.row].tobytes()
+        if not is_equal or (step.is_over and step.row < most):
+            first_difference = step.row
             break
     return ReplayResult(episode_id=episode.id, steps=most, first_difference=first_difference)
 
@@ -80,6 +80,8 @@ def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
 class Step:
     """The result of the reset, or of a step."""
 
+    row: int
+    """0 after the reset, then the number of the step."""
     observation: Observation
     info: dict[str, Any]
     reward: float
@@ -104,11 +106,11 @@ def play(env: Env, agent: Agent, *, seed: int | None, options: Mapping[str, Any]
     """
     observation, info = env.reset(seed=seed, options=options)
     agent.reset(observation, info)
-    step = Step(observation, info, 0.0, False)
+    step = Step(0, observation, info, 0.0, False)
     yield step
-    for _ in range(most):
+    for row in range(1, most + 1):
         observation, reward, terminated, truncated, info = env.step(agent.act(step.observation, step.info))
-        step = Step(observation, info, step.reward + float(reward), terminated or truncated)
+        step = Step(row, observation, info, step.reward + float(reward), terminated or truncated)
         yield step
         if step.is_over:
             return

@@ -25,6 +25,7 @@ from rcs.robots.description import ArmDescription, CameraDescription, GripperDes
 from rcs.robots.tactile import TactileDescription
 from rcs.setups.calibration import calibrated
 from rcs.setups.lab import Lab, Stand, lab_of
+from rcs.sim.own_cameras import cameras_of
 from rcs.sim.scene import CameraPlacement, RobotPlacement
 from rcs.sim.tactile_mounts import on_pads
 from rcs.sim.tactile_placement import TactilePlacement
@@ -244,7 +245,10 @@ def _place(stand: Stand, end_effector: str | None) -> RobotPlacement:
 
 def _mount(name: str, setup: Setup, lab: Lab, robots: tuple[RobotPlacement, ...]) -> CameraPlacement:
     if name not in lab.cameras:
-        raise UnknownName(f"camera mount in the lab of {setup.robot!r}", name, lab.cameras)
+        own = cameras_of(robots)
+        if name in own:
+            return own[name]
+        raise UnknownName(f"camera in the lab of {setup.robot!r}", name, {*lab.cameras, *own})
     mount = lab.cameras[name]
     parent = "world"
     if mount.on_gripper_of is not None:

@@ -264,7 +264,7 @@ class SimCamera(Camera):
         if self._frame is None or is_new:
             number = int(self._clock.numbers[self.name][0])
             frame = self._cameras.read([self.name])[self.name]
-            self._frame = Frame(frame["rgb"], frame.get("depth"), float(self._world.time), number)
+            self._frame = Frame(frame["rgb"], frame.get("depth"), number=number, device_time=float(self._world.time))
         return self._frame
 
     def _close(self) -> None:

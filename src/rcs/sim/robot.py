@@ -39,6 +39,8 @@ class SimRobot:
         if robot.gripper is not None:
             closed, opened = robot.gripper.joint_closed[0], robot.gripper.joint_open[0]
             self._opening = world.core.read_opening(self.layout.finger_joint_ids, closed, opened)
+            self._closed = robot.gripper.ctrl_closed
+            self._span = robot.gripper.ctrl_open - robot.gripper.ctrl_closed
 
     @property
     def joints(self) -> NDArray[np.float64]:
@@ -111,9 +113,9 @@ class SimRobot:
 
     def command_opening(self, opening: NDArray[np.floating]) -> None:
         """Set the gripper's opening, 0 closed … 1 open, (*leading, 1)."""
-        gripper = self.gripper
-        ctrl = gripper.ctrl_closed + opening[..., 0] * (gripper.ctrl_open - gripper.ctrl_closed)
-        self.world.ctrl[..., self.layout.finger_actuator] = ctrl
+        if self._opening is None:
+            raise InvalidSetup(f"Robot {self.placement.name!r} has no gripper.")
+        self.world.ctrl[..., self.layout.finger_actuator] = self._closed + opening[..., 0] * self._span
 
     def go_home(self) -> None:
         """Put every copy at the home pose with an open gripper, at rest, by writing the state (no motion)."""

@@ -257,7 +257,7 @@ class SimTactileCamera(Camera):
 
     def _read(self) -> Frame:
         number = int(self._world.core.steps[0])
-        return Frame(self._sensor.read()["rgb"], None, float(self._world.time), number)
+        return Frame(self._sensor.read()["rgb"], number=number, device_time=float(self._world.time))
 
     def _close(self) -> None:
         self._sensor.close()

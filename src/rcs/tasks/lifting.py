@@ -43,18 +43,19 @@ class HoldCounter:
 
     def __init__(self, world: World, hold_time: float) -> None:
         """Count from 0 for a world; `hold_time` [s] is how long is long enough."""
-        self.steps = np.zeros(world.leading, np.int64)
+        self.steps: NDArray[np.int64] = np.zeros(world.leading, np.int64)
         """Steps in a row up to now, (*leading,)."""
         self._enough = max(1, round(hold_time * world.frequency))
 
     def reset(self, where: Where) -> None:
         """Start anew for some copies."""
-        self.steps[where] = 0
+        steps = np.array(self.steps)  # of one copy it is a number of NumPy's, which is faster than an array
+        steps[where] = 0
+        self.steps = steps
 
     def count(self, is_held: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Take a step into account, and return which copies have held for long enough, (*leading,)."""
-        self.steps += 1
-        self.steps *= is_held
+        self.steps = (self.steps + 1) * is_held
         return self.steps >= self._enough
 
 

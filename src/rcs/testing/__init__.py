@@ -18,8 +18,10 @@ pytest.register_assert_rewrite(
     "rcs.testing.arm_contract",
     "rcs.testing.camera_contract",
     "rcs.testing.description_contract",
+    "rcs.testing.device_contract",
     "rcs.testing.env_contract",
     "rcs.testing.gripper_contract",
+    "rcs.testing.hand_contract",
     "rcs.testing.safety_contract",
 )
 
@@ -28,6 +30,15 @@ from rcs.testing.camera_contract import CameraContract  # noqa: E402
 from rcs.testing.description_contract import DescriptionContract  # noqa: E402
 from rcs.testing.env_contract import EnvContract  # noqa: E402
 from rcs.testing.gripper_contract import GripperContract  # noqa: E402
+from rcs.testing.hand_contract import HandContract  # noqa: E402
 from rcs.testing.safety_contract import SafetyContract  # noqa: E402
 
-__all__ = ["ArmContract", "CameraContract", "DescriptionContract", "EnvContract", "GripperContract", "SafetyContract"]
+__all__ = [
+    "ArmContract",
+    "CameraContract",
+    "DescriptionContract",
+    "EnvContract",
+    "GripperContract",
+    "HandContract",
+    "SafetyContract",
+]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rcs.data import DatasetInfo, DatasetWriter, Feature
-from rcs.data.view import ClipOptions, write_view
+from rcs.data.view import ClipOptions, write_report, write_view
 
 pytestmark = pytest.mark.browser
 
@@ -76,7 +76,8 @@ def test_it_opens_at_the_first_episode_and_says_what_is_there(page: str, show: C
     assert "pick it up" in text
     assert "50.0 %" in text
     assert "success, 1 of 2" in text
-    assert "side depth, 500 to 890 mm" in text
+    caption = browser.run("document.querySelectorAll('#pictures figcaption')[1].textContent")
+    assert caption == "side depth540 to 541.1 mm", "what the frames around this one show"
     assert browser.run("document.title") == "filmed"
     assert browser.run("document.querySelectorAll('#list li').length") == 3
     assert browser.run(f"{VIDEOS}.length") == 3
@@ -280,6 +281,17 @@ def test_vp9_plays_too(filmed: Path, tmp_path: Path, show: Callable[[str], Brows
     report = write_view(filmed, tmp_path / "view", episodes=["000001"], options=ClipOptions(codec="vp9"))
     browser = show(f"{report.path.as_uri()}#t=17")
     assert row_shown(browser, WRIST) == pytest.approx(17, abs=0.45)
+
+
+def test_the_report_is_the_same_page_in_one_file(filmed: Path, tmp_path: Path, show: Callable[[str], Browser]) -> None:
+    _link(filmed, tmp_path / "copy")
+    alone = write_report(tmp_path / "copy").rename(tmp_path / "mailed.html")
+    browser = show(f"{alone.as_uri()}#episode=000001&t=17")
+    assert state(browser) | {"episode": "000001", "frame": "17"} == state(browser)
+    assert row_shown(browser, SIDE) == pytest.approx(17, abs=0.45)
+    assert row_shown(browser, WRIST) == pytest.approx(17, abs=0.45)
+    browser.press("k")
+    browser.wait("document.body.dataset.episode === '000000'")
 
 
 def test_a_page_that_was_interrupted_says_so(filmed: Path, tmp_path: Path, chromium: Browser) -> None:

@@ -79,12 +79,26 @@ def test_depth_is_lighter_the_farther_and_black_where_nothing_was_measured(tmp_p
     image[:10] = 0
     clip = write_clip(record(tmp_path / "data", feature, [image] * 4), feature, tmp_path / "a.mp4", ClipOptions())
     assert clip.limits is not None
-    assert 400 <= clip.limits[0] < 450 < 1550 < clip.limits[1] <= 1600
+    assert len(clip.limits) == 4
+    assert all(400 <= low < 450 < 1550 < high <= 1600 for low, high in clip.limits)
     frames, _ = decoded(tmp_path / "a.mp4")
-    brightness = frames[-1].mean(2)
+    brightness = frames[-1] @ (0.2126, 0.7152, 0.0722)
     assert brightness[:6].max() < 12
     columns = brightness[15:].mean(0)
     assert (np.diff(columns[4:-4:4]) > 0).all()
+
+
+def test_what_is_near_is_seen_after_what_was_far(tmp_path: Path) -> None:
+    """A camera in the hand sees the room, and then a grasp of a few centimetres."""
+    feature = Feature(key="observation/frames/a/depth", shape=(40, 60), dtype="uint16", unit="mm", encoding="depth")
+    far, near = (
+        np.repeat(np.linspace(low, high, 60).astype(np.uint16)[None], 40, axis=0)
+        for low, high in ((800, 3000), (60, 120))
+    )
+    episode = record(tmp_path / "data", feature, [far] * 20 + [near] * 20)
+    write_clip(episode, feature, tmp_path / "a.mp4", ClipOptions())
+    brightness = decoded(tmp_path / "a.mp4")[0][-1].mean(axis=(0, 2))
+    assert brightness[-5] > brightness[5] + 80
 
 
 def test_touch_is_shown_where_it_is_a_map_of_numbers(tmp_path: Path) -> None:

@@ -138,4 +138,4 @@ def test_a_simulation_that_does_not_wait_has_no_late_steps(tmp_path: Path) -> No
 
 def test_an_episode_of_one_row_has_curves_and_no_marks(tmp_path: Path) -> None:
     data = episode_data(record(tmp_path, (TIME, IMAGE), [{TIME.key: 1.0, IMAGE.key: np.zeros((8, 8, 3), np.uint8)}]))
-    assert data == {"rows": 1, "curves": [[[None]]], "marks": [], "flaws": {}}
+    assert data == {"rows": 1, "stride": 1, "curves": [[[None]]], "marks": [], "flaws": {}}

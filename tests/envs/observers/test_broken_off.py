@@ -87,11 +87,11 @@ def test_at_200_random_moments_all_devices_hold_and_every_row_is_kept_and_flagge
                 ends[name] = info["end"]
             except KeyboardInterrupt:
                 ends[name] = "exception"
-            before = [arm._joints.copy() for arm in bench.arms]
+            before = [arm.body.values.copy() for arm in bench.arms]
             bench.clock.now += 1.0
             for arm, joints in zip(bench.arms, before, strict=True):
-                arm._move()
-                np.testing.assert_array_equal(arm._joints, joints)
+                arm.body.move()
+                np.testing.assert_array_equal(arm.body.values, joints)
             rows[name] = notebook.seen
             env.close()
             assert not any(device.is_open for device in [*bench.arms, *bench.grippers])

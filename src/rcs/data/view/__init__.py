@@ -3,6 +3,18 @@
 from __future__ import annotations
 
 from rcs.data.view.clips import ClipOptions, Codec
+from rcs.data.view.gallery import pictures_page
+from rcs.data.view.notebook import picture_tag
 from rcs.data.view.page import VIEW_FOLDER, ViewReport, write_view
+from rcs.data.view.report import write_report
 
-__all__ = ["VIEW_FOLDER", "ClipOptions", "Codec", "ViewReport", "write_view"]
+__all__ = [
+    "VIEW_FOLDER",
+    "ClipOptions",
+    "Codec",
+    "ViewReport",
+    "picture_tag",
+    "pictures_page",
+    "write_report",
+    "write_view",
+]

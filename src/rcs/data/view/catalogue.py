@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -12,21 +13,31 @@ from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.verdicts import Verdicts
 from rcs.data.view.clips import pictures
 from rcs.data.view.episode_data import FLAWS, curves, is_faster_than_life
+from rcs.errors import CorruptEpisode
 
 Entry = tuple[EpisodeRecord, dict[str, int], str]
-"""An episode, how many rows each of its flaws has, and why it does not read."""
+"""An episode, how many steps each of its flaws has, and why the page does not show it."""
+
+DAMAGED = "is damaged: "
+"""How the reason begins for an episode that does not read."""
 
 
-def catalogue(dataset: Dataset, entries: Sequence[Entry], clips: Sequence[str]) -> dict[str, Any]:
+def catalogue(
+    dataset: Dataset, entries: Sequence[Entry], clips: Sequence[str], *, wall_time: float | None = None
+) -> dict[str, Any]:
     """Return the facts of a dataset as JSON values.
 
     Args:
         dataset: The dataset.
         entries: The episodes of the page.
         clips: The file names of the clips, one for each of `pictures`.
+        wall_time: How long the collection took [s]; None if it is not known.
     """
     info = dataset.info
-    simple = [[key, str(value)] for key, value in info.setup.items() if isinstance(value, str | int | float | bool)]
+    simple = [
+        [key, str(_short(value))] for key, value in info.setup.items() if isinstance(value, str | int | float | bool)
+    ]
+    whole = [record for record, _, _ in entries if _about(record)]
     shown = zip(pictures(info), clips, strict=True)
     return {
         "name": dataset.path.resolve().name,
@@ -35,27 +46,67 @@ def catalogue(dataset: Dataset, entries: Sequence[Entry], clips: Sequence[str]) 
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "isFasterThanLife": is_faster_than_life(info),
         "setup": simple + [[name, version] for name, version in sorted(info.versions.items())],
-        "wholeSetup": json.dumps(info.setup, indent=2, ensure_ascii=False),
+        "wholeSetup": json.dumps(_short(info.setup), indent=2, ensure_ascii=False),
         "features": [[feature.key, _form(feature)] for feature in info.features],
-        "pictures": [{"label": _label(feature), "file": name, "unit": feature.unit} for feature, name in shown],
+        "pictures": [
+            {
+                "label": _label(feature),
+                "file": name,
+                "unit": feature.unit,
+                "aspect": feature.shape[1] / feature.shape[0],
+            }
+            for feature, name in shown
+        ],
         "curves": [curve.to_json() for curve in curves(info)],
         "flaws": list(FLAWS),
-        "counts": _counts(entries),
+        **_summary(dataset, whole, wall_time),
         "episodes": [_episode(*entry) for entry in entries],
     }
 
 
-def _counts(entries: Sequence[Entry]) -> dict[str, Any]:
-    whole = [record for record, _, damage in entries if not damage]
+def _about(record: EpisodeRecord) -> dict[str, Any]:
+    try:
+        return record.about
+    except CorruptEpisode:
+        return {}
+
+
+def _summary(dataset: Dataset, whole: Sequence[EpisodeRecord], wall_time: float | None) -> dict[str, Any]:
+    """Return how the episodes went, and how well they were recorded."""
     verdicts = Verdicts.of(record.success for record in whole)
     low, high = verdicts.interval
     rows = sum(record.length for record in whole)
-    return {"judged": verdicts.judged, "successes": verdicts.succeeded, "low": low, "high": high, "rows": rows}
+    failed = Counter(str(r.outcome.get("failure") or "not classified") for r in whole if r.success is False)
+    periods = [period for record in whole if (period := record.timing.get("period"))]
+    recording: list[list[str]] = []
+    if periods:
+        mean = sum(period["mean"] for period in periods) / len(periods)
+        longest = max(period["max"] for period in periods)
+        wanted = periods[0]["expected"]
+        if is_faster_than_life(dataset.info):
+            # A simulation that does not wait has no rate to keep: how fast it was is what there is to say.
+            times = f", {wanted / mean:.1f} times faster than life" if mean > 0 else ""
+            recording.append(["computing time per step", f"{1e3 * mean:.2f} ms{times}"])
+        else:
+            jitter = max(period["jitter_p99"] for period in periods)
+            gaps, missed = sum(p["gaps"] for p in periods), sum(p["missed_steps"] for p in periods)
+            recording.append(["mean period", f"{1e3 * mean:.2f} ms, wanted {1e3 * wanted:.2f} ms"])
+            recording.append(["jitter, worst episode's p99", f"{1e3 * jitter:.2f} ms"])
+            recording.append(["gaps", f"{gaps}, {missed} steps missed"])
+        recording.append(["longest step", f"{1e3 * longest:.2f} ms"])
+    if wall_time:
+        recording.append(["episodes per hour", f"{3600 * len(whole) / wall_time:.0f}"])
+        recording.append(["steps per second", f"{rows / wall_time:.0f}"])
+    recording.append(["recovered after a crash", str(sum(bool(r.outcome.get("recovered")) for r in whole))])
+    counts = {"judged": verdicts.judged, "successes": verdicts.succeeded, "low": low, "high": high, "rows": rows}
+    failures = [[name, f"{n}, {100 * n / verdicts.judged:.1f} %"] for name, n in failed.most_common()]
+    return {"counts": counts, "failures": failures, "recording": recording}
 
 
-def _episode(record: EpisodeRecord, flaws: dict[str, int], damage: str) -> dict[str, Any]:
-    if damage:
-        return {"id": record.id, "success": None, "rows": 0, "note": damage, "facts": [], "flaws": {}, "damaged": True}
+def _episode(record: EpisodeRecord, flaws: dict[str, int], why: str) -> dict[str, Any]:
+    if not _about(record):
+        empty = {"success": None, "rows": 0, "note": why, "instruction": "", "facts": [], "flaws": {}}
+        return {"id": record.id, "why": why, "damaged": True, **empty}
     outcome = {name: value for name, value in record.outcome.items() if value is not None}
     note = outcome.get("failure") or outcome.get("aborted") or ""
     facts = {"started": record.about.get("started"), **outcome, "content": record.content_hash[:16]}
@@ -66,9 +117,20 @@ def _episode(record: EpisodeRecord, flaws: dict[str, int], damage: str) -> dict[
         "seed": None if record.seed is None else str(record.seed),  # it may have more digits than a browser keeps
         "instruction": record.instruction,
         "note": str(note),
-        "facts": [[name, value if isinstance(value, str) else json.dumps(value)] for name, value in facts.items()],
+        "facts": [[name, v if isinstance(v, str) else json.dumps(_short(v))] for name, v in facts.items()],
         "flaws": flaws,
+        "why": why,
+        "damaged": why.startswith(DAMAGED),
     }
+
+
+def _short(value: Any) -> Any:
+    """Return JSON values with no more digits than anybody reads."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, Mapping):
+        return {name: _short(part) for name, part in value.items()}
+    return [_short(part) for part in value] if isinstance(value, list | tuple) else value
 
 
 def _label(feature: Feature) -> str:

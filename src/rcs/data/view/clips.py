@@ -20,17 +20,17 @@ from rcs.errors import CorruptEpisode, InvalidSetup
 
 Codec = Literal["h264", "vp9"]
 
-# Every tenth frame is whole, so a browser that seeks decodes ten at most, however long the clip. Clips of 224 x 224 are
-# 1.6 times as large as with the encoder's own choice of 250, and a third of those in which every frame is whole.
-_WHOLE_FRAME_EVERY = 10
 _ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
-    "h264": ("libx264", {"preset": "veryfast", "crf": "26", "bf": "0", "tune": "fastdecode"}),
-    "vp9": ("libvpx-vp9", {"deadline": "realtime", "cpu-used": "8", "crf": "34", "b": "0", "lag-in-frames": "0"}),
+    "h264": ("libx264", {"preset": "veryfast", "bf": "0", "tune": "fastdecode"}),
+    "vp9": ("libvpx-vp9", {"deadline": "realtime", "cpu-used": "8", "b": "0", "lag-in-frames": "0"}),
 }
 # Maps from pixels to numbers, such as the indentation of a gel, have at least this many rows and columns; camera
 # matrices have fewer.
 _SMALLEST_MAP = 8
 _SAMPLES = 12
+# The colours of depth follow what the camera sees: they span the frames this long before and after [s].
+_WINDOW = 0.25
+_Limits = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +46,12 @@ class ClipOptions:
     codec: Codec = "h264"
     """"h264" plays nearly everywhere; "vp9" in browsers that were built without it, and takes longer to make."""
 
+    quality: int = 26
+    """The codec's constant rate factor: lower is better and larger."""
+    whole_frame_every: int = 10
+    """A browser that seeks decodes so many frames at most. With 10, clips of 224 x 224 are 1.6 times as large as with
+    the encoder's own choice of 250, and a third of those in which every frame is whole."""
+
     def __post_init__(self) -> None:
         """Refuse what no encoder takes."""
         if self.height < 16:
@@ -60,8 +66,9 @@ class Clip:
 
     frames: int
     """Frames in the clip: as many as the episode has rows."""
-    limits: tuple[float, float] | None
-    """The values that the darkest and the lightest colour stand for; None for a picture in its own colours."""
+    limits: list[list[float]] | None
+    """The values that the darkest and the lightest colour stand for, for each frame, or once where they stay; None for
+    a picture in its own colours."""
 
 
 def pictures(info: DatasetInfo) -> list[Feature]:
@@ -85,12 +92,13 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
     import av  # half a tenth of a second to import, for those who look only
 
     limits = None if feature.shape[-1:] == (3,) and len(feature.shape) == 3 else _limits(episode, feature)
-    encoder, settings = _ENCODERS[options.codec]
+    encoder, fixed = _ENCODERS[options.codec]
+    settings = {**fixed, "crf": str(options.quality), "g": str(options.whole_frame_every)}
     rate = Fraction(episode.info.frequency).limit_denominator(1000)
     rows, columns = _size(feature, options.height)
     frames = 0
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
-        stream: Any = container.add_stream(encoder, rate=rate, options={**settings, "g": str(_WHOLE_FRAME_EVERY)})
+        stream: Any = container.add_stream(encoder, rate=rate, options=settings)
         stream.width, stream.height, stream.pix_fmt = columns, rows, "yuv420p"
         stream.thread_count = 1  # several clips are made at the same time
         for image in _images(episode, feature, limits, rows):
@@ -100,7 +108,9 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
             container.mux(stream.encode(frame))
             frames += 1
         container.mux(stream.encode())
-    return Clip(frames=frames, limits=limits)
+    return Clip(
+        frames=frames, limits=None if limits is None else [[float(f"{v:.4g}") for v in pair] for pair in limits]
+    )
 
 
 def _is_map(feature: Feature) -> bool:
@@ -114,13 +124,12 @@ def _size(feature: Feature, height: int) -> tuple[int, int]:
     return max(2, 2 * round(scale * rows / 2)), max(2, 2 * round(scale * columns / 2))
 
 
-def _images(
-    episode: EpisodeRecord, feature: Feature, limits: tuple[float, float] | None, rows: int
-) -> Iterator[NDArray[np.uint8]]:
+def _images(episode: EpisodeRecord, feature: Feature, limits: _Limits | None, rows: int) -> Iterator[NDArray[np.uint8]]:
     """Yield what a clip shows, in colour; for JPEG near the clip's size already, which is faster to decode."""
     if limits is not None:
-        for values in _values(episode, feature):
-            yield coloured(values, limits)
+        for row, values in enumerate(_values(episode, feature)):
+            low, high = limits[min(row, len(limits) - 1)]
+            yield coloured(values, (low, high))
         return
     if feature.encoding != "jpeg":
         yield from episode.frames(feature.key)
@@ -140,19 +149,45 @@ def _values(episode: EpisodeRecord, feature: Feature) -> Iterator[NDArray[Any]]:
     return episode.frames(feature.key) if feature.is_image else iter(episode.column(feature.key))
 
 
-def _limits(episode: EpisodeRecord, feature: Feature) -> tuple[float, float]:
-    """Return the values that the colours span in one episode: nearly all there are, taken from some of its images."""
-    shown = set(np.linspace(0, episode.length - 1, _SAMPLES).astype(int).tolist())
-    if feature.is_image:
-        encoded = (data for row, data in enumerate(episode.encoded_frames(feature.key)) if row in shown)
-        samples = [decode_frame(feature, data) for data in encoded]
-    else:
-        samples = list(episode.column(feature.key)[sorted(shown)])
-    values = np.concatenate([np.empty(0), *(sample.ravel()[::7].astype(np.float64) for sample in samples)])
-    values = values[np.isfinite(values)]
+def _limits(episode: EpisodeRecord, feature: Feature) -> _Limits:
+    """Return the values that the colours span, nearly all there are: shape (frames, 2) for depth, else (1, 2).
+
+    A camera in the hand sees half a metre and then a few centimetres: colours for both would show neither.
+    """
     if feature.encoding == "depth":
-        values = values[values > 0]  # 0 is no reading
+        spans = [(np.nan, np.nan)]
+        last: bytes | None = None
+        for data in episode.encoded_frames(feature.key):
+            if data is not last:
+                values = decode_frame(feature, data)[::3, ::3]
+                spans.append(_span(values[values > 0]))  # 0 is no reading
+                last = data
+            else:
+                spans.append(spans[-1])
+        reach = max(1, round(_WINDOW * episode.info.frequency))
+        return _apart(_smooth(np.array(spans[1:], np.float64).reshape(-1, 2), reach))
+    shown = np.unique(np.linspace(0, episode.length - 1, _SAMPLES).astype(int))
+    samples = episode.column(feature.key)[shown].astype(np.float64)
+    return _apart(np.nan_to_num(np.array([_span(samples[np.isfinite(samples)])])))
+
+
+def _span(values: NDArray[Any]) -> tuple[float, float]:
     if not values.size:
-        return 0.0, 1.0
+        return np.nan, np.nan
     low, high = np.percentile(values, (1, 99))
-    return float(low), float(max(high, low + 1e-6))
+    return float(low), float(high)
+
+
+def _apart(spans: _Limits) -> _Limits:
+    """Return spans whose ends differ, also in the four digits that are shown."""
+    least = np.maximum(2e-3 * np.abs(spans[:, 0]), 1e-6)
+    return np.stack([spans[:, 0], np.maximum(spans[:, 1], spans[:, 0] + least)], 1)
+
+
+def _smooth(spans: _Limits, reach: int) -> _Limits:
+    """Return for each frame the mean of the spans around it, so that colours do not flicker."""
+    kernel = np.ones(2 * reach + 1)
+    known = np.isfinite(spans).astype(np.float64)
+    sums = [np.convolve(column, kernel)[reach : reach + len(column)] for column in np.nan_to_num(spans).T]
+    counts = [np.convolve(column, kernel)[reach : reach + len(column)] for column in known.T]
+    return np.stack(sums, 1) / np.maximum(np.stack(counts, 1), 1)

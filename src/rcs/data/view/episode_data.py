@@ -30,6 +30,11 @@ _SHOWN = ("joints", "gripper", "hand", "reward")
 # What was commanded stands beside what was measured.
 _SOURCES = ("observation", "action", "executed")
 _PERIOD = "period"
+MOST_STEPS = 1 << 18
+"""Longer episodes are not shown: at 30 Hz these are two hours and a half."""
+# More numbers than these are thinned out; each takes 32 bytes in Python and ten in the page.
+_MOST_NUMBERS = 1_000_000
+_POSE_NAMES = {"tquat": "x y z qx qy qz qw", "xyzrpy": "x y z roll pitch yaw", "quaternion": "x y z w"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +50,20 @@ class Curves:
     is_shown: bool
     """Whether the page shows it without being asked."""
 
+    @property
+    def names(self) -> list[str]:
+        """What each line is: "joint 1" and so on, the axes of a pose, or numbers from 1."""
+        last = self.key.split("/")[-1]
+        names = _POSE_NAMES.get(last, "").split()
+        if len(names) == self.size:
+            return names
+        word = "joint " if last in ("joints", "joint_velocities", "hand") else ""
+        return [""] if self.size == 1 else [f"{word}{i + 1}" for i in range(self.size)]
+
     def to_json(self) -> dict[str, Any]:
         """Return what the page needs to know."""
-        return {"label": self.key.replace("/", " \N{MIDDLE DOT} "), "unit": self.unit, "size": self.size,
-                "shown": self.is_shown}  # fmt: skip
+        label = self.key.replace("/", " \N{MIDDLE DOT} ")
+        return {"label": label, "names": self.names, "unit": self.unit, "shown": self.is_shown}
 
 
 def curves(info: DatasetInfo) -> list[Curves]:
@@ -85,21 +100,25 @@ def episode_data(episode: EpisodeRecord) -> dict[str, Any]:
         episode: The episode.
 
     Returns:
-        `rows`; `curves`: for each of `curves`, for each line, a number per row or None; `marks`: where, what, and the
-        first and last row of each run; `flaws`: how many rows each kind of flaw has.
+        `rows`; `stride`: a curve has a number for every so many rows; `curves`: for each of `curves`, for each line,
+        its numbers or None; `marks`: where, what, and the first and last row of each run; `flaws`: how many rows each
+        kind of flaw has.
 
     Raises:
         CorruptEpisode: The episode is damaged.
     """
     lines: list[list[list[float | None]]] = []
-    for curve in curves(episode.info):
+    drawn = curves(episode.info)
+    stride = -(-episode.length * sum(curve.size for curve in drawn) // _MOST_NUMBERS) or 1
+    for curve in drawn:
         values = 1e3 * _periods(episode) if curve.key == _PERIOD else episode.column(curve.key)
-        table = values.reshape(episode.length, -1).astype(np.float64).T
+        table = values.reshape(episode.length, -1)[::stride].astype(np.float64).T
         lines.append([rounded(line) for line in table])
     marks = list(_marks(episode))
     flaws = {flaw: sum(len(rows) for _, kind, rows in marks if kind == flaw) for flaw in FLAWS}
     return {
         "rows": episode.length,
+        "stride": stride,
         "curves": lines,
         "marks": [{"at": at, "flaw": flaw, "runs": _runs(rows)} for at, flaw, rows in marks],
         "flaws": {flaw: count for flaw, count in flaws.items() if count},

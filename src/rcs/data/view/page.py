@@ -16,20 +16,20 @@ from rcs.data.durable import disk_errors, remove_tree
 from rcs.data.feature import Feature
 from rcs.data.json_file import parsed_json
 from rcs.data.reader import Dataset, EpisodeRecord
-from rcs.data.view.catalogue import catalogue
+from rcs.data.view.catalogue import DAMAGED, catalogue
 from rcs.data.view.choice import chosen_episodes
 from rcs.data.view.clips import ClipOptions, pictures, write_clip
-from rcs.data.view.episode_data import curves, episode_data
+from rcs.data.view.episode_data import MOST_STEPS, curves, episode_data
 from rcs.errors import CorruptEpisode, DatasetError
 
 VIEW_FOLDER = "view"
 """The page's folder in that of the dataset, where no other is given."""
 
-_WEB = Path(__file__).with_name("web")
+WEB = Path(__file__).with_name("web")
 _CATALOGUE = "dataset.js"
-_EPISODE = "episode.js"
+EPISODE_FILE = "episode.js"
 # Part of the hash that decides whether an episode must be rendered anew: count up when what is rendered changes.
-_FORMAT = 1
+_FORMAT = 2
 # The first line of an episode's file has a hash and some counts.
 _LONGEST_HEAD = 4096
 
@@ -76,30 +76,24 @@ def write_view(
     folder = dataset.path / VIEW_FOLDER if out is None else Path(out)
     options = options or ClipOptions()
     chosen = chosen_episodes(dataset, episodes)
-    tell = on_progress or (lambda _done, _total: None)
     with disk_errors("write the page", folder):
         _require_own(folder)
         (folder / "episodes").mkdir(parents=True, exist_ok=True)
         # Until all episodes are there, so that a page that was not completed is known as one.
         _put(folder / _CATALOGUE, b"rcsDataset(null);\n")
-        for source in sorted(_WEB.iterdir()):
+        for source in sorted(WEB.iterdir()):
             _put(folder / source.name, source.read_bytes())
         _sweep(folder, {episode.id for episode in chosen})
-        results: list[_Rendered] = []
-        # Decoding and encoding run without Python's lock.
-        with ThreadPoolExecutor(min(8, os.cpu_count() or 1), "view") as pool:
-            for result in pool.map(lambda episode: _render(episode, folder, options), chosen):
-                results.append(result)
-                tell(len(results), len(chosen))
-        entries = [(result.record, result.flaws, result.damage) for result in results]
+        results = render(chosen, folder / "episodes", options, on_progress)
+        entries = [(result.record, result.flaws, result.why) for result in results]
         values = catalogue(dataset, entries, [clip_name(feature) for feature in pictures(dataset.info)])
-        _put(folder / _CATALOGUE, _script("rcsDataset", values))
+        _put(folder / _CATALOGUE, script("rcsDataset", values))
         size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     return ViewReport(
         path=folder / "index.html",
         rendered=sum(result.is_new for result in results),
-        kept=sum(not (result.is_new or result.damage) for result in results),
-        damaged=sum(bool(result.damage) for result in results),
+        kept=sum(not (result.is_new or result.why) for result in results),
+        damaged=sum(result.why.startswith(DAMAGED) for result in results),
         size=size,
     )
 
@@ -112,11 +106,41 @@ def clip_name(feature: Feature) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Rendered:
+class Rendered:
+    """An episode whose files are there."""
+
     record: EpisodeRecord
+    """The episode."""
     flaws: dict[str, int]
-    damage: str = ""
+    """How many steps each kind of flaw has."""
+    why: str = ""
+    """Why the page does not show it, in words after its id; empty if it does."""
     is_new: bool = False
+    """Whether it was rendered now."""
+
+
+def render(
+    episodes: Sequence[EpisodeRecord],
+    folder: Path,
+    options: ClipOptions,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> list[Rendered]:
+    """Write the clips and curves of episodes, each into a folder of its id, unless they are there already.
+
+    Args:
+        episodes: The episodes.
+        folder: Where their folders are.
+        options: Size and codec of the clips.
+        on_progress: Called with the episodes done and all that there are.
+    """
+    results: list[Rendered] = []
+    # Decoding and encoding run without Python's lock.
+    with ThreadPoolExecutor(min(8, os.cpu_count() or 1), "view") as pool:
+        for result in pool.map(lambda episode: _render(episode, folder, options), episodes):
+            results.append(result)
+            if on_progress is not None:
+                on_progress(len(results), len(episodes))
+    return results
 
 
 def _require_own(folder: Path) -> None:
@@ -136,13 +160,15 @@ def _sweep(folder: Path, ids: set[str]) -> None:
             remove_tree(path)
 
 
-def _render(record: EpisodeRecord, folder: Path, options: ClipOptions) -> _Rendered:
-    place = folder / "episodes" / record.id
+def _render(record: EpisodeRecord, folder: Path, options: ClipOptions) -> Rendered:
+    place = folder / record.id
     try:
+        if record.length > MOST_STEPS:
+            return Rendered(record=record, flaws={}, why=f"has {record.length} steps; a page shows up to {MOST_STEPS}.")
         key = _key(record, options)
-        flaws = _flaws_of(place / _EPISODE, key)
+        flaws = _flaws_of(place / EPISODE_FILE, key)
         if flaws is not None:
-            return _Rendered(record=record, flaws=flaws)
+            return Rendered(record=record, flaws=flaws)
         # Ids do not start with a dot, so the next call takes what a kill leaves of this for rubbish.
         partial = place.with_name(f".partial-{hashlib.sha256(record.id.encode()).hexdigest()[:16]}")
         remove_tree(partial)
@@ -153,15 +179,15 @@ def _render(record: EpisodeRecord, folder: Path, options: ClipOptions) -> _Rende
             for feature in pictures(record.info)
         ]
         head = json.dumps({"key": key, "flaws": values["flaws"]})
-        body = _script("rcsEpisode", {"id": record.id, **values})
-        (partial / _EPISODE).write_bytes(f"// {head}\n".encode() + body)
+        body = script("rcsEpisode", {"id": record.id, **values})
+        (partial / EPISODE_FILE).write_bytes(f"// {head}\n".encode() + body)
         remove_tree(place)
         partial.rename(place)
-        return _Rendered(record=record, flaws=values["flaws"], is_new=True)
+        return Rendered(record=record, flaws=values["flaws"], is_new=True)
     except CorruptEpisode as err:
         remove_tree(place)
         # Where the dataset lies on this machine is nothing for a page that is passed on.
-        return _Rendered(record=record, flaws={}, damage=str(err).replace(f"{record.path}/", ""))
+        return Rendered(record=record, flaws={}, why=DAMAGED + str(err).replace(f"{record.path}/", ""))
 
 
 def _key(record: EpisodeRecord, options: ClipOptions) -> str:
@@ -193,7 +219,8 @@ def _flaws_of(path: Path, key: str) -> dict[str, int] | None:
     return flaws if head.get("key") == key and is_right else None
 
 
-def _script(function: str, values: dict[str, Any]) -> bytes:
+def script(function: str, values: dict[str, Any]) -> bytes:
+    """Return a script that calls a function with values."""
     # A page from the disk may load scripts but not read files, so the data come as a call. Pure ASCII, so no encoding
     # can be mistaken; and a script of its own, so nothing in it can end a tag.
     return f"{function}({json.dumps(values, allow_nan=False, separators=(',', ':'))});\n".encode("ascii")

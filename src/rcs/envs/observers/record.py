@@ -40,7 +40,8 @@ def record(
     """
     info = dataset_info(env, colour=colour, jpeg_quality=jpeg_quality, notes=notes)
     with DatasetWriter.open(Path(out), info, resume=True) as writer:
-        recorder = Recorder(writer, background=env.is_real)
+        ages = [port.stale_after for port in env.stack.ports if port.stale_after is not None]
+        recorder = Recorder(writer, background=env.is_real, stale_after=min(ages, default=None))
         env.add_observer(recorder)
         try:
             yield Takes(recorder, writer)

@@ -39,7 +39,7 @@ function showFacts(dataset) {
     [[robot.task, robot.robot].filter(Boolean).join(", ") || "–", "setup"],
     [dataset.episodes.length, dataset.episodes.length === 1 ? "episode" : "episodes"],
     [rate, `success, ${counts.successes} of ${counts.judged}${range}`],
-    [counts.rows.toLocaleString("en").replaceAll(",", "\u202f"), `frames at ${dataset.fps} Hz`],
+    [counts.rows.toLocaleString("en").replaceAll(",", "\u202f"), `steps at ${dataset.fps} Hz`],
     [(counts.rows / dataset.fps / 60).toFixed(1) + " min", "in all"],
   ];
   document.getElementById("counts").replaceChildren(...facts.map(([value, name]) =>
@@ -49,7 +49,9 @@ function showFacts(dataset) {
   const whole = element("details", {}, element("summary", { textContent: "All of the setup" }), element("pre", { textContent: dataset.wholeSetup }));
   const note = element("p", { className: "dim", textContent: `Page of ${dataset.made}. It is complete in itself and loads nothing from elsewhere.` });
   const speed = dataset.isFasterThanLife ? [element("p", { className: "dim", textContent: "Simulated without waiting for the clock: periods are computing times, and are not checked." })] : [];
-  about.append(element("div", { className: "tables" }, column("Setup", table(dataset.setup), whole), column(dataset.features.length + " features", table(dataset.features))), ...speed, note);
+  const features = element("details", {}, element("summary", { textContent: dataset.features.length + " features" }), table(dataset.features));
+  const failures = dataset.failures.length ? table(dataset.failures) : element("p", { className: "dim", textContent: "No episode failed." });
+  about.append(element("div", { className: "tables" }, column("Failures by class", failures), column("Recording", table(dataset.recording), ...speed), column("Setup", table(dataset.setup), whole, features)), note);
   const button = document.getElementById("about-button");
   button.addEventListener("click", () => {
     about.hidden = !about.hidden;

@@ -1,4 +1,4 @@
-// Curves over the frames of one or two episodes, on canvases that are drawn anew only when something but the time changes.
+// Curves over the steps of one or two episodes, on canvases that are drawn anew only when something but the time changes.
 "use strict";
 
 const LEFT = 46, RIGHT = 8, TOP = 6, BOTTOM = 18;
@@ -58,11 +58,11 @@ class Plot {
     this.canvas = element("canvas");
     this.area = element("div", { className: "area" }, this.canvas, this.cursor);
     const name = element("b", { textContent: curve.label + (curve.unit ? ` [${curve.unit}]` : "") });
-    this.values = Array.from({ length: curve.size }, () => element("span", { className: "value" }));
+    this.values = curve.names.map(() => element("span", { className: "value" }));
     const keys = this.values.map((text, i) => {
       const sample = element("i");
       sample.style.background = `var(--line-${i % 8})`;
-      return element("span", { className: "key" }, sample, curve.size > 1 ? i + " " : "", text);
+      return element("span", { className: "key" }, sample, curve.names[i] && curve.names[i] + " ", text);
     });
     this.figure = element("figure", { className: "plot" }, element("figcaption", {}, name, ...keys), this.area);
     this.figure.dataset.curve = curve.label;
@@ -74,10 +74,11 @@ class Plot {
     this.area.addEventListener("pointermove", (event) => { if (event.buttons & 1) at(event); });
   }
 
-  // Draw the lines of the episodes, the first one solid and the second one dashed, over `rows` frames.
+  // Draw the lines of the episodes, the first one solid and the second one dashed, over `rows` steps.
   draw(episodes, rows, fps) {
     this.rows = rows;
     this.lines = episodes.map((episode) => episode.curves[this.index]);
+    this.strides = episodes.map((episode) => episode.stride);
     const { pen, width, height } = context(this.canvas);
     this.inner = width - LEFT - RIGHT;
     let low = Infinity, high = -Infinity;
@@ -111,7 +112,7 @@ class Plot {
     pen.lineJoin = "round";
     this.lines.forEach((lines, episode) => {
       pen.setLineDash(episode ? [4, 3] : []);
-      lines.forEach((line, i) => { pen.strokeStyle = colour("line-" + (i % 8)); stroke(pen, line, x, y, rows, this.inner); });
+      lines.forEach((line, i) => { pen.strokeStyle = colour("line-" + (i % 8)); stroke(pen, line, (i) => x(i * this.strides[episode]), y, line.length, this.inner); });
     });
   }
 
@@ -119,7 +120,7 @@ class Plot {
   at(frame) {
     this.cursor.style.transform = `translateX(${LEFT + (frame / Math.max(1, this.rows - 1)) * this.inner}px)`;
     this.values.forEach((text, i) => {
-      text.textContent = this.lines.map((lines) => shortNumber(lines[i][Math.min(frame, lines[i].length - 1)])).join(" / ");
+      text.textContent = this.lines.map((lines, episode) => shortNumber(lines[i][Math.min(Math.floor(frame / this.strides[episode]), lines[i].length - 1)])).join(" / ");
     });
   }
 }

@@ -5,7 +5,7 @@ const KEPT_EPISODES = 16; // so many stay in memory: going back and forth is qui
 const state = { id: null, other: null };
 const loaded = new Map();
 const waiting = new Map();
-let dataset, list, player, plots = [], open = [], chosenCurves;
+let dataset, list, player, plots = [], open = [], chosenCurves, ranges = [];
 
 // Called by each episode's own script.
 function rcsEpisode(data) {
@@ -40,8 +40,18 @@ function addressed(id) {
   return "episodes/" + encodeURIComponent(id) + "/";
 }
 
+// What a report, which is one file, has inside of it instead of beside it.
+function inlined(field, value) {
+  return [...document.querySelectorAll(`script[data-${field}]`)].find((script) => script.dataset[field] === value)?.textContent;
+}
+
 function load(id) {
   if (loaded.has(id)) return Promise.resolve(loaded.get(id));
+  const inside = inlined("episode", id);
+  if (inside) {
+    rcsEpisode(JSON.parse(inside));
+    return Promise.resolve(loaded.get(id));
+  }
   if (!waiting.has(id)) {
     waiting.set(id, new Promise((resolve, reject) => {
       const script = element("script", { src: addressed(id) + "episode.js" });
@@ -63,14 +73,14 @@ async function show({ id = state.id, other = state.other, frame = null, isPlayed
   const entries = [id, other].filter((one) => one !== null).map((one) => dataset.episodes.find((e) => e.id === one));
   const message = document.getElementById("message");
   const stage = document.getElementById("stage");
-  const damaged = entries.find((entry) => entry.damaged);
+  const hidden = entries.find((entry) => entry.why);
   delete document.body.dataset.episode;
-  if (!entries.length || damaged) {
-    if (damaged) message.textContent = `Episode ${damaged.id} is damaged: ${damaged.note}`;
+  if (!entries.length || hidden) {
+    if (hidden) message.textContent = `Episode ${hidden.id} ${hidden.why}`;
     [message.hidden, stage.hidden] = [false, true];
     open = [];
     player.load([], 1, dataset.fps);
-    document.body.dataset.damaged = damaged ? "1" : "0";
+    document.body.dataset.damaged = hidden ? "1" : "0";
     return;
   }
   try {
@@ -99,7 +109,7 @@ function tag(number) {
 
 function showHeads(entries) {
   document.getElementById("heads").replaceChildren(...entries.map((entry, number) => {
-    const facts = [entry.seed !== null && `seed ${entry.seed}`, `${entry.rows} frames, ${seconds(entry.rows, dataset.fps)}`, entry.note];
+    const facts = [entry.seed !== null && `seed ${entry.seed}`, `${entry.rows} steps, ${seconds(entry.rows, dataset.fps)}`, entry.note];
     const head = element("div", { className: "head" }, ...(entries.length > 1 ? [tag(number)] : []),
       element("b", { textContent: entry.id }), element("span", { className: "badge " + verdict(entry), textContent: told(entry) }),
       ...facts.filter(Boolean).map((fact) => element("span", { className: "fact", textContent: fact })),
@@ -117,23 +127,47 @@ function showHeads(entries) {
 // Put up the videos and return them, each with the number of its frames.
 function showPictures(entries) {
   const videos = [];
+  ranges = [];
   const pictures = document.getElementById("pictures");
   pictures.classList.toggle("two", entries.length > 1);
   pictures.replaceChildren(...entries.map((entry, number) => element("div", { className: "pictures" }, ...dataset.pictures.map((picture, i) => {
     const video = element("video", { muted: true, playsInline: true, preload: "auto", disablePictureInPicture: true });
+    const range = element("span");
     const limits = open[number].limits[i];
-    const caption = element("figcaption", {}, ...(entries.length > 1 ? [tag(number)] : []), picture.label + (limits ? `, ${scale(limits, picture.unit)}` : ""));
-    const figure = element("figure", {}, video, caption);
+    if (limits) ranges.push((frame) => { range.textContent = scale(limits[Math.min(frame, limits.length - 1)], picture.unit); });
+    const figure = element("figure", {}, video, element("figcaption", {}, ...(entries.length > 1 ? [tag(number)] : []), picture.label, range));
+    figure.dataset.aspect = picture.aspect;
     video.dataset.picture = picture.label;
     video.addEventListener("error", () => {
       if (video.getAttribute("src")) video.replaceWith(element("p", { className: "wrong", textContent: "This browser cannot play the clip. Write the page again with --codec vp9." }));
     });
     video.addEventListener("click", () => player.toggle());
-    video.src = addressed(entry.id) + picture.file;
+    video.src = inlined("clip", `${i} ${entry.id}`) ?? addressed(entry.id) + picture.file;
     videos.push({ video, rows: entry.rows });
     return figure;
   }))));
+  arrange();
   return videos;
+}
+
+// Make the pictures of an episode as large as the width and a share of the window's height permit.
+function arrange() {
+  const gap = 10;
+  for (const box of document.querySelectorAll(".pictures")) {
+    const figures = [...box.children];
+    box.style.width = "auto";
+    const aspects = figures.map((figure) => Number(figure.dataset.aspect));
+    const most = window.innerHeight * (open.length > 1 && window.innerWidth < 1000 ? 0.36 : 0.58);
+    let [height, width] = [0, 0];
+    for (let n = figures.length; n > 0; n--) {
+      const lines = Math.ceil(figures.length / n);
+      const widest = Math.max(...Array.from({ length: lines }, (_, i) => aspects.slice(i * n, (i + 1) * n).reduce((a, b) => a + b)));
+      const fits = Math.min((box.clientWidth - gap * (n - 1) - 1) / widest, (most - gap * (lines - 1)) / lines);
+      if (fits > 1.1 * height) [height, width] = [fits, widest * fits + gap * (n - 1) + 1]; // one line, unless more are clearly larger
+    }
+    box.style.width = `${width}px`;
+    figures.forEach((figure, i) => { Object.assign(figure.style, { height: `${height}px`, width: `${height * aspects[i]}px` }); });
+  }
 }
 
 function showTimeline(rows) {
@@ -178,6 +212,7 @@ function showPlots() {
 
 function redraw() {
   if (!open.length) return;
+  arrange();
   for (const plot of plots) plot.draw(open, player.rows, dataset.fps);
   showTimeline.redraw();
   showFrame(player.frame);
@@ -187,6 +222,7 @@ function redraw() {
 function showFrame(frame) {
   if (!open.length) return;
   for (const plot of plots) plot.at(frame);
+  for (const tell of ranges) tell(frame);
   const share = frame / Math.max(1, player.rows - 1);
   const timeline = document.getElementById("timeline");
   const left = parseFloat(getComputedStyle(timeline).paddingLeft);
@@ -195,7 +231,7 @@ function showFrame(frame) {
   timeline.querySelector(".cursor").style.left = `calc(${left}px + ${share} * (100% - ${left}px))`;
   timeline.setAttribute("aria-valuemax", String(player.rows - 1));
   timeline.setAttribute("aria-valuenow", String(frame));
-  document.getElementById("clock").textContent = `frame ${frame} of ${player.rows - 1} \u00b7 ${(frame / dataset.fps).toFixed(2)} s`;
+  document.getElementById("clock").textContent = `step ${frame} of ${player.rows - 1} \u00b7 ${(frame / dataset.fps).toFixed(2)} s`;
   document.body.dataset.frame = String(frame);
   if (!player.isPlaying) remember();
 }

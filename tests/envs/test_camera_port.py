@@ -1,0 +1,151 @@
+"""Real cameras run on threads of their own: a step gets the newest frames with their ages, and learns of stalls."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.data import Dataset
+from rcs.data.flags import FrameFlag
+from rcs.devices import CameraMode
+from rcs.devices.fakes import FakeCamera
+from rcs.envs.camera_port import cropped, intrinsics_of
+from rcs.envs.observers.record import record
+from rcs.errors import DeviceFault
+from rcs.hardware import Site
+from rcs.robots.realsense_d435.description import REALSENSE_D435
+
+SIZE = (64, 48)
+
+
+def wait_for(what: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20.0
+    while not what():
+        assert time.monotonic() < end, "waited for 20 s"
+        time.sleep(0.01)
+
+
+def make(camera: FakeCamera, *, on_stale: Any = "fault", stale_after: float = 0.3, **options: Any) -> Any:
+    site = Site(
+        arms={"fr3": "fake"},
+        grippers={"fr3": "fake"},
+        cameras={"side": camera},
+        on_stale=on_stale,
+        stale_after=stale_after,
+    )
+    return rcs.make("Free", cameras=("side",), image_size=SIZE, hardware=site, frequency=100.0, **options)
+
+
+@pytest.fixture
+def camera() -> FakeCamera:
+    return FakeCamera(CameraMode(640, 480, 30.0, False), name="side")
+
+
+def stay(env: Any) -> dict[str, Any]:
+    return {"joints": np.zeros(7), "gripper": np.ones(1, np.float32)}
+
+
+def test_a_frame_that_is_seen_again_is_the_same_read_only_array(camera: FakeCamera) -> None:
+    env = make(camera)
+    observation, _ = env.reset(seed=0)
+    frames = [observation["frames"]["side"]["rgb"]]
+    for _ in range(30):
+        observation, *_, info = env.step(stay(env))
+        assert env.observation_space.contains(observation)
+        frames.append(observation["frames"]["side"]["rgb"])
+        assert 0.0 <= info["ages"]["frames/side"] < 0.3
+    assert not frames[0].flags.writeable
+    kinds = len({id(frame) for frame in frames})
+    assert 1 < kinds < len(frames), "some frames are new and some are seen again"
+    env.close()
+    assert not camera.is_open
+
+
+def test_a_camera_that_stalls_ends_the_episode(camera: FakeCamera) -> None:
+    env = make(camera, on_stale="fault")
+    env.reset(seed=0)
+    camera.freeze()
+    info: dict[str, Any] = {}
+    for _ in range(200):
+        *_, truncated, info = env.step(stay(env))
+        if truncated:
+            break
+    assert info["end"] == "fault"
+    assert "no new frame" in info["faults"]["side"]
+    with pytest.raises(DeviceFault, match="no new frame"):
+        env.reset(seed=0)
+    env.close()
+
+
+def test_a_camera_that_stalls_has_all_devices_hold_until_it_goes_on(camera: FakeCamera) -> None:
+    env = make(camera, on_stale="hold")
+    env.reset(seed=0)
+    camera.lose_link()
+    go = {"joints": np.full(7, 0.01), "gripper": np.ones(1, np.float32)}
+    wait_for(lambda: "refused" in env.step(go)[-1])
+    for _ in range(5):
+        *_, info = env.step(go)
+        assert "side" in info["refused"]
+    before = env.step(go)[0]["joints"]
+    np.testing.assert_allclose(env.step(go)[0]["joints"], before, atol=1e-9)
+    camera.restore()
+    wait_for(lambda: "refused" not in env.step(stay(env))[-1])
+    env.close()
+
+
+def test_a_camera_that_stalls_can_only_be_flagged(camera: FakeCamera, tmp_path: Path) -> None:
+    env = make(camera, on_stale="flag", stale_after=0.05)
+    with record(env, tmp_path / "takes") as takes:
+        takes.start(at_reset=True)
+        env.reset(seed=0)
+        camera.freeze()
+        wait_for(lambda: env.step(stay(env))[-1]["ages"]["frames/side"] > 0.1)
+        takes.stop(None)
+    env.close()
+    episode = Dataset.open(tmp_path / "takes").episodes[0]
+    assert FrameFlag.STALE in FrameFlag(int(episode.column("flags/frames/side")[-1]))
+    assert episode.info.origin["platform"] == {"fr3": "fake", "fr3/franka_hand": "fake", "side": "FakeCamera"}
+    assert np.isfinite(episode.column("time/joints")).all()
+
+
+def test_without_a_first_frame_nothing_stays_open(camera: FakeCamera, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs.envs.camera_port.FIRST_FRAME", 0.2)
+    camera.lose_link()
+    env = make(camera)
+    with pytest.raises(DeviceFault, match="'side' has given no frame"):
+        env.reset(seed=0)
+    assert not camera.is_open
+    assert all(port.device is None or not port.device.is_open for port in env.stack.ports)
+    env.close()
+
+
+@pytest.mark.parametrize("size", [(640, 480), (320, 240), (224, 224), (64, 48)])
+def test_cut_and_scaled_frames_have_the_matrix_of_simulated_ones(size: tuple[int, int]) -> None:
+    camera = FakeCamera(CameraMode(640, 480, 30.0, False))
+    expected = REALSENSE_D435.intrinsics(*size)
+    np.testing.assert_allclose(intrinsics_of(camera, REALSENSE_D435, size), expected, rtol=0.01)
+    rows, columns = cropped((640, 480), size)
+    assert (columns.stop - columns.start) / (rows.stop - rows.start) == pytest.approx(size[0] / size[1], rel=0.01)
+
+
+@pytest.mark.gl
+def test_matrices_are_those_of_the_simulated_cameras() -> None:
+    options: dict[str, Any] = {"cameras": ("wrist", "side"), "image_size": (320, 240)}
+    real = rcs.make("Free", hardware={"fr3": "fake", "wrist": "fake", "side": "fake"}, **options)
+    simulated = rcs.make("Free", **options)
+    assert real.observation_space == simulated.observation_space
+    measured, _ = real.reset(seed=0)
+    drawn, _ = simulated.reset(seed=0)
+    for name in options["cameras"]:
+        for key in ("intrinsics", "extrinsics"):
+            np.testing.assert_allclose(
+                measured["frames"][name][key], drawn["frames"][name][key], atol=1e-6, err_msg=f"{name} {key}"
+            )
+    real.close()
+    simulated.close()

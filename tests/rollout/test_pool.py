@@ -1,0 +1,66 @@
+"""Worker processes answer, and what goes wrong in one reaches the caller."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from rcs.errors import InvalidSetup, RcsError
+from rcs.rollout.pool import WorkerPool
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Makes a worker, at module level so that it can be sent to a process; it leaves a file when it is closed."""
+
+    folder: Path
+    fails_to_start: bool = False
+
+    def __call__(self) -> Squares:
+        if self.fails_to_start:
+            raise InvalidSetup("no such robot")
+        return self
+
+    def attempt(self, number: int) -> int:
+        if number < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number * number
+
+    def close(self) -> None:
+        (self.folder / str(os.getpid())).touch()
+
+
+def test_every_number_is_answered_and_workers_are_closed_in_the_end(tmp_path: Path) -> None:
+    with WorkerPool(Squares(tmp_path), 2) as pool:
+        assert sorted(pool.map(iter(range(9)))) == [n * n for n in range(9)]
+        pool.close()
+    assert 1 <= len(list(tmp_path.iterdir())) <= 2
+
+
+def test_numbers_are_taken_only_when_a_worker_is_free(tmp_path: Path) -> None:
+    taken: list[int] = []
+
+    def numbers() -> Iterator[int]:
+        for number in range(100):
+            taken.append(number)
+            yield number
+
+    with WorkerPool(Squares(tmp_path), 2) as pool:
+        answers = pool.map(numbers())
+        next(answers)
+        assert len(taken) == 2
+
+
+def test_a_worker_that_cannot_be_made_says_why(tmp_path: Path) -> None:
+    with WorkerPool(Squares(tmp_path, fails_to_start=True), 2) as pool, pytest.raises(InvalidSetup, match="no such"):
+        list(pool.map(iter(range(3))))
+
+
+def test_a_worker_that_dies_ends_the_work_with_an_error(tmp_path: Path) -> None:
+    with WorkerPool(Squares(tmp_path), 2) as pool, pytest.raises(RcsError, match="died"):
+        list(pool.map(iter([1, -1, 2, 3])))
