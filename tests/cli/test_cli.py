@@ -108,7 +108,18 @@ PAIRS = [(task, robot) for task, robot in ids().values() if task != "Free"]
 def test_every_task_is_collected_with_the_cameras_of_its_robots_lab(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, task: str, robot: str
 ) -> None:
-    options = ("--robot", robot, "--episodes", "1", "--workers", "1", "--size", "32", "--out", str(tmp_path / "set"))
+    options = (
+        "--robot",
+        robot,
+        "--episodes",
+        "1",
+        "--workers",
+        "1",
+        "--image-size",
+        "32",
+        "--out",
+        str(tmp_path / "set"),
+    )
     code, told = call(capsys, "collect", task, *options)
     assert code == 0, told
     dataset = Dataset.open(tmp_path / "set")
@@ -285,7 +296,7 @@ def test_a_missing_gl_library_is_told_with_its_remedy(
         (["collect", "PickCuboid", "--cameras", "wirst"], ["wirst", "Did you mean 'wrist'"]),
         (["collect", "PickCuboid", "--episodes", "-1"], ["episodes is -1"]),
         (["collect", "PickCuboid", "--workers", "-2"], ["workers is -2"]),
-        (["collect", "PickCuboid", "--size", "0"], ["size"]),
+        (["collect", "PickCuboid", "--image-size", "0"], ["image_size"]),
         (["data", "info", "nowhere"], ["nowhere"]),
     ],
 )

@@ -29,7 +29,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.gl
 def test_render_makes_a_dataset_with_frames(capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path) -> None:
-    options = ["--kind", "render", "--out", str(tmp_path / "new"), "--cameras", "wrist", "side", "--size", "32"]
+    options = ["--kind", "render", "--out", str(tmp_path / "new"), "--cameras", "wrist", "side", "--image-size", "32"]
     code, told = call(capsys, str(dataset), *options, "--workers", "1")
     assert code == 0
     assert "2 episodes drawn anew" in told
@@ -79,7 +79,7 @@ def test_json_is_json_and_nothing_else(
     ("arguments", "words"),
     [
         (["--kind", "render"], "--out"),
-        (["--quality", "full"], "--quality has no meaning for --kind check"),
+        (["--render-quality", "full"], "--render-quality has no meaning for --kind check"),
         (["--kind", "states", "--out", "x", "--control", "tquat"], "--control has no meaning for --kind states"),
         (["--kind", "render", "--out", "x", "--cameras", "wirst"], "Did you mean 'wrist'"),
         (["--kind", "states", "--out", "x", "--task", "PickCubiod"], "Did you mean 'PickCuboid'"),

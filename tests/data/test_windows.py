@@ -160,12 +160,12 @@ def test_state_action_cameras_and_episodes_can_be_chosen(dataset: Dataset) -> No
 
 
 def test_images_come_in_the_size_asked_for(dataset: Dataset) -> None:
-    small = Windows(dataset, size=(4, 6), history=2)
+    small = Windows(dataset, image_size=(6, 4), history=2)
     assert small.image_shape("wrist") == (4, 6, 3)
     assert small[3]["images"]["wrist"].shape == (2, 4, 6, 3)
     mean = Windows(dataset, history=2)[3]["images"]["wrist"].mean((1, 2, 3))
     np.testing.assert_allclose(small[3]["images"]["wrist"].mean((1, 2, 3)), mean, atol=12)
-    whole = Windows(dataset, size=(8, 12))
+    whole = Windows(dataset, image_size=(12, 8))
     np.testing.assert_array_equal(whole[3]["images"]["wrist"], Windows(dataset)[3]["images"]["wrist"])
 
 
@@ -208,7 +208,7 @@ def test_statistics_count_each_step_once(dataset: Dataset) -> None:
         ({"pad": "zero"}, "valid are repeat, drop"),
         ({"cameras": ("side",)}, "no camera side in this dataset. Known: wrist, wrist/depth"),
         ({"cameras": "wrist"}, r"cameras is 'wrist'; it must be a sequence of names"),
-        ({"cameras": ("wrist/depth",), "size": (4, 4)}, "cannot be scaled"),
+        ({"cameras": ("wrist/depth",), "image_size": (4, 4)}, "cannot be scaled"),
         ({"state": (RGB,)}, "cannot be joined"),
         ({"episodes": ()}, "Of the 0 episodes"),
         ({"horizon": 10, "pad": "drop"}, "has the 10 steps of one window; use pad='repeat'"),

@@ -130,7 +130,7 @@ def test_randomised_episodes_are_executed_in_their_own_worlds(tmp_path: Path) ->
 @pytest.mark.gl
 def test_frames_are_drawn_of_what_is_executed(dataset: Path, tmp_path: Path) -> None:
     # A camera on the wrist has a mass, so the arm moves a little differently with it.
-    run(source=dataset, out=tmp_path / "out", look=Look(cameras=("side",), size=32))
+    run(source=dataset, out=tmp_path / "out", look=Look(cameras=("side",), image_size=32))
     frames = Dataset.open(tmp_path / "out").episodes[0].column("observation/frames/side/rgb")
     assert frames.shape[1:] == (32, 32, 3)
     assert np.ptp(frames.astype(int), axis=0).max() > 50  # something moves

@@ -56,7 +56,7 @@ def assert_equal_but_for_frames(old: EpisodeRecord, new: EpisodeRecord) -> None:
     [
         {},
         {"depth": True, "camera_noise": True},
-        {"fps": 15.0},
+        {"camera_fps": 15.0},
         {"randomisation": True},
         {"render_quality": "full", "cameras": ("side",), "max_episode_steps": 2},
         {"task": "LiftBar", "robot": "dual_fr3", "cameras": ("front",)},
@@ -77,7 +77,7 @@ def test_with_nothing_changed_every_frame_has_the_same_bits(tmp_path: Path, opti
 
 def test_cameras_that_were_not_there_are_drawn_and_nothing_else_changes(tmp_path: Path) -> None:
     source = recorded(tmp_path / "source", cameras=())
-    made = run(source, tmp_path / "out", cameras=("wrist", "side"), size=SIZE, depth=True)
+    made = run(source, tmp_path / "out", cameras=("wrist", "side"), image_size=SIZE, depth=True)
     for old, new in zip(Dataset.open(source).episodes, made.episodes, strict=True):
         assert_equal_but_for_frames(old, new)
         rgb = new.column("observation/frames/wrist/rgb")
@@ -107,15 +107,15 @@ def test_dropped_cameras_leave_their_mark_on_the_scene_and_not_on_the_data(datas
 
 def test_size_and_quality_change_frames_alone(tmp_path: Path) -> None:
     source = recorded(tmp_path / "source", cameras=("side",), max_episode_steps=2)
-    made = run(source, tmp_path / "out", size=64, quality="full", camera_noise=True)
-    assert setup_of(made).quality == "full"
+    made = run(source, tmp_path / "out", image_size=64, render_quality="full", camera_noise=True)
+    assert setup_of(made).render_quality == "full"
     for old, new in zip(Dataset.open(source).episodes, made.episodes, strict=True):
         assert_equal_but_for_frames(old, new)
         assert new.column("observation/frames/side/rgb").shape[1:] == (64, 64, 3)
 
 
 def test_a_slower_camera_repeats_its_frames_and_says_so(dataset: Path, tmp_path: Path) -> None:
-    made = run(dataset, tmp_path / "out", fps=15.0)
+    made = run(dataset, tmp_path / "out", camera_fps=15.0)
     for old, new in zip(Dataset.open(dataset).episodes, made.episodes, strict=True):
         assert_equal_but_for_frames(old, new)
         flags = new.column("flags/frames/side")
@@ -150,7 +150,7 @@ def test_new_looks_keep_the_physics_that_was_drawn(tmp_path: Path) -> None:
 
 
 def test_what_was_drawn_anew_still_replays_bit_for_bit(dataset: Path, tmp_path: Path) -> None:
-    made = run(dataset, tmp_path / "out", cameras=("side",), size=32)
+    made = run(dataset, tmp_path / "out", cameras=("side",), image_size=32)
     assert setup_of(made).cameras == ("side",)
     assert physics_of(made) == setup_of(Dataset.open(dataset))
     assert all(result.is_equal for result in replay(tmp_path / "out"))
@@ -158,7 +158,7 @@ def test_what_was_drawn_anew_still_replays_bit_for_bit(dataset: Path, tmp_path: 
 
 def test_tactile_frames_stay_as_they_were_felt(tmp_path: Path) -> None:
     source = recorded(tmp_path / "source", cameras=("side",), tactile="digit", max_episode_steps=5)
-    made = run(source, tmp_path / "out", size=32)
+    made = run(source, tmp_path / "out", image_size=32)
     for old, new in zip(Dataset.open(source).episodes, made.episodes, strict=True):
         felt = [f.key for f in old.info.features if f.is_image and "side" not in f.key]
         assert felt
@@ -167,7 +167,7 @@ def test_tactile_frames_stay_as_they_were_felt(tmp_path: Path) -> None:
 
 
 def test_the_number_of_workers_changes_nothing(dataset: Path, tmp_path: Path) -> None:
-    one, two = (run(dataset, tmp_path / str(n), workers=n, size=32) for n in (1, 2))
+    one, two = (run(dataset, tmp_path / str(n), workers=n, image_size=32) for n in (1, 2))
     assert [episode.content_hash for episode in one.episodes] == [episode.content_hash for episode in two.episodes]
 
 
@@ -176,8 +176,8 @@ def test_a_folder_that_is_taken_stays_as_it_is_and_a_failure_leaves_nothing(data
     (tmp_path / "out" / "mine").write_text("mine")
     with pytest.raises(DatasetError, match="is there already"):
         run(dataset, tmp_path / "out")
-    with pytest.raises(InvalidSetup, match="size"):
-        run(dataset, tmp_path / "other", size=0)
+    with pytest.raises(InvalidSetup, match="image_size"):
+        run(dataset, tmp_path / "other", image_size=0)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
 
 
