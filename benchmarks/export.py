@@ -26,7 +26,7 @@ import rcs
 from rcs.data import Dataset
 from rcs.data.convert.lerobot import export_lerobot
 from rcs.data.convert.lerobot_layout import IMAGES
-from rcs.data.convert.options import Codec, ExportOptions
+from rcs.data.convert.options import ExportOptions, VideoCodec
 from rcs.data.convert.video import VideoReader, encode_video
 from rcs.data.trajectory import camera_features, step_frames
 from rcs.rollout.collect import Collection, Progress, collect
@@ -41,7 +41,7 @@ class Options:
 
     episodes: int = 40
     """Episodes to collect and export."""
-    codec: Codec = "h264"
+    codec: VideoCodec = "h264"
     """How videos are compressed."""
     workers: int = 1
     """Threads that encode."""

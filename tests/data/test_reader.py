@@ -58,7 +58,7 @@ def test_a_damaged_episode_does_not_keep_the_others_from_being_read(dataset: Pat
     found = Dataset.open(dataset)
     with pytest.raises(CorruptEpisode, match="damaged"):
         _ = found.episodes[0].success
-    with pytest.raises(CorruptEpisode, match=r"steps\.parquet does not read"):
+    with pytest.raises(CorruptEpisode, match=r"Cannot read .*steps\.parquet"):
         found.episodes[1].column("reward")
     assert found.episodes[2].column("reward").shape == (8,)
 
@@ -96,7 +96,7 @@ def test_a_table_of_all_episodes_has_every_value_at_its_place(dataset: Path) -> 
     assert places == [(episode.id, row) for episode in found.episodes for row in range(episode.length)]
     rewards = found.to_arrow(["reward"]).column("reward").to_pylist()
     assert [reward is None for reward in rewards] == [row == 0 for _, row in places]
-    with pytest.raises(InvalidSetup, match="images go into no table"):
+    with pytest.raises(InvalidSetup, match="image columns cannot be tabulated"):
         found.to_arrow(["observation/frames/wrist/rgb"])
 
 

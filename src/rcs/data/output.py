@@ -10,13 +10,16 @@ import fcntl
 import logging
 import os
 import secrets
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rcs.data.durable import disk_errors, remove_tree, sync_folder
 from rcs.data.lock import DatasetLock, try_lock
 from rcs.errors import DatasetError
+
+OnProgress = Callable[[int, int], object]
+"""Called with the number of episodes (of an export or import, steps) done and in all; 0 in all if that is not known."""
 
 _log = logging.getLogger(__name__)
 

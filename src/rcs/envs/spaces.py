@@ -56,6 +56,9 @@ REACH = 2.0
 FASTEST = 100.0
 """Bound on measured joint velocities [rad/s]: collisions exceed a servo's limits, but not by this much."""
 
+MINIMAL_NORM = 0.1
+"""Shorter quaternions are rejected as degenerate."""
+
 LONGEST_FOCAL_LENGTH = 1e5
 """Bound on the entries of a camera matrix [px]."""
 

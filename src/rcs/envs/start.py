@@ -16,9 +16,6 @@ from rcs.sim.robot import SimRobot
 from rcs.sim.scene import RobotPlacement
 from rcs.spatial import compose, inverse, normalize
 
-MINIMAL_NORM = 0.1
-"""A quaternion shorter than this has no direction that anybody meant."""
-
 MARGIN = 0.1
 """Tolerance of bounds for measurement errors [rad, or of 1]; a start within it is clipped."""
 
@@ -125,7 +122,7 @@ def _check_robot(robot: SimRobot, given: Any) -> dict[str, NDArray[Any]]:
 
 def _check_pose(name: str, pose: Any) -> NDArray[np.float64]:
     array = _as_array(f"The pose of {name!r}", pose)
-    if array.shape != (7,) or not np.isfinite(array).all() or np.linalg.norm(array[3:]) < MINIMAL_NORM:
+    if array.shape != (7,) or not np.isfinite(array).all() or np.linalg.norm(array[3:]) < keys.MINIMAL_NORM:
         raise InvalidSetup(
             f"The pose of {name!r} is {pose!r}; valid are 7 numbers: translation [m] and quaternion xyzw."
         )

@@ -202,7 +202,7 @@ def test_a_description_is_made_anew_from_the_rows(dataset: Path, how: str) -> No
 
 def test_simulation_states_that_are_lost_cost_no_row(dataset: Path) -> None:
     file(dataset, "sim_state.parquet").unlink()
-    assert "7 of its simulation states do not read" in only(dataset).message
+    assert "7 of its simulation states cannot be read" in only(dataset).message
     after = Dataset.open(dataset)[ID]
     assert (after.length, after.success) == (7, False)
     assert np.isnan(after.sim_state()).all()

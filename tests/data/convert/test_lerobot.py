@@ -342,7 +342,7 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(
 def test_what_is_there_is_not_overwritten(source: Dataset, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "thesis.tex").write_text("years of work")
-    with pytest.raises(DatasetError, match="there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         export_lerobot(source, tmp_path / "out")
     assert (tmp_path / "out" / "thesis.tex").read_text() == "years of work"
 

@@ -236,5 +236,5 @@ def test_formats_are_found_by_name_and_by_looks(make_dataset: Any, tmp_path: Pat
         export_format("lerobot-v4")
     with pytest.raises(UnknownName, match="auto"):
         import_format("zarr", tmp_path)
-    with pytest.raises(InvalidSetup, match="looks like none"):
+    with pytest.raises(InvalidSetup, match="Cannot recognise"):
         import_format("auto", dataset.path)

@@ -162,7 +162,7 @@ def test_episodes_and_cameras_are_chosen(dataset: Path, tmp_path: Path, examples
         (ExportOptions(cameras=("front",)), "front"),
         (ExportOptions(extra=("observation/frames/wrist/rgb",)), "cannot be extra"),
         (ExportOptions(name="pick-cuboid"), "letters, digits"),
-        (ExportOptions(name="3pick"), "letter first"),
+        (ExportOptions(name="3pick"), "first a letter"),
     ],
 )
 def test_what_makes_no_export_is_refused_and_leaves_nothing(
@@ -177,7 +177,7 @@ def test_exports_stand_side_by_side_and_none_is_written_over(dataset: Path, tmp_
     source = Dataset.open(dataset)
     export_rlds(source, tmp_path / "out", ExportOptions(name="a"))
     export_rlds(source, tmp_path / "out", ExportOptions(name="b"))
-    with pytest.raises(DatasetError, match="is there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         export_rlds(source, tmp_path / "out", ExportOptions(name="a"))
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "b"]
 

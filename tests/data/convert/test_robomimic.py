@@ -142,7 +142,7 @@ def test_what_makes_no_export_is_refused_and_leaves_nothing(
 
 def test_a_file_that_is_there_is_not_written_over(dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "out.hdf5").write_text("mine")
-    with pytest.raises(DatasetError, match="is there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         export_robomimic(Dataset.open(dataset), tmp_path / "out.hdf5")
     assert (tmp_path / "out.hdf5").read_text() == "mine"
 

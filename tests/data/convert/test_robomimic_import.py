@@ -195,7 +195,7 @@ def test_a_rate_that_the_file_does_not_have_must_be_given(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("name", "values", "error", "message"),
     [
-        ("obs/robot0_eef_pos", np.zeros((3, 3)), CorruptEpisode, "3 rows; expected are 4"),
+        ("obs/robot0_eef_pos", np.zeros((3, 3)), CorruptEpisode, "3 rows; expected 4"),
         ("obs/robot0_eef_pos", np.zeros((4, 2)), InvalidSetup, "other episodes have"),
         ("obs/robot0_eef_pos", None, InvalidSetup, "other episodes have"),
         ("actions", None, CorruptEpisode, "no actions"),
@@ -222,12 +222,12 @@ def test_what_is_no_file_of_robomimic_is_told(dataset: Path, tmp_path: Path) -> 
     with pytest.raises(InvalidSetup, match="no episodes"):
         import_robomimic(tmp_path / "empty.hdf5", tmp_path / "back")
     (tmp_path / "text.hdf5").write_text("words")
-    with pytest.raises(CorruptEpisode, match="does not read"):
+    with pytest.raises(CorruptEpisode, match="Cannot read"):
         import_robomimic(tmp_path / "text.hdf5", tmp_path / "back")
     export_robomimic(Dataset.open(dataset), tmp_path / "cut.hdf5")
     cut = (tmp_path / "cut.hdf5").read_bytes()
     (tmp_path / "cut.hdf5").write_bytes(cut[: len(cut) // 2])
-    with pytest.raises(CorruptEpisode, match="does not read"):
+    with pytest.raises(CorruptEpisode, match="Cannot read"):
         import_robomimic(tmp_path / "cut.hdf5", tmp_path / "back")
     assert not (tmp_path / "back").exists()
 
@@ -238,7 +238,7 @@ def test_progress_ends_at_the_number_of_steps_and_a_dataset_is_not_written_over(
     options = ImportOptions(on_progress=lambda done, total: calls.append((done, total)))
     import_robomimic(tmp_path / "out.hdf5", tmp_path / "back", options)
     assert calls[-1] == (18, 18) and calls == sorted(calls)
-    with pytest.raises(DatasetError, match="is there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         import_robomimic(tmp_path / "out.hdf5", tmp_path / "back")
 
 

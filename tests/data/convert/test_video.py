@@ -121,14 +121,14 @@ def test_a_missing_or_moved_frame_is_noticed(tmp_path: Path) -> None:
     encode_video(tmp_path / "v.mp4", given, given[0].shape, FPS, "h264")
     with pytest.raises(DatasetError, match="should have 6 frames"):
         check_video(tmp_path / "v.mp4", 6, FPS)
-    with pytest.raises(DatasetError, match="other times"):
+    with pytest.raises(DatasetError, match="wrong times"):
         check_video(tmp_path / "v.mp4", 5, 25)
 
 
 def test_what_is_no_video_is_told(tmp_path: Path) -> None:
     (tmp_path / "v.mp4").write_bytes(b"no video")
     for path in (tmp_path / "v.mp4", tmp_path / "none.mp4"):
-        with pytest.raises(CorruptEpisode, match="missing or no video"):
+        with pytest.raises(CorruptEpisode, match="missing or not a video"):
             VideoReader(path)
 
 

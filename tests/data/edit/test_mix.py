@@ -71,7 +71,7 @@ def test_shares_are_of_the_total(tmp_path: Path, real: Path, sim: Path) -> None:
         ([("real", 9, None)], None, "9 episodes of .*real are asked for, and it has 4"),
         ([("real", None, 0.5), ("sim", None, 0.5)], None, "total"),
         ([("real", None, 0.5), ("sim", 2, None)], 4, "every part"),
-        ([("real", 2, None)], 4, "no shares"),
+        ([("real", 2, None)], 4, "needs a share"),
         ([], None, "nothing to mix"),
     ],
 )

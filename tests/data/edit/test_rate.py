@@ -74,7 +74,7 @@ def test_a_frame_is_what_was_seen_and_a_repeat_only_where_nothing_new_came(datas
 
 @pytest.mark.parametrize("frequency", [30, 31, 0, -5])
 def test_only_a_lower_rate_is_possible(dataset: Path, frequency: float) -> None:
-    with pytest.raises(InvalidSetup, match="resampled to less"):
+    with pytest.raises(InvalidSetup, match="valid is above 0 and below"):
         edit.resample(dataset, frequency)
 
 

@@ -163,7 +163,7 @@ def test_10_a_camera_without_an_image_is_flagged_as_missing(tmp_path: Path) -> N
 def test_10_an_image_of_another_shape_is_refused_and_the_rows_before_it_stay(tmp_path: Path, background: bool) -> None:
     loop = Loop(tmp_path, background=background)
     loop.run(0, 50)
-    with pytest.raises(InvalidSetup, match=r"rgb' is \(8, 8, 3\) uint8; expected is \(48, 64, 3\)"):
+    with pytest.raises(InvalidSetup, match=r"rgb' is \(8, 8, 3\) uint8; expected \(48, 64, 3\)"):
         loop.run(50, 51, lambda now: (np.zeros((8, 8, 3), np.uint8), now))
     loop.run(50, 60)
     assert loop.finish().length == 60

@@ -15,8 +15,8 @@ from rich.text import Text
 
 from rcs.cli.console import plain_console
 from rcs.data import CheckReport, check
-from rcs.data.check.dataset import OnProgress
 from rcs.data.check.repair import RepairReport, repair
+from rcs.data.output import OnProgress
 
 # Width of a table in a file or pipe [columns]; no line is folded.
 _WIDE = 1000

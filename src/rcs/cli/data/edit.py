@@ -14,7 +14,7 @@ from rich.table import Table
 
 from rcs.cli.console import plain_console
 from rcs.data import Dataset, edit
-from rcs.data.edit.transaction import OnProgress
+from rcs.data.output import OnProgress
 from rcs.errors import InvalidSetup
 
 Which = Literal["listed", "failed", "successful", "unjudged"]

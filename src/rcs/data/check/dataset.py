@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,12 +23,10 @@ from rcs.data.check.times import check_times
 from rcs.data.head import Head
 from rcs.data.info import MERGED, DatasetInfo
 from rcs.data.layout import complete_ids, episode_folder, generation_folder
+from rcs.data.output import OnProgress
 
 if TYPE_CHECKING:
     from rcs.robots.description import ArmDescription
-
-OnProgress = Callable[[int, int], object]
-"""Called with the number of episodes done and in all."""
 
 
 def check(

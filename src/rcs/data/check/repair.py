@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from rcs.data.check.bitrot import mended_json
-from rcs.data.check.dataset import OnProgress, check
+from rcs.data.check.dataset import check
 from rcs.data.check.descriptions import check_head
 from rcs.data.check.episode_rows import EpisodeRows
 from rcs.data.check.generations import DAMAGED, REPAIR, damaged_former, former_folders
@@ -42,6 +42,7 @@ from rcs.data.layout import (
     open_folder,
 )
 from rcs.data.lock import DatasetLock
+from rcs.data.output import OnProgress
 from rcs.data.reader import EpisodeRecord
 from rcs.data.recover import recover
 from rcs.errors import CorruptEpisode, InvalidSetup

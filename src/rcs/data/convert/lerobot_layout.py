@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from rcs.data.convert.options import Codec, ExportOptions, selected_cameras
+from rcs.data.convert.options import ExportOptions, VideoCodec, selected_cameras
 from rcs.data.convert.video import pixel_format
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo
@@ -71,7 +71,7 @@ class LeRobotLayout:
 
     fps: int
     """Frames per second."""
-    codec: Codec
+    codec: VideoCodec
     """How videos are compressed."""
     columns: tuple[Column, ...]
     """Columns made of features, the state first and the action second."""

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
 from rcs.data.feature import Feature
+from rcs.data.output import OnProgress
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.errors import InvalidSetup
 
-Codec = Literal["h264", "av1"]
-OnProgress = Callable[[int, int], None]
-"""Called with the steps done and in all; the latter is 0 for imports that do not know it."""
+VideoCodec = Literal["h264", "av1"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +38,7 @@ class ExportOptions:
     """Name of the robot in the export; None for that in the setup."""
     fps: int | None = None
     """Frame rate to claim [Hz], if the format needs a whole number; None for the true one."""
-    codec: Codec = "h264"
+    codec: VideoCodec = "h264"
     """Compression of videos, in formats that have them."""
     compress: bool = True
     """Whether to compress images without loss, if the format leaves the choice: smaller, but slower to read."""
@@ -53,8 +51,8 @@ class ExportOptions:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if self.codec not in get_args(Codec):
-            raise InvalidSetup(f"The codec is {self.codec!r}; valid are {', '.join(get_args(Codec))}.")
+        if self.codec not in get_args(VideoCodec):
+            raise InvalidSetup(f"The codec is {self.codec!r}; valid are {', '.join(get_args(VideoCodec))}.")
         if self.fps is not None and self.fps < 1:
             raise InvalidSetup(f"fps is {self.fps}; it must be at least 1.")
         if self.workers < 1:

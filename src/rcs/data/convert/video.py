@@ -24,7 +24,7 @@ from av.error import FFmpegError
 from av.video.reformatter import Interpolation
 from numpy.typing import NDArray
 
-from rcs.data.convert.options import Codec
+from rcs.data.convert.options import VideoCodec
 from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
 
 _ENCODERS = {"h264": "libx264", "av1": "libsvtav1"}
@@ -44,7 +44,7 @@ _BT601, _LIMITED = 5, 1
 _ACCURATE = 0x2 | 0x40000 | 0x2000
 
 
-def pixel_format(height: int, width: int, codec: Codec) -> str:
+def pixel_format(height: int, width: int, codec: VideoCodec) -> str:
     """Return the pixel format: colour at half resolution, or at full resolution if a size is odd.
 
     Raises:
@@ -59,7 +59,9 @@ def pixel_format(height: int, width: int, codec: Codec) -> str:
     return "yuv444p" if is_odd else "yuv420p"
 
 
-def encode_video(path: Path, frames: Iterable[NDArray[Any]], shape: tuple[int, ...], fps: int, codec: Codec) -> int:
+def encode_video(
+    path: Path, frames: Iterable[NDArray[Any]], shape: tuple[int, ...], fps: int, codec: VideoCodec
+) -> int:
     """Write a video and return the number of its frames.
 
     Args:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from rcs.data.edit.episodes import require_ids
-from rcs.data.edit.transaction import OnProgress, making
+from rcs.data.edit.transaction import making
 from rcs.data.info import MERGED, DatasetInfo, differences, feature_differences, shared_setup
 from rcs.data.layout import check_name, name_of
+from rcs.data.output import OnProgress
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.errors import DatasetError, InvalidSetup
 

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from rcs.data.codec import decode_frame, encode_frame
 from rcs.data.edit.rows import rows_of
-from rcs.data.edit.transaction import OnProgress, editing
+from rcs.data.edit.transaction import editing
 from rcs.data.feature import Feature
 from rcs.data.flags import camera_of
 from rcs.data.info import DatasetInfo
+from rcs.data.output import OnProgress
 from rcs.errors import InvalidSetup
 
 _SINGLE = ("time/frames/", "flags/frames/")

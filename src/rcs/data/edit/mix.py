@@ -15,8 +15,9 @@ from rcs.data.edit.combine import own_parts, provenance, source_names
 from rcs.data.edit.images import cameras_of, renamed, resized, with_names, with_size
 from rcs.data.edit.rate import at_rate, resampled
 from rcs.data.edit.rows import rows_of
-from rcs.data.edit.transaction import OnProgress, making
+from rcs.data.edit.transaction import making
 from rcs.data.info import MERGED, DatasetInfo, feature_differences, shared_setup
+from rcs.data.output import OnProgress
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.rows import stream_schema
 from rcs.errors import DatasetError, InvalidSetup

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from rcs.data.content import flat_numbers
 from rcs.data.edit.rows import last_valid, rows_of, take_rows
-from rcs.data.edit.transaction import OnProgress, editing
+from rcs.data.edit.transaction import editing
 from rcs.data.feature import Feature
 from rcs.data.flags import FrameFlag, camera_of
 from rcs.data.info import DatasetInfo
+from rcs.data.output import OnProgress
 from rcs.errors import InvalidSetup
 from rcs.spatial import compose, normalize, tquat_to_xyzrpy, xyzrpy_to_tquat
 

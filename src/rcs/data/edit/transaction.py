@@ -38,9 +38,6 @@ from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.recover import unreachable_generations
 from rcs.errors import DatasetError, InvalidSetup
 
-OnProgress = Callable[[int, int], object]
-"""Called with the number of episodes done and of all."""
-
 
 class EpisodeFolder:
     """A folder that is being filled with complete episodes."""

@@ -8,13 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.layers.layer import Action, ActionSpaces, Layer, Where, everywhere, renew
-from rcs.envs.spaces import JOINTS, TQUAT, Observation, tquat_space
+from rcs.envs.spaces import JOINTS, MINIMAL_NORM, TQUAT, Observation, tquat_space
 from rcs.errors import InvalidAction
 from rcs.kinematics import DampedLeastSquares, IkOptions, IkStatus
 from rcs.spatial import normalize
-
-MINIMAL_NORM = 0.1
-"""A quaternion shorter than this has no direction that anybody meant."""
 
 
 class CartesianControl(Layer):
