@@ -72,7 +72,7 @@ def test_a_value_of_zero_is_not_no_value() -> None:
     one = table(1)
     other = one.set_column(0, one.schema.field(0), pa.array([[0.0, 0.0]], FEATURES[0].arrow_type))
     assert content(one) != content(other)
-    assert compare_steps(one, other) == ["observation/joints: first different in row 0"]
+    assert compare_steps(one, other) == ["observation/joints: first difference in row 0"]
 
 
 def test_a_missing_row_and_a_missing_column_are_named() -> None:

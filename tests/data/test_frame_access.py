@@ -109,7 +109,7 @@ def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
     for row in (-1, 5):
         with pytest.raises(InvalidSetup, match=f"no row {row}; valid are 0 to 4"):
             access.frame(episode, RGB, row)
-    with pytest.raises(InvalidSetup, match="no image"):
+    with pytest.raises(InvalidSetup, match="not an image"):
         access.encoded(episode, "observation/joints", [0])
 
 

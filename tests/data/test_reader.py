@@ -39,7 +39,7 @@ def test_only_the_columns_asked_for_are_read(dataset: Path) -> None:
 
 def test_what_is_no_image_has_no_frames(dataset: Path) -> None:
     episode = Dataset.open(dataset).episodes[0]
-    with pytest.raises(InvalidSetup, match="no image"):
+    with pytest.raises(InvalidSetup, match="not an image"):
         next(episode.frames("reward"))
     with pytest.raises(InvalidSetup, match="Known: observation/joints"):
         episode.column("speed")

@@ -210,7 +210,7 @@ def test_statistics_count_each_step_once(dataset: Dataset) -> None:
         ({"cameras": "wrist"}, r"cameras is 'wrist'; it must be a sequence of names"),
         ({"cameras": ("wrist/depth",), "image_size": (4, 4)}, "cannot be scaled"),
         ({"state": (RGB,)}, "cannot be joined"),
-        ({"episodes": ()}, "Of the 0 episodes"),
+        ({"episodes": ()}, "None of the 0 episodes"),
         ({"horizon": 10, "pad": "drop"}, "has the 10 steps of one window; use pad='repeat'"),
     ],
 )

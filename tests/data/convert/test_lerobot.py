@@ -272,7 +272,7 @@ def test_provenance_of_every_episode_is_kept(source: Dataset, tmp_path: Path) ->
 def test_only_successes_are_exported_where_asked(source: Dataset, tmp_path: Path) -> None:
     report = export_lerobot(source, tmp_path / "out", ExportOptions(success_only=True))
     assert (report.episodes, report.steps) == (2, 14)
-    with pytest.raises(InvalidSetup, match="none that succeeded"):
+    with pytest.raises(InvalidSetup, match="is one that succeeded"):
         export_lerobot(source, tmp_path / "none", ExportOptions(success_only=True, episodes=("take-1",)))
     assert not (tmp_path / "none").exists()
 

@@ -222,7 +222,7 @@ def test_versions_that_are_not_known_are_refused(make_dataset: Any, tmp_path: Pa
     export_lerobot(make_dataset(cameras=False), tmp_path / "lerobot")
     info = tmp_path / "lerobot" / "meta" / "info.json"
     info.write_text(info.read_text().replace("v3.0", "v1.6"))
-    with pytest.raises(DatasetError, match=r"v1\.6; readable are v2\.0"):
+    with pytest.raises(DatasetError, match=r"v1\.6; supported: v2\.0"):
         import_lerobot(tmp_path / "lerobot", tmp_path / "out")
     with pytest.raises(DatasetError, match=r"info\.json is missing"):
         import_lerobot(tmp_path, tmp_path / "out")

@@ -125,8 +125,8 @@ def test_actions_out_of_the_range_of_robomimic_are_told(dataset: Path, tmp_path:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (ExportOptions(episodes=("000001",), success_only=True), "none that succeeded"),
-        (ExportOptions(episodes=()), "none with a step"),
+        (ExportOptions(episodes=("000001",), success_only=True), "is one that succeeded"),
+        (ExportOptions(episodes=()), "is one with a step"),
         (ExportOptions(cameras=("front",)), "front"),
         (ExportOptions(state=("observation/frames/wrist/rgb",)), "cannot be joined"),
     ],

@@ -145,5 +145,5 @@ def test_a_png_is_decoded_exactly() -> None:
     encoder.width, encoder.height, encoder.pix_fmt = 30, 20, "rgb24"
     data = b"".join(bytes(p) for p in encoder.encode(av.VideoFrame.from_ndarray(given, format="rgb24")))
     np.testing.assert_array_equal(decode_image(data), given)
-    with pytest.raises(CorruptEpisode, match="no image"):
+    with pytest.raises(CorruptEpisode, match="not an image"):
         decode_image(b"no image at all")

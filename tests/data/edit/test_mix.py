@@ -68,7 +68,7 @@ def test_shares_are_of_the_total(tmp_path: Path, real: Path, sim: Path) -> None:
 @pytest.mark.parametrize(
     ("parts", "total", "message"),
     [
-        ([("real", 9, None)], None, "9 episodes of .*real are asked for, and it has 4"),
+        ([("real", 9, None)], None, "at most 4 episodes of .*real; got 9"),
         ([("real", None, 0.5), ("sim", None, 0.5)], None, "total"),
         ([("real", None, 0.5), ("sim", 2, None)], 4, "every part"),
         ([("real", 2, None)], 4, "needs a share"),
@@ -104,7 +104,7 @@ def test_other_features_are_refused_with_what_differs_or_mapped(tmp_path: Path, 
 
 def test_relative_and_absolute_actions_do_not_mix(tmp_path: Path, make_dataset: MakeDataset, sim: Path) -> None:
     other = make_dataset(tmp_path / "absolute", [4], setup={"robot": "fr3", "relative": "absolute"})
-    with pytest.raises(DatasetError, match=r"setup\.relative: to sim an action is 'last_step', to absolute 'absolute'"):
+    with pytest.raises(DatasetError, match=r"setup\.relative: actions are 'last_step' in sim and 'absolute' in absolute"):
         mix([Part(path=sim), Part(path=other)], tmp_path / "mix")
 
 
