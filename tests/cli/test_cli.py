@@ -108,19 +108,8 @@ PAIRS = [(task, robot) for task, robot in ids().values() if task != "Free"]
 def test_every_task_is_collected_with_the_cameras_of_its_robots_lab(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, task: str, robot: str
 ) -> None:
-    options = (
-        "--robot",
-        robot,
-        "--episodes",
-        "1",
-        "--workers",
-        "1",
-        "--image-size",
-        "32",
-        "--out",
-        str(tmp_path / "set"),
-    )
-    code, told = call(capsys, "collect", task, *options)
+    options = ("--robot", robot, "--episodes", "1", "--workers", "1", "--image-size", "32")
+    code, told = call(capsys, "collect", task, *options, "--out", str(tmp_path / "set"))
     assert code == 0, told
     dataset = Dataset.open(tmp_path / "set")
     assert dataset.info.setup["cameras"] == list(lab_of(robot).cameras)

@@ -93,7 +93,7 @@ def test_a_task_without_words_is_listed(monkeypatch: pytest.MonkeyPatch, capsys:
         ["collect", "[/x]", "--out", "OUT"],
         ["collect", "PickCuboid", "--out", "/dev/null/x", "--episodes", "1", "--cameras", "none"],
         ["collect", "PickCuboid", "--out", "OUT", "--camera-fps", "nan"],
-        ["collect", "PickCuboid", "--out", "OUT", "--size", "-3"],
+        ["collect", "PickCuboid", "--out", "OUT", "--image-size", "-3"],
         ["collect", "PickCuboid", "--out", "OUT", "--seed", "-1"],
     ],
 )

@@ -15,7 +15,8 @@ from rcs.envs.layers import Layer
 from rcs.errors import DeviceFault, UnknownName, WrongOrder
 from rcs.setups.ids import ids
 from rcs.testing import SafetyContract
-from rcs.testing.safety_contract import PUSH, go, joints_of, lift, stay
+from rcs.testing.acting import go, joints_of, lift, stay
+from rcs.testing.safety_contract import PUSH
 
 OPTIONS: dict[str, dict[str, Any]] = {
     **{name: {"task": task, "robot": robot} for name, (task, robot) in ids().items()},

@@ -18,15 +18,15 @@ SETUPS = st.builds(
     task=st.sampled_from(["PickCuboid", "Free"]),
     end_effector=st.none() | st.just("franka_hand"),
     cameras=st.lists(st.sampled_from(["wrist", "side"]), unique=True).map(tuple),
-    size=st.tuples(st.integers(1, 4096), st.integers(1, 4096)),
-    fps=st.none() | st.floats(1.0, 90.0) | st.integers(1, 90),
+    image_size=st.tuples(st.integers(1, 4096), st.integers(1, 4096)),
+    camera_fps=st.none() | st.floats(1.0, 90.0) | st.integers(1, 90),
     depth=st.booleans(),
-    quality=st.sampled_from(["fast", "full"]),
+    render_quality=st.sampled_from(["fast", "full"]),
     control=st.sampled_from(["joints", "tquat", "xyzrpy"]),
     relative=st.sampled_from(["last_step", "origin", "absolute"]),
     binary_gripper=st.booleans(),
     frequency=st.floats(0.1, 100.0),
-    mode=st.sampled_from(["async", "sync", "realtime"]),
+    stepping=st.sampled_from(["async", "sync", "realtime"]),
     max_episode_steps=st.none() | st.integers(1, 10**6),
     physics_step=st.floats(1e-4, 0.01),
     randomisation=st.none() | st.builds(Randomisation, friction=st.tuples(st.floats(0.1, 1.0), st.floats(1.0, 2.0))),
@@ -64,7 +64,7 @@ def test_randomisation_may_be_a_boolean_or_json(given: Any, ranges: Randomisatio
 
 
 def test_a_size_may_be_one_number() -> None:
-    assert Setup(image_size=96).size == (96, 96)  # pyright: ignore[reportArgumentType]
+    assert Setup(image_size=96).image_size == (96, 96)  # pyright: ignore[reportArgumentType]
 
 
 def test_a_camera_mode_sets_the_size() -> None:
@@ -97,22 +97,22 @@ def test_a_frame_rate_for_a_camera_that_is_not_there_is_refused() -> None:
     ("field", "value"),
     [
         *(("camera_mode", value) for value in ("large", "848", 848, (848, 480), "0x480", "9999x10")),
-        *(("fps", value) for value in (0, -30, float("nan"), float("inf"), True, "30", [30], {"wrist": 0})),
+        *(("camera_fps", value) for value in (0, -30, float("nan"), float("inf"), True, "30", [30], {"wrist": 0})),
         *(("task", value) for value in (None, 3)),
         *(("robot", value) for value in (None, ["fr3"])),
         *(("end_effector", value) for value in (3, ("franka_hand",))),
         *(("cameras", value) for value in ("wrist", ("wrist", "wrist"), (1,), 5, None)),
         *(
-            ("size", value)
+            ("image_size", value)
             for value in (0, -1, (224,), (1, 2, 3), (0, 5), (5000, 5), 2.5, (2.5, 2.5), "224", True, None)
         ),
         *(("depth", value) for value in (1, None, "yes")),
-        *(("quality", value) for value in ("best", None, True)),
+        *(("render_quality", value) for value in ("best", None, True)),
         *(("control", value) for value in ("joint", "", None, 7)),
         *(("relative", value) for value in ("last", None, 3)),
         *(("binary_gripper", value) for value in (1, None)),
         *(("frequency", value) for value in (0, -1.0, 501.0, float("nan"), float("inf"), "30", None, True)),
-        *(("mode", value) for value in ("fast", None)),
+        *(("stepping", value) for value in ("fast", None)),
         *(("max_episode_steps", value) for value in (0, -5, 2.5, "10", True)),
         *(("randomisation", value) for value in (1.0, "yes", {"friktion": (1.0, 2.0)}, {"friction": 2.0})),
         *(("physics_step", value) for value in (0, -0.001, 0.02, float("nan"), "0.002", None)),

@@ -1,7 +1,8 @@
-"""A package of someone else adds a robot by its entry points alone, and nothing of ours is touched."""
+"""A package adds robot, task, agent, layer and driver by its entry points alone, and nothing of ours is touched."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -18,10 +19,23 @@ PACKAGE = Path(__file__).parents[2] / "examples" / "06_own_robot"
 RCS = ("-c", "from rcs.cli.main import main; main()")
 
 
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+@pytest.fixture(scope="module", params=["files", pytest.param("pip", marks=pytest.mark.extras)])
+def installed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The environment of a process in which the package is installed: what an installer writes, on the path."""
     site = tmp_path_factory.mktemp("site")
+    paths = [str(site)]
+    if request.param == "pip":
+        source = shutil.copytree(PACKAGE, site / "source", ignore=shutil.ignore_patterns("__pycache__"))
+        pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(site), str(source)]
+        subprocess.run(pip, check=True, timeout=120)
+    else:
+        write_metadata(site)
+        paths.append(str(PACKAGE / "src"))
+    path = os.pathsep.join(filter(None, [*paths, os.environ.get("PYTHONPATH", "")]))
+    return {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1", "COLUMNS": "200"}
+
+
+def write_metadata(site: Path) -> None:
     project = tomllib.loads((PACKAGE / "pyproject.toml").read_text())["project"]
     info = site / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
     info.mkdir()
@@ -30,9 +44,6 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     for group, entries in project["entry-points"].items():
         lines += [f"[{group}]", *(f"{name} = {value}" for name, value in entries.items())]
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
-    paths = [str(site), str(PACKAGE / "src"), os.environ.get("PYTHONPATH", "")]
-    path = os.pathsep.join(filter(None, paths))
-    return {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1", "COLUMNS": "200"}
 
 
 def run(installed: dict[str, str], *arguments: str) -> str:
@@ -61,9 +72,10 @@ def test_the_tests_of_the_package_pass(installed: dict[str, str]) -> None:
     assert told.count("SKIPPED") == told.count("override lose_link")  # a simulated arm has no link
 
 
-def test_the_robot_is_listed_with_its_id(installed: dict[str, str]) -> None:
+def test_all_that_it_has_is_listed(installed: dict[str, str]) -> None:
     told = run(installed, *RCS, "list")
-    for text in ("My robot, 6 joints", "My robot, from its URDF", "rcs/PickCuboid-MyRobot-v0", "rcs/PickCuboid-FR3-v0"):
+    robots = ("My robot, 6 joints", "My robot, from its URDF", "rcs/PickCuboid-MyRobot-v0", "rcs/PickCuboid-FR3-v0")
+    for text in (*robots, "PushToLine", "PushExpert", "Wander", "HalfSpeed", "my_driver", "rcs/PushToLine-MyRobot-v0"):
         assert text in told
 
 
@@ -83,15 +95,47 @@ def test_what_it_collected_replays_bit_for_bit(installed: dict[str, str], tmp_pa
     assert "1 of 1 episodes bit-equal" in run(installed, *RCS, "data", "replay", str(out))
 
 
-@pytest.mark.extras
-def test_pip_installs_the_package_and_its_robot_is_there(tmp_path: Path) -> None:
-    source, site = tmp_path / "source", tmp_path / "site"
-    shutil.copytree(PACKAGE, source, ignore=shutil.ignore_patterns("__pycache__"))
-    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(site), str(source)]
-    done = subprocess.run(pip, check=False, timeout=120, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    environment = {**os.environ, "PYTHONPATH": str(site)}
+def test_its_task_is_collected_with_its_layer_and_replays_bit_for_bit(
+    installed: dict[str, str], tmp_path: Path
+) -> None:
     out = tmp_path / "dataset"
-    options = ("--robot", "my_robot", "--cameras", "none", "--episodes", "1", "--workers", "1", "--out", str(out))
-    run(environment, *RCS, "collect", "PickCuboid", *options)
-    assert Dataset.open(out).episodes[0].success
+    options = ("--robot", "my_robot", "--layers", "HalfSpeed", "--task-option", "reward=sparse", "--cameras", "none")
+    run(installed, *RCS, "collect", "PushToLine", *options, "--episodes", "2", "--workers", "2", "--out", str(out))
+    dataset = Dataset.open(out)
+    assert [episode.success for episode in dataset.episodes] == [True, True]
+    assert dataset.info.setup["layers"] == ["HalfSpeed"]
+    rewards = dataset.episodes[0].column("reward")
+    assert rewards[-1] == 1.0
+    assert not rewards[1:-1].any(), "sparse"
+    assert "2 of 2 episodes bit-equal" in run(installed, *RCS, "data", "replay", str(out))
+
+
+def test_its_agent_is_evaluated_beside_the_expert(installed: dict[str, str], tmp_path: Path) -> None:
+    options = ("--robot", "my_robot", "--episodes", "4", "--workers", "2")
+    run(installed, *RCS, "eval", "PushToLine", *options, "--out", str(tmp_path / "expert"))
+    run(installed, *RCS, "eval", "PushToLine", *options, "--agent", "Wander", "--out", str(tmp_path / "chance"))
+    expert, chance = (json.loads((tmp_path / who / "evaluation.json").read_text()) for who in ("expert", "chance"))
+    assert [result["seed"] for result in expert["results"]] == [result["seed"] for result in chance["results"]]
+    assert (expert["successes"], chance["successes"]) == (4, 0)
+    assert chance["agent"] == "Wander"
+
+
+def test_gymnasium_makes_its_task_by_id_and_its_driver_makes_it_real(installed: dict[str, str]) -> None:
+    told = run(installed, "-c", ON_THE_ROBOT)
+    assert "block" in told
+    assert "{'my_robot': 'my_driver', 'my_robot/franka_hand': 'my_driver'}" in told
+    assert "5 steps" in told
+
+
+ON_THE_ROBOT = """
+import gymnasium
+import rcs
+from rcs.agents import agent_for
+from rcs.rollout.episode import run_episode
+env = gymnasium.make("rcs/PushToLine-MyRobot-v0")
+print(env.reset(seed=0)[1].keys())
+env = rcs.make("PushToLine", robot="my_robot", hardware="my_driver:192.0.2.7", layers=["HalfSpeed"])
+print(env.platform)
+print(run_episode(env, agent_for(env, "Wander"), max_steps=5).steps, "steps")
+env.close()
+"""

@@ -27,7 +27,7 @@ if not source.exists():
     try:
         rcs(
             f"collect PickCuboid --robot fr3 --episodes 3 --out {source} --seed 5 --workers 1 "
-            "--cameras wrist side --size 96 --depth".split()
+            "--cameras wrist side --image-size 96 --depth".split()
         )
     except SystemExit as stopped:
         if stopped.code:

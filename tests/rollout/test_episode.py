@@ -1,11 +1,16 @@
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import rcs
 from rcs.agents import Agent
+from rcs.data import Dataset, DatasetWriter
+from rcs.envs.observers.recorder import Recorder, dataset_info
+from rcs.errors import InvalidSetup
 from rcs.rollout.episode import run_episode
 
 
@@ -16,6 +21,7 @@ class Wait(Agent):
         self._env = env
         self._has_fault = has_fault
         self._steps = 0
+        self._rest = 0.0 if env.setup.relative == "last_step" else env.robots["fr3"].arm.home
 
     def reset(self, observation: Any, info: Any) -> None:
         self._steps = 0
@@ -25,7 +31,7 @@ class Wait(Agent):
         if self._has_fault and self._steps == 3:
             self._env.stack.faults = lambda: {"arm": "touched something"}
         action = self._env.action_space.sample()
-        action["joints"][:] = 0.0
+        action["joints"][:] = self._rest
         return action
 
 
@@ -46,3 +52,89 @@ def test_an_episode_that_a_fault_ends_is_not_judged(task: str) -> None:
     env = rcs.make(task)
     result = run_episode(env, Wait(env, has_fault=True), seed=0)
     assert (result.success, result.failure, result.steps) == (None, "fault", 3)
+
+
+class Slow(Wait):
+    """Decides at 10 Hz, and notes how often it did."""
+
+    rate = 10.0
+
+    def notes(self) -> Any:
+        return {"decision": self._steps}
+
+
+def recorded(env: Any, agent: Agent, out: Path, **options: Any) -> Any:
+    """Return the recorded rows of an episode."""
+    with DatasetWriter.open(out, dataset_info(env, notes=["decision"])) as writer:
+        recorder = Recorder(writer)
+        env.add_observer(recorder)
+        recorder.name_next("000000")
+        run_episode(env, agent, seed=0, **options)
+        recorder.finish(None)
+    return Dataset.open(out)["000000"]
+
+
+def test_the_action_of_a_slow_agent_is_repeated_and_its_notes_are_recorded_where_it_decided(tmp_path: Path) -> None:
+    env = rcs.make("Free", frequency=30.0, relative=False, max_episode_steps=7)
+    episode = recorded(env, Slow(env), tmp_path / "set")
+    nan = np.nan
+    np.testing.assert_array_equal(episode.column("notes/decision"), [nan, 1, nan, nan, 2, nan, nan, 3])
+    actions = episode.column("action/gripper")[1:, 0]
+    assert (actions[0:3] == actions[0]).all()
+    assert (actions[3:6] == actions[3]).all()
+    assert actions[0] != actions[3]
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [({"frequency": 25.0, "relative": False}, "must be a multiple"), ({"frequency": 30.0}, "would add up")],
+)
+def test_a_rate_that_does_not_fit_the_environment_is_refused(options: dict[str, Any], text: str) -> None:
+    env = rcs.make("Free", **options)
+    with pytest.raises(InvalidSetup, match=text):
+        run_episode(env, Slow(env))
+
+
+def test_a_judge_sees_the_last_observation_and_takes_the_place_of_the_task() -> None:
+    env = rcs.make("PickCuboid", max_episode_steps=3)
+    seen: list[float] = []
+
+    def judge(observation: Any, info: Any) -> bool:
+        seen.append(info["time"])
+        return True
+
+    result = run_episode(env, Wait(env), seed=0, judge=judge)
+    assert (result.success, result.failure) == (True, None)
+    assert seen == [pytest.approx(0.1, abs=2e-3)]
+    assert run_episode(env, Wait(env), seed=0, judge=lambda observation, info: None).success is None
+
+
+def test_most_steps_and_options_are_kept_and_every_step_is_told() -> None:
+    env = rcs.make("PickCuboid", max_episode_steps=None)
+    told: list[int] = []
+    joints = np.array(env.robots["fr3"].arm.home) + 0.1
+    start = {"robot": {"joints": joints}}
+    result = run_episode(env, Wait(env), seed=0, options=start, max_steps=4, on_step=lambda: told.append(len(told)))
+    assert result.steps == 4
+    assert len(told) == 5, "after the reset, too"
+    with pytest.raises(InvalidSetup, match="max_steps is 0"):
+        run_episode(env, Wait(env), max_steps=0)
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_all_devices_hold_when_the_agent_breaks_the_episode_off(error: type[BaseException]) -> None:
+    class Fails(Wait):
+        def act(self, observation: Any, info: Any) -> Any:
+            action = super().act(observation, info)
+            action["joints"][0] += 0.5
+            if self._steps == 2:
+                raise error("the policy server is gone")
+            return action
+
+    env = rcs.make("Free", relative=False)
+    with pytest.raises(error):
+        run_episode(env, Fails(env))
+    data = env.scenario.world.data
+    assert data is not None
+    np.testing.assert_allclose(data.ctrl[:7], data.qpos[:7], atol=1e-9)  # and not on the way to the last target
+    env.close()

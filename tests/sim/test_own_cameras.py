@@ -97,7 +97,7 @@ def _shifted(spec: mujoco.MjSpec) -> None:
 
 @pytest.mark.gl
 def test_its_frames_are_those_that_mujocos_camera_in_the_file_draws() -> None:
-    parts = parts_with(add_cameras, "eye", "beside", size=(64, 48), depth=True)
+    parts = parts_with(add_cameras, "eye", "beside", image_size=(64, 48), depth=True)
     env = assemble(parts)
     observation, _ = env.reset(seed=0)
     world = env.scenario.world

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from my_robot.description import MY_ROBOT
+from my_robot.driver import MyDriver
 from my_robot.from_urdf import MY_ROBOT_URDF
 from numpy.typing import NDArray
 
@@ -100,6 +101,32 @@ def test_the_scripted_expert_picks_the_cuboid(robot: str) -> None:
     expert = agent_for(env)
     assert sum(run_episode(env, expert, seed=seed).success is True for seed in range(10)) >= 9
     env.close()
+
+
+def test_the_expert_of_our_task_pushes_the_block() -> None:
+    """From everywhere where it may lie."""
+    env = rcs.make("PushToLine", robot="my_robot")
+    expert = agent_for(env)
+    assert all(run_episode(env, expert, seed=seed).success for seed in range(10))
+    env.close()
+
+
+class TestOurTask(EnvContract):
+    """One copy and many have the same bits, among others."""
+
+    longest_episode = 6
+
+    def make_env(self) -> Any:
+        """Return an environment with short episodes."""
+        return rcs.make("PushToLine", robot="my_robot", layers=["HalfSpeed"], max_episode_steps=6)
+
+
+class TestTheArmOfOurDriver(ArmContract):
+    """What our driver makes of an address."""
+
+    def make_arm(self) -> Arm:
+        """Return the arm."""
+        return MyDriver().arm("192.0.2.7", MY_ROBOT, {})
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

@@ -31,9 +31,8 @@ def summary(reference: str) -> str:
     It is read from the source, since an import might import the simulator. Empty without a docstring.
     """
     place, _, name = reference.partition(":")
-    spec = find_spec(place)
-    source = Path(spec.origin) if spec is not None and spec.origin is not None else Path()
-    if source.suffix == ".py":
+    source = _source(place)
+    if source is not None:
         tree = ast.parse(source.read_bytes())
         node = next((node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name), tree)
         text = ast.get_docstring(node)
@@ -41,6 +40,18 @@ def summary(reference: str) -> str:
         text = load(reference).__doc__
     words = " ".join((text or "").strip().partition("\n\n")[0].split())
     return re.split(r"(?<=\.) ", words)[0]
+
+
+def _source(module: str) -> Path | None:
+    """Return the file of a module; its package is not imported either. None where it cannot be told."""
+    top, *rest = module.split(".")
+    spec = find_spec(top)
+    if spec is None or not rest:
+        origin = None if spec is None else spec.origin
+        return Path(origin) if origin is not None and origin.endswith(".py") else None
+    places = [Path(folder, *rest) for folder in spec.submodule_search_locations or ()]
+    files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
+    return next((file for file in files if file.is_file()), None)
 
 
 def overview(program: str, table: Table, more: str = "") -> str:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rcs.envs.clock import Clock
 from rcs.envs.draws import SEED_LIMIT, check_seed
 from rcs.envs.engine import DIVERGED, FAULT, Engine
+from rcs.envs.html import to_html
 from rcs.envs.limits import Limits, limits_of
 from rcs.envs.observers import Observer
 from rcs.envs.scenario import Scenario
@@ -302,3 +303,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         """Return the environment, its task and its stack, part by part."""
         task = [f"  {self.scenario}"] if self.is_simulated else []
         return "\n".join([self._title, *task, str(self.stack)])
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: setup, stack and a picture of the present state."""
+        return to_html(str(self), self._setup, self._engine.scenario)

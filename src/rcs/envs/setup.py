@@ -62,6 +62,8 @@ class Setup:
     """Reference of an arm's action: the last target, an origin set by the user, or none."""
     binary_gripper: bool = True
     """Whether the gripper only opens and closes fully."""
+    layers: tuple[str, ...] = ()
+    """Names of more layers on top, or `module:Class`, from the lowest to the highest; each robot has its own."""
     frequency: float = 30.0
     """Control steps per second [Hz]."""
     stepping: Stepping = "async"
@@ -97,7 +99,8 @@ class Setup:
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; valid: True, False.")
         object.__setattr__(self, "task_options", _task_options(self.task_options))
         object.__setattr__(self, "randomisation", _ranges(self.randomisation))
-        object.__setattr__(self, "cameras", _names("cameras", self.cameras))
+        for name in ("cameras", "layers"):
+            object.__setattr__(self, name, _names(name, getattr(self, name)))
         object.__setattr__(self, "image_size", _size_of_mode(self.camera_mode, _size(self.image_size), self.cameras))
         object.__setattr__(self, "camera_fps", _frame_rates(self.camera_fps, self.cameras))
         relative: Any = self.relative

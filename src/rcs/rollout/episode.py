@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from rcs.agents import Agent
 from rcs.envs.engine import DIVERGED, FAULT
 from rcs.envs.env import Env
@@ -49,45 +51,53 @@ def run_episode(
 ) -> EpisodeResult:
     """Run one episode.
 
+    When the agent, or Ctrl-C, breaks it off, all devices hold.
+
     Args:
         env: The environment.
-        agent: The agent. If it decides at a lower rate than the environment, its last action is repeated.
+        agent: Acts in it. One that decides at a lower rate than the environment has its last action repeated; what it
+            notes is given to observers with the steps in which it decided.
         seed: Of the reset.
         options: Of the reset.
-        judge: Judges the episode instead of the task.
+        judge: Says whether the task was done, in the place of the task; not asked after a fault.
         on_step: Called after the reset and after every step.
         max_steps: Most steps of the episode, besides the environment's limit; None for no limit.
 
     Raises:
-        InvalidSetup: The agent's rate does not divide the environment's, or its repeated actions would add up.
+        InvalidSetup: The agent's rate does not divide the environment's, its repeated actions would add up, or
+            `max_steps` is below 1.
     """
+    if max_steps is not None and max_steps < 1:
+        raise InvalidSetup(f"max_steps is {max_steps!r}; valid is a whole number from 1, or None.")
     every = _steps_per_decision(env, agent)
     observation, info = env.reset(seed=seed, options=options)
-    agent.reset(observation, info)
-    steps, total = 0, 0.0
-    was_touched_early = False
+    steps, total, was_touched_early, is_over = 0, 0.0, False, False
     action: dict[str, Any] = {}
-    is_over = False
-    while not is_over:
+    try:
+        agent.reset(observation, info)
+        while not is_over:
+            if on_step is not None:
+                on_step()
+            if steps % every == 0:
+                action = agent.act(observation, info)
+                env.note(**agent.notes())
+            observation, reward, terminated, truncated, info = env.step(action)
+            steps += 1
+            total += float(reward)
+            was_touched_early |= bool(info.get("is_touched", False)) and _is_open(action)
+            is_over = terminated or truncated or steps == max_steps
         if on_step is not None:
             on_step()
-        if steps % every == 0:
-            action = agent.act(observation, info)
-            env.note(**agent.notes())
-        observation, reward, terminated, truncated, info = env.step(action)
-        steps += 1
-        total += float(reward)
-        was_touched_early |= bool(info.get("is_touched", False)) and _is_open(action)
-        is_over = terminated or truncated or steps == max_steps
-    if on_step is not None:
-        on_step()
+    except BaseException:
+        env.hold()  # what was commanded last must not go on without anybody who looks
+        raise
     if info["end"] == FAULT:
         return EpisodeResult(seed=seed, steps=steps, success=None, failure=FAULT, reward=total)
     if info["end"] == DIVERGED:
         return EpisodeResult(seed=seed, steps=steps, success=False, failure=DIVERGED, reward=total)
     told = info.get("success")
     success = judge(observation, info) if judge is not None else None if told is None else bool(told)
-    failure = agent.failure or ("collision" if was_touched_early else "timeout") if success is False else None
+    failure = (agent.failure or ("collision" if was_touched_early else "timeout")) if success is False else None
     return EpisodeResult(seed=seed, steps=steps, success=success, failure=failure, reward=total)
 
 
@@ -119,4 +129,4 @@ def _steps_per_decision(env: Env, agent: Agent) -> int:
 def _is_open(action: Mapping[str, Any]) -> bool:
     """Return whether the gripper was commanded to be open, so that touching something is a collision."""
     parts = list(action.values()) if all(isinstance(value, Mapping) for value in action.values()) else [action]
-    return all("gripper" in part and float(part["gripper"][0]) >= OPEN for part in parts)
+    return all("gripper" in part and float(np.min(part["gripper"])) >= OPEN for part in parts)

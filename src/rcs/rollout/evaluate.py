@@ -5,19 +5,22 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from rcs.agents import Agent, agent_for
 from rcs.data.verdicts import wilson_interval
+from rcs.devices import lookup
 from rcs.envs.env import Env
+from rcs.envs.observers.recorder import versions
 from rcs.envs.setup import Setup
+from rcs.envs.stack import for_all
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Attempt, seed_of
 from rcs.rollout.episode import EpisodeResult, Judge, run_episode
 from rcs.rollout.pool import WorkerPool
-from rcs.rollout.video import Video
+from rcs.rollout.video import Film
 from rcs.setups.make import make
 
 
@@ -27,16 +30,16 @@ class Evaluation:
 
     setup: Setup
     agent: Any = None
-    """An agent's class or name, `module:Class`; None for the expert of the task."""
+    """An agent's class or name, `module:Class`; None for the expert of the task. In one process also an agent."""
     episodes: int = 50
     seed: int = 0
     """Same seed, same episodes; different seeds share none."""
     workers: int = 1
     """Processes; one works in this process."""
-    videos: Path | None = None
-    """Folder for the videos of the first episodes; None for no videos."""
-    video_episodes: int = 10
-    """Number of episodes with a video."""
+    videos: int = 0
+    """How many of the first episodes have a video, `<number>.mp4`."""
+    out: Path = Path("evaluation")
+    """Folder for videos and figures."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -44,17 +47,31 @@ class Evaluation:
         Raises:
             InvalidSetup: A number is not valid.
         """
-        for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("video_episodes", 0)):
+        for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0)):
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least}.")
 
+    @property
+    def agent_name(self) -> str | None:
+        """Name of the agent; None for the expert of the task."""
+        agent = type(self.agent) if isinstance(self.agent, Agent) else self.agent
+        return None if agent is None else lookup.name_of("agent", agent)
+
 
 @dataclass(kw_only=True)
 class Summary:
-    """The results of an evaluation."""
+    """How the attempts of an evaluation, or of a collection, went."""
 
-    results: list[EpisodeResult] = field(default_factory=list[EpisodeResult])
+    attempts: list[Attempt] = field(default_factory=list[Attempt])
+    """In the order in which they ended."""
+    is_interrupted: bool = False
+    """Set it to end the evaluation after the episodes at work."""
+
+    @property
+    def results(self) -> list[EpisodeResult]:
+        """The results, in the order of the attempts' numbers."""
+        return [attempt.result for attempt in sorted(self.attempts, key=lambda attempt: attempt.number)]
 
     @property
     def judged(self) -> int:
@@ -68,70 +85,67 @@ class Summary:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The 95 % Wilson interval of the success rate, 0 … 1."""
+        """The 95 % Wilson interval of the success rate, 0 … 1; all of it where nothing was judged."""
         return wilson_interval(self.successes, self.judged)
 
     @property
     def failures(self) -> Counter[str]:
-        """Number of failures by class."""
-        return Counter(str(result.failure) for result in self.results if not result.success)
+        """Classes of failures and how often each came."""
+        return Counter(result.failure for result in self.results if result.failure is not None)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures as JSON values."""
-        low, high = self.interval
+        """Return the figures as JSON values: of all, and of each episode."""
         return {
             "episodes": len(self.results),
             "judged": self.judged,
             "successes": self.successes,
             "success_rate": self.successes / self.judged if self.judged else None,
-            "wilson_95": [low, high],
-            "failures": dict(self.failures),
+            "wilson_95": list(self.interval),
+            "failures": dict(sorted(self.failures.items())),
             "mean_steps": sum(result.steps for result in self.results) / max(len(self.results), 1),
+            "results": [asdict(result) for result in self.results],
         }
 
-    def write(self, path: Path, evaluation: Evaluation) -> None:
-        """Write the evaluation and its figures to a JSON file."""
-        agent = evaluation.agent if isinstance(evaluation.agent, str | None) else evaluation.agent.__qualname__
-        about = {"setup": evaluation.setup.to_json(), "agent": agent, "seed": evaluation.seed}
-        path.write_text(json.dumps({**about, **self.to_json()}, indent=2) + "\n", "utf-8")
+    def write(self, evaluation: Evaluation) -> Path:
+        """Write what was evaluated and the figures to `evaluation.json` in its folder, and return the file's path."""
+        about = {"setup": evaluation.setup.to_json(), "agent": evaluation.agent_name, "seed": evaluation.seed}
+        path = evaluation.out / "evaluation.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps({**about, **self.to_json(), "versions": versions()}, indent=2) + "\n", "utf-8")
+        return path
 
 
 class Evaluator:
     """Runs episodes: one process of an evaluation."""
 
     def __init__(self, evaluation: Evaluation, env: Env | None = None, judge: Judge | None = None) -> None:
-        """Make the environment and the agent."""
+        """Make the environment and the agent.
+
+        Raises:
+            InvalidSetup: The setup makes no sense, there is no such agent, or no picture for a video.
+        """
         self._evaluation = evaluation
-        has_videos = evaluation.videos is not None and evaluation.video_episodes > 0
-        self._env = env or make(evaluation.setup, render_mode="rgb_array" if has_videos else None)
-        self._agent: Agent = agent_for(self._env, evaluation.agent)
         self._judge = judge
+        self._env = env or make(evaluation.setup)
+        try:
+            self._film = Film(self._env) if evaluation.videos else None
+            self._agent: Agent = agent_for(self._env, evaluation.agent)
+        except BaseException:
+            self._env.close()
+            raise
 
     def attempt(self, number: int) -> Attempt:
         """Run one episode."""
-        evaluation = self._evaluation
-        video: Video | None = None
-        if evaluation.videos is not None and number < evaluation.video_episodes:
-            video = Video(evaluation.videos / f"{number:06d}.mp4", rate=self._env.frequency)
-        try:
-            result = run_episode(
-                self._env,
-                self._agent,
-                seed=seed_of(evaluation.seed, number),
-                judge=self._judge,
-                on_step=None if video is None else lambda: video.add(self._env.render()),
-            )
-        finally:
-            if video is not None:
-                video.close()
-        return Attempt(number=number, result=result)
+        evaluation, film = self._evaluation, self._film
+        seed = seed_of(evaluation.seed, number)
+        if film is None or number >= evaluation.videos:
+            return Attempt(number=number, result=run_episode(self._env, self._agent, seed=seed, judge=self._judge))
+        with film.into(evaluation.out / f"{number:06d}.mp4"):
+            return Attempt(number=number, result=run_episode(self._env, self._agent, seed=seed, judge=self._judge))
 
     def close(self) -> None:
-        """Close agent and environment."""
-        try:
-            self._agent.close()
-        finally:
-            self._env.close()
+        """Close agent, film and environment, whatever fails."""
+        for_all([self._agent.close, *([] if self._film is None else [self._film.close]), self._env.close])
 
 
 @dataclass(frozen=True)
@@ -147,29 +161,39 @@ class _Work:
 def evaluate(
     evaluation: Evaluation, summary: Summary | None = None, *, env: Env | None = None, judge: Judge | None = None
 ) -> Iterator[Attempt]:
-    """Run the episodes and yield each as it ends; `summary` is updated.
+    """Run the episodes and yield each as it ends.
+
+    Closing the iterator, or setting `summary.is_interrupted`, ends the evaluation after the episodes at work.
 
     Args:
         evaluation: What to evaluate.
-        summary: Takes the results.
-        env: An environment to use in this process; None for a new one. It is closed at the end.
-        judge: Judges episodes instead of the task; only in this process.
+        summary: Takes the attempts.
+        env: An environment of the evaluation's setup, simulated or real, to use in this process; made when not given.
+            It is closed in the end.
+        judge: Says whether an episode was a success, in the place of the task; all episodes are then in this process.
 
     Raises:
-        InvalidSetup: The setup is not valid, or there is no agent for the task.
+        InvalidSetup: The setup makes no sense, there is no such agent, or videos are asked of real devices alone.
     """
     summary = Summary() if summary is None else summary
+    numbers = _numbers(evaluation, summary)
     if evaluation.workers == 1 or env is not None or judge is not None:
         evaluator = Evaluator(evaluation, env, judge)
         try:
-            for number in range(evaluation.episodes):
-                attempt = evaluator.attempt(number)
-                summary.results.append(attempt.result)
-                yield attempt
+            for number in numbers:
+                summary.attempts.append(evaluator.attempt(number))
+                yield summary.attempts[-1]
         finally:
             evaluator.close()
         return
     with WorkerPool(_Work(evaluation), evaluation.workers) as pool:
-        for attempt in pool.map(iter(range(evaluation.episodes))):
-            summary.results.append(attempt.result)
+        for attempt in pool.map(numbers):
+            summary.attempts.append(attempt)
             yield attempt
+
+
+def _numbers(evaluation: Evaluation, summary: Summary) -> Iterator[int]:
+    for number in range(evaluation.episodes):
+        if summary.is_interrupted:
+            return
+        yield number

@@ -1,46 +1,124 @@
-"""Writes pictures as an H.264 video for browsers and players."""
+"""Videos of environments, as H.264 that browsers and players show; nothing has to be installed for them."""
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
 from numpy.typing import NDArray
+
+from rcs.envs.env import Env
+from rcs.envs.observers import Observer, Transition
+from rcs.errors import InvalidSetup
+from rcs.sim.camera import Quality
+from rcs.sim.picture import Picture
 
 
 class Video:
     """Writes a video file, one picture at a time."""
 
     def __init__(self, path: str | Path, *, rate: float) -> None:
-        """Begin a file.
+        """Prepare a file, which the first picture begins.
 
         Args:
             path: Path of the file, `.mp4`; its folder is created.
             rate: Pictures per second.
         """
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._container = av.open(str(path), "w")
-        self._stream = self._container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1000))
-        self._stream.pix_fmt = "yuv420p"
-        self._stream.options = {"crf": "23", "preset": "veryfast"}
-        self._is_open = True
-        self._has_size = False
+        self._path = Path(path)
+        self._rate = Fraction(rate).limit_denominator(1000)
+        self._container: Any = None
+        self._stream: Any = None
 
     def add(self, picture: NDArray[np.uint8]) -> None:
         """Add a picture (H, W, 3), rows from the top; an odd edge loses a pixel."""
         height, width = (edge - edge % 2 for edge in picture.shape[:2])
-        if not self._has_size:
-            self._stream.width, self._stream.height = width, height
-            self._has_size = True
+        if self._container is None:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._container = av.open(str(self._path), "w")
+            self._stream = self._container.add_stream("libx264", rate=self._rate, width=width, height=height)
+            self._stream.pix_fmt = "yuv420p"
+            self._stream.options = {"crf": "23", "preset": "veryfast"}
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture[:height, :width]), format="rgb24")
         self._container.mux(self._stream.encode(frame))
 
     def close(self) -> None:
-        """Finish the file. Closing twice is harmless."""
-        if self._is_open:
-            self._is_open = False
+        """Finish the file; without a picture there is none. Closing twice is harmless."""
+        if self._container is not None:
             self._container.mux(self._stream.encode(None))
             self._container.close()
+            self._container = None
+
+
+class Film(Observer):
+    """Draws every reset and step of a simulated environment, from the overview camera, into video files."""
+
+    def __init__(self, env: Env, *, size: tuple[int, int] = (640, 480), quality: Quality = "fast") -> None:
+        """Look at an environment; nothing is drawn outside of `into`.
+
+        Args:
+            env: The environment; it needs no `render_mode`.
+            size: Width and height [px].
+            quality: How much a picture may cost.
+
+        Raises:
+            InvalidSetup: The environment is real devices alone.
+        """
+        if not env.is_simulated:
+            raise InvalidSetup("Real devices have no picture to film; record them, and `rcs data view` shows frames.")
+        self._env = env
+        self._picture = Picture(env.scenario.world, size=size, quality=quality)
+        self._video: Video | None = None
+
+    @contextmanager
+    def into(self, path: str | Path) -> Generator[None]:
+        """Film what happens in the block into a file, `.mp4`, at the speed at which it happens."""
+        self._video = Video(path, rate=self._env.frequency)
+        self._env.add_observer(self)
+        try:
+            yield
+        finally:
+            self._env.remove_observer(self)
+            self._video.close()
+            self._video = None
+
+    def on_reset(self, first: Transition, seed: int | None) -> None:
+        """Draw the start."""
+        self._draw()
+
+    def on_step(self, transition: Transition) -> None:
+        """Draw what the step led to."""
+        self._draw()
+
+    def _draw(self) -> None:
+        if self._video is not None:
+            self._video.add(self._picture.draw())
+
+    def close(self) -> None:
+        """Free the renderer. Closing twice is harmless."""
+        self._picture.close()
+
+
+@contextmanager
+def film(
+    env: Env, path: str | Path, *, size: tuple[int, int] = (640, 480), quality: Quality = "fast"
+) -> Generator[None]:
+    """Film what happens in a block into a file; arguments as those of `Film`.
+
+    Example:
+        >>> import rcs
+        >>> from rcs.rollout.video import film
+        >>> env = rcs.make("PickCuboid")
+        >>> with film(env, "start.mp4"):
+        ...     observation, info = env.reset(seed=0)
+    """
+    made = Film(env, size=size, quality=quality)
+    try:
+        with made.into(path):
+            yield
+    finally:
+        made.close()

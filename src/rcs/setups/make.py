@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal, Unpack
 
@@ -60,7 +61,8 @@ def make(
             effectors, or a mapping from names of robots and cameras to addresses or devices. All else is simulated, in
             real time and in one world. None for simulation alone.
         layers: Your own layers on top of those of the setup, from the lowest to the highest, as objects, classes or
-            names; of several robots, a sequence per robot by name.
+            names; of several robots, a sequence per robot by name. Names and classes in a sequence, up to its first
+            object, become part of the setup, which recordings keep; replays go without the others.
         gates: What the targets of all robots must pass before a device sees them, as objects, classes or names.
         observers: See every step.
         render_mode: `rgb_array` for an environment whose `render` draws, `rgb_array_list` for one that draws every
@@ -79,12 +81,10 @@ def make(
     """
     if render_mode not in RENDER_MODES:
         raise InvalidSetup(f"render_mode is {render_mode!r}; valid: {', '.join(map(repr, RENDER_MODES))}.")
-    parts = resolve(_setup(task, dict(options)))
-    given = layers if isinstance(layers, Mapping) else {robot.name: layers for robot in parts.robots}
+    parts = _parts(_setup(task, dict(options)), layers)
     parts = replace(
         parts,
         devices=_devices(hardware, parts),
-        layers=_layers(given, [robot.name for robot in parts.robots]),
         gates=[_one("gate", gate, Gate) for gate in gates],
         observers=list(observers),
     )
@@ -131,10 +131,7 @@ def make_vec(
     except ValueError as err:
         valid = ", ".join(repr(one.value) for one in AutoresetMode)
         raise InvalidSetup(f"autoreset is {autoreset!r}; valid: {valid}.") from err
-    parts = resolve(setup)
-    given = layers if isinstance(layers, Mapping) else {robot.name: layers for robot in parts.robots}
-    parts = replace(parts, layers=_layers(given, [robot.name for robot in parts.robots]))
-    return assemble_vec(parts, copies=copies, threads=threads, autoreset=mode)
+    return assemble_vec(_parts(setup, layers), copies=copies, threads=threads, autoreset=mode)
 
 
 def _setup(task: str | type[Task] | Setup, options: dict[str, Any]) -> Setup:
@@ -143,6 +140,24 @@ def _setup(task: str | type[Task] | Setup, options: dict[str, Any]) -> Setup:
             raise InvalidSetup(f"A setup was given and also {sorted(options)}; use dataclasses.replace on the setup.")
         return task
     return Setup.from_json({"task": lookup.name_of("task", task), **options})
+
+
+def _parts(setup: Setup, layers: Sequence[AnyLayer] | Mapping[str, Sequence[AnyLayer]]) -> Parts:
+    """Return what a setup names, with the user's layers on top: those that have a name in the setup itself."""
+    if isinstance(layers, str):
+        raise InvalidSetup(f"layers is the text {layers!r}; give a sequence, such as [{layers!r}].")
+    if not isinstance(layers, Mapping):
+        named = [lookup.name_of("layer", layer) for layer in takewhile(_has_name, layers)]
+        setup, layers = replace(setup, layers=(*setup.layers, *named)), list(layers)[len(named) :]
+    parts = resolve(setup)
+    robots = [robot.name for robot in parts.robots]
+    own = _layers(layers if isinstance(layers, Mapping) else dict.fromkeys(robots, layers), robots)
+    return replace(parts, layers={name: [*parts.layers[name], *own.get(name, ())] for name in robots})
+
+
+def _has_name(layer: AnyLayer) -> bool:
+    """Return whether a layer is found again by its name; one that is defined inside of a function is not."""
+    return isinstance(layer, str) or (isinstance(layer, type) and "<locals>" not in layer.__qualname__)
 
 
 def _layers(given: Mapping[str, Sequence[AnyLayer]], robots: Sequence[str]) -> dict[str, list[Layer]]:
@@ -199,9 +214,17 @@ def resolve(setup: Setup) -> Parts:
     if not (isinstance(task, type) and issubclass(task, Task)):
         raise InvalidSetup(f"{setup.task!r} is {task!r}; valid is a subclass of rcs.envs.task.Task.")
     robots = tuple(_place(stand, setup.end_effector or lab.end_effector) for stand in lab.stands)
+    names = [robot.name for robot in robots]
     cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras)
     tactile = tuple(sensor for robot in robots for sensor in _feel(setup.tactile, robot))
-    return Parts(setup=setup, robots=robots, cameras=cameras, tactile=tactile, task=task(lab.area, setup.task_options))
+    return Parts(
+        setup=setup,
+        robots=robots,
+        cameras=cameras,
+        tactile=tactile,
+        task=task(lab.area, setup.task_options),
+        layers=_layers(dict.fromkeys(names, setup.layers), names),
+    )
 
 
 def _feel(name: str | None, robot: RobotPlacement) -> tuple[TactilePlacement, ...]:

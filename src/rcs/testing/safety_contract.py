@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.chain import Chain
 from rcs.envs.env import Env
 from rcs.envs.layers import Layer, Relative
 from rcs.envs.observers import Observer, Transition
-from rcs.envs.spaces import GRIPPER, HAND, JOINTS, TQUAT, XYZRPY
+from rcs.envs.spaces import JOINTS, TQUAT
 from rcs.errors import InvalidAction, WrongOrder
+from rcs.testing.acting import chains_of, go, joints_of, lift, stay
 from rcs.testing.env_contract import require_same_bits
 
 MOVES_NOTHING = 0.03
@@ -280,7 +279,7 @@ class SafetyContract:
     def set_in_motion(self, env: Env) -> _BreaksAt:
         """Reset, and have every arm on its way to a target that it has not reached."""
         breaks = _BreaksAt()
-        for stack in _stacks(env).values():
+        for stack in chains_of(env).values():
             stack.layers.append(breaks)
         env.add_observer(breaks)
         observation, _ = env.reset(seed=1)
@@ -298,7 +297,7 @@ class SafetyContract:
     def require_that_stay_moves_nothing(self, env: Env, where: dict[str, NDArray[np.float64]]) -> None:
         """Check that an action that says "stay" sends all joints where they are, and again."""
         env.step(stay(env, lift(env)))
-        for name, stack in _stacks(env).items():
+        for name, stack in chains_of(env).items():
             np.testing.assert_allclose(stack.executed[JOINTS], where[name], atol=EXACT, err_msg=name)
         for _ in range(5):
             env.step(stay(env, lift(env)))
@@ -306,61 +305,9 @@ class SafetyContract:
             np.testing.assert_allclose(joints, where[name], atol=MOVES_NOTHING, err_msg=name)
 
 
-def stay(env: Env, observation: Mapping[str, Any]) -> Action:
-    """Return an action that says "stay": no difference, or the measured pose or joints."""
-    return _act(env, observation, moves=False)
-
-
-def go(env: Env, observation: Mapping[str, Any]) -> Action:
-    """Return an action that moves the first joint, or the TCP sideways, as far as one action may."""
-    return _act(env, observation, moves=True)
-
-
-def joints_of(env: Env) -> dict[str, NDArray[np.float64]]:
-    """Return the measured joints of every robot [rad], by its name."""
-    return {name: np.array(stack.measure()[JOINTS]) for name, stack in _stacks(env).items()}
-
-
-def lift(env: Env) -> Any:
-    """Return the present observation of the highest level."""
-    return env.stack.lift(env.stack.measure())
-
-
-def _stacks(env: Env) -> dict[str, Chain]:
-    return {name: chain for name, chain in env.stack.chains.items() if chain.action_spaces}
-
-
-def _act(env: Env, observation: Mapping[str, Any], *, moves: bool) -> Action:
-    action = {
-        name: _act_of_one(stack, observation[name] if name else observation, moves=moves)
-        for name, stack in _stacks(env).items()
-    }
-    return action.get("", action)
-
-
-def _act_of_one(stack: Chain, observation: Mapping[str, Any], *, moves: bool) -> Action:
-    is_relative = any(isinstance(layer, Relative) for layer in stack.layers)
-    action: Action = {}
-    for key, box in stack.action_spaces.items():
-        assert isinstance(box, spaces.Box)
-        if key in (GRIPPER, HAND):
-            value = np.round(observation[key]) if key == GRIPPER else np.array(observation[key])
-        elif key == JOINTS:
-            value = np.zeros(box.shape) if is_relative else np.array(observation[JOINTS])
-            if moves:
-                value[0] = min(box.high[0], 0.2) if is_relative else value[0] + 0.5
-        else:
-            nothing = np.zeros(box.shape) if key == XYZRPY else np.array([0.0] * 6 + [1.0])
-            value = nothing if is_relative else np.array(observation[key])
-            if moves:
-                value[1] += 0.05
-        action[key] = np.clip(value, box.low, box.high).astype(box.dtype)
-    return action
-
-
 def _spoilt(env: Env, action: Action) -> Action:
     """Return an action whose last entry, of the last robot, is not a number, or a pose without a direction."""
-    name, stack = list(_stacks(env).items())[-1]
+    name, stack = list(chains_of(env).items())[-1]
     inner = dict(action[name] if name else action)
     if TQUAT in inner:
         # Layers find this one, when others have mapped it already.

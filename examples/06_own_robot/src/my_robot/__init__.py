@@ -1,1 +1,1 @@
-"""A six-axis arm of our own. Importing it does nothing: `pyproject.toml` says what there is to find."""
+"""A six-axis arm of our own and what goes with it. Importing it does nothing: `pyproject.toml` says what is here."""

@@ -47,7 +47,5 @@ MY_ROBOT_URDF: Final = replace(
 )
 """Our arm, from the URDF."""
 
-LAB: Final = replace(
-    lab.LAB, label="MyRobotURDF", stands=tuple(replace(stand, arm="my_robot_urdf") for stand in lab.LAB.stands)
-)
+LAB: Final = replace(lab.LAB, stands=tuple(replace(stand, arm="my_robot_urdf") for stand in lab.LAB.stands))
 """The lab of our arm with the arm from the URDF."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from rcs.data import Dataset, DatasetWriter
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Colour, Recorder, dataset_info
 from rcs.envs.observers.takes import Takes
+from rcs.envs.stack import for_all
 from rcs.envs.vector import VecEnv
 
 
@@ -40,8 +41,7 @@ def record(
     """
     info = dataset_info(env, colour=colour, jpeg_quality=jpeg_quality, notes=notes)
     with DatasetWriter.open(Path(out), info, resume=True) as writer:
-        ages = [port.stale_after for port in env.stack.ports if port.stale_after is not None]
-        recorder = Recorder(writer, background=env.is_real, stale_after=min(ages, default=None))
+        recorder = _recorder(env, writer)
         env.add_observer(recorder)
         try:
             yield Takes(recorder, writer)
@@ -52,21 +52,31 @@ def record(
 
 @contextmanager
 def record_all(
-    env: Env | VecEnv, out: str | Path, *, colour: Colour = "jpeg", jpeg_quality: int = 95
+    env: Env | VecEnv, out: str | Path, *, colour: Colour = "jpeg", jpeg_quality: int = 95, notes: Sequence[str] = ()
 ) -> Generator[None]:
     """Record every episode from reset to end, judged by the task; for a batch, those of all copies at once.
 
+    An episode that a reset cuts short is not kept; one that is open in the end is, without a verdict.
+
     Args:
         env: The environment, or a batch of copies.
-        out: The dataset's folder; an existing one is continued.
-        colour: Encoding of colour frames.
-        jpeg_quality: JPEG quality of colour frames, 1 to 100.
+        out: The dataset's folder; one that is there is gone on with.
+        colour: How colour frames are stored.
+        jpeg_quality: Of colour frames as JPEG, 1 to 100.
+        notes: As in `record`; a batch has none.
+
+    Example:
+        >>> import rcs
+        >>> envs = rcs.make_vec("PickCuboid", copies=24)
+        >>> with record_all(envs, "episodes"):
+        ...     observations, infos = envs.reset(seed=0)
+        ...     observations, *_ = envs.step(envs.action_space.sample())
     """
-    info = dataset_info(env, colour=colour, jpeg_quality=jpeg_quality)
+    info = dataset_info(env, colour=colour, jpeg_quality=jpeg_quality, notes=notes)
     with DatasetWriter.open(Path(out), info, resume=True) as writer:
         taken = {episode.id for episode in Dataset.open(out)}
         names = (name for i in itertools.count() if (name := f"{i:06d}") not in taken)
-        recorders = [Recorder(writer, names=names) for _ in range(env.num_envs if isinstance(env, VecEnv) else 1)]
+        recorders = [_recorder(env, writer, names) for _ in range(env.num_envs if isinstance(env, VecEnv) else 1)]
         for copy, recorder in enumerate(recorders):
             if isinstance(env, VecEnv):
                 env.add_observer(recorder, copy=copy)
@@ -76,5 +86,12 @@ def record_all(
             yield
         finally:
             for recorder in recorders:
-                recorder.close()
                 env.remove_observer(recorder)
+            for_all([recorder.close for recorder in recorders])
+
+
+def _recorder(env: Env | VecEnv, writer: DatasetWriter, names: Iterator[str] | None = None) -> Recorder:
+    """Return what records an environment, or one copy of a batch: beside its loop where steps take real time."""
+    ages = [port.stale_after for port in env.stack.ports if port.stale_after is not None]
+    is_real = isinstance(env, Env) and env.is_real
+    return Recorder(writer, names=names, background=is_real, stale_after=min(ages, default=None))

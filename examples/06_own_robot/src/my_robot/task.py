@@ -1,0 +1,112 @@
+"""A task of our own, with an expert that can do it: push a block over a line, away from the robot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.agents.script import Phase, Plan, Script, ScriptedArm
+from rcs.envs.draws import Draws
+from rcs.envs.layers import Where
+from rcs.envs.task import Outcome, Task
+from rcs.sim.robot import SimRobot
+from rcs.sim.scene import Scene
+from rcs.sim.world import World
+from rcs.tasks.lifting import FreeBody, add_box, upright
+
+BLOCK = "block"
+EDGE = 0.05
+"""Of the block [m]."""
+LINE = 0.10
+"""How far beyond the middle of the lab's area the line is [m]."""
+
+
+class PushToLine(Task):
+    """Push the block over the white line.
+
+    The reward is 1 at success and falls to 0 with the distance that is left: `1 - tanh(5 d)`.
+    """
+
+    instruction = "push the block over the line"
+    expert = "PushExpert"
+
+    def furnish(self, scene: Scene) -> None:
+        """Add a table, the block and the line."""
+        scene.add_table()
+        add_box(scene, BLOCK, self.area.center, edges=(EDGE,) * 3, mass=0.1, rgb=(0.2, 0.3, 0.8))
+        scene.spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[self.area.center[0] + LINE, self.area.center[1], 0.0],
+            size=[0.005, 0.20, 0.001],
+            rgba=[1.0, 1.0, 1.0, 1.0],
+            contype=0,  # it is painted on: nothing touches it
+            conaffinity=0,
+            group=0,
+        )
+
+    def objects(self) -> list[str]:
+        """Return the block, whose size, mass and colour may vary."""
+        return [BLOCK]
+
+    def bind(self, world: World, robots: list[SimRobot]) -> None:
+        """Have the block's pose in the scene read out, which is that in the base frame of a robot alone."""
+        self._world = world
+        self._body = FreeBody(world, BLOCK)
+        self._pose = world.core.read_body_pose(world.model.body(BLOCK).id, 0)
+
+    def reset(self, draws: Draws, where: Where) -> None:
+        """Lay the block down before the line. Arrays have a row per copy that starts, or no such axis for one alone."""
+        x, y = self.area.center
+        place = draws.uniform([x - 0.05, y - 0.10, -0.2], [x + 0.03, y + 0.10, 0.2])
+        self._body.place(upright(place, np.full(place.shape[:-1], EDGE / 2)), where)
+
+    def evaluate(self) -> Outcome:
+        """Judge how far the block still has to go."""
+        block = self._block()
+        left = np.maximum(self.area.center[0] + LINE - block[..., 0], 0.0)
+        success = left == 0.0
+        return Outcome(
+            reward=self.reward(1.0 - np.tanh(5.0 * left), success),
+            terminated=success,
+            info={"success": success, BLOCK: block},
+        )
+
+    def describe(self) -> dict[str, NDArray[Any]]:
+        """Return where the block lies at the start."""
+        return {"success": np.zeros(self._world.leading, np.bool_), BLOCK: self._block()}
+
+    def object_poses(self) -> dict[str, NDArray[np.float64]]:
+        """Return where the block is, for recordings."""
+        return {BLOCK: self._block()}
+
+    def place(self, poses: Any, where: Where) -> None:
+        """Put the block somewhere, for replays of real recordings."""
+        if BLOCK in poses:
+            self._body.place(poses[BLOCK], where)
+
+    def _block(self) -> NDArray[np.float64]:
+        return self._world.poses[..., self._pose, :].copy()
+
+
+class PushExpert(Script):
+    """Goes down behind the block with the fingers closed, and pushes."""
+
+    task = "PushToLine"
+    needs = (BLOCK,)
+    phases = (
+        Phase("approach", "above", speed=0.45, opening=0.0),
+        Phase("descend", "behind", opening=0.0),
+        Phase("push", "beyond", speed=0.10, opening=0.0),
+    )
+
+    def plan(self, arm: ScriptedArm) -> Plan:
+        """Plan a straight push along the base's x axis, with the tool turned as it is at the start."""
+        x, y = self.info[BLOCK][:2]
+
+        def tool_at(x: float, height: float) -> NDArray[np.float64]:
+            return np.concatenate(([x, y, height], arm.target[3:]))
+
+        return {"above": tool_at(x - 0.08, 0.12), "behind": tool_at(x - 0.08, 0.02), "beyond": tool_at(x + 0.15, 0.02)}

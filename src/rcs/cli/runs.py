@@ -1,0 +1,216 @@
+"""What `rcs collect` and `rcs eval` share: options of an environment and its agent, a bar, Ctrl-C, and the results."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Protocol
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from rcs.envs.setup import Setup
+from rcs.envs.spaces import Control
+from rcs.errors import InvalidSetup
+from rcs.rollout.collect import Attempt
+from rcs.rollout.evaluate import Summary
+from rcs.setups.lab import lab_of
+from rcs.sim.detail import Assets
+from rcs.sim.randomisation import Randomisation
+from rcs.sim.world import Stepping
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
+
+@dataclass(kw_only=True)
+class RunOptions:
+    """Options of a command that runs an agent in seeded episodes."""
+
+    task: tyro.conf.Positional[str]
+    """Name of the task, such as PickCuboid, or `module:Class`."""
+    agent: str | None = None
+    """Name of the agent, or `module:Class`, which is called with the environment; the task's expert by default."""
+    robot: str = "fr3"
+    """Name of the robot."""
+    end_effector: str | None = None
+    """Name of the end effector; the robot's usual one by default."""
+    task_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """An option of the task as `name=value`, such as `reward=sparse`; may be given several times."""
+    layers: tuple[str, ...] = ()
+    """Names of more layers on top, or `module:Class`, from the lowest to the highest."""
+    episodes: int = 20
+    """How many episodes."""
+    seed: int = 0
+    """Same seed, same episodes."""
+    workers: int = 0
+    """Processes; 0 for one per CPU core."""
+    out: Path
+    """Folder for what the command makes."""
+    cameras: tuple[str, ...] | None = None
+    """Cameras; those of the robot's lab when not given, `none` for none."""
+    image_size: int = 224
+    """Width and height of every frame in pixels."""
+    camera_mode: str | None = None
+    """Mode of the cameras in the place of the size, such as `848x480`; `rcs list --cameras` has them."""
+    camera_fps: float | None = None
+    """Frames per second of the cameras; the most that each offers when not given."""
+    camera_noise: bool = False
+    """Give frames the noise of real cameras."""
+    depth: bool = False
+    """Frames have depth too."""
+    tactile: str | None = None
+    """Tactile sensor in the place of the gripper's pads, such as `digit`, which has frames too."""
+    control: Control = "joints"
+    """What actions say of the arm."""
+    absolute: bool = False
+    """Absolute actions instead of differences to the last step."""
+    frequency: float = 30.0
+    """Control steps per second [Hz]."""
+    randomise: bool = False
+    """Vary lights, colours, textures, cameras, objects, friction and damping from episode to episode."""
+    assets: Assets = "builtin"
+    """Looks of the robots: `menagerie` for detailed meshes, which are slow to draw without a GPU."""
+
+    def setup(self, stepping: Stepping = "async") -> Setup:
+        """Return the setup that the options ask for.
+
+        Raises:
+            InvalidSetup: An option makes no sense.
+            UnknownName: There is no such robot.
+        """
+        cameras = tuple(lab_of(self.robot).cameras) if self.cameras is None else self.cameras
+        cameras = () if cameras == ("none",) else cameras
+        return Setup(
+            task=self.task,
+            task_options=dict(_option(given) for given in self.task_option),
+            robot=self.robot,
+            end_effector=self.end_effector,
+            layers=self.layers,
+            cameras=cameras,
+            image_size=(self.image_size, self.image_size),
+            camera_mode=self.camera_mode,
+            camera_fps=self.camera_fps,
+            camera_noise=self.camera_noise,
+            depth=self.depth and bool(cameras),
+            tactile=self.tactile,
+            control=self.control,
+            relative="absolute" if self.absolute else "last_step",
+            frequency=self.frequency,
+            stepping=stepping,
+            randomisation=Randomisation() if self.randomise else None,
+            assets=self.assets,
+        )
+
+    @property
+    def processes(self) -> int:
+        """How many workers to start: no more than there are episodes.
+
+        Raises:
+            InvalidSetup: The number asked for makes no sense.
+        """
+        if self.workers < 0:
+            raise InvalidSetup(f"workers is {self.workers}; valid is 0 (one per core) and more.")
+        return min(self.workers or os.cpu_count() or 1, max(self.episodes, 1))
+
+
+def _option(given: str) -> tuple[str, Any]:
+    name, has_value, value = given.partition("=")
+    if not (name and has_value):
+        raise InvalidSetup(f"The task option is {given!r}; it is written as name=value, such as reward=sparse.")
+    try:
+        return name, json.loads(value)
+    except ValueError:  # a text need not have quotes
+        return name, value
+
+
+def show(attempts: Iterable[Attempt], title: str, total: int, console: Console, done: Callable[[], int]) -> None:
+    """Go through attempts with a bar that tells how many succeed and how fast they are made.
+
+    Args:
+        attempts: Each is made when it is asked for.
+        title: What is written before the bar.
+        total: How many there shall be in the end.
+        console: Where the bar is.
+        done: Returns how many there are.
+    """
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[told]}", markup=False),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    made = Summary()
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task(title, total=total, told="")
+        start = time.perf_counter()
+        for attempt in attempts:
+            made.attempts.append(attempt)
+            speed = len(made.attempts) / (time.perf_counter() - start)
+            bar.update(task, completed=min(done(), total), told=f"{_rate(made)}, {speed:.2f} episodes/s")
+        bar.update(task, completed=done())
+
+
+def results_table(summary: Summary, seconds: float, workers: int) -> Table:
+    """Return how attempts went, and how fast they were made.
+
+    Args:
+        summary: The attempts, at least one.
+        seconds: Wall time [s].
+        workers: How many processes made them.
+    """
+    made, steps = len(summary.attempts), sum(result.steps for result in summary.results)
+    low, high = (100 * bound for bound in summary.interval)
+    interval = f"{summary.successes} of {summary.judged} = {_rate(summary, '')} (95 % Wilson interval {low:.1f} to "
+    rate = made / seconds
+    speed = f"{made} episodes in {seconds:.1f} s: {rate:.2f}/s, {1200 * rate:.0f} per 20 minutes"
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_row("success", f"{interval}{high:.1f} %)" if summary.judged else "not judged")
+    table.add_row("failures", ", ".join(f"{name} {count}" for name, count in summary.failures.most_common()) or "none")
+    table.add_row("speed", f"{speed}, {steps / seconds:.0f} steps/s")
+    table.add_row("workers", str(workers))
+    return table
+
+
+def _rate(summary: Summary, word: str = " success") -> str:
+    return f"{100 * summary.successes / summary.judged:.1f} %{word}" if summary.judged else "not judged"
+
+
+class Interruptible(Protocol):
+    """A run that ends after the episodes at work once it is told to."""
+
+    is_interrupted: bool
+
+
+@contextmanager
+def interruptible(run: Interruptible, console: Console) -> Generator[None]:
+    """Let the first Ctrl-C end a run after the episodes at work; the second, or SIGTERM, at once."""
+
+    def on_interrupt(number: int, frame: object) -> None:
+        if run.is_interrupted:
+            raise KeyboardInterrupt
+        run.is_interrupted = True
+        console.print("Ending after the episodes at work; Ctrl-C again ends at once.")
+
+    def on_termination(number: int, frame: object) -> None:
+        raise KeyboardInterrupt  # who sends it will not wait for long: close what is open, and end
+
+    before = {
+        signal.SIGINT: signal.signal(signal.SIGINT, on_interrupt),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, on_termination),
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,46 @@
+"""How an environment looks in a notebook: its setup, its stack and a picture, in HTML that needs nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from html import escape
+
+from rcs.envs.scenario import Scenario
+from rcs.envs.setup import Setup
+from rcs.errors import MissingDependency
+from rcs.sim.picture import Picture
+
+SIZE = (320, 240)
+"""Width and height of the picture [px]."""
+
+
+def to_html(text: str, setup: Setup | None, scenario: Scenario | None) -> str:
+    """Return an environment as HTML.
+
+    Args:
+        text: The printed environment; its first line is the title.
+        setup: What it was made from; the table has the fields that are not at their defaults.
+        scenario: What the picture is of; None for an environment without one.
+    """
+    title, _, stack = text.partition("\n")
+    chosen = [] if setup is None else [(one.name, getattr(setup, one.name), one.default) for one in fields(setup)]
+    rows = "".join(
+        f"<tr><th>{name}</th><td>{escape(str(value))}</td></tr>"
+        for name, value, default in chosen
+        if name in ("task", "robot") or (value != default and value != {})
+    )
+    picture = "" if scenario is None else _picture(scenario)
+    return f"<h4>{escape(title)}</h4>{picture}<table>{rows}</table><pre>{escape(stack)}</pre>"
+
+
+def _picture(scenario: Scenario) -> str:
+    """Return a picture of the present state; nothing where none can be drawn."""
+    from rcs.data.view import picture_tag  # pages are nothing that an environment needs
+
+    picture = Picture(scenario.world, size=SIZE)
+    try:
+        return picture_tag(picture.draw(), height=SIZE[1], title="The scene")
+    except MissingDependency:  # no OpenGL
+        return ""
+    finally:
+        picture.close()

@@ -1,0 +1,96 @@
+"""Videos: a picture per reset and step, at the speed of the environment, and nothing to install."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import av
+import gymnasium
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rcs
+from rcs.errors import InvalidSetup
+from rcs.rollout.video import Video, film
+
+
+def pictures(path: Path) -> list[NDArray[np.uint8]]:
+    with av.open(str(path)) as container:
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+def test_pictures_come_back_in_their_order_colour_and_rate(tmp_path: Path) -> None:
+    video = Video(tmp_path / "new" / "v.mp4", rate=12.5)
+    shades = (20, 120, 220)
+    for shade in shades:
+        video.add(np.full((49, 65, 3), shade, np.uint8))
+    video.close()
+    video.close()
+    seen = pictures(tmp_path / "new" / "v.mp4")
+    assert [picture.shape for picture in seen] == [(48, 64, 3)] * 3, "an odd edge loses a pixel"
+    np.testing.assert_allclose([picture.mean() for picture in seen], shades, atol=4)
+    with av.open(str(tmp_path / "new" / "v.mp4")) as container:
+        assert container.streams.video[0].average_rate == 12.5
+
+
+def test_without_a_picture_there_is_no_file(tmp_path: Path) -> None:
+    Video(tmp_path / "v.mp4", rate=30.0).close()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.gl
+def test_a_film_has_a_picture_per_reset_and_step_and_ends_with_its_block(tmp_path: Path) -> None:
+    env = rcs.make("PickCuboid", frequency=20.0)
+    with film(env, tmp_path / "f.mp4", size=(64, 48)):
+        env.reset(seed=0)
+        for _ in range(5):
+            env.step(env.action_space.sample())
+        env.reset(seed=1)
+    env.step(env.action_space.sample())
+    seen = pictures(tmp_path / "f.mp4")
+    assert len(seen) == 7
+    assert seen[0].shape == (48, 64, 3)
+    env.close()
+
+
+@pytest.mark.gl
+def test_gymnasiums_own_recordings_become_a_video(tmp_path: Path) -> None:
+    env = gymnasium.wrappers.RenderCollection(rcs.make("PickCuboid", render_mode="rgb_array"))
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(env.action_space.sample())
+    video = Video(tmp_path / "v.mp4", rate=30.0)
+    for picture in env.render():
+        video.add(picture)
+    video.close()
+    assert len(pictures(tmp_path / "v.mp4")) == 4
+    env.close()
+
+
+IN_A_WINDOW = """
+import rcs
+env = rcs.make("PickCuboid", render_mode="human")
+env.reset(seed=0)
+for _ in range(3):
+    env.step(env.action_space.sample())
+assert env.render() is None
+env.close()
+print("shown")
+"""
+
+
+@pytest.mark.gl
+@pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="there is no xvfb-run, which makes a display")
+def test_where_there_is_a_display_the_human_mode_opens_a_window_and_closes_it() -> None:
+    command = ["xvfb-run", "-a", sys.executable, "-c", IN_A_WINDOW]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, "shown"), done.stderr
+
+
+def test_real_devices_alone_cannot_be_filmed(tmp_path: Path) -> None:
+    with pytest.raises(InvalidSetup, match="no picture to film"), film(rcs.make("Free", hardware="fake"), tmp_path):
+        pass
