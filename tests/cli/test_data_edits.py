@@ -17,7 +17,19 @@ pytestmark = pytest.mark.gl
 @pytest.fixture(scope="module")
 def collected(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("collected") / "set"
-    words = ["PickCuboid", "--episodes", "3", "--cameras", "side", "--image-size", "48", "--seed", "4", "--workers", "1"]
+    words = [
+        "PickCuboid",
+        "--episodes",
+        "3",
+        "--cameras",
+        "side",
+        "--image-size",
+        "48",
+        "--seed",
+        "4",
+        "--workers",
+        "1",
+    ]
     assert call("collect", *words, "--colour", "lossless", "--camera-noise", "--out", str(path)) == 0
     return path
 

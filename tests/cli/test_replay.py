@@ -29,7 +29,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.gl
 def test_render_makes_a_dataset_with_frames(capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path) -> None:
-    options = ["--mode", "render", "--out", str(tmp_path / "new"), "--cameras", "wrist", "side", "--image-size", "32"]
+    options = ["--kind", "render", "--out", str(tmp_path / "new"), "--cameras", "wrist", "side", "--image-size", "32"]
     code, told = call(capsys, str(dataset), *options, "--workers", "1")
     assert code == 0
     assert "2 episodes drawn" in told
@@ -78,12 +78,12 @@ def test_json_is_json_and_nothing_else(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--mode", "render"], "--out"),
-        (["--render-quality", "full"], "--render-quality has no meaning for --mode check"),
-        (["--mode", "states", "--out", "x", "--control", "tquat"], "--control has no meaning for --mode states"),
-        (["--mode", "render", "--out", "x", "--cameras", "wirst"], "Did you mean 'wrist'"),
-        (["--mode", "states", "--out", "x", "--task", "PickCubiod"], "Did you mean 'PickCuboid'"),
-        (["--mode", "states", "--out", "x", "--objects", "nowhere.json"], "nowhere.json"),
+        (["--kind", "render"], "--out"),
+        (["--render-quality", "full"], "--render-quality has no meaning for --kind check"),
+        (["--kind", "states", "--out", "x", "--control", "tquat"], "--control has no meaning for --kind states"),
+        (["--kind", "render", "--out", "x", "--cameras", "wirst"], "Did you mean 'wrist'"),
+        (["--kind", "states", "--out", "x", "--task", "PickCubiod"], "Did you mean 'PickCuboid'"),
+        (["--kind", "states", "--out", "x", "--objects", "nowhere.json"], "nowhere.json"),
     ],
 )
 def test_what_makes_no_sense_is_refused_and_leaves_nothing(

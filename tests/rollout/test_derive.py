@@ -90,7 +90,8 @@ def test_only_frames_that_are_due_are_drawn(dataset: Path, tmp_path: Path, monke
         return draw(self, names, copies)
 
     monkeypatch.setattr(SimCameras, "read", watch)
-    list(derive(Rerendering(source=dataset, out=tmp_path / "out", look=Look(cameras=("side",), image_size=32, camera_fps=15.0))))
+    look = Look(cameras=("side",), image_size=32, camera_fps=15.0)
+    list(derive(Rerendering(source=dataset, out=tmp_path / "out", look=look)))
     episodes = Dataset.open(tmp_path / "out").episodes
     assert len(drawn) == sum((episode.length + 1) // 2 for episode in episodes)
     assert len(drawn) == sum(int((episode.column("flags/frames/side") == 0).sum()) for episode in episodes)

@@ -108,7 +108,7 @@ def test_dropped_cameras_leave_their_mark_on_the_scene_and_not_on_the_data(datas
 def test_size_and_quality_change_frames_alone(tmp_path: Path) -> None:
     source = recorded(tmp_path / "source", cameras=("side",), max_episode_steps=2)
     made = run(source, tmp_path / "out", image_size=64, render_quality="full", camera_noise=True)
-    assert setup_of(made).quality == "full"
+    assert setup_of(made).render_quality == "full"
     for old, new in zip(Dataset.open(source).episodes, made.episodes, strict=True):
         assert_equal_but_for_frames(old, new)
         assert new.column("observation/frames/side/rgb").shape[1:] == (64, 64, 3)

@@ -74,7 +74,7 @@ def _summarise(collection: Collection, progress: Progress, console: Console) -> 
     if progress.found:
         console.print(f"{progress.found} episodes existed already.")
     if progress.again:
-        console.print(f"{progress.again} that a kill had cut short were collected again from their start.")
+        console.print(f"{progress.again} episodes cut short by a kill were collected again.")
     if progress.attempts:
         summary = Summary(attempts=progress.attempts)
         console.print(results_table(summary, progress.seconds, collection.workers))

@@ -90,7 +90,7 @@ class Summary:
 
     @property
     def failures(self) -> Counter[str]:
-        """Classes of failures and how often each came."""
+        """Number of failures by class."""
         return Counter(result.failure for result in self.results if result.failure is not None)
 
     def to_json(self) -> dict[str, Any]:

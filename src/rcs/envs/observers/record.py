@@ -60,9 +60,9 @@ def record_all(
 
     Args:
         env: The environment, or a batch of copies.
-        out: The dataset's folder; one that is there is gone on with.
-        colour: How colour frames are stored.
-        jpeg_quality: Of colour frames as JPEG, 1 to 100.
+        out: The dataset's folder; an existing one is continued.
+        colour: Encoding of colour frames.
+        jpeg_quality: JPEG quality of colour frames, 1 to 100.
         notes: As in `record`; a batch has none.
 
     Example:
