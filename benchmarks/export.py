@@ -26,7 +26,7 @@ import rcs
 from rcs.data import Dataset
 from rcs.data.convert.lerobot import export_lerobot
 from rcs.data.convert.lerobot_layout import IMAGES
-from rcs.data.convert.options import Codec, ExportOptions
+from rcs.data.convert.options import ExportOptions, VideoCodec
 from rcs.data.convert.video import VideoReader, encode_video
 from rcs.data.trajectory import camera_features, step_frames
 from rcs.rollout.collect import Collection, Progress, collect
@@ -41,7 +41,7 @@ class Options:
 
     episodes: int = 40
     """Episodes to collect and export."""
-    codec: Codec = "h264"
+    codec: VideoCodec = "h264"
     """How videos are compressed."""
     workers: int = 1
     """Threads that encode."""
@@ -91,7 +91,7 @@ def reference(dataset: Dataset, folder: Path, options: Options) -> float:
             images = list(step_frames(episode, feature.key))
             start = time.process_time()
             frames += encode_video(
-                folder / "reference.mp4", images, feature.shape, round(dataset.info.fps), options.codec
+                folder / "reference.mp4", images, feature.shape, round(dataset.info.frequency), options.codec
             )
             used += time.process_time() - start
     return frames / used
@@ -106,7 +106,7 @@ def errors(dataset: Dataset, out: Path) -> dict[str, float]:
         reader = VideoReader(path)
         for row, episode in zip(about[:SAMPLE], dataset.episodes, strict=False):
             start = row[f"videos/{IMAGES}{camera}/from_timestamp"]
-            frames = reader.frames(start, row["length"], dataset.info.fps)
+            frames = reader.frames(start, row["length"], dataset.info.frequency)
             for image, truth in zip(frames, step_frames(episode, feature.key), strict=True):
                 error = image.astype(np.float64) - truth
                 squares.append(float(np.mean(error**2)))

@@ -156,7 +156,7 @@ def record(frames: Frames, options: Options, threads: int | None) -> dict[str, A
         loop = keep_rate(options.loop_hz, options.seconds, lambda _, now: episode.add(cameras.row(now)))
         record = episode.finish(True)
         size = sum(path.stat().st_size for path in record.path.iterdir())
-        stored = sum(int(record.quality["cameras"][key]["new_images"]) for key in images)
+        stored = sum(int(record.timing["cameras"][key]["new_images"]) for key in images)
         flagged = sum(int(np.count_nonzero(record.flags(camera) & FrameFlag.DROPPED)) for camera in frames)
         assert record.length == len(loop.late), "rows were dropped"
         return {
@@ -166,7 +166,7 @@ def record(frames: Frames, options: Options, threads: int | None) -> dict[str, A
             "recorded": stored,
             "counted_drops": episode.dropped_images,
             "unflagged": cameras.shown - stored - flagged,
-            "most_megabytes_waiting": round(record.quality["writer"]["most_bytes_waiting"] / 1e6, 1),
+            "most_megabytes_waiting": round(record.timing["writer"]["most_bytes_waiting"] / 1e6, 1),
             "megabytes_per_second": round(size / loop.seconds / 1e6, 1),
         }
 
@@ -210,7 +210,7 @@ def info(cameras: list[str], rate: float) -> DatasetInfo:
             Feature(key=time_key(camera), shape=(), dtype="float64"),
             Feature(key=flags_key(camera), shape=(), dtype="uint8"),
         ]
-    return DatasetInfo(fps=rate, features=tuple(features), setup={}, instruction="")
+    return DatasetInfo(frequency=rate, features=tuple(features), setup={}, instruction="")
 
 
 def image_key(camera: str) -> str:

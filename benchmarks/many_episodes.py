@@ -65,7 +65,7 @@ def main(options: Options) -> None:
 
 def record(copies: int, rows: int, *, in_background: bool) -> tuple[float, float]:
     """Return the seconds that the loop spent per row and per `finish`."""
-    info = DatasetInfo(fps=30.0, features=FEATURES, setup={}, instruction="", sim_state_size=STATE)
+    info = DatasetInfo(frequency=30.0, features=FEATURES, setup={}, instruction="", sim_state_size=STATE)
     rng = np.random.default_rng(0)
     smooth = np.clip(np.cumsum(rng.normal(size=(20, 64, 64, 3)), axis=1) + 128, 0, 255).astype(np.uint8)
     numbers, state = rng.normal(size=(20, 7)), rng.normal(size=(20, STATE))

@@ -61,7 +61,7 @@ def main(options: Options) -> None:
         record = episode.finish(True)
         size = sum(path.stat().st_size for path in record.path.iterdir())
         counted = episode.dropped_images
-        stored = sum(int(record.quality["cameras"][key]["new_images"]) for key in image_keys())
+        stored = sum(int(record.timing["cameras"][key]["new_images"]) for key in image_keys())
     fraction = {"core_fraction": cpu, "idle_core_fraction": idle_cpu, "codec_core_fraction": codec_fraction(frames)}
     result = {
         **{name: round(value, 3) for name, value in fraction.items()},
@@ -151,7 +151,7 @@ def info() -> DatasetInfo:
             Feature(key=time_key(camera), shape=(), dtype="float64"),
             Feature(key=flags_key(camera), shape=(), dtype="uint8"),
         ]
-    return DatasetInfo(fps=LOOP_HZ, features=tuple(features), setup={}, instruction="")
+    return DatasetInfo(frequency=LOOP_HZ, features=tuple(features), setup={}, instruction="")
 
 
 def image_keys() -> list[str]:

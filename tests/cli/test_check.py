@@ -16,7 +16,7 @@ from rcs.data import Dataset, DatasetInfo, DatasetWriter, Feature
 def dataset(tmp_path: Path) -> Path:
     path = tmp_path / "a [bold] dataset"
     features = (Feature(key="observation/joints", shape=(2,), dtype="float64"),)
-    info = DatasetInfo(fps=30, features=features, setup={}, instruction="wave")
+    info = DatasetInfo(frequency=30, features=features, setup={}, instruction="wave")
     with DatasetWriter.open(path, info) as writer:
         for name in ("a", "b [red]"):
             with writer.episode(name, seed=0) as episode:
@@ -43,8 +43,8 @@ def test_a_whole_dataset_is_told_in_a_line_and_exit_code_0(capsys: pytest.Captur
     code, told = call(capsys, str(dataset))
     assert code == 0
     assert told.splitlines() == [
-        "note: The setup names no robot, so joints are not held against limits.",
-        "2 episodes, 100 rows, 0 images checked: all as it was written",
+        "note: Joints are not compared with limits: the setup names no robot.",
+        "2 episodes, 100 rows, 0 images checked: no damage",
     ]
 
 

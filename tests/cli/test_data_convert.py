@@ -18,7 +18,7 @@ def source(tmp_path: Path) -> Path:
         Feature(key="observation/joints", shape=(2,), dtype="float64"),
         Feature(key="action/joints", shape=(2,), dtype="float64"),
     )
-    info = DatasetInfo(fps=10, features=features, setup={"robot": "so101"}, instruction="wave")
+    info = DatasetInfo(frequency=10, features=features, setup={"robot": "so101"}, instruction="wave")
     with DatasetWriter.open(tmp_path / "source", info) as writer:
         for name, verdict in (("a", True), ("b", False)):
             with writer.episode(name, seed=None) as episode:
@@ -70,7 +70,7 @@ def test_a_file_for_robomimic_is_recognised_when_it_comes_back(
     out, back = tmp_path / "out.hdf5", tmp_path / "back"
     code, told = call(capsys, "data", "export", source, "--format", "robomimic", "--out", out, "--no-compress")
     assert code == 0
-    assert "Actions are as recorded, from 1 to 3" in told
+    assert "Actions range from 1 to 3 as recorded" in told
     assert call(capsys, "data", "import", out, "--out", back, "--lossless")[0] == 0
     hashes = [[episode.content_hash for episode in Dataset.open(path).episodes] for path in (source, back)]
     assert hashes[0] == hashes[1]

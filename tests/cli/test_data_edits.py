@@ -58,14 +58,14 @@ def test_edits_follow_each_other_and_are_taken_back(dataset: Path, capsys: pytes
         ["rename-camera", path, "--name", "side", "--to", "front"],
         ["trim", path, "--episode", "000000", "--first", "2", "--last", "50"],
         ["resize", path, "--size", "24", "24"],
-        ["resample", path, "--fps", "10"],
+        ["resample", path, "--frequency", "10"],
         ["keep", path, "--which", "successful"],
     ]
     for words in steps:
         assert call("data", *words) == 0, words
     opened = Dataset.open(dataset)
     assert ids(dataset) == ["000000", "000002"]
-    assert (opened.info.fps, opened.info.instruction) == (10, "heb ihn auf")
+    assert (opened.info.frequency, opened.info.instruction) == (10, "heb ihn auf")
     assert opened.episodes[0].column("observation/frames/front/rgb").shape == (17, 24, 24, 3)
     assert check(dataset).is_ok
     capsys.readouterr()
@@ -87,7 +87,18 @@ def test_split_merge_and_mix(dataset: Path, tmp_path: Path) -> None:
     assert (len(ids(parts / "train")), len(ids(parts / "val"))) == (2, 1)
     assert call("data", "merge", str(parts / "train"), str(parts / "val"), "--out", str(merged)) == 0
     assert Dataset.open(merged).digest() == Dataset.open(dataset).digest()
-    words = ["data", "mix", f"{parts / 'train'}:1", f"{dataset}:2", "--out", str(mixed), "--seed", "3", "--fps", "6"]
+    words = [
+        "data",
+        "mix",
+        f"{parts / 'train'}:1",
+        f"{dataset}:2",
+        "--out",
+        str(mixed),
+        "--seed",
+        "3",
+        "--frequency",
+        "6",
+    ]
     assert call(*words, "--rename", "train/side=front", "set/side=front") == 0
     opened = Dataset.open(mixed)
     assert len(opened) == 3
@@ -103,7 +114,7 @@ def test_split_merge_and_mix(dataset: Path, tmp_path: Path) -> None:
         ["delete", "--episodes", "x", "--which", "failed"],
         ["delete", "--episodes", "nothing"],
         ["trim", "--episode", "000000", "--first", "10000"],
-        ["resample", "--fps", "60"],
+        ["resample", "--frequency", "60"],
         ["split", "--out", "OUT", "--parts", "train=many"],
         ["mix", "--out", "OUT", "--rename", "side=front"],
     ],

@@ -29,17 +29,17 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.gl
 def test_render_makes_a_dataset_with_frames(capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path) -> None:
-    options = ["--mode", "render", "--out", str(tmp_path / "new"), "--cameras", "wrist", "side", "--image-size", "32"]
+    options = ["--kind", "render", "--out", str(tmp_path / "new"), "--cameras", "wrist", "side", "--image-size", "32"]
     code, told = call(capsys, str(dataset), *options, "--workers", "1")
     assert code == 0
-    assert "2 episodes drawn anew" in told
+    assert "2 episodes drawn" in told
     keys = [feature.key for feature in Dataset.open(tmp_path / "new").info.features]
     assert "observation/frames/wrist/rgb" in keys
     assert "observation/frames/side/rgb" in keys
 
 
 def test_actions_tells_where_it_diverges(capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path) -> None:
-    options = ["--mode", "actions", "--control", "tquat", "--workers", "1"]
+    options = ["--kind", "actions", "--control", "tquat", "--workers", "1"]
     tight = ["--max-joint-error", "1e-6"]
     code, told = call(capsys, str(dataset), *options, "--out", str(tmp_path / "new"), *tight)
     assert code == 0
@@ -53,24 +53,24 @@ def test_states_counts_what_succeeds_in_simulation(
     capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path
 ) -> None:
     code, told = call(
-        capsys, str(dataset), "--mode", "states", "--out", str(tmp_path / "new"), "--workers", "1", "--keep", "all"
+        capsys, str(dataset), "--kind", "states", "--out", str(tmp_path / "new"), "--workers", "1", "--keep", "all"
     )
     assert code == 0
     assert "2 of 2 succeed in simulation" in told
     assert len(Dataset.open(tmp_path / "new")) == 2
 
 
-@pytest.mark.parametrize("mode", ["check", "actions", "states"])
+@pytest.mark.parametrize("kind", ["check", "actions", "states"])
 def test_json_is_json_and_nothing_else(
-    capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path, mode: str
+    capsys: pytest.CaptureFixture[str], dataset: Path, tmp_path: Path, kind: str
 ) -> None:
-    out = [] if mode == "check" else ["--out", str(tmp_path / "new"), "--workers", "1"]
+    out = [] if kind == "check" else ["--out", str(tmp_path / "new"), "--workers", "1"]
     with pytest.raises(SystemExit):
-        main(["data", "replay", str(dataset), "--mode", mode, "--json", *out])
+        main(["data", "replay", str(dataset), "--kind", kind, "--json", *out])
     told = json.loads(capsys.readouterr().out)
-    assert told["mode"] == mode
+    assert told["kind"] == kind
     assert len(told["episodes"]) == 2
-    if mode == "actions":
+    if kind == "actions":
         rows = told["episodes"][0]["rows"]["joints"]
         assert len(rows) == told["episodes"][0]["recorded_steps"] + 1
 
@@ -78,12 +78,12 @@ def test_json_is_json_and_nothing_else(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--mode", "render"], "--out"),
-        (["--render-quality", "full"], "--render-quality has no meaning for --mode check"),
-        (["--mode", "states", "--out", "x", "--control", "tquat"], "--control has no meaning for --mode states"),
-        (["--mode", "render", "--out", "x", "--cameras", "wirst"], "Did you mean 'wrist'"),
-        (["--mode", "states", "--out", "x", "--task", "PickCubiod"], "Did you mean 'PickCuboid'"),
-        (["--mode", "states", "--out", "x", "--objects", "nowhere.json"], "nowhere.json"),
+        (["--kind", "render"], "--out"),
+        (["--render-quality", "full"], "--render-quality has no meaning for --kind check"),
+        (["--kind", "states", "--out", "x", "--control", "tquat"], "--control has no meaning for --kind states"),
+        (["--kind", "render", "--out", "x", "--cameras", "wirst"], "Did you mean 'wrist'"),
+        (["--kind", "states", "--out", "x", "--task", "PickCubiod"], "Did you mean 'PickCuboid'"),
+        (["--kind", "states", "--out", "x", "--objects", "nowhere.json"], "nowhere.json"),
     ],
 )
 def test_what_makes_no_sense_is_refused_and_leaves_nothing(

@@ -21,7 +21,7 @@ def dataset(tmp_path: Path) -> Path:
     path = tmp_path / "set"
     feature = Feature(key="observation/[/joints]", shape=(1,), dtype="float64", unit="[/rad]")
     action = Feature(key="action/joints", shape=(1,), dtype="float64")
-    info = DatasetInfo(fps=10, features=(feature, action), setup={"note": STRANGE}, instruction=STRANGE)
+    info = DatasetInfo(frequency=10, features=(feature, action), setup={"note": STRANGE}, instruction=STRANGE)
     with DatasetWriter.open(path, info) as writer:
         for number, success in enumerate((True, False, None)):
             with writer.episode(f"[bold]{number}", seed=0) as episode:
@@ -86,7 +86,7 @@ def test_a_task_without_words_is_listed(monkeypatch: pytest.MonkeyPatch, capsys:
         ["data", "export", "SET", "--out", "/proc/x", "--format", "lerobot-v3"],
         ["data", "export", "SET", "--out", "OUT", "--format", "[/x]"],
         ["data", "relabel", "SET", "--instruction", "\udcff"],
-        ["data", "resample", "SET", "--fps", "nan"],
+        ["data", "resample", "SET", "--frequency", "nan"],
         ["data", "mix", "SET:9" * 3000, "--out", "OUT"],
         ["data", "merge", "SET", "--out", "x" * 300],
         ["data", "split", "SET", "--out", "OUT", "--parts", "a=nan"],

@@ -58,7 +58,7 @@ def _info(*, images: bool = False, **changes: Any) -> DatasetInfo:
     if images:
         features.append(Feature(key="observation/frames/wrist/rgb", shape=(16, 24, 3), dtype="uint8", encoding="jpeg"))
         features.append(Feature(key="observation/frames/wrist/depth", shape=(8, 10), dtype="uint16", encoding="depth"))
-    values = {"fps": 30.0, "setup": {"robot": "fr3"}, "instruction": "pick the cuboid", "sim_state_size": STATE}
+    values = {"frequency": 30.0, "setup": {"robot": "fr3"}, "instruction": "pick the cuboid", "sim_state_size": STATE}
     return DatasetInfo(**{**values, "features": tuple(features), **changes})
 
 

@@ -21,7 +21,7 @@ CALLS = ("write", "fsync", "rename", "replace", "unlink", "mkdir", "rmdir", "ope
 ROWS = 70  # more than are kept in memory, so that some are on disk before the end
 
 INFO = DatasetInfo(
-    fps=30,
+    frequency=30,
     features=(
         Feature(key="observation/joints", shape=(2,), dtype="float64"),
         Feature(key="action/joints", shape=(2,), dtype="float64"),

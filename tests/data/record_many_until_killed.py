@@ -16,7 +16,7 @@ from rcs.data import DatasetInfo, DatasetWriter, EpisodeWriter, Feature
 from rcs.data.background import BackgroundEpisode
 
 INFO = DatasetInfo(
-    fps=20,
+    frequency=20,
     features=(
         Feature(key="observation/number", shape=(), dtype="int64"),
         Feature(key="observation/frames/wrist/rgb", shape=(32, 32, 3), dtype="uint8", encoding="jpeg"),

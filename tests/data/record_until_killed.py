@@ -12,7 +12,7 @@ import numpy as np
 from rcs.data import DatasetInfo, DatasetWriter, Feature
 
 INFO = DatasetInfo(
-    fps=500,
+    frequency=500,
     features=(
         Feature(key="observation/number", shape=(), dtype="int64"),
         Feature(key="observation/frames/wrist/rgb", shape=(32, 32, 3), dtype="uint8", encoding="jpeg"),

@@ -24,8 +24,8 @@ def say(dataset: Path, **changes: Any) -> None:
 
 
 WRONG = [
-    ("success", "yes"), ("success", 1), ("quality", None), ("quality", {"cameras": 3}), ("length", 10**18),
-    ("quality", {"period": {"expected": 0.03, "max": 0.04}}),
+    ("success", "yes"), ("success", 1), ("timing", None), ("timing", {"cameras": 3}), ("length", 10**18),
+    ("timing", {"period": {"expected": 0.03, "max": 0.04}}),
     ("length", True), ("outcome", []), ("seed", "1"), ("seed", 2**130), ("instruction", None), ("content_hash", "x"),
     ("sha256", {"../../dataset.json": "0" * 64}), ("versions", {"rcs": 1}), ("source", {"dataset": "../x"}),
     ("source", {"dataset": "a", "episode": "../x"}),

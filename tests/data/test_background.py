@@ -24,7 +24,7 @@ from rcs.errors import DatasetError, InvalidSetup, WrongOrder
 RGB, FLAGS, JOINTS = "observation/frames/wrist/rgb", "flags/frames/wrist", "observation/joints"
 SHAPE = (48, 64, 3)
 INFO = DatasetInfo(
-    fps=100.0,
+    frequency=100.0,
     features=(
         Feature(key=JOINTS, shape=(2,), dtype="float64"),
         Feature(key=RGB, shape=SHAPE, dtype="uint8", encoding="jpeg"),
@@ -85,7 +85,7 @@ def test_threads_write_what_would_be_written_without_any(
             there.add(taken)
         first, second = here.finish(True), there.finish(True)
     assert steps_equal(first.steps(), second.steps())
-    assert second.quality["writer"]["dropped_images"] == second.quality["writer"]["dropped_rows"] == 0
+    assert second.timing["writer"]["dropped_images"] == second.timing["writer"]["dropped_rows"] == 0
     assert first.content_hash == second.content_hash
 
 
@@ -118,9 +118,9 @@ def test_when_the_writer_is_too_slow_images_are_left_out_flagged_and_counted(
     dropped = (flags & FrameFlag.DROPPED).astype(bool)
     assert record.length == 40
     np.testing.assert_array_equal(record.column(JOINTS), [row[JOINTS] for row in given])
-    assert dropped.sum() == record.quality["writer"]["dropped_images"] == 30
-    assert record.quality["cameras"][RGB]["dropped"] == 30
-    assert record.quality["writer"]["most_bytes_waiting"] <= 10 * IMAGE_BYTES
+    assert dropped.sum() == record.timing["writer"]["dropped_images"] == 30
+    assert record.timing["cameras"][RGB]["dropped"] == 30
+    assert record.timing["writer"]["most_bytes_waiting"] <= 10 * IMAGE_BYTES
     assert [bool(flag & 1) for flag in flags] == [bool(row[FLAGS]) for row in given]  # what was said before stays
     assert caplog.text.count("slower than the loop") == 1
 
@@ -136,7 +136,7 @@ def test_even_the_rows_that_wait_are_bounded(
             episode.add(row)
         gate.open.set()
         record = episode.finish(True)
-    assert record.quality["writer"]["dropped_rows"] == 20 - record.length
+    assert record.timing["writer"]["dropped_rows"] == 20 - record.length
     assert 8 <= record.length <= 9  # one may be in the thread's hands
     assert "rows are left out" in caplog.text
 
@@ -151,7 +151,7 @@ def test_encoded_images_that_wait_for_a_disk_are_bounded_as_well(
             episode.add(row)
         gate.open.set()
         record = episode.finish(True)
-    writing = record.quality["writer"]
+    writing = record.timing["writer"]
     assert record.length == 100
     assert np.count_nonzero(record.flags("wrist") & FrameFlag.DROPPED) == writing["dropped_images"] > 0
     assert writing["most_bytes_waiting"] <= 10 * IMAGE_BYTES
@@ -166,10 +166,10 @@ def test_all_episodes_together_are_bounded(tmp_path: Path, monkeypatch: pytest.M
                 episode.add(row)
         gate.open.set()
         records = [episode.finish(True) for episode in episodes]
-        assert sum(record.quality["writer"]["dropped_images"] for record in records) == 4 * 5 - 10
+        assert sum(record.timing["writer"]["dropped_images"] for record in records) == 4 * 5 - 10
         last = start(writer, "last", bound_bytes=IMAGE_BYTES)
         last.add(rows(1)[0])
-        assert last.finish(True).quality["writer"]["dropped_images"] == 0, "what was written waits no more"
+        assert last.finish(True).timing["writer"]["dropped_images"] == 0, "what was written waits no more"
 
 
 def test_an_array_that_nobody_can_write_to_is_taken_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -275,7 +275,7 @@ def test_a_bad_row_is_refused_at_once_and_the_episode_goes_on(tmp_path: Path) ->
     with DatasetWriter.open(tmp_path, INFO) as writer:
         episode = start(writer)
         episode.add(good[0])
-        with pytest.raises(InvalidSetup, match="expected is"):
+        with pytest.raises(InvalidSetup, match="expected"):
             episode.add({**good[1], JOINTS: np.zeros(5)})
         episode.add(good[2])
         assert episode.finish(True).length == 2

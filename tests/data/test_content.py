@@ -26,7 +26,7 @@ FEATURES = (
     Feature(key="observation/frames/wrist/rgb", shape=(8, 8, 3), dtype="uint8", encoding="jpeg"),
     Feature(key="time/monotonic", shape=(), dtype="float64"),
 )
-INFO = DatasetInfo(fps=30, features=FEATURES, setup={}, instruction="")
+INFO = DatasetInfo(frequency=30, features=FEATURES, setup={}, instruction="")
 
 
 def table(rows: int, seed: int = 0) -> pa.Table:
@@ -72,7 +72,7 @@ def test_a_value_of_zero_is_not_no_value() -> None:
     one = table(1)
     other = one.set_column(0, one.schema.field(0), pa.array([[0.0, 0.0]], FEATURES[0].arrow_type))
     assert content(one) != content(other)
-    assert compare_steps(one, other) == ["observation/joints: first different in row 0"]
+    assert compare_steps(one, other) == ["observation/joints: first difference in row 0"]
 
 
 def test_a_missing_row_and_a_missing_column_are_named() -> None:

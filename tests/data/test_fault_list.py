@@ -7,7 +7,7 @@
  5  failing or read-only disk                  test_episode_writer
  6  torn tail, flipped bit                     test_stream, check/test_any_byte, check/test_bitrot
  7  two recorders, lock of a dead one          test_lock, test_writer
- 8  the wall clock jumps                       test_quality, check/test_times
+ 8  the wall clock jumps                       test_timing, check/test_times
  9  camera slower than the loop                envs/observers/test_recorder
 10  camera stalls, fails, gives nonsense       envs/observers/test_recorder, check/test_images
 11  writer slower than the loop                test_background
@@ -258,7 +258,7 @@ def test_8_a_wall_clock_that_jumps_an_hour_moves_no_stamp(loop: Loop, monkeypatc
     episode = Dataset.open(loop.writer.path)["a"]
     assert episode.about["ended"] < episode.about["started"], "the clock did jump"
     assert (np.diff(episode.column("time/monotonic")) > 0).all()
-    assert episode.quality["period"]["backwards"] == 0
+    assert episode.timing["period"]["backwards"] == 0
     assert not check(loop.writer.path).findings
 
 
@@ -289,7 +289,7 @@ def test_13_a_resume_with_another_rate_camera_or_dtype_is_refused_with_what_diff
     camera = Feature(key="observation/frames/side/rgb", shape=(16, 24, 3), dtype="uint8", encoding="jpeg")
     joints = replace(info.features[0], dtype="float32")
     for other, words in (
-        (replace(info, fps=15.0), "fps: the dataset has 30.0, this setup has 15.0"),
+        (replace(info, frequency=15.0), "frequency: the dataset has 30.0, this setup has 15.0"),
         (replace(info, features=(*info.features, camera)), "observation/frames/side/rgb: this setup has"),
         (replace(info, features=(joints, *info.features[1:])), "float64 .* this setup has .* float32"),
     ):
@@ -342,7 +342,7 @@ def test_16_an_empty_episode_is_refused_and_odd_names_are_not(
 def test_16_a_million_rows_are_written_read_and_checked(tmp_path: Path) -> None:
     count = 1_000_000
     features = [Feature(key=f"{kind}/joints", shape=(7,), dtype="float64") for kind in ("observation", "action")]
-    info = DatasetInfo(fps=1000, features=tuple(features), setup={}, instruction="wait")
+    info = DatasetInfo(frequency=1000, features=tuple(features), setup={}, instruction="wait")
     joints = np.zeros(7)
     with DatasetWriter.open(tmp_path, info) as writer, writer.episode("a", seed=0) as episode:
         episode.add({"observation/joints": joints})

@@ -26,7 +26,7 @@ def make(path: Path, length: int, held: tuple[int, ...] = ()) -> Dataset:
         Feature(key=LOSSLESS, shape=(6, 8, 3), dtype="uint8", encoding="lossless"),
         Feature(key=DEPTH, shape=(6, 8), dtype="uint16", encoding="depth"),
     )
-    info = DatasetInfo(fps=30.0, features=features, setup={}, instruction="move")
+    info = DatasetInfo(frequency=30.0, features=features, setup={}, instruction="move")
     rng = np.random.default_rng(0)
     with DatasetWriter.open(path, info) as writer:
         for seed in range(2):
@@ -109,7 +109,7 @@ def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
     for row in (-1, 5):
         with pytest.raises(InvalidSetup, match=f"no row {row}; valid are 0 to 4"):
             access.frame(episode, RGB, row)
-    with pytest.raises(InvalidSetup, match="no image"):
+    with pytest.raises(InvalidSetup, match="not an image"):
         access.encoded(episode, "observation/joints", [0])
 
 
@@ -127,12 +127,12 @@ def test_damage_is_noticed_before_and_after_the_places_are_known(tmp_path: Path)
         access.frame(after, RGB, 4)
     np.testing.assert_array_equal(access.frame(after, RGB, 3).shape, (16, 24, 3))
     path.write_bytes(data[: start + size - 1])
-    with pytest.raises(CorruptEpisode, match="ends before the image of row 4"):
+    with pytest.raises(CorruptEpisode, match="is truncated before the image of row 4"):
         access.frame(after, RGB, 4)
     path.unlink()
     with pytest.raises(CorruptEpisode, match="No such file"):
         access.frame(after, RGB, 4)
     path = before.path / "steps.parquet"
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(CorruptEpisode, match="does not read"):
+    with pytest.raises(CorruptEpisode, match="Cannot read"):
         access.frame(before, RGB, 0)

@@ -25,7 +25,7 @@ def info_of(encoding: Any = "lossless") -> DatasetInfo:
         Feature(key=MATRIX, shape=(2, 2), dtype="float64", encoding="held"),
         Feature(key=FLAGS, shape=(), dtype="uint8"),
     )
-    return DatasetInfo(fps=100.0, features=features, setup={}, instruction="")
+    return DatasetInfo(frequency=100.0, features=features, setup={}, instruction="")
 
 
 def record(path: Path, rows: list[dict[str, Any]], info: DatasetInfo | None = None) -> EpisodeRecord:
@@ -70,7 +70,7 @@ def test_a_missing_image_is_flagged_unless_the_row_says_why(tmp_path: Path) -> N
     rows = [row(a if i == 0 else None, 0, None if flag is None else int(flag)) for i, flag in enumerate(flags)]
     episode = record(tmp_path, rows)
     assert episode.flags("wrist").tolist() == [0, FrameFlag.MISSING, FrameFlag.REPEATED, FrameFlag.DROPPED]
-    counts = episode.quality["cameras"][RGB]
+    counts = episode.timing["cameras"][RGB]
     assert [counts[name] for name in ("repeated", "stale", "missing", "dropped", "new_images")] == [1, 0, 1, 1, 1]
 
 
@@ -115,7 +115,7 @@ def test_what_is_held_passes_the_check(tmp_path: Path) -> None:
 def test_a_dataset_of_the_first_layout_is_read_and_resumed(tmp_path: Path) -> None:
     """The first layout is this one without flags, held values, history and a copy of dataset.json."""
     info = DatasetInfo(
-        fps=100.0,
+        frequency=100.0,
         features=(Feature(key=RGB, shape=SHAPE, dtype="uint8", encoding="jpeg"),),
         setup={},
         instruction="",

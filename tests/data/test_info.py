@@ -38,12 +38,12 @@ def test_each_difference_is_one_line(make_info: MakeInfo) -> None:
         Feature(key="executed/joints", shape=(3,), dtype="float64"),
     )
     other = replace(
-        info, fps=15.0, features=features, setup={"robot": "fr3", "task": {"name": "PickCuboid", "goal": 1}}
+        info, frequency=15.0, features=features, setup={"robot": "fr3", "task": {"name": "PickCuboid", "goal": 1}}
     )
     assert differences(info, other) == [
         "features.executed/joints: this setup has '(3,) float64 plain', which is not in the dataset",
         "features.observation/joints: the dataset has '(3,) float64 [rad] plain', which is not in this setup",
-        "fps: the dataset has 30.0, this setup has 15.0",
+        "frequency: the dataset has 30.0, this setup has 15.0",
         "setup.task.goal: the dataset has 0.1, this setup has 1",
     ]
 
@@ -56,8 +56,8 @@ def test_another_order_of_the_features_is_a_difference(make_info: MakeInfo) -> N
 @pytest.mark.parametrize(
     "changes",
     [
-        {"fps": 0.0},
-        {"fps": math.nan},
+        {"frequency": 0.0},
+        {"frequency": math.nan},
         {"features": ()},
         {"features": (Feature(key="reward", shape=(), dtype="float64"),) * 2},
         {"jpeg_quality": 0},

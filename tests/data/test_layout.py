@@ -100,7 +100,7 @@ def test_an_open_episode_that_is_a_link_is_left_alone(dataset: Path, tmp_path: P
     outside = tmp_path / "outside"
     shutil.copytree(dataset / "episodes/000000", outside)
     (dataset / "episodes/.open-x").symlink_to(outside)
-    assert "is no folder but a link" in recover(dataset).failed[0][1]
+    assert "is not a folder but a link" in recover(dataset).failed[0][1]
     repair(dataset)
     assert len(list(outside.iterdir())) == 3
     assert check(dataset).is_ok

@@ -39,7 +39,7 @@ def test_only_the_columns_asked_for_are_read(dataset: Path) -> None:
 
 def test_what_is_no_image_has_no_frames(dataset: Path) -> None:
     episode = Dataset.open(dataset).episodes[0]
-    with pytest.raises(InvalidSetup, match="no image"):
+    with pytest.raises(InvalidSetup, match="not an image"):
         next(episode.frames("reward"))
     with pytest.raises(InvalidSetup, match="Known: observation/joints"):
         episode.column("speed")
@@ -58,7 +58,7 @@ def test_a_damaged_episode_does_not_keep_the_others_from_being_read(dataset: Pat
     found = Dataset.open(dataset)
     with pytest.raises(CorruptEpisode, match="damaged"):
         _ = found.episodes[0].success
-    with pytest.raises(CorruptEpisode, match=r"steps\.parquet does not read"):
+    with pytest.raises(CorruptEpisode, match=r"Cannot read .*steps\.parquet"):
         found.episodes[1].column("reward")
     assert found.episodes[2].column("reward").shape == (8,)
 
@@ -96,13 +96,13 @@ def test_a_table_of_all_episodes_has_every_value_at_its_place(dataset: Path) -> 
     assert places == [(episode.id, row) for episode in found.episodes for row in range(episode.length)]
     rewards = found.to_arrow(["reward"]).column("reward").to_pylist()
     assert [reward is None for reward in rewards] == [row == 0 for _, row in places]
-    with pytest.raises(InvalidSetup, match="images go into no table"):
+    with pytest.raises(InvalidSetup, match="image columns cannot be tabulated"):
         found.to_arrow(["observation/frames/wrist/rgb"])
 
 
 def test_a_table_has_held_values_in_every_row(tmp_path: Path) -> None:
     matrix = Feature(key="observation/matrix", shape=(2, 2), dtype="float64", encoding="held")
-    info = DatasetInfo(fps=10.0, features=(matrix,), setup={}, instruction="")
+    info = DatasetInfo(frequency=10.0, features=(matrix,), setup={}, instruction="")
     with DatasetWriter.open(tmp_path / "dataset", info) as writer:
         assert Dataset.open(tmp_path / "dataset").to_arrow().column_names == ["episode", "row", matrix.key]
         for name, values in (("a", [1, 1, 1, 2]), ("b", [2, 3, 3])):

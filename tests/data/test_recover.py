@@ -170,7 +170,7 @@ def test_a_torn_tail_is_cut_and_an_empty_episode_removed(
     assert (report.recovered, report.removed) == (("torn",), ("bare", "headless"))
     (found,) = Dataset.open(tmp_path).episodes
     assert found.length == 1, "the reset is a batch of its own, and the other rows were one"
-    assert found.quality["is_torn"]
+    assert found.timing["is_torn"]
 
 
 def test_a_stream_of_another_dataset_is_left_alone(

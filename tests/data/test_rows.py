@@ -29,15 +29,15 @@ def buffer(make_info: MakeInfo, make_rows: MakeRows) -> RowBuffer:
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("observation/joints", np.zeros(4), r"observation/joints.*\(4,\) float64; expected is \(3,\) float64"),
-        ("observation/joints", np.zeros(3, np.float32), r"\(3,\) float32; expected is \(3,\) float64"),
+        ("observation/joints", np.zeros(4), r"observation/joints.*\(4,\) float64; expected \(3,\) float64"),
+        ("observation/joints", np.zeros(3, np.float32), r"\(3,\) float32; expected \(3,\) float64"),
         ("observation/joints", [0.0, 0.0, 0.0], r"\[0.0, 0.0, 0.0\] \(list\); expected"),
         ("observation/joints", None, "None; expected"),
-        ("action/index", np.zeros(2, np.int64), "expected is .* int32"),
+        ("action/index", np.zeros(2, np.int64), "expected .* int32"),
         ("reward", "high", "'high'"),
         ("reward", True, "True"),
         ("reward", None, "None"),
-        ("terminated", 1, "expected is .* bool"),
+        ("terminated", 1, "expected .* bool"),
         ("time/monotonic", math.nan, "finite"),
         ("time/frames/wrist", math.inf, "finite"),
         ("observation/frames/wrist/rgb", np.zeros((24, 16, 3), np.uint8), "expected"),
@@ -64,7 +64,7 @@ def test_missing_and_unknown_keys_are_named(buffer: RowBuffer, make_rows: MakeRo
 
 @pytest.mark.parametrize("state", [None, np.zeros(STATE + 1), np.zeros(STATE, np.float32)])
 def test_a_wrong_simulation_state_is_refused(buffer: RowBuffer, make_rows: MakeRows, state: Any) -> None:
-    with pytest.raises(InvalidSetup, match="sim_state is"):
+    with pytest.raises(InvalidSetup, match="Expected sim_state to be"):
         buffer.add(make_rows(2, images=True)[1], state)
 
 

@@ -80,7 +80,7 @@ def test_what_cannot_be_counted_is_refused() -> None:
     running = RunningStatistics(2)
     with pytest.raises(InvalidSetup, match="no vectors"):
         running.result()
-    with pytest.raises(InvalidSetup, match=r"\(3, 4\); expected is \(rows, 2\)"):
+    with pytest.raises(InvalidSetup, match=r"\(3, 4\); expected \(rows, 2\)"):
         running.add(np.zeros((3, 4)))
     with pytest.raises(InvalidSetup, match="Number 1 of vector 0 is nan"):
         running.add(np.array([[0.0, np.nan]]))

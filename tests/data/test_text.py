@@ -25,19 +25,19 @@ HALF = "pick \udcff"
 @pytest.mark.parametrize("name", ["instruction", "setup", "versions", "origin"])
 def test_what_a_dataset_shares_has_no_half_of_a_pair(name: str, make_info: MakeInfo) -> None:
     value: Any = HALF if name == "instruction" else {"note": HALF}
-    with pytest.raises(InvalidSetup, match="half of a surrogate pair"):
+    with pytest.raises(InvalidSetup, match="half a surrogate pair"):
         make_info(**{name: value})
 
 
 @pytest.mark.parametrize("values", [{"key": f"observation/{HALF}"}, {"unit": HALF}])
 def test_a_feature_has_no_half_of_a_pair(values: dict[str, str]) -> None:
-    with pytest.raises(InvalidSetup, match="half of a surrogate pair"):
+    with pytest.raises(InvalidSetup, match="half a surrogate pair"):
         Feature(**{"key": "reward", "shape": (), "dtype": "float64", **values})
 
 
 def test_an_episode_is_refused_and_leaves_nothing(tmp_path: Path, make_info: MakeInfo, record: Record) -> None:
     with DatasetWriter.open(tmp_path, make_info()) as writer:
-        with pytest.raises(InvalidSetup, match="character 5 is half of a surrogate pair"):
+        with pytest.raises(InvalidSetup, match="character 5 is half a surrogate pair"):
             writer.episode("a", seed=0, instruction=HALF)
         with pytest.raises(InvalidSetup, match="cannot name an episode"):
             writer.episode(HALF, seed=0)
@@ -54,7 +54,7 @@ def test_what_is_said_in_the_end_is_refused_and_the_episode_stays_open(
         for row in make_rows(3):
             episode.add(row, np.zeros(5))
         for outcome, words in (({"note": HALF}, None), ({HALF: 1}, None), ({}, HALF)):
-            with pytest.raises(InvalidSetup, match="half of a surrogate pair"):
+            with pytest.raises(InvalidSetup, match="half a surrogate pair"):
                 episode.finish(True, outcome, instruction=words)
             assert episode.state == "open"
         assert episode.finish(True).success is True
@@ -73,7 +73,7 @@ def test_an_abort_keeps_its_reason_as_far_as_it_is_text(
 
 @pytest.mark.parametrize("ids", [None, ["000000"]])
 def test_relabelling_refuses_it_and_changes_nothing(dataset: Path, ids: list[str] | None) -> None:
-    with pytest.raises(InvalidSetup, match="half of a surrogate pair"):
+    with pytest.raises(InvalidSetup, match="half a surrogate pair"):
         edit.relabel(dataset, HALF, episodes=ids)
     assert Dataset.open(dataset).head.history == ()
     edit.relabel(dataset, "pick", episodes=ids)

@@ -55,8 +55,10 @@ def test_a_resumed_dataset_keeps_what_it_had(tmp_path: Path, make_info: MakeInfo
 
 def test_another_setup_is_refused_and_the_differences_are_named(tmp_path: Path, make_info: MakeInfo) -> None:
     DatasetWriter.open(tmp_path, make_info()).close()
-    with pytest.raises(DatasetError, match=r"fps: the dataset has 30.0, this setup has 15.0\n.*setup.robot: .*'xarm7'"):
-        DatasetWriter.open(tmp_path, make_info(fps=15.0, setup={"robot": "xarm7"}), resume=True)
+    with pytest.raises(
+        DatasetError, match=r"frequency: the dataset has 30.0, this setup has 15.0\n.*setup.robot: .*'xarm7'"
+    ):
+        DatasetWriter.open(tmp_path, make_info(frequency=15.0, setup={"robot": "xarm7"}), resume=True)
     DatasetWriter.open(tmp_path, make_info(), resume=True).close()
 
 

@@ -121,6 +121,6 @@ def test_a_recorded_frame_that_came_again_keeps_its_time_and_is_flagged(tmp_path
         np.testing.assert_array_equal(np.flatnonzero(np.diff(times, prepend=-1.0)), is_new)
         for image, given in zip(episode.frames("observation/frames/wrist/rgb"), seen, strict=True):
             np.testing.assert_array_equal(image, given["wrist"]["rgb"])
-        camera = episode.about["quality"]["cameras"]["observation/frames/wrist/rgb"]
+        camera = episode.about["timing"]["cameras"]["observation/frames/wrist/rgb"]
         assert (camera["new_images"], camera["repeated"], camera["stale"]) == (7, 14, 0)
     env.close()

@@ -79,7 +79,7 @@ def _record(path: Path, *, images: bool) -> None:
             Feature(key="flags/frames/wrist", shape=(), dtype="uint8"),
         ]
     setup = {"robot": "fr3", "task": "PickCuboid", "stepping": "async"}
-    info = DatasetInfo(fps=30, features=tuple(features), setup=setup, instruction="pick", sim_state_size=3)
+    info = DatasetInfo(frequency=30, features=tuple(features), setup=setup, instruction="pick", sim_state_size=3)
     rng = np.random.default_rng(0)
     with DatasetWriter.open(path, info) as writer:
         for number in range(3):

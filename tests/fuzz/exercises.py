@@ -28,7 +28,7 @@ def read(path: Path, out: Path) -> None:
     for episode in Dataset.open(path):
         for feature in episode.info.features:
             episode.column(feature.key)
-        _ = episode.success, episode.outcome, episode.quality, episode.source
+        _ = episode.success, episode.outcome, episode.timing, episode.source
         episode.sim_state()
 
 

@@ -309,7 +309,7 @@ class Stage:
                 return np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
             case "opening":
                 return r.random()
-            case "quality":
+            case "timing":
                 return "fast"
             case "backend":
                 return "auto"

@@ -52,7 +52,7 @@ for index, episode in enumerate(dataset.episodes):
     )
 about = {
     "episodes": len(dataset),
-    "fps": dataset.info.fps,
+    "fps": dataset.info.frequency,
     "cameras": list(cameras),
     "depths": list(depths),
     "state": [feature.key for feature in state.features],

@@ -44,7 +44,7 @@ images = [
     Feature(key="observation/frames/left/wrist/depth", shape=(30, 40), dtype="uint16", encoding="depth"),
     Feature(key="observation/frames/top/rgb", shape=(32, 32, 3), dtype="uint8", encoding="jpeg"),
 ]
-info = DatasetInfo(fps=12.5, features=(*numbers, *images), setup={"task": "Varied"}, instruction=TASK)
+info = DatasetInfo(frequency=12.5, features=(*numbers, *images), setup={"task": "Varied"}, instruction=TASK)
 rng = np.random.default_rng(3)
 
 
@@ -91,7 +91,7 @@ for index, episode in enumerate(dataset.episodes):
     )
 about = {
     "episodes": len(dataset),
-    "fps": dataset.info.fps,
+    "fps": dataset.info.frequency,
     "cameras": [name.replace("/", "_") for name in cameras],
     "depths": [name.replace("/", "_") for name in depths],
     "state": [feature.key for feature in state.features],

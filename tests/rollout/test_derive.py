@@ -43,8 +43,8 @@ def test_a_mixed_dataset_replays_in_every_way(dataset: Path, tmp_path: Path) -> 
     assert [result.is_equal for result in replay(mixed.path)] == [True] * 3
     for job in JOBS:
         options: dict[str, Any] = {"keep": "all"} if job is RealToSim else {}
-        list(derive(job(source=mixed.path, out=tmp_path / job.mode, **options)))
-        assert len(Dataset.open(tmp_path / job.mode)) == 3
+        list(derive(job(source=mixed.path, out=tmp_path / job.kind, **options)))
+        assert len(Dataset.open(tmp_path / job.kind)) == 3
     executed, before = Dataset.open(tmp_path / "actions").episodes, mixed.episodes
     assert [episode.content_hash for episode in executed] == [episode.content_hash for episode in before]
 
@@ -90,13 +90,8 @@ def test_only_frames_that_are_due_are_drawn(dataset: Path, tmp_path: Path, monke
         return draw(self, names, copies)
 
     monkeypatch.setattr(SimCameras, "read", watch)
-    list(
-        derive(
-            Rerendering(
-                source=dataset, out=tmp_path / "out", look=Look(cameras=("side",), image_size=32, camera_fps=15.0)
-            )
-        )
-    )
+    look = Look(cameras=("side",), image_size=32, camera_fps=15.0)
+    list(derive(Rerendering(source=dataset, out=tmp_path / "out", look=look)))
     episodes = Dataset.open(tmp_path / "out").episodes
     assert len(drawn) == sum((episode.length + 1) // 2 for episode in episodes)
     assert len(drawn) == sum(int((episode.column("flags/frames/side") == 0).sum()) for episode in episodes)

@@ -60,7 +60,7 @@ def measure(
     if is_joined:
         features = (Feature(key="observation/state", shape=(8,), dtype="float32"),)
     known = source.info.setup if setup is None else setup
-    info = DatasetInfo(fps=source.info.fps * rate, features=features, setup=known, instruction="pick it up")
+    info = DatasetInfo(frequency=source.info.frequency * rate, features=features, setup=known, instruction="pick it up")
     draws = np.random.default_rng(0)
     with DatasetWriter.open(out, info) as writer:
         for episode in source.episodes:
@@ -160,7 +160,7 @@ def test_what_was_replayed_is_a_simulated_dataset_that_replays_bit_for_bit(other
 def test_a_recording_at_another_rate_is_interpolated(other_world: Path, tmp_path: Path, rate: float) -> None:
     real = measure(other_world, tmp_path / "real", rate=rate, late=0, noise=1e-3)
     results = run(source=real, out=tmp_path / "out")
-    assert Dataset.open(tmp_path / "out").info.fps == 30.0
+    assert Dataset.open(tmp_path / "out").info.frequency == 30.0
     assert successes(results) >= EPISODES - 1
 
 

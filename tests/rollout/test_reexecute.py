@@ -139,7 +139,7 @@ def test_frames_are_drawn_of_what_is_executed(dataset: Path, tmp_path: Path) -> 
 def test_real_recordings_and_taken_folders_are_refused(dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").write_text("mine")
-    with pytest.raises(DatasetError, match="is there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         run(source=dataset, out=tmp_path / "out")
     assert (tmp_path / "out" / "mine").read_text() == "mine"
     with pytest.raises(InvalidSetup, match="grace"):

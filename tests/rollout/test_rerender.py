@@ -174,7 +174,7 @@ def test_the_number_of_workers_changes_nothing(dataset: Path, tmp_path: Path) ->
 def test_a_folder_that_is_taken_stays_as_it_is_and_a_failure_leaves_nothing(dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").write_text("mine")
-    with pytest.raises(DatasetError, match="is there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         run(dataset, tmp_path / "out")
     with pytest.raises(InvalidSetup, match="size"):
         run(dataset, tmp_path / "other", image_size=0)

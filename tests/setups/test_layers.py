@@ -71,7 +71,7 @@ def test_several_robots_have_each_their_own_and_so_have_many_copies() -> None:
     [
         (["Shot"], UnknownName, "Shot"),
         ("rcs.envs.layers:BinaryGripper", InvalidSetup, "give a sequence"),
-        ([Shut, Shut], InvalidSetup, "there twice"),
+        ([Shut, Shut], InvalidSetup, "must not repeat"),
         ([int], InvalidSetup, "no layer"),
     ],
 )

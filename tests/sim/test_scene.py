@@ -52,7 +52,7 @@ def test_a_name_is_given_once(placement: RobotPlacement) -> None:
 
 def test_a_camera_needs_a_body_to_be_mounted_on() -> None:
     camera = CameraPlacement(name="wrist", camera=REALSENSE_D405, parent_body="nobody", optical_in_parent=Mount())
-    with pytest.raises(InvalidSetup, match="'nobody', which is not there"):
+    with pytest.raises(InvalidSetup, match="'nobody', which is not in the scene"):
         Scene.empty().add_camera(camera)
 
 

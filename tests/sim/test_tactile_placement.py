@@ -112,7 +112,7 @@ def test_a_body_or_a_pad_that_is_not_there_is_refused(placement: RobotPlacement)
     scene = Scene.empty()
     scene.add_robot(placement)
     sensor = on_pads(placement, DIGIT)[0]
-    with pytest.raises(InvalidSetup, match="'thumb', which is not there"):
+    with pytest.raises(InvalidSetup, match="'thumb', which is not in the scene"):
         scene.add_tactile(replace(sensor, parent_body="thumb"))
     with pytest.raises(InvalidSetup, match=r"replace 'nail'.*left_pad"):
         scene.add_tactile(replace(sensor, replaced_pad="nail"))

@@ -1,4 +1,4 @@
-"""Turns a target for the TCP into an action of whatever kind an environment takes."""
+"""Converts a target for the TCP into an action for an environment in any control mode."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rcs.kinematics import IkOptions, IkStatus, Kinematics
 from rcs.spatial import Pose, compose, inverse, limit_step, tquat_to_xyzrpy
 
 MARGIN = 0.9
-"""Of the bounds of one relative pose action: its rotation's components differ a little from its angle."""
+"""Share of a relative pose action's bounds to use, since a rotation's components differ slightly from its angle."""
 
 
 def ik_options(kinematics: Kinematics, restarts: int = 0) -> IkOptions:
-    """Return what an arm can be asked for: any pose, or, with fewer than six joints, a place.
+    """Return solver options for what an arm can reach: any pose, or with fewer than six joints, a position.
 
     The tool of such an arm leans as little as possible, by up to 1.6 rad.
 
@@ -29,24 +29,24 @@ def ik_options(kinematics: Kinematics, restarts: int = 0) -> IkOptions:
     """
     if kinematics.dof >= 6:
         return IkOptions(restarts=0, iterations=100)
-    # A weight at which leaning by a right angle moves the solution by less than the tolerance of the place.
+    # With this weight, a tilt of a right angle moves the solution by less than the tolerance of the position.
     return IkOptions(
         restarts=restarts, iterations=200, rotation_weight=0.005, rotation_tolerance=1.6, translation_tolerance=5e-4
     )
 
 
 class ActionWriter:
-    """Writes actions for one environment: joints or poses, absolute or relative, as its setup says.
+    """Writes actions for one environment: joints or poses, absolute or relative, according to its setup.
 
-    Relative actions go on from what the last one came to, which `follow` takes from the step's info: a layer may have
-    cut it.
+    Relative actions count from the target actually reached, which `follow` takes from the step's info, since a layer
+    may have limited it.
     """
 
     def __init__(self, setup: Setup, action_space: spaces.Dict, kinematics: Kinematics) -> None:
-        """Write for an environment.
+        """Prepare to write for an environment.
 
         Args:
-            setup: Says what actions mean.
+            setup: Has the control mode.
             action_space: Bounds of an action.
             kinematics: Of the arm with its gripper, for joint actions.
         """
@@ -56,10 +56,10 @@ class ActionWriter:
         self._key = JOINTS if setup.control == JOINTS else TQUAT
         self._bound: NDArray[np.float64] = box.high.astype(np.float64)
         self._kinematics = kinematics
-        # On the branch of the last target: a jump to another one would be a large, fast motion.
+        # Stays on the branch of the last target, since a jump to another one would be a large, fast motion.
         self._options = ik_options(kinematics)
         self.joints = np.zeros(kinematics.dof)
-        """The joints that were last aimed at [rad]."""
+        """The last joint target [rad]."""
         self._last = self._origin = np.zeros(0)
 
     def reset(self, observation: Observation) -> None:
@@ -68,11 +68,12 @@ class ActionWriter:
         self._last = self._origin = np.array(observation[self._key])
 
     def follow(self, info: Mapping[str, Any], robot: str | None = None) -> None:
-        """Go on from what the last action came to; without this, from what it was meant to come to.
+        """Continue from the actual target of the last action; without this call, from the intended one.
 
         Args:
-            info: Of the last step; its `target` has the absolute joints [rad] or the TCP's pose, if there was a step.
-            robot: Name of the robot where there are several.
+            info: Info of the last step, whose `target` has absolute joints [rad] or the TCP pose; nothing after a
+                reset.
+            robot: Name of the robot, if there are several.
         """
         target = info.get("target")
         if target is not None:
@@ -83,10 +84,10 @@ class ActionWriter:
 
         Args:
             tcp: Translation [m] and quaternion xyzw in the base frame, shape (7,).
-            opening: Of the gripper, 0 closed … 1 open.
+            opening: Opening of the gripper, 0 closed … 1 open.
 
         Returns:
-            The action; None when the pose is not feasible.
+            The action; None if the pose is not feasible.
         """
         if self._setup.control != JOINTS:
             return self._with_gripper(self._pose_action(tcp), opening)
@@ -98,7 +99,7 @@ class ActionWriter:
 
         Args:
             joints: Joint positions [rad], shape (dof,), near the last ones.
-            opening: Of the gripper, 0 closed … 1 open.
+            opening: Opening of the gripper, 0 closed … 1 open.
         """
         self.joints = joints
         if self._setup.control != JOINTS:
@@ -126,7 +127,7 @@ class ActionWriter:
 
 
 def difference(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what, applied to `start` along and about the axes of its parent frame, gives `goal` (both (7,))."""
+    """Return the motion along and about the axes of the parent frame that takes `start` to `goal`, all (7,)."""
     step = compose((0.0, 0.0, 0.0, *goal[3:]), inverse((0.0, 0.0, 0.0, *start[3:])))
     step[:3] = goal[:3] - start[:3]
     return step

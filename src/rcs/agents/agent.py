@@ -1,4 +1,4 @@
-"""The interface of an agent, which a script, a planner, a person at a device and a policy share."""
+"""The interface of an agent: a script, a planner, a person at a device, or a policy."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ class Agent(ABC):
         """Return the next action."""
 
     def close(self) -> None:  # noqa: B027  most agents hold nothing
-        """Let go of devices, threads and connections. Closing twice is harmless."""
+        """Release devices, threads and connections. Closing twice is harmless."""
 
     @property
     def failure(self) -> str | None:
-        """Why the agent gave up, as a class such as `ik` or `no_contact`; None while it has not."""
+        """Why the agent gave up, as a class such as `ik` or `no_contact`; None if it has not."""
         return None
 
     def notes(self) -> Mapping[str, Any]:
-        """Return what is to be recorded beside the last action: who acted, latency [s], place in a chunk."""
+        """Return notes to record with the last action: who acted, latency [s], place in a chunk."""
         return {}
 
     def events(self) -> Sequence[Event]:
-        """Return what an operator has asked for since the last call, oldest first."""
+        """Return an operator's requests since the last call, oldest first."""
         return ()

@@ -1,4 +1,4 @@
-"""Find the agent that acts in an environment: a named one, or the expert of its task."""
+"""Finds an agent for an environment: a named one, or the expert of its task."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ def agent_for(env: Env, agent: Any = None) -> Agent:
     """Return an agent for an environment.
 
     Args:
-        env: The environment that it will act in.
+        env: The environment.
         agent: An agent, a class or function that makes one from the environment, the name of an entry point of
             `rcs.agents`, or `module:Class`; None for the expert that the task names.
 
     Raises:
-        InvalidSetup: The task names no expert, or what was given makes no agent.
+        InvalidSetup: The task names no expert, or `agent` does not make an Agent.
         UnknownName: There is no agent of this name.
     """
     if agent is None:

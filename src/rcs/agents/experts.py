@@ -13,13 +13,13 @@ from rcs.envs.spaces import TQUAT
 from rcs.spatial import Pose
 
 TOY_IN_TCP = (-0.015, 0.005)
-"""Where the toy's centre is to be along the TCP's x and y [m]: from there a closing hand does not push it about."""
+"""Target of the toy's centre along the TCP's x and y [m], where a closing hand does not push it away."""
 HAND_CLOSING_TIME = 0.6
-"""Wait for the fingers to close [s]: they are given their targets at once and meet the toy after 0.2 s."""
+"""Time for the fingers to close [s]; they meet the toy after 0.2 s."""
 HELD = 0.10
-"""The toy is in the hand while its centre is this close to the TCP [m]."""
+"""Largest distance from the TCP to the centre of a toy in the hand [m]."""
 TURNS = np.deg2rad([0.0, 30.0, -30.0, 60.0, -60.0])
-"""Angles between the fingers and the direction away from the base that are tried, best first [rad]."""
+"""Angles to try between the fingers and the direction away from the base, best first [rad]."""
 
 
 def across(direction: NDArray[np.float64]) -> list[list[float]]:
@@ -29,7 +29,7 @@ def across(direction: NDArray[np.float64]) -> list[list[float]]:
 
 
 class PickExpert(Script):
-    """Picks the cuboid whose pose is in `info["cuboid"]`, across its short side, which is along its y axis."""
+    """Picks the cuboid at `info["cuboid"]` across its short side, the y axis."""
 
     task = "PickCuboid"
     needs = ("cuboid",)
@@ -47,11 +47,11 @@ class PickExpert(Script):
 
 
 class LiftExpert(Script):
-    """Lifts the bar whose pose is in `info["bar_in_scene"]`, grasped `info["grasp_offset"]` from its middle."""
+    """Lifts the bar at `info["bar_in_scene"]`, grasped at `info["grasp_offset"]` from its middle."""
 
     task = "LiftBar"
     needs = ("bar_in_scene", "grasp_offset")
-    # Slowly, so that both ends stay level.
+    # Slow, so that both ends stay level.
     phases = (*REACH, CLOSE, Phase("lift", "lifted", 0.15, 0.0, risk=("slip", are_empty)))
     attempts = 1
 
@@ -76,7 +76,7 @@ def is_untouched(script: Script) -> bool:
 
 
 class ToyExpert(Script):
-    """Picks the toy whose pose is in `info["toy"]` in a power grasp, palm down, and brings it to where the arm was."""
+    """Picks the toy at `info["toy"]` in a power grasp, palm down, and brings it to where the arm started."""
 
     task = "PickToy"
     needs = ("toy",)
@@ -86,11 +86,11 @@ class ToyExpert(Script):
         Phase("lift", "lifted", opening=0.0, risk=("slip", is_lost)),
         Phase("home", "home", opening=0.0, risk=("slip", is_lost)),
     )
-    turn_speed = 1.0  # what hangs in the hand is soft
+    turn_speed = 1.0  # the toy hangs down
     arrived = (0.006, 0.05)  # the open hand is 4 cm wider than the toy
 
     def plan(self, arm: ScriptedArm) -> Plan | None:
-        """Plan a grasp whose fingers point away from the base as directly as can be."""
+        """Plan a grasp with the fingers pointing away from the base as directly as possible."""
         toy = Pose.from_tquat(self.info["toy"])
         azimuth = np.arctan2(toy.translation[1], toy.translation[0])
         return plan_from_above(arm, toy, [[azimuth + turn] for turn in TURNS], lift=0.10, in_tcp=TOY_IN_TCP)

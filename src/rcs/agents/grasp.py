@@ -1,4 +1,4 @@
-"""Grasps from above: where, and the phases that lead there."""
+"""Grasps from above: their poses, and the phases that lead to them."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from rcs.spatial import Pose
 CLEARANCE = 0.09
 """Height of the pre-grasp above the grasp [m]."""
 CLOSING_TIME = 0.3
-"""A gripper that stands still sooner than this after the command to close [s] has not yet begun to."""
+"""Earliest time after the command to close at which standing still means closed [s]."""
 BARELY_CLOSED = 0.9
-"""Nothing that is to be grasped here is this wide in proportion to the gripper."""
+"""Opening above which nothing is grasped: no object here is this wide in proportion to the gripper."""
 STILL = 2e-3
-"""The gripper counts as still when its opening changes by less than this per step."""
+"""Change of the opening per step below which a gripper stands still."""
 EMPTY = 0.05
-"""An opening below this has nothing in it: empty jaws close to 0, and those of an SO101 on its cuboid to 0.1."""
+"""Opening below which nothing is grasped: empty jaws close to 0, those of an SO101 on its cuboid to 0.1."""
 
 
 def have_closed(script: Script) -> bool:
@@ -40,11 +40,11 @@ def are_empty(script: Script) -> bool:
 REACH = (
     Phase("approach", "above", 0.45),
     Phase("descend", "grasp"),
-    Phase("settle", "grasp", until=lambda script: script.elapsed >= 0.1),  # [s], for the servo lag to die out
+    Phase("settle", "grasp", until=lambda script: script.elapsed >= 0.1),  # [s], until the servo lag has died out
 )
 """Leads to a grasp from above."""
 CLOSE = Phase("close", "grasp", opening=0.0, until=have_closed, risk=("no_contact", are_empty), is_judged_at_end=True)
-"""For a gripper that says how far it is open."""
+"""For a gripper with a measured opening."""
 
 
 _Reach = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -59,18 +59,18 @@ def plan_from_above(
     lift: float = 0.15,
     in_tcp: tuple[float, float] = (0.0, 0.0),
 ) -> Plan | None:
-    """Plan a grasp with the tool pointing down, tilted as little and with the joints turned as little as may be.
+    """Plan a grasp with the tool pointing down, with the least tilt and joint motion.
 
     Args:
         arm: The arm.
-        where: Pose whose origin is to be grasped, in the base frame.
+        where: Pose in the base frame whose origin to grasp.
         turns: Groups of angles of the tool about the vertical [rad], best first. Within a group, the angle with the
             smallest largest joint motion wins.
-        lift: Height to lift to above the grasp [m]; the tasks want 0.10.
-        in_tcp: Where the grasped place is along the TCP's x and y [m].
+        lift: Height to lift above the grasp [m]; the tasks require 0.10.
+        in_tcp: Grasped point along the TCP's x and y [m].
 
     Returns:
-        The poses `above`, `grasp` and `lifted`; None when nothing is feasible.
+        The poses `above`, `grasp` and `lifted`; None if nothing is feasible.
     """
     kinematics = arm.kinematics
 
@@ -79,7 +79,7 @@ def plan_from_above(
         down = Pose.from_rpy(where.translation + [0.0, 0.0, height], (np.pi, 0.0, turn))
         tool = down * Pose((-in_tcp[0], -in_tcp[1], 0.0))
         result = kinematics.inverse(tool, start, ik_options(kinematics, restarts))
-        # An arm with fewer than six joints leans its tool where it must.
+        # An arm with fewer than six joints may have to tilt its tool.
         tcp = tool if kinematics.dof >= 6 else kinematics.forward(result.joints)
         return (tcp.tquat, result.joints) if result.status == IkStatus.ok else None
 

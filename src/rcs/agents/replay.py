@@ -11,7 +11,7 @@ from rcs.errors import WrongOrder
 
 
 class Replay(Agent):
-    """Gives the actions of a recorded episode, one after the other, whatever it observes."""
+    """Returns the actions of a recorded episode one after the other, regardless of observations."""
 
     def __init__(self, actions: Mapping[str, Any]) -> None:
         """Take the actions.
@@ -35,10 +35,10 @@ class Replay(Agent):
         """Return the next recorded action.
 
         Raises:
-            WrongOrder: There are no more.
+            WrongOrder: All actions were played.
         """
         if self._next >= self._length:
-            raise WrongOrder(f"All {self._length} recorded actions were played; reset starts anew.")
+            raise WrongOrder(f"All {self._length} recorded actions were played; call reset to start again.")
         self._next += 1
         return _row(self._actions, self._next - 1)
 

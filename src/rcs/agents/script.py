@@ -20,11 +20,11 @@ from rcs.sim.scene import RobotPlacement
 from rcs.spatial import distance, limit_step
 
 PATIENCE = 4.0
-"""Longest time of any phase before the script goes on regardless [s]."""
+"""Longest duration of a phase; then the script goes on regardless [s]."""
 
 Condition = Callable[["Script"], bool]
 Plan = Mapping[str, NDArray[np.float64]]
-"""Where one arm goes: TCP poses in the base frame, (7,), by the names that phases use."""
+"""Poses of one arm: TCP poses in the base frame, (7,), by the names used in phases."""
 
 
 @dataclass(frozen=True)
@@ -33,14 +33,14 @@ class Phase:
 
     name: str
     goal: str = ""
-    """Name of the pose that every arm goes to in a straight line; none to stay."""
+    """Name of the pose to which every arm moves in a straight line; empty to stay."""
     speed: float = 0.20
     """Speed of the TCP's target [m/s]."""
     opening: float = 1.0
-    """Of the grippers, 0 closed … 1 open."""
+    """Opening of the grippers, 0 closed … 1 open."""
     until: Condition = lambda script: script.has_arrived()
     risk: tuple[str, Condition] | None = None
-    """Class of a failure that ends the attempt, and when that is the case."""
+    """Class of a failure that ends the attempt, and the test for it."""
     is_judged_at_end: bool = False
     """Whether to check for the failure only when the phase is done."""
 
@@ -61,7 +61,7 @@ class ScriptedArm:
         self.start = np.zeros(0)
         """Joints at the start of the episode [rad]."""
         self.target = np.zeros(0)
-        """TCP pose that was last aimed at, in the base frame, (7,)."""
+        """The last TCP target in the base frame, (7,)."""
         self.plan: Plan = {}
 
     def see(self, observation: Observation, info: Mapping[str, Any]) -> None:
@@ -76,17 +76,17 @@ class Script(Agent):
 
     task: ClassVar[str]
     needs: ClassVar[tuple[str, ...]]
-    """Keys that the task's info must have."""
+    """Keys required in the task's info."""
     phases: ClassVar[Sequence[Phase]]
     attempts: ClassVar[int] = 2
     turn_speed: ClassVar[float] = 2.0
-    """Speed of the target's rotation [rad/s]."""
+    """Rotational speed of the target [rad/s]."""
     arrived: ClassVar[tuple[float, float]] = (0.004, 0.03)
-    """An arm counts as arrived with its TCP this close to its goal [m, rad]."""
+    """Distance of the TCP from its goal at which an arm has arrived [m, rad]."""
 
     def __init__(self, env: Env) -> None:
         self._period = 1.0 / env.setup.frequency
-        # A synchronous step ends at its target: there, bigger steps only mean fewer of them.
+        # A synchronous step ends at its target, so bigger steps only mean fewer of them.
         self._pace = self._period * (1.0 if env.setup.stepping != "sync" else 3.0)
         is_single = len(env.robots) == 1
         self.arms = [ScriptedArm(env, None if is_single else name, robot) for name, robot in env.robots.items()]
@@ -95,11 +95,11 @@ class Script(Agent):
         self._failure: str | None = None
         self.info: Mapping[str, Any] = {}
         self.elapsed = 0.0
-        """How long the present phase has lasted [s]."""
+        """Time since the present phase began [s]."""
 
     @abstractmethod
     def plan(self, arm: ScriptedArm) -> Plan | None:
-        """Return where an arm goes, by the names that phases use besides `home`; None when that is not feasible."""
+        """Return the poses of an arm by the names used in phases (`home` is added); None if they are not feasible."""
 
     @property
     def failure(self) -> str | None:
@@ -121,7 +121,7 @@ class Script(Agent):
         """Plan a new episode.
 
         Raises:
-            WrongOrder: The info lacks what the script looks at: the environment has another task.
+            WrongOrder: The info lacks a required key: the environment has another task.
         """
         if missing := [key for key in self.needs if key not in info]:
             raise WrongOrder(f"{type(self).__name__} needs info[{missing[0]!r}]; use it in the task {self.task}.")
@@ -133,7 +133,7 @@ class Script(Agent):
         self._begin()
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
-        """Go on with the present phase, or with the next when all arms are done."""
+        """Continue the present phase, or start the next if all arms are done."""
         self.info = info
         for arm in self.arms:
             arm.see(observation, info)

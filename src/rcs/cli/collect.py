@@ -20,18 +20,18 @@ from rcs.rollout.evaluate import Summary
 class CollectCommand(RunOptions):
     """Collect a dataset of scripted episodes and write a report page.
 
-    Episode i depends on the seed and on i alone: an interrupted collection is resumed by the same command, and the
-    number of workers does not change the data. Ctrl-C ends after the episodes at work; a second one ends at once.
+    Episode i depends only on the seed and on i, so the same command resumes an interrupted collection, and the number
+    of workers does not change the data. Ctrl-C ends after the running episodes; a second one ends at once.
     """
 
     episodes: int = 20
-    """How many episodes the dataset shall have in the end; parts of episodes that a kill left do not count."""
+    """Number of episodes in the finished dataset; partial episodes left by a kill do not count."""
     out: Path = field(default_factory=lambda: Path("datasets/collected"))
     """Folder of the dataset."""
     only_success: bool = False
     """Keep successful episodes only, and try until there are enough."""
     colour: Colour = "jpeg"
-    """How colour frames are stored; `lossless` takes some four times the space."""
+    """Encoding of colour frames; `lossless` takes about four times the space."""
     jpeg_quality: int = 95
     """JPEG quality of colour frames."""
     report: bool = True
@@ -40,7 +40,7 @@ class CollectCommand(RunOptions):
     """Watch in a window, in real time; needs a display."""
 
     def run(self) -> int:
-        """Collect, tell how it went and return the exit code."""
+        """Collect, print the results and return the exit code."""
         console = plain_console(soft_wrap=False)
         collection = Collection(
             setup=self.setup("realtime" if self.viewer else "async"),
@@ -72,9 +72,9 @@ class CollectCommand(RunOptions):
 
 def _summarise(collection: Collection, progress: Progress, console: Console) -> None:
     if progress.found:
-        console.print(f"{progress.found} episodes were there already.")
+        console.print(f"{progress.found} episodes existed already.")
     if progress.again:
-        console.print(f"{progress.again} that a kill had cut short were collected again from their start.")
+        console.print(f"{progress.again} episodes cut short by a kill were collected again.")
     if progress.attempts:
         summary = Summary(attempts=progress.attempts)
         console.print(results_table(summary, progress.seconds, collection.workers))

@@ -1,4 +1,4 @@
-"""What commands print on: text comes out as it is stored, whatever is in it."""
+"""The console of commands: text of users and datasets is printed verbatim."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-# Codes that move the cursor, colour the screen or rename the window: from a dataset they are nobody's wish.
+# Control codes in a dataset must not move the cursor, colour the screen or rename the window.
 _CONTROLS = {code: "\ufffd" for code in (*range(0x20), *range(0x7F, 0xA0)) if chr(code) not in "\n\t"}
 
 
 class PlainConsole(Console):
-    """A console that takes text for text: an instruction "[/bold]" is printed, and is no markup."""
+    """A console without markup: an instruction "[/bold]" is printed as it is."""
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Return a text to print, without control characters; markup, emoji names and numbers are left as they are."""
+        """Return text to print, without control characters and without interpreting markup or emoji names."""
         how: dict[str, Any] = {**options, "markup": False, "emoji": False}
         return super().render_str(text.translate(_CONTROLS), **how)
 
 
 def plain_console(*, stderr: bool = False, **options: Any) -> Console:
-    """Return a console for text of datasets and users.
+    """Return a console for text of users and datasets.
 
     Args:
-        stderr: Whether it prints where errors go.
+        stderr: Whether to print to stderr.
         options: Of `rich.console.Console`.
     """
     how: dict[str, Any] = {"soft_wrap": True, **options}

@@ -1,4 +1,4 @@
-"""`rcs doctor`: what works on this machine, and what to do about what does not."""
+"""`rcs doctor`: what works on this machine, and remedies for what does not."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PACKAGE = "robot-control-stack"
 
 @dataclass(kw_only=True)
 class DoctorCommand:
-    """Tell what works on this machine. Exit code 1 when nothing can draw."""
+    """Show what works on this machine. Exit code 1 if nothing can draw."""
 
     def run(self) -> int:
         """Print it."""
@@ -42,13 +42,13 @@ class DoctorCommand:
             table.add_row(f"extra {extra}", remedy if missing else "installed")
         console.print(table)
         if chosen is None:
-            console.print("Nothing can draw: cameras will not work until one of the remedies above is done.")
+            console.print("Nothing can draw: cameras need one of the remedies above.")
             return 1
         return 0
 
 
 def _extras() -> dict[str, list[str]]:
-    """Return the packages of every extra, as the metadata of the installed package has them."""
+    """Return the packages of every extra, from the metadata of the installed package."""
     found: dict[str, list[str]] = {}
     for line in importlib.metadata.requires(PACKAGE) or []:
         if match := re.match(r"([\w.-]+).*;.*extra == ['\"]([\w-]+)", line):

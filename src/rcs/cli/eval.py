@@ -13,14 +13,14 @@ from rcs.rollout.evaluate import Evaluation, Summary, evaluate
 
 @dataclass(kw_only=True)
 class EvalCommand(RunOptions):
-    """Run an agent in seeded episodes and tell how often it succeeds.
+    """Run an agent in seeded episodes and show how often it succeeds.
 
     Episode i depends on the seed and on i alone, whatever the number of workers: two agents meet the same starts.
     Ctrl-C ends after the episodes at work, a second one at once; the figures of those that ended are written anyway.
     """
 
     episodes: int = 50
-    """How many episodes to run."""
+    """Number of episodes."""
     cameras: tuple[str, ...] | None = ()
     """Cameras that the agent sees; without them, episodes are fast."""
     video: bool = False
@@ -31,7 +31,7 @@ class EvalCommand(RunOptions):
     """Folder for the figures and the videos."""
 
     def run(self) -> int:
-        """Evaluate, tell how it went and return the exit code."""
+        """Evaluate, print the results and return the exit code."""
         videos = (10 if self.video else 0) if self.videos is None else self.videos
         evaluation = Evaluation(
             setup=self.setup(),

@@ -1,4 +1,4 @@
-"""`rcs list`: what there is to put together."""
+"""`rcs list`: the parts of environments."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class ListCommand:
     """List robots, end effectors, cameras, tasks and environment ids."""
 
     cameras: bool = False
-    """List the resolution modes of cameras instead, with what each sees."""
+    """List the modes of cameras instead, with focal length and depth range."""
 
     def run(self) -> int:
         """Print them."""

@@ -23,14 +23,14 @@ VERBS: Table = {
 OPTIONS = ("--help", "--version", "--print-completion")
 OPTIONS_HELP = """
 `rcs --version` prints the version.
-`rcs --print-completion bash`, or zsh or fish, prints what completes commands and options in that shell."""
+`rcs --print-completion bash` (or zsh, fish) prints a completion script for that shell."""
 SHELLS = ("bash", "zsh", "fish")
 MISTYPED = 2
-"""Exit code for a command line that makes no sense, as tyro and shells have it."""
+"""Exit code for an invalid command line, as in tyro and shells."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command and exit: 0 for success, 1 for an error or a bad finding, 2 when mistyped, 130 when interrupted."""
+    """Run a command and exit: 0 for success, 1 for an error or bad finding, 2 if invalid, 130 if interrupted."""
     _let_all_text_out()
     words = sys.argv[1:] if arguments is None else arguments
     let_current_folder_be_imported(words)
@@ -45,7 +45,7 @@ def main(arguments: list[str] | None = None) -> None:
         command = _parse("rcs", VERBS, words)
     except UnknownName as err:
         sys.exit(_failed(str(err), MISTYPED))
-    except RcsError as err:  # of a module that cannot work here
+    except RcsError as err:  # from a module that cannot work here
         sys.exit(_failed(f"{type(err).__name__}: {err}"))
     sys.exit(run(command))
 
@@ -55,20 +55,20 @@ def run(command: Any) -> int:
     try:
         return command.run()
     except BrokenPipeError:
-        # Who read the output has seen enough; what is left of it must not fail at exit.
+        # The reader of the output has closed it; flushing the rest must not fail at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except (RcsError, OSError) as err:  # of the file system, where no function said more of it
+    except (RcsError, OSError) as err:  # file system errors that no function has explained
         return _failed(f"{type(err).__name__}: {err}")
     except KeyboardInterrupt:
         return 130
 
 
 def _parse(program: str, table: Table, words: list[str]) -> Any:
-    """Return the command that words ask for, of which only the module is imported. Help and wrong options exit.
+    """Return the command of a command line, importing only its module. Help and wrong options exit.
 
     Raises:
-        UnknownName: There is no such command; the message has the nearest one.
+        UnknownName: There is no such command; the message suggests the nearest one.
     """
     if not words or words[0] in ("-h", "--help"):
         text = overview(program, table, OPTIONS_HELP if table is VERBS else "")
@@ -84,7 +84,7 @@ def _parse(program: str, table: Table, words: list[str]) -> Any:
     if isinstance(found, dict):
         return _parse(f"{program} {verb}", cast(Table, found), rest)
     if not rest and not any(_is_required(field) for field in fields(found)):
-        return found()  # there is nothing to parse, and to import tyro takes as long as many a command
+        return found()  # there is nothing to parse, and importing tyro takes as long as many commands
     import tyro
 
     return tyro.cli(found, prog=f"{program} {verb}", args=rest, config=_how_to_parse())
@@ -101,10 +101,10 @@ def _how_to_parse() -> tuple[Any, ...]:
 
 
 def _print_completion(shell: str = "") -> None:
-    """Print what makes a shell complete commands and options, and exit. It needs all commands, so it imports them.
+    """Print a shell's completion script and exit; this imports all commands.
 
     Raises:
-        UnknownName: Nothing is known of this shell.
+        UnknownName: The shell is not supported.
     """
     if shell not in SHELLS:
         raise UnknownName("completion for a shell", shell, SHELLS)
@@ -130,7 +130,7 @@ def _failed(message: str, code: int = 1) -> int:
 
 
 def _let_all_text_out() -> None:
-    """Have what the terminal's encoding does not know printed as an escape, not end the command."""
+    """Print characters unknown to the terminal's encoding as escapes instead of failing."""
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure is not None:

@@ -1,4 +1,4 @@
-"""Tables of verbs: what each does is read from its source, and its module is imported when the verb is used."""
+"""Tables of verbs: descriptions are read from source files, and a verb's module is imported when it is used."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
 
 def load(reference: str) -> Any:
-    """Import and return what `module:Name` stands for."""
+    """Import and return `module:Name`."""
     return EntryPoint(name="", value=reference, group="").load()
 
 
 def summary(reference: str) -> str:
-    """Return the first sentence of the docstring of `module:Class`, or of its module where it is no class.
+    """Return the first sentence of the docstring of `module:Class`, or of the module if it is not a class.
 
-    It is read from the source: importing a command or a task would import the simulator. Empty without a docstring.
+    It is read from the source, since an import might import the simulator. Empty without a docstring.
     """
     place, _, name = reference.partition(":")
     source = _source(place)
@@ -72,10 +72,10 @@ def overview(program: str, table: Table, more: str = "") -> str:
 
 
 def let_current_folder_be_imported(arguments: Sequence[str]) -> None:
-    """Where an argument is a `module:Class`, have modules of the current folder found, as `python -m` does.
+    """If an argument is a `module:Class`, make modules of the current folder importable, as `python -m` does.
 
-    The folder comes last on the path, so that no file in it takes the place of an installed module. Worker processes
-    get the same path.
+    The folder comes last on the path, so that no file in it shadows an installed module. Worker processes get the same
+    path.
     """
     if any(_REFERENCE.fullmatch(argument.rpartition("=")[2]) for argument in arguments) and os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())

@@ -1,4 +1,4 @@
-"""`episode.json`: read in one place, which checks every field that is used, so that all else may trust it."""
+"""`episode.json`: read here alone, and checked field by field, so that all other code may trust it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MOST_ROWS = 1 << 32
 MOST_SEED = 1 << 128
 """Seeds are below this: `numpy.random.SeedSequence` makes 128 bits of them."""
 
-# Only what was made of another episode says from which.
+# Only an episode that was derived from another one has a source.
 _OPTIONAL = ("source",)
 _HASH = re.compile(r"[0-9a-f]{64}")
 
@@ -27,7 +27,7 @@ def read_about(folder: Path) -> dict[str, Any]:
     """Read the `episode.json` in an episode's folder.
 
     Raises:
-        CorruptEpisode: It is missing, not what was written, or says what cannot be.
+        CorruptEpisode: It is missing, was changed, or has impossible values.
         DatasetError: Its layout is newer than this code.
     """
     path = folder / EPISODE_FILE
@@ -35,14 +35,14 @@ def read_about(folder: Path) -> dict[str, Any]:
 
 
 def checked_about(values: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return what an `episode.json` says, if it can be true.
+    """Return the fields of an `episode.json` after checking them.
 
     Args:
-        values: What it says.
+        values: Its fields.
         path: Where it is, for the message.
 
     Raises:
-        CorruptEpisode: A field is missing or not what it must be; the message has it, and what is valid.
+        CorruptEpisode: A field is missing or not valid; the message names it and what is valid.
         DatasetError: Its layout is newer than this code.
     """
     refuse_newer_schema(values.get("schema_version"), f"episode, {path.parent},")
@@ -95,7 +95,7 @@ def _of(value: Any, is_right: Callable[[Any], bool]) -> bool:
 
 
 def _are_hashes(value: Any) -> bool:
-    # These are names of files: nothing but the files of an episode.
+    # The keys are file names: only those of an episode's own files.
     return _of(value, _is_hash) and STEPS_FILE in value and not set(value) - {STEPS_FILE, SIM_STATE_FILE}
 
 
@@ -103,10 +103,10 @@ PERIOD = (
     *("expected", "mean", "p50", "p99", "max", "jitter_p50", "jitter_p99", "jitter_max"),
     *("gaps", "missed_steps", "backwards"),
 )
-"""What the quality report says of the periods, as `QualityMeter` measures them."""
+"""Fields of the timing report's `period`, as `TimingMeter` measures them."""
 
 
-def _is_quality(value: Any) -> bool:
+def _is_timing(value: Any) -> bool:
     if not isinstance(value, dict):
         return False
     period, cameras, writer = (value.get(name) for name in ("period", "cameras", "writer"))
@@ -119,7 +119,7 @@ def _is_quality(value: Any) -> bool:
 
 
 def _is_source(value: Any) -> bool:
-    """Return whether this says where an episode came from; its names become names of folders when it goes back."""
+    """Return whether this is a valid source of an episode; its names may become folders' names."""
     if value is None:
         return True
     if not isinstance(value, dict):
@@ -141,6 +141,6 @@ _FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "versions": (lambda value: _of(value, _is_text), "an object of texts"),
     "content_hash": (_is_hash, "a SHA-256 in hexadecimal"),
     "sha256": (_are_hashes, f"the SHA-256 of {STEPS_FILE}, and of {SIM_STATE_FILE} if it is there"),
-    "quality": (_is_quality, "an object with period, cameras and writer, each an object of numbers or null"),
+    "timing": (_is_timing, "an object with period, cameras and writer, each an object of numbers or null"),
     "source": (_is_source, "null, or an object with names as dataset and episode, and the source of that"),
 }

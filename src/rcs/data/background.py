@@ -1,9 +1,9 @@
-"""Writes an episode in threads of their own, so that a control loop never waits for an encoder or a disk.
+"""Writes an episode in background threads, so that a control loop never waits for an encoder or a disk.
 
-The loop hands its rows over and goes on. Threads that all open episodes share encode the images, several at a time, and
-write the rows in the order in which they were taken. What waits is bounded: when the threads fall behind by more than
-the bound, new images are left out, each with a flag in its row, and the rows go on; only when even the rows would be
-too many are whole rows left out. Both are counted and reported, and the first of an episode is logged.
+The loop hands over its rows and goes on. Threads shared by all open episodes encode the images, several at a time, and
+write the rows in their order. The queue is bounded: when the threads fall behind, new images are dropped, each with a
+flag in its row; whole rows are dropped only when even they are too many. Both are counted and reported, and the first
+of an episode is logged.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ class _Row:
     missing: int
     """Images that are not encoded yet."""
     counted: int = 0
-    """Its bytes among those that wait; 0 before it waits and after it was forgotten."""
+    """Its bytes in the queue; 0 before it is queued and after it is dropped."""
     is_forgotten: bool = False
     error: Exception | None = None
     """Why an image could not be encoded."""
 
 
 class BackgroundEpisode:
-    """An episode whose rows are encoded and written by threads; takes the place of an `EpisodeWriter`."""
+    """An `EpisodeWriter` whose rows are encoded and written by background threads."""
 
     def __init__(
         self,
@@ -60,11 +60,11 @@ class BackgroundEpisode:
         bound_bytes: int = DEFAULT_BOUND_BYTES,
         encoders: Encoders | None = None,
     ) -> None:
-        """Take over an episode that was just started.
+        """Take over an episode that has just started.
 
         Args:
             episode: The episode; nobody else may write to it from now on.
-            info: What a row has.
+            info: The features of a row.
             bound_bytes: How many bytes of images may wait, of all episodes that share the threads.
             encoders: The threads; None for those that this process shares.
         """
@@ -85,7 +85,7 @@ class BackgroundEpisode:
         self.dropped_images = 0
         self.dropped_rows = 0
         self._most_bytes = 0
-        episode.end = self.abort  # not beside the threads: first they write what waits
+        episode.end = self.abort  # the threads must first write what is queued
 
     @property
     def state(self) -> State:
@@ -94,11 +94,11 @@ class BackgroundEpisode:
 
     @property
     def rows(self) -> int:
-        """How many rows were taken, the reset observation included."""
+        """Rows taken, the reset observation included."""
         return self._rows
 
     def add(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None = None) -> None:
-        """Take one step and return at once; arrays are copied, but for those that nobody can write to.
+        """Queue one step and return at once; arrays are copied unless they are read-only.
 
         Args:
             row: As `EpisodeWriter.add` takes it.
@@ -121,7 +121,7 @@ class BackgroundEpisode:
         kept = {key: _own(value) for key, value in given.items()}
         new = [key for key in self._images if isinstance(kept.get(key), np.ndarray)]
         taken = _Row(kept, None if sim_state is None else _own(sim_state), missing=len(new))
-        # Encoding begins before the row waits: one that Ctrl-C keeps from waiting is lost, and nothing waits for ever.
+        # Encoding begins before the row is queued: a row that Ctrl-C interrupts is lost, but nothing waits for ever.
         for key in new:
             self._encoders.submit(partial(self._encode, taken, key))
         with self._lock:
@@ -137,12 +137,12 @@ class BackgroundEpisode:
     def finish(
         self, success: bool | None, outcome: Mapping[str, Any] | None = None, *, instruction: str | None = None
     ) -> EpisodeRecord:
-        """Write what waits, complete the episode and return it.
+        """Write what is queued, complete the episode and return it.
 
         Args:
             success: Whether the task was done; None if that is not known.
-            outcome: What else is to be kept about how it went.
-            instruction: What the robot was asked to do; None for what was said at the start.
+            outcome: What else to keep about how it went.
+            instruction: What the robot was asked to do; None for the instruction given at the start.
 
         Raises:
             InvalidSetup: There are no rows, or the outcome is not JSON; the episode stays open.
@@ -150,7 +150,7 @@ class BackgroundEpisode:
         """
         self._write_all()
         self._raise_error()
-        quality = {
+        timing = {
             "writer": {
                 "dropped_images": self.dropped_images,
                 "dropped_rows": self.dropped_rows,
@@ -158,12 +158,12 @@ class BackgroundEpisode:
             }
         }
         try:
-            return self._episode.finish(success, outcome, instruction=instruction, quality=quality)
+            return self._episode.finish(success, outcome, instruction=instruction, timing=timing)
         finally:
             self._let_go()
 
     def discard(self) -> None:
-        """Forget what waits and remove the episode with all its rows."""
+        """Drop what is queued and remove the episode with all its rows."""
         with self._lock:
             self._forget()
         self._write_all()
@@ -173,10 +173,10 @@ class BackgroundEpisode:
             self._let_go()
 
     def abort(self, reason: str) -> None:
-        """Write what waits and give the episode up, but keep its rows for `recover`.
+        """Write what is queued and abort the episode, but keep its rows for `recover`.
 
         Args:
-            reason: Why, in words; it is kept.
+            reason: Why, in words; stored beside the rows.
         """
         self._write_all()
         try:
@@ -206,7 +206,7 @@ class BackgroundEpisode:
     def _count_drop(self, *, images: int = 0, rows: int = 0) -> None:
         if not self.dropped_images and not self.dropped_rows:
             _log.warning(
-                "Episode %r: the writer is slower than the loop; with %.0f MB waiting, %s are left out.",
+                "Episode %r: the writer is slower than the loop; with %.0f MB waiting, %s are dropped.",
                 self.id,
                 self._encoders.waiting_bytes / 1e6,
                 "rows" if rows else "images",
@@ -258,7 +258,7 @@ class BackgroundEpisode:
             return None
 
     def _forget(self) -> None:
-        """Drop the rows that wait; the lock is held."""
+        """Drop the queued rows; the caller holds the lock."""
         for row in self._waiting:
             row.is_forgotten = True
             self._encoders.waiting_bytes -= row.counted
@@ -266,10 +266,10 @@ class BackgroundEpisode:
         self._waiting.clear()
 
     def _write_all(self) -> None:
-        """Wait until nothing waits and nothing is being written."""
+        """Wait until the queue is empty and nothing is being written."""
         with self._lock:
             if self._waiting:
-                self._encoders.submit(self._write)  # Ctrl-C may have come before `add` said so
+                self._encoders.submit(self._write)  # Ctrl-C may have interrupted `add` before it said so
             self._is_written.wait_for(lambda: not self._waiting and not self._is_writing)
 
     def _raise_error(self) -> None:
@@ -278,7 +278,7 @@ class BackgroundEpisode:
             raise self._error
 
     def _let_go(self) -> None:
-        """Give the threads back, unless more rows may come."""
+        """Give the threads back, unless more rows may follow."""
         if self.state != "open" and self._is_borrowing:
             self._is_borrowing = False
             give_back(self._encoders)
@@ -289,12 +289,12 @@ def _bytes_of(value: object) -> int:
 
 
 def _own(value: Any) -> Any:
-    """Return a value that nobody changes: a copy of an array that somebody can write to."""
+    """Return a value that cannot change: a copy of every writable array."""
     return value.copy() if isinstance(value, np.ndarray) and not _is_frozen(value) else value
 
 
 def _is_frozen(array: NDArray[Any]) -> bool:
-    """Return whether nobody can write to an array, nor to what it is a view of."""
+    """Return whether an array and whatever it is a view of are read-only."""
     owner: object = array
     while isinstance(owner, np.ndarray):
         if owner.flags.writeable:

@@ -1,4 +1,4 @@
-"""Keeps what was used last, as long as it fits into a number of bytes."""
+"""A cache of limited size in bytes that drops what was used longest ago."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class ByteCache(Generic[T]):
-    """Values by key; those that were not used for longest go first. For one thread."""
+    """Values by key; the least recently used go first. Not thread-safe."""
 
     def __init__(self, capacity: int) -> None:
         """Start empty.
@@ -34,11 +34,11 @@ class ByteCache(Generic[T]):
         return len(self._values)
 
     def get(self, key: Hashable, make: Callable[[], tuple[T, int]]) -> T:
-        """Return a value, made if it is not held.
+        """Return a value; make it if it is not in the cache.
 
         Args:
             key: Its key.
-            make: Returns the value and the bytes that it takes.
+            make: Returns the value and its size [B].
         """
         held = self._values.get(key)
         if held is not None:

@@ -25,7 +25,7 @@ def encode_frame(feature: Feature, image: NDArray[Any], info: DatasetInfo) -> by
 
     Args:
         feature: An image feature.
-        image: As the feature has it.
+        image: Of the feature's shape and dtype.
         info: For the quality of a JPEG.
     """
     if feature.encoding == "depth":
@@ -41,7 +41,8 @@ def decode_frame(feature: Feature, data: bytes, out: NDArray[Any] | None = None)
     Args:
         feature: An image feature.
         data: The bytes as stored.
-        out: Where to put it: contiguous, as the feature has it; None for a new array.
+        out: Where to put it: contiguous, with the feature's shape and dtype; None for a new
+            array.
 
     Raises:
         CorruptEpisode: The bytes are not an image of the feature's shape.
@@ -57,15 +58,15 @@ def decode_frame(feature: Feature, data: bytes, out: NDArray[Any] | None = None)
 
 
 def blank_frame(feature: Feature, info: DatasetInfo) -> bytes:
-    """Return a black image as bytes: what a row has before the first image came."""
+    """Return a black image as bytes: what rows have before the first image."""
     return encode_frame(feature, np.zeros(feature.shape, feature.numpy_dtype), info)
 
 
 def pixel_buffer(shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Return an array with nothing in it, where a JPEG is decoded to fastest.
+    """Return an empty array, laid out so that JPEGs decode into it fastest.
 
-    libjpeg-turbo writes past the processor's cache where a line begins at a multiple of 32 bytes. Images are used right
-    away, so that costs: 175 instead of 140 µs for 224 x 224 pixels. Here lines begin 16 bytes beside.
+    libjpeg-turbo bypasses the processor's cache where a line begins at a multiple of 32 bytes. Since images are used
+    right away, that costs time: 175 instead of 140 µs for 224 x 224 pixels. Here lines begin 16 bytes off.
 
     Args:
         shape: The shape of the image, (H, W, 3).
@@ -107,26 +108,26 @@ def decode_jpeg(data: bytes, shape: tuple[int, ...], out: NDArray[np.uint8] | No
     except ValueError as err:
         raise CorruptEpisode(f"The JPEG does not decode to {shape}: {err}.") from err
     if image.shape != shape:
-        raise CorruptEpisode(f"The JPEG is {image.shape}; expected is {shape}.")
+        raise CorruptEpisode(f"The JPEG is {image.shape}; expected {shape}.")
     return image
 
 
 def decode_small_jpeg(data: bytes, shape: tuple[int, ...], least_height: int) -> NDArray[np.uint8]:
-    """Return the image in a JPEG, smaller where the decoder can do so while it decodes, and good enough to look at.
+    """Return the image in a JPEG, reduced by the decoder where it can; good enough to look at.
 
     Args:
         data: The bytes of the file.
         shape: The shape of the whole image, (H, W, 3).
-        least_height: The height that is wanted at least [px].
+        least_height: Minimal height of the result [px].
 
     Raises:
         CorruptEpisode: The bytes are no JPEG, or have another shape.
     """
     try:
-        # A file of some kilobytes can say that it has gigabytes of pixels.
+        # A file of a few kilobytes can claim gigabytes of pixels.
         height, width, *_ = simplejpeg.decode_jpeg_header(data)
         if (height, width) != shape[:2]:
-            raise CorruptEpisode(f"The JPEG is {height} x {width}; expected is {shape[0]} x {shape[1]}.")
+            raise CorruptEpisode(f"The JPEG is {height} x {width}; expected {shape[0]} x {shape[1]}.")
         return simplejpeg.decode_jpeg(data, "RGB", fastdct=True, fastupsample=True, min_height=least_height)
     except CorruptEpisode:
         raise
@@ -135,7 +136,7 @@ def decode_small_jpeg(data: bytes, shape: tuple[int, ...], least_height: int) ->
 
 
 def encode_lossless(image: NDArray[np.uint8]) -> bytes:
-    """Return the image compressed without loss, some 7 to 20 times as fast as PNG at its lowest level, and smaller.
+    """Return the image compressed without loss; 7 to 20 times as fast as PNG at its lowest level, and smaller.
 
     Each channel is stored as differences between neighbours, compressed by Zstandard.
 
@@ -148,7 +149,7 @@ def encode_lossless(image: NDArray[np.uint8]) -> bytes:
 
 
 def decode_lossless(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Return the image that `encode_lossless` was given.
+    """Return the image that `encode_lossless` encoded.
 
     Args:
         data: The bytes.
@@ -170,8 +171,8 @@ def decode_lossless(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
 def encode_depth(image: NDArray[np.uint16]) -> bytes:
     """Return the depth image compressed without loss.
 
-    Each row is stored as differences between neighbours, folded so that small ones of either sign are small numbers,
-    high and low bytes apart; Zstandard then halves what it makes of the plain numbers.
+    Each row is stored as differences between neighbours, zigzag-coded, high and low bytes apart; this halves the size
+    that Zstandard reaches on the plain numbers.
 
     Args:
         image: Shape (H, W), millimetres.
@@ -184,7 +185,7 @@ def encode_depth(image: NDArray[np.uint16]) -> bytes:
 
 
 def decode_depth(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint16]:
-    """Return the depth image that `encode_depth` was given.
+    """Return the depth image that `encode_depth` encoded.
 
     Args:
         data: The bytes.

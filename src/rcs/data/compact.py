@@ -1,14 +1,14 @@
-"""From an open episode to a complete one: the stream becomes Parquet, and `episode.json` seals it.
+"""Completes an open episode: its stream becomes Parquet files, and `episode.json` seals it.
 
 A kill at any point leaves an open episode, which can be compacted again from its stream, or a complete one:
 
 1. `steps.parquet` and `sim_state.parquet` are written and synced inside the open folder. Without `episode.json` they
-   count for nothing, so they need no temporary names.
+are ignored, so they need no temporary names.
 2. `episode.json` is put in place in one step and the folder synced. From here on the episode is finished.
 3. The stream is removed and the folder gets its final name.
 
-That is five syncs with a simulation and four without; each keeps one step from reaching the disk before the one it
-builds on, for the case that the power fails.
+That is five syncs with a simulation and four without; each makes sure that no step reaches the disk before the one it
+builds on, in case the power fails.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from rcs.data.layout import (
     episode_folder,
     open_folder,
 )
-from rcs.data.quality import QualityMeter
 from rcs.data.rows import SIM_STATE, sim_state_schema, steps_schema, stream_schema
 from rcs.data.stream import StreamReader
+from rcs.data.timing import TimingMeter
 from rcs.errors import CorruptEpisode, DatasetError
 
-# Rows per Parquet row group. It is fixed, so that the bytes do not depend on how the stream was flushed; images are
-# few to a group, so that compacting needs little memory and a reader can stop after some frames.
+# Rows per Parquet row group. It is fixed, so that the bytes do not depend on how the stream was flushed, and small with
+# images, so that compacting needs little memory and a reader can stop after some frames.
 _GROUP_OF_NUMBERS = 16384
 _GROUP_OF_IMAGES = 256
 
@@ -55,7 +55,7 @@ def compact(
     outcome: Mapping[str, Any],
     ended: str | None,
     instruction: str | None = None,
-    quality: Mapping[str, Any] | None = None,
+    timing: Mapping[str, Any] | None = None,
 ) -> Path | None:
     """Turn the open episode's stream into a complete episode and return its folder; None if there are no rows.
 
@@ -64,14 +64,14 @@ def compact(
         episode_id: The episode.
         info: What the dataset's episodes share.
         success: Whether the task was done; None if that is not known.
-        outcome: What else is to be kept about how it went, as JSON values.
-        ended: Wall clock at the end, ISO 8601 in UTC; None if nobody looked.
-        instruction: What the robot was asked to do; None for what was said at the start.
-        quality: What the quality report says beside what is found in the rows.
+        outcome: What else to keep about how it went, as JSON values.
+        ended: Wall clock at the end, ISO 8601 in UTC; None if it was not measured.
+        instruction: What the robot was asked to do; None for the instruction given at the start.
+        timing: Additions to the timing report that the rows do not show.
 
     Raises:
-        DatasetError: The disk is full or fails, or there is a complete episode of that name; the stream stays.
-        CorruptEpisode: The stream has other columns than the dataset.
+        DatasetError: The disk is full or fails, or a complete episode has this name; the stream stays.
+        CorruptEpisode: The stream's columns differ from the dataset's.
     """
     folder = open_folder(base, episode_id)
     with disk_errors(f"finish episode {episode_id!r}", folder):
@@ -96,7 +96,7 @@ def compact(
             "versions": header.versions,
         }
         rows = _chain(first, groups)
-        seal(folder, info, rows, about, quality=lambda: {**(quality or {}), "is_torn": stream.is_torn})
+        seal(folder, info, rows, about, timing=lambda: {**(timing or {}), "is_torn": stream.is_torn})
     return publish(base, episode_id)
 
 
@@ -106,21 +106,21 @@ def seal(
     groups: Iterable[pa.Table],
     about: Mapping[str, Any],
     *,
-    quality: Callable[[], Mapping[str, Any]] = dict,
+    timing: Callable[[], Mapping[str, Any]] = dict,
 ) -> None:
     """Write a complete episode into a folder: its rows as Parquet, and last the `episode.json` that makes it complete.
 
     Args:
-        folder: Where; nothing in it counts before `episode.json` is there.
+        folder: Its folder, which is ignored until it has an `episode.json`.
         info: What the dataset's episodes share.
         groups: The rows, with the columns of `stream_schema`, one table per row group.
-        about: What `episode.json` says beside what is found here: length, hashes, quality, schema version.
-        quality: What the quality report says beside what is found here, asked after the last group.
+        about: Fields of `episode.json` other than those found here: length, hashes, timing, schema version.
+        timing: Returns additions to the timing report; called after the last group.
 
     Raises:
         OSError: The disk is full or fails.
     """
-    content, meter = ContentHash(info), QualityMeter(info)
+    content, meter = ContentHash(info), TimingMeter(info)
     with contextlib.ExitStack() as files:
         steps = files.enter_context(_ParquetFile(folder / STEPS_FILE, steps_schema(info)))
         states = None
@@ -140,24 +140,24 @@ def seal(
         "length": steps.rows,
         "content_hash": content.hexdigest(),
         "sha256": hashes,
-        "quality": {**meter.report(), **quality()},
+        "timing": {**meter.report(), **timing()},
     }
     write_file(folder / EPISODE_FILE, sealed(whole))
     sync_folder(folder)
 
 
 def cut(table: pa.Table, info: DatasetInfo) -> Iterator[pa.Table]:
-    """Yield the rows of a table in row groups of the size that a recording has, so that equal rows are equal files."""
+    """Yield a table in row groups of the size used by recordings, so that equal rows make equal files."""
     size = _group_size(info)
     for start in range(0, table.num_rows, size):
         yield table.slice(start, size).combine_chunks()
 
 
 def publish(base: Path, episode_id: str) -> Path:
-    """Give an open episode that has its `episode.json` its final name, and return the folder.
+    """Rename an open episode that has its `episode.json` to its final name, and return the folder.
 
     Raises:
-        DatasetError: The disk fails, or there is a complete episode of that name.
+        DatasetError: The disk fails, or a complete episode has this name.
     """
     opened, final = open_folder(base, episode_id), episode_folder(base, episode_id)
     with disk_errors(f"publish episode {episode_id!r}", opened):
@@ -172,7 +172,7 @@ def publish(base: Path, episode_id: str) -> Path:
 
 @functools.cache
 def library_versions() -> dict[str, str]:
-    """Return the versions of the libraries that decide which bytes are written."""
+    """Return the versions of the libraries that determine the written bytes."""
     return {name: version(name) for name in ("numpy", "pyarrow", "simplejpeg")}
 
 
@@ -201,7 +201,7 @@ class _ParquetFile:
         return self
 
     def __exit__(self, *_: object) -> None:
-        # In this order: after a failure the Parquet writer still wants to write its footer, and a closed file drops it.
+        # In this order: after a failure the Parquet writer still writes its footer, which a closed file drops.
         self._file.close()
         self._writer.close()
 

@@ -1,4 +1,4 @@
-"""What an episode holds, not how its recording went: a hash over all columns but times and flags, and a comparison."""
+"""The content of episodes: a hash over all columns except times and flags, and a comparison."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NOTHING = pa.py_buffer(b"")
 
 
 def flat_numbers(column: pa.ChunkedArray | pa.Array) -> NDArray[Any]:
-    """Return the numbers of a column row by row, in one dimension; where a row has none, they are 0."""
+    """Return the numbers of a column as one flat array; 0 where a row has no value."""
     array = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
     if not pa.types.is_fixed_size_list(array.type):
         filled = array.fill_null(False if pa.types.is_boolean(array.type) else 0)
@@ -31,7 +31,7 @@ def flat_numbers(column: pa.ChunkedArray | pa.Array) -> NDArray[Any]:
 
 
 class ContentHash:
-    """SHA-256 over the values of all columns but times and flags; how the rows were cut into pieces does not matter.
+    """SHA-256 over the values of all columns except times and flags, however the rows are split into tables.
 
     Per column: its key, for each row whether it has a value, and the values, little-endian and row-major, with 0 where
     there is none; for images the length and the bytes of each.
@@ -65,7 +65,7 @@ class ContentHash:
 
 
 def compare_steps(a: pa.Table, b: pa.Table) -> list[str]:
-    """Say in what two tables of steps differ, one line per column; times and flags are not compared.
+    """Describe how two tables of steps differ, one line per column; times and flags are not compared.
 
     Args:
         a: Steps, as `EpisodeRecord.steps` returns them.
@@ -85,12 +85,12 @@ def compare_steps(a: pa.Table, b: pa.Table) -> list[str]:
             continue
         row = _first_difference(left, right)
         if row is not None:
-            lines.append(f"{key}: first different in row {row}")
+            lines.append(f"{key}: first difference in row {row}")
     return lines
 
 
 def steps_equal(a: pa.Table, b: pa.Table) -> bool:
-    """Return whether two tables of steps are the same bit for bit, but for times and flags.
+    """Return whether two tables of steps are equal bit for bit, except for times and flags.
 
     Args:
         a: Steps, as `EpisodeRecord.steps` returns them.
@@ -102,7 +102,7 @@ def steps_equal(a: pa.Table, b: pa.Table) -> bool:
 def _first_difference(a: pa.Array, b: pa.Array) -> int | None:
     is_different = _is_null(a) != _is_null(b)
     if pa.types.is_binary(a.type):
-        is_same = pc.call_function("equal", [a, b]).fill_null(True)  # whether both have a value is known above
+        is_same = pc.call_function("equal", [a, b]).fill_null(True)  # that both have a value was checked above
         is_different |= ~is_same.to_numpy(zero_copy_only=False)
     elif len(a):
         # Bits, not values: NaN is NaN here, and 0 is not -0.

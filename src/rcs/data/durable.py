@@ -1,4 +1,4 @@
-"""Files that survive a kill: every call that changes the disk goes through here, so that tests can stop it anywhere."""
+"""Files that survive a kill: every call that changes the disk is made here, so that tests can interrupt any of them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from rcs.data.json_file import MOST_DEPTH, depth_of, parsed_json
 from rcs.data.text import check_texts, is_storable
 from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
 
-# A megabyte keeps the number of system calls small; more would not be faster.
+# A megabyte keeps system calls few; more is not faster.
 _CHUNK = 1 << 20
 _NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 
 
 @contextlib.contextmanager
 def disk_errors(doing: str, path: Path) -> Generator[None]:
-    """Turn an error of the operating system into one that says what was being done, where, and what to do.
+    """Turn an OSError into one that says what was being done, where, and what to do.
 
     Args:
         doing: What was being done, such as "write the rows of episode 'a'".
@@ -54,7 +54,7 @@ def write_all(fd: int, data: bytes | memoryview) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """Bring a folder's entries to the disk: names made, renamed or removed in it."""
+    """Sync a folder, so that names made, renamed or removed in it are on the disk."""
     fd = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(fd)
@@ -63,12 +63,12 @@ def sync_folder(path: Path) -> None:
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Put a whole file in place in one step: after a kill there is the old one or the new one.
+    """Replace a whole file in one step: after a kill, either the old or the new one is there.
 
-    The caller syncs the folder when the name itself must be on the disk.
+    The caller syncs the folder if the name itself must be on the disk.
     """
     temporary = path.with_name(path.name + ".tmp")
-    # What a kill left, or a link that somebody put there and that would be written through.
+    # Left by a kill, or a link that would be written through.
     temporary.unlink(missing_ok=True)
     fd = os.open(temporary, _NEW_FILE, 0o644)
     try:
@@ -80,11 +80,11 @@ def write_file(path: Path, data: bytes) -> None:
 
 
 def remove_folder(path: Path, trash: Path) -> None:
-    """Remove a folder with what is in it; a kill leaves all of it under its name, or nothing.
+    """Remove a folder with its contents; a kill leaves either all of it or none under its name.
 
     Args:
         path: The folder.
-        trash: A free name beside it; what a kill leaves under that name is rubbish.
+        trash: A free name beside it; whatever a kill leaves under that name is garbage.
     """
     path.rename(trash)
     with contextlib.suppress(OSError):
@@ -92,7 +92,7 @@ def remove_folder(path: Path, trash: Path) -> None:
 
 
 def remove_tree(path: Path) -> None:
-    """Remove a file, or a folder with what is in it; of a link the link and nothing behind it.
+    """Remove a file, a folder with its contents, or a link without its target.
 
     Raises:
         OSError: Something in it cannot be removed.
@@ -104,7 +104,7 @@ def remove_tree(path: Path) -> None:
 
 
 def link_file(source: Path, target: Path) -> None:
-    """Give a file a second name; where the file system has no links, make a copy."""
+    """Hard-link a file, or copy it where the file system has no links."""
     try:
         os.link(source, target)
     except OSError as err:
@@ -114,13 +114,13 @@ def link_file(source: Path, target: Path) -> None:
 
 
 def copy_file(source: Path, target: Path) -> None:
-    """Copy a file's bytes and bring them to the disk.
+    """Copy a file's bytes and sync them.
 
     Raises:
         OSError: There is no such file, or the disk fails.
     """
-    if not source.is_file():  # a pipe would never end
-        raise FileNotFoundError(errno.ENOENT, "it is missing or no file", str(source))
+    if not source.is_file():  # reading a pipe would never end
+        raise FileNotFoundError(errno.ENOENT, "it is missing or not a file", str(source))
     with source.open("rb") as given:
         fd = os.open(target, _NEW_FILE, 0o644)
         try:
@@ -132,18 +132,18 @@ def copy_file(source: Path, target: Path) -> None:
 
 
 class HashedFile:
-    """A new file whose SHA-256 is known when it is complete, without reading it again."""
+    """A new file that is hashed with SHA-256 while it is written."""
 
     def __init__(self, path: Path) -> None:
-        """Create the file in the place of the one that may be there."""
-        path.unlink(missing_ok=True)  # never emptied: it may have other names, or be a link to elsewhere
+        """Create the file, replacing any that is there."""
+        path.unlink(missing_ok=True)  # not truncated: it may have other names, or be a link
         self._fd = os.open(path, _NEW_FILE, 0o644)
         self._hash = hashlib.sha256()
         self._pending = bytearray()
         self.closed = False
 
     def write(self, data: bytes) -> int:
-        """Append bytes; they are written in large pieces. What comes after `close` is dropped."""
+        """Append bytes, buffered in large pieces. After `close` they are dropped."""
         if self.closed:
             return len(data)
         self._pending += data
@@ -155,14 +155,14 @@ class HashedFile:
         """Do nothing: the bytes matter only once the file is complete."""
 
     def complete(self) -> str:
-        """Bring the file to the disk, close it and return its SHA-256."""
+        """Sync the file, close it and return its SHA-256."""
         self._write_pending()
         os.fsync(self._fd)
         self.close()
         return self._hash.hexdigest()
 
     def close(self) -> None:
-        """Close the file; what was not yet written is dropped."""
+        """Close the file; what is still buffered is dropped."""
         if not self.closed:
             self.closed = True
             os.close(self._fd)
@@ -178,7 +178,7 @@ def sealed(values: Mapping[str, Any]) -> bytes:
     """Return JSON that carries a checksum of itself.
 
     Raises:
-        InvalidSetup: A value is not JSON, or a text that cannot be stored.
+        InvalidSetup: A value is not JSON, or is text that cannot be stored.
     """
     text = json.dumps({**values, "checksum": _checksum(values)}, indent=1, ensure_ascii=False)
     if not is_storable(text):
@@ -191,7 +191,7 @@ def unsealed(data: bytes, path: Path) -> dict[str, Any]:
 
     Args:
         data: The bytes of the file.
-        path: Where they came from, for the message.
+        path: The file, for the message.
 
     Raises:
         CorruptEpisode: The bytes are not JSON, not the JSON that was written, or more than any dataset has.
@@ -206,7 +206,7 @@ def unsealed(data: bytes, path: Path) -> dict[str, Any]:
 
 
 def is_sealed(data: bytes) -> bool:
-    """Return whether JSON has the checksum of its values; of what else is in it nothing is said."""
+    """Return whether the checksum in JSON matches its values; nothing else is checked."""
     try:
         values = json.loads(data)
         return values.pop("checksum") == _checksum(values)
@@ -215,16 +215,15 @@ def is_sealed(data: bytes) -> bool:
 
 
 def as_json(value: Any) -> Any:
-    """Return plain JSON values for what may hold numpy numbers and arrays.
+    """Return plain JSON values for values that may hold numpy numbers and arrays.
 
     Raises:
-        InvalidSetup: A value is not JSON, is NaN or infinite, which JSON does not have, is nested too deeply, or is a
-            text that cannot be stored.
+        InvalidSetup: A value is not JSON, is NaN or infinite, is nested too deeply, or is text that cannot be stored.
     """
     try:
         plain = json.loads(json.dumps(value, allow_nan=False, default=_plain))
     except (TypeError, ValueError, RecursionError) as err:
-        raise InvalidSetup(f"Only JSON can be stored here: {err}. Given: {value!r}.") from err
+        raise InvalidSetup(f"Expected JSON values ({err}); got {value!r}.") from err
     if depth_of(plain) > MOST_DEPTH:
         raise InvalidSetup(f"Only JSON of up to {MOST_DEPTH} levels can be stored here.")
     check_texts(plain, "what is to be stored")

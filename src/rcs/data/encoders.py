@@ -11,11 +11,11 @@ from typing import Self
 from rcs.errors import InvalidSetup, WrongOrder
 
 MOST_THREADS = 4
-"""Threads by default, where there are as many CPUs: six cameras of 1280 x 720 at 30 Hz keep two busy."""
+"""Threads by default, given as many CPUs: six cameras of 1280 x 720 at 30 Hz keep two busy."""
 
 
 class Encoders:
-    """Threads that do work in the order in which it is given, several pieces at a time; a context manager."""
+    """Threads that take work in order, several pieces at a time; a context manager."""
 
     def __init__(self, threads: int | None = None) -> None:
         """Start the threads.
@@ -30,24 +30,24 @@ class Encoders:
         if count < 1:
             raise InvalidSetup(f"threads is {threads}; valid is a whole number from 1, or None.")
         self.lock = threading.Lock()
-        """Guards `waiting_bytes` and whatever episodes share with the threads."""
+        """Guards `waiting_bytes` and all else that episodes share with the threads."""
         self.waiting_bytes = 0
-        """Images, encoded or not, of all episodes that wait."""
+        """Queued images, encoded or not, of all episodes [B]."""
         self.process = os.getpid()
         self.users = 0
         self._work: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
-        # Daemons: a program that ends without closing its dataset must not wait for a disk that hangs.
+        # Daemons, so that a program that ends without closing its dataset does not wait for a hanging disk.
         self._threads = [threading.Thread(target=self._run, name=f"encode {i}", daemon=True) for i in range(count)]
         for thread in self._threads:
             thread.start()
 
     @property
     def threads(self) -> int:
-        """How many threads work."""
+        """Number of threads."""
         return len(self._threads)
 
     def submit(self, work: Callable[[], object]) -> None:
-        """Have a thread do something that raises nothing.
+        """Run a function that raises nothing on a thread.
 
         Raises:
             WrongOrder: The threads have ended.
@@ -82,7 +82,7 @@ _shared: list[Encoders] = []
 
 
 def borrow() -> Encoders:
-    """Return the threads of this process; they are started for the first who borrows them."""
+    """Return the threads of this process; the first call starts them."""
     with _guard:
         if _shared and _shared[0].process != os.getpid():
             _shared.clear()  # threads do not survive a fork
@@ -93,7 +93,7 @@ def borrow() -> Encoders:
 
 
 def give_back(encoders: Encoders) -> None:
-    """Let go of what `borrow` returned; the last one to do so ends the threads."""
+    """Give back what `borrow` returned; the last one ends the threads."""
     with _guard:
         encoders.users -= 1
         is_last = encoders.users == 0

@@ -1,4 +1,4 @@
-"""Records one episode: rows come in one by one, and what was recorded outlives a kill."""
+"""Records one episode row by row; what was recorded survives a kill."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from rcs.errors import DatasetError, InvalidSetup
 
 _log = logging.getLogger(__name__)
 
-# The oldest row that a kill can take with it. A write per row would be 40 microseconds on each of them.
+# Age of the oldest row that a kill can lose [s]. Writing each row at once would cost 40 µs per row.
 _FLUSH_AFTER_S = 0.25
 
 State = Literal["open", "finished", "discarded", "aborted"]
 
 
 class EpisodeWriter:
-    """One episode while it is recorded; made by `DatasetWriter.episode`. Not for use by two threads at a time.
+    """One episode being recorded; made by `DatasetWriter.episode`. Not thread-safe.
 
-    Rows are written at the latest with the first one that comes 0.25 s after the last write, so a kill takes at most
-    the last 0.25 s of the recording. Left as a context manager without `finish`, the episode is aborted: its rows stay
-    until `recover` makes an episode of them or a resumed recording discards them.
+    Rows are written at the latest with the first row 0.25 s after the last write, so a kill loses at most that much.
+    Left as a context manager without `finish`, the episode is aborted: its rows stay until `recover` makes an episode
+    of them or a resumed recording discards them.
     """
 
     def __init__(self, base: Path, info: DatasetInfo, episode_id: str, seed: int | None, instruction: str) -> None:
@@ -46,12 +46,12 @@ class EpisodeWriter:
             base: The folder that has the current episodes.
             info: What the dataset's episodes share.
             episode_id: The name of the episode.
-            seed: The seed it was reset with.
+            seed: The seed of the reset.
             instruction: What the robot is asked to do.
 
         Raises:
             InvalidSetup: The id cannot be the name of a folder, or the instruction cannot be stored.
-            DatasetError: There is an episode of that name, or the folder cannot be made.
+            DatasetError: An episode has this name, or the folder cannot be made.
         """
         check_episode_id(episode_id)
         check_text(instruction, "The instruction")
@@ -60,7 +60,7 @@ class EpisodeWriter:
         self.id = episode_id
         self.state: State = "open"
         self.end: Callable[[str], object] = self.abort
-        """What ends it, for a reason, when its dataset is closed; a thread that adds rows puts its own end here."""
+        """Ends the episode when its dataset is closed, given a reason; a thread that adds rows sets its own."""
         self._base = base
         self._info = info
         self._folder = open_folder(base, episode_id)
@@ -81,7 +81,7 @@ class EpisodeWriter:
                     f"Episode {episode_id!r} is already being recorded, or was when its writer died: {self._folder}. "
                     "Resume the dataset to recover or discard it, or choose another id."
                 ) from err
-            # Asked only now: a writer that finished this id in between has given up the open folder's name.
+            # Checked only now: a writer that finished this id in between has freed the open folder's name.
             if episode_folder(base, episode_id).exists():
                 self._folder.rmdir()
                 raise DatasetError(f"There already is an episode {episode_id!r} in {base}; choose another id.")
@@ -90,7 +90,7 @@ class EpisodeWriter:
 
     @property
     def rows(self) -> int:
-        """How many rows were added, the reset observation included."""
+        """Rows added, the reset observation included."""
         return self._rows
 
     def check(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None, *, is_first: bool) -> None:
@@ -110,8 +110,8 @@ class EpisodeWriter:
         """Record one step; the first row is the reset observation.
 
         Args:
-            row: A value for each feature. In the first row action, executed action and reward are None or left out, for
-                nothing was done yet. A `time/*` is None where nothing was measured.
+            row: A value for each feature. In the first row, action, executed action and reward are None or left out. A
+                `time/*` that was not measured is None.
             sim_state: The simulation's state after the step, shape (sim_state_size,).
 
         Raises:
@@ -130,15 +130,15 @@ class EpisodeWriter:
         outcome: Mapping[str, Any] | None = None,
         *,
         instruction: str | None = None,
-        quality: Mapping[str, Any] | None = None,
+        timing: Mapping[str, Any] | None = None,
     ) -> EpisodeRecord:
         """Complete the episode and return it.
 
         Args:
             success: Whether the task was done; None if that is not known.
-            outcome: What else is to be kept about how it went: JSON values, numpy numbers and arrays.
-            instruction: What the robot was asked to do, if that was said only in the end; None for what was said first.
-            quality: What the quality report is to say beside what is found in the rows.
+            outcome: What else to keep about how it went: JSON values, numpy numbers and arrays.
+            instruction: What the robot was asked to do; None for the instruction given at the start.
+            timing: Additions to the timing report that the rows do not show.
 
         Raises:
             InvalidSetup: There are no rows, the outcome is not JSON, or a text cannot be stored; the episode stays
@@ -148,7 +148,7 @@ class EpisodeWriter:
         self._check_open("finish")
         if self._rows == 0:
             raise InvalidSetup(f"Episode {self.id!r} has no rows; add the reset observation first, or discard it.")
-        kept, measured = as_json(dict(outcome or {})), as_json(dict(quality or {}))
+        kept, measured = as_json(dict(outcome or {})), as_json(dict(timing or {}))
         if instruction is not None:
             check_text(instruction, "The instruction")
         if not isinstance(success, (bool, np.bool_, type(None))):
@@ -165,7 +165,7 @@ class EpisodeWriter:
                 outcome=kept,
                 ended=_now(),
                 instruction=instruction,
-                quality=measured,
+                timing=measured,
             )
         except BaseException as err:  # a failing disk, or Ctrl-C
             if self._folder.exists():
@@ -178,7 +178,7 @@ class EpisodeWriter:
         return EpisodeRecord(folder, self._info)
 
     def discard(self) -> None:
-        """Remove the episode with all its rows; harmless after `finish` was refused, an abort or another discard.
+        """Remove the episode with all its rows; harmless after a refused `finish`, an abort or another discard.
 
         Raises:
             DatasetError: The episode is finished, or the disk fails.
@@ -193,10 +193,10 @@ class EpisodeWriter:
         self.state = "discarded"
 
     def abort(self, reason: str) -> None:
-        """Give the episode up but keep its rows, for `recover`; an episode without rows is discarded.
+        """Abort the episode but keep its rows for `recover`; an episode without rows is discarded.
 
         Args:
-            reason: Why, in words; it is kept.
+            reason: Why, in words; stored beside the rows.
 
         Raises:
             DatasetError: The episode is finished or discarded, or the disk fails.
@@ -235,7 +235,7 @@ class EpisodeWriter:
         try:
             write_file(self._folder / ABORTED_FILE, sealed({"reason": mended_text(reason)}))
         except OSError as err:
-            # On a full disk the reason has no place either; the rows before it are still there.
+            # On a full disk the reason cannot be stored either; the rows are still there.
             _log.warning("Episode %r is aborted, and the reason could not be stored: %s", self.id, err)
 
     def _check_open(self, doing: str) -> None:

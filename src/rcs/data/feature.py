@@ -1,4 +1,4 @@
-"""A feature: one column of a dataset, with its shape, dtype, unit and the way it is stored."""
+"""A feature: one column of a dataset, with its shape, dtype, unit and encoding."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ DTYPES = (
     "bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float32", "float64",
 )  # fmt: skip
 
-# A reset has no action before it, so these have no value in the first row of an episode.
+# No action precedes a reset, so these have no value in the first row of an episode.
 _UNKNOWN_AT_RESET = ("action/", "executed/", "reward")
-# These may be known at a reset, or not.
+# These may be absent at a reset.
 _OPTIONAL_AT_RESET = ("terminated", "truncated", "time/")
-# How the recording went, not what was recorded: two runs that are otherwise alike differ in these.
+# How the recording went, not what was recorded: these differ between otherwise equal runs.
 _CIRCUMSTANCES = ("time/", "flags/")
 _IMAGES = ("jpeg", "lossless", "depth")
-# What one row may have: an image of 6 000 x 7 000 pixels. A description can claim any size, and memory is made for it.
+# Limit per row: an image of 6 000 x 7 000 pixels. A damaged description could claim any size, and memory is allocated.
 _MOST_BYTES = 1 << 27
 _MOST_AXES = 32
 _LONGEST_KEY = 200
@@ -49,9 +49,9 @@ class Feature:
     unit: str = ""
     """The unit in words, such as "rad"; only for people."""
     encoding: Encoding = "plain"
-    """How it is stored. "plain": numbers. "held": numbers that rarely change, stored where they differ from the row
-    before. "jpeg": an (H, W, 3) uint8 image; "lossless": the same without loss. "depth": an (H, W) uint16 image without
-    loss. Of images too, only new ones are stored: a row without one has that of the row before."""
+    """How it is stored. "plain": numbers. "held": numbers that rarely change, stored only where they do. "jpeg": an (H,
+    W, 3) uint8 image; "lossless": the same without loss. "depth": an (H, W) uint16 image without loss. Only new images
+    are stored: a row without one has that of the row before."""
 
     def __post_init__(self) -> None:
         """Refuse what could not be stored."""
@@ -63,7 +63,7 @@ class Feature:
             raise InvalidSetup(f"Feature {self.key!r} has dtype {self.dtype!r}; valid are {', '.join(DTYPES)}.")
         if self.size * self.numpy_dtype.itemsize > _MOST_BYTES:
             raise InvalidSetup(
-                f"Feature {self.key!r} is {self._form}, which is more than {_MOST_BYTES >> 20} MB in every row."
+                f"Feature {self.key!r} is {self._form}, which is more than {_MOST_BYTES >> 20} MB per row."
             )
         if self.encoding not in get_args(Encoding):
             raise InvalidSetup(
@@ -77,11 +77,11 @@ class Feature:
         if self.is_time and (self.dtype != "float64" or self.shape != ()):
             raise InvalidSetup(f"Feature {self.key!r} is a time and must be a single float64, not {self._form}.")
         if self.is_flags and (self.dtype != "uint8" or self.shape != () or self.encoding != "plain"):
-            raise InvalidSetup(f"Feature {self.key!r} is of flags and must be a single plain uint8, not {self._form}.")
+            raise InvalidSetup(f"Feature {self.key!r} has flags and must be a single plain uint8, not {self._form}.")
 
     def _check_key(self) -> None:
         words = self.key.split("/")
-        # Exports make folders of these words.
+        # Exports use these words as folders' names.
         if not all(word and word not in (".", "..") and word.isprintable() and "\\" not in word for word in words):
             raise InvalidSetup(
                 f"A feature's key must be words of printable text with '/' between them, not {self.key!r}."
@@ -107,12 +107,12 @@ class Feature:
 
     @property
     def is_flags(self) -> bool:
-        """Whether this says what was wrong with a camera's frame, as `FrameFlag` has it."""
+        """Whether this holds a camera's flags, a `FrameFlag` in each row."""
         return self.key.startswith("flags/")
 
     @property
     def is_circumstance(self) -> bool:
-        """Whether this says how the recording went, and so may differ between two runs that are otherwise alike."""
+        """Whether this says how the recording went, and so differs between otherwise equal runs."""
         return self.key.startswith(_CIRCUMSTANCES)
 
     @property
@@ -122,12 +122,12 @@ class Feature:
 
     @property
     def can_be_held(self) -> bool:
-        """Whether a row without a value has that of the row before."""
+        """Whether a row without a value repeats the row before."""
         return self.is_image or self.encoding == "held"
 
     @property
     def is_unknown_at_reset(self) -> bool:
-        """Whether the first row of an episode has no value here, because no action came before it."""
+        """Whether the first row of an episode has no value here, because no action precedes it."""
         return self.key.startswith(_UNKNOWN_AT_RESET)
 
     @property
@@ -137,12 +137,12 @@ class Feature:
 
     @property
     def size(self) -> int:
-        """How many numbers one row has."""
+        """Numbers per row."""
         return math.prod(self.shape)
 
     @property
     def numpy_dtype(self) -> np.dtype[Any]:
-        """The dtype as numpy has it."""
+        """The numpy dtype."""
         return np.dtype(self.dtype)
 
     @property
@@ -155,7 +155,7 @@ class Feature:
 
     @property
     def arrow_field(self) -> pa.Field:
-        """The Arrow field, which carries shape, dtype, unit and encoding, so a file can be understood alone."""
+        """The Arrow field, with shape, dtype, unit and encoding, so that a file can be read on its own."""
         shape = ",".join(str(n) for n in self.shape)
         about = {"shape": shape, "dtype": self.dtype, "unit": self.unit, "encoding": self.encoding}
         return pa.field(self.key, self.arrow_type, metadata=about)

@@ -1,4 +1,4 @@
-"""What can be wrong with a camera's frame in one row, and where a camera's flags and times are."""
+"""Flags of camera frames, and the keys of a camera's flags and capture times."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from rcs.data.feature import Feature
 
 
 class FrameFlag(enum.IntFlag):
-    """What is to be known of a camera's frame in one row; 0 is a new frame in time."""
+    """The state of a camera's frame in one row; 0 is a new frame in time."""
 
     REPEATED = 1
-    """The camera had nothing new since the row before: normal for one that is slower than the loop."""
+    """The camera had no new frame since the row before; normal for one that is slower than the loop."""
     STALE = 2
-    """It is older than it should be at this camera's rate: the camera stalls."""
+    """The frame is older than it should be at this camera's rate: the camera stalls."""
     MISSING = 4
-    """The camera gave nothing usable."""
+    """The camera gave no usable frame."""
     DROPPED = 8
-    """The camera gave a new frame, and the recorder had no room for it: the disk or the processor is too slow."""
+    """The recorder had no room for a new frame: the disk or the processor is too slow."""
 
 
 def camera_of(key: str) -> str | None:
-    """Return the camera that a feature is of: "wrist" for "observation/frames/wrist/rgb"; None for others."""
+    """Return the camera of a feature: "wrist" for "observation/frames/wrist/rgb"; None for others."""
     parts = key.split("/")
     camera = parts[parts.index("frames") + 1 : -1] if "frames" in parts else []
     return "/".join(camera) or None

@@ -1,9 +1,8 @@
 """Single images of an episode in any order, without reading those around them.
 
-Parquet gives a column in chunks of hundreds of rows. Images are not compressed in it, so each lies in the file as it
-is, and it is enough to know where. The places are found by reading a column once, in order, with its checksums
-verified, and looking for each image in the file; one that is not found there, as in files of other writers, is kept in
-memory.
+Parquet returns a column in chunks of hundreds of rows. But images are stored in it uncompressed, so it is enough to
+know where each begins. The places are found by reading a column once, verifying its checksums, and looking for each
+image in the file; an image that is not found, as in files of other writers, is kept in memory.
 """
 
 from __future__ import annotations
@@ -27,14 +26,14 @@ from rcs.data.parquet import UNREADABLE
 from rcs.data.reader import EpisodeRecord
 from rcs.errors import CorruptEpisode, InvalidSetup
 
-# An image follows on the one before, or on the header of a page, which takes some 50 bytes and a bit per row.
+# An image follows the one before, or the header of a page, which takes some 50 bytes and one bit per row.
 _SEARCHED = 65536
-# Enough of an image to look for; the rest is compared when these bytes are found.
+# The first bytes of an image to look for; the rest is compared where they are found.
 _START = 24
-# In Parquet's plain encoding the length stands before the bytes, as four of them, little-endian.
+# Parquet's plain encoding puts the length before the data, in four bytes, little-endian.
 _LENGTH_BYTES = 4
 INDEX_BYTES = 1 << 28
-"""What places of images may take in memory by default [B]: those of 16 million images."""
+"""Memory for places of images by default [B]: those of 16 million images."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,11 +45,11 @@ class FrameIndex:
     places: NDArray[np.int64]
     """Offset and size of each row's image [B], shape (length, 2); the offset -1 - i stands for the ith of `loose`."""
     loose: tuple[bytes, ...]
-    """Images that are not in the file as they are: the black one before the first, and those of other writers."""
+    """Images that are not in the file verbatim: black before the first, and those of other writers."""
 
     @property
     def nbytes(self) -> int:
-        """The memory that it takes."""
+        """The memory that it takes [B]."""
         return self.places.nbytes + sum(len(image) for image in self.loose)
 
     @classmethod
@@ -62,7 +61,7 @@ class FrameIndex:
             key: The feature.
 
         Raises:
-            InvalidSetup: There is no such feature, or it is no image.
+            InvalidSetup: There is no such feature, or it is not an image.
             CorruptEpisode: The file is missing or damaged.
         """
         path = episode.path / STEPS_FILE
@@ -74,7 +73,7 @@ class FrameIndex:
         content: mmap.mmap | None = None
         try:
             for row, image in enumerate(episode.encoded_frames(key)):
-                if content is None:  # only now is it known that the file reads
+                if content is None:  # only now is the file known to be readable
                     chunks, content = _chunks(path, key), _mapped(path)
                 position = chunks.get(row, position)
                 if image is last:
@@ -100,12 +99,12 @@ class FrameIndex:
             rows: The rows, each from 0 to length - 1.
 
         Raises:
-            CorruptEpisode: The file is gone or was cut.
+            CorruptEpisode: The file is gone or truncated.
         """
         images: dict[int, bytes] = {}
         places: list[tuple[int, int]] = [tuple(self.places[row].tolist()) for row in rows]
         try:
-            # Opened each time, which takes 4 µs: nothing is left open, whatever the number of episodes and processes.
+            # Opening takes 4 µs and leaves no file open, however many episodes and processes there are.
             file = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC)
             try:
                 for start, size in places:
@@ -114,22 +113,22 @@ class FrameIndex:
             finally:
                 os.close(file)
         except OSError as err:
-            raise CorruptEpisode(f"{self.path} does not read: {err.strerror}.") from err
+            raise CorruptEpisode(f"Cannot read {self.path}: {err.strerror}.") from err
         for row, (start, size) in zip(rows, places, strict=True):
             if len(images[start]) != size:
-                raise CorruptEpisode(f"{self.path} ends before the image of row {row}; it was cut.")
+                raise CorruptEpisode(f"{self.path} is truncated before the image of row {row}.")
         return [images[start] for start, _ in places]
 
 
 class FrameAccess:
-    """Reads single images of episodes; keeps where they are, and no open files, so it may be copied into processes."""
+    """Reads single images of episodes; it keeps no open files, so it may be copied into processes."""
 
     def __init__(self, cache_bytes: int = INDEX_BYTES) -> None:
         """Start with nothing read.
 
         Args:
-            cache_bytes: Memory for the places of images: 16 bytes each. Beyond it the episode used longest ago is
-                forgotten, and indexed again when it is needed.
+            cache_bytes: Memory for the places of images, 16 bytes each; beyond it, the least recently used episode is
+                dropped and indexed again when needed.
 
         Raises:
             InvalidSetup: It is negative.
@@ -143,10 +142,10 @@ class FrameAccess:
         Args:
             episode: The episode.
             key: The feature.
-            rows: The rows, in any order; the same one more than once is read once.
+            rows: The rows, in any order; repeated ones are read once.
 
         Raises:
-            InvalidSetup: There is no such feature or row, or the feature is no image.
+            InvalidSetup: There is no such feature or row, or the feature is not an image.
             CorruptEpisode: The file is missing or damaged.
         """
         index = self._indexes.get((episode.path, key), lambda: _with_size(FrameIndex.of(episode, key)))
@@ -165,7 +164,7 @@ class FrameAccess:
             row: The row.
 
         Raises:
-            InvalidSetup: There is no such feature or row, or the feature is no image.
+            InvalidSetup: There is no such feature or row, or the feature is not an image.
             CorruptEpisode: The file is missing or damaged.
         """
         feature = episode.info.feature(key)
@@ -183,11 +182,11 @@ class FrameAccess:
             out: Where they go, shape (len(rows), *feature.shape).
 
         Raises:
-            InvalidSetup: There is no such feature or row, or the feature is no image.
+            InvalidSetup: There is no such feature or row, or the feature is not an image.
             CorruptEpisode: The file is missing or damaged; the message has the row.
         """
         feature = episode.info.feature(key)
-        # Decoding writes line by line, which is slow where memory is not in the processor's cache. This array is.
+        # Decoding writes line by line, which is slow outside of the processor's cache; this array is in it.
         if feature not in self._decoded:
             is_jpeg = feature.encoding == "jpeg"
             empty = pixel_buffer(feature.shape) if is_jpeg else np.empty(feature.shape, feature.numpy_dtype)
@@ -216,7 +215,7 @@ def _chunks(path: Path, key: str) -> dict[int, int]:
         with parquet.opened(path) as source:
             metadata = source.file.metadata
     except UNREADABLE as err:
-        raise CorruptEpisode(f"{path} does not read: {err}.") from err
+        raise CorruptEpisode(f"Cannot read {path}: {err}.") from err
     names = [metadata.schema.column(i).path for i in range(metadata.num_columns)]
     column = names.index(key)
     chunks: dict[int, int] = {}
@@ -233,11 +232,11 @@ def _mapped(path: Path) -> mmap.mmap:
         with path.open("rb") as file:
             return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     except (OSError, ValueError) as err:
-        raise CorruptEpisode(f"{path} does not read: {err}.") from err
+        raise CorruptEpisode(f"Cannot read {path}: {err}.") from err
 
 
 def _find(content: mmap.mmap, image: bytes, position: int) -> int:
-    """Return where an image is in a file at or soon after a position [B]; -1 if it is not there."""
+    """Return where an image is in a file, at or soon after a position [B]; -1 if it is not there."""
     wanted = len(image).to_bytes(_LENGTH_BYTES, "little") + image[:_START]
     end = position + _SEARCHED
     start = content.find(wanted, position, end)

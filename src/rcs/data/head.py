@@ -1,8 +1,8 @@
-"""`dataset.json`: what the episodes share, which generation of them is current, and what was done to them.
+"""`dataset.json`: what the episodes share, which generation of them is current, and its history.
 
 An edit never changes an episode. It makes a new folder of episodes, a generation, in which unchanged ones are links to
-the same files, and then puts a `dataset.json` in place that names it: that one step is the edit. Undo puts the former
-generation back, and needs no more than that either.
+the same files. Replacing `dataset.json` by one that names the new generation is the edit itself, and replacing it by
+one that names the former generation undoes it.
 """
 
 from __future__ import annotations
@@ -29,29 +29,29 @@ class Edit:
     command: str
     """What was done, such as "delete" or "undo"."""
     arguments: dict[str, Any]
-    """With what, as JSON values."""
+    """Its arguments, as JSON values."""
     at: str
     """Wall clock, ISO 8601 in UTC."""
     before: int
     """The generation that was current before."""
     after: int
-    """The generation that was current then."""
+    """The generation that is current after."""
     episodes: tuple[str, ...]
     """The ids of the episodes after the edit."""
     info: dict[str, Any]
-    """What the episodes shared before, as JSON; undo puts it back."""
+    """What the episodes shared before, as JSON; undo restores it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Head:
-    """What `dataset.json` says."""
+    """The contents of `dataset.json`."""
 
     info: DatasetInfo
     """What the episodes of the current generation share."""
     generation: int = 0
     """The current generation; 0 is what was recorded."""
     history: tuple[Edit, ...] = ()
-    """What was done, oldest first."""
+    """The history, oldest first."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields as JSON values."""
@@ -101,7 +101,7 @@ def _edit(values: Any) -> Edit:
 
 
 def read_head(root: Path) -> Head:
-    """Read `dataset.json`, or its copy when it is damaged or gone.
+    """Read `dataset.json`, or its copy if it is damaged or missing.
 
     Args:
         root: The dataset's folder.
@@ -114,12 +114,12 @@ def read_head(root: Path) -> Head:
         return read_head_file(root / DATASET_FILE)
     except (CorruptEpisode, DatasetError) as err:
         if (root / DATASET_FILE).exists() and not isinstance(err, CorruptEpisode):
-            raise  # a layout that is newer, or a disk that fails
+            raise  # a newer layout, or a failing disk
         try:
             head = read_head_file(root / COPY_FILE)
         except (CorruptEpisode, DatasetError):
             raise err from None
-        _log.warning("%s; read from %s, its copy. `rcs data check --repair` mends it.", err, COPY_FILE)
+        _log.warning("%s; read from its copy %s. `rcs data check --repair` repairs it.", err, COPY_FILE)
         return head
 
 
@@ -146,10 +146,10 @@ def read_head_file(path: Path) -> Head:
 
 
 def write_head(root: Path, head: Head) -> None:
-    """Put a new `dataset.json` in place in one step, and then its copy.
+    """Replace `dataset.json` in one step, and then its copy.
 
     Raises:
-        OSError: The disk fails; there is the old file or the new one.
+        OSError: The disk fails; either the old or the new file is there.
     """
     current = replace(head, info=replace(head.info, schema_version=SCHEMA_VERSION))
     data = sealed(current.to_json())
@@ -166,16 +166,16 @@ def read_info(root: Path) -> DatasetInfo:
 
     Raises:
         DatasetError: There is no dataset, or its layout is newer than this code.
-        CorruptEpisode: The file is damaged, and its copy too.
+        CorruptEpisode: Both the file and its copy are damaged.
     """
     return read_head(root).info
 
 
 def content_folder(root: Path) -> Path:
-    """Return the folder that has the current episodes: the dataset's own, or one of its generations.
+    """Return the folder with the current episodes: the dataset's own, or that of a generation.
 
     Raises:
         DatasetError: There is no dataset, or its layout is newer than this code.
-        CorruptEpisode: The file is damaged, and its copy too.
+        CorruptEpisode: Both the file and its copy are damaged.
     """
     return generation_folder(root, read_head(root).generation)

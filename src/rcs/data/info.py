@@ -1,4 +1,4 @@
-"""What a whole dataset has in common: rate, features, setup and instruction, as kept in `dataset.json`."""
+"""What all episodes of a dataset share: rate, features, setup and instruction, as stored in `dataset.json`."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from rcs.data.text import check_text, check_texts
 from rcs.errors import DatasetError, InvalidSetup
 
 SCHEMA_VERSION = 2
-"""The layout on disk that this code writes. It reads this one and those before:
+"""The layout on disk that this code writes; it also reads the former ones:
 
-1. has neither flags nor held values, an image in every row, and no history.
-2. is this one.
+1. no flags, no held values, no history, and an image in every row;
+2. the current one.
 """
 
 MERGED = "merged"
-"""Key of an origin: of each source by its name, what its episodes shared and the merged dataset's do not."""
+"""Key of an origin: for each source, what its episodes shared that those of the merged dataset do not."""
 
-_LOWEST_FPS, _HIGHEST_FPS = 0.001, 1e6
-# Numbers in the state of a simulation: hundreds of robots have some ten thousand.
+_MIN_FREQUENCY, _MAX_FREQUENCY = 0.001, 1e6
+# Numbers in a simulation state; hundreds of robots have some ten thousand.
 _LARGEST_STATE = 1 << 20
 _MEANING_OF_ACTIONS = ("control", "relative")
 
@@ -42,33 +42,33 @@ class DatasetInfo:
         InvalidSetup: A field does not make sense, or the setup is not JSON.
     """
 
-    fps: float
-    """Steps per second that the control loop aims at [Hz]; the measured times are in the rows."""
+    frequency: float
+    """Control steps per second that were aimed at [Hz]; the measured times are in the rows."""
     features: tuple[Feature, ...]
     """The columns, in the order in which they are stored."""
     setup: dict[str, Any]
     """The setup that the data came from, as JSON."""
     instruction: str
-    """What the robot is asked to do, in words; an episode may say otherwise."""
+    """What the robot is asked to do, in words; an episode may have another one."""
     schema_version: int = SCHEMA_VERSION
     """The layout on disk."""
     jpeg_quality: int = 95
-    """1 to 100; more is larger and closer to the image."""
+    """1 to 100; a higher one makes larger and better images."""
     jpeg_subsampling: Subsampling = "444"
-    """How much colour is kept; "420" halves the size and blurs coloured edges."""
+    """Chroma subsampling; "420" halves the size and blurs coloured edges."""
     sim_state_size: int | None = None
-    """Numbers in the simulation's state per step; None where there is no simulation."""
+    """Numbers in the simulation state per step; None without a simulation."""
     versions: dict[str, str] = field(default_factory=dict[str, str])
-    """Versions of the software that recorded; only for people, not compared when a recording is resumed."""
+    """Versions of the recording software; informative, not compared when a recording is resumed."""
     origin: dict[str, Any] = field(default_factory=dict[str, Any])
-    """How the episodes came together, as JSON: by which `collection`, `merged` or in a `mix` of which datasets."""
+    """Where the episodes are from, as JSON: a `collection`, or which datasets were `merged` or made a `mix`."""
 
     def __post_init__(self) -> None:
-        """Refuse what could not be recorded."""
+        """Check every field."""
         object.__setattr__(self, "features", tuple(self.features))
         _check_types(self)
-        if not _LOWEST_FPS <= self.fps <= _HIGHEST_FPS:
-            raise InvalidSetup(f"fps is {self.fps}; it must be from {_LOWEST_FPS} to {_HIGHEST_FPS}.")
+        if not _MIN_FREQUENCY <= self.frequency <= _MAX_FREQUENCY:
+            raise InvalidSetup(f"frequency is {self.frequency}; it must be from {_MIN_FREQUENCY} to {_MAX_FREQUENCY}.")
         keys = Counter(feature.key for feature in self.features)
         twice = sorted(key for key, count in keys.items() if count > 1)
         if not keys or twice:
@@ -98,7 +98,7 @@ class DatasetInfo:
         """Return the feature with this key.
 
         Raises:
-            InvalidSetup: There is none; the message lists the keys.
+            InvalidSetup: There is none; the message lists the known keys.
         """
         for feature in self.features:
             if feature.key == key:
@@ -128,7 +128,7 @@ class DatasetInfo:
 
 
 def refuse_newer_schema(version: object, what: str) -> None:
-    """Raise if a file was written in a layout that this code does not know.
+    """Raise if a file has a layout that this code does not know.
 
     Args:
         version: The schema version that the file states.
@@ -150,8 +150,8 @@ def _check_types(info: DatasetInfo) -> None:
     def refuse(name: str, valid: str) -> None:
         raise InvalidSetup(f"{name} is {getattr(info, name)!r:.80}; it must be {valid}.")
 
-    if isinstance(info.fps, bool) or not isinstance(info.fps, int | float | np.number):
-        refuse("fps", "a number")
+    if isinstance(info.frequency, bool) or not isinstance(info.frequency, int | float | np.number):
+        refuse("frequency", "a number")
     if not all(isinstance(feature, Feature) for feature in info.features):
         refuse("features", "features")
     for name in ("jpeg_quality", "sim_state_size"):
@@ -172,7 +172,7 @@ def _check_origin(origin: Mapping[str, Any]) -> None:
     for name, part in _objects(origin, MERGED).items():
         check_name(name, "a dataset")
         if not isinstance(part, Mapping):
-            raise InvalidSetup(f"The origin of a dataset has {part!r:.80} in the place of what {name!r} had.")
+            raise InvalidSetup(f"The origin of a dataset has {part!r:.80} instead of an object for {name!r}.")
         _objects(part, "setup")
         _check_origin(_objects(part, "origin"))
 
@@ -187,12 +187,12 @@ def _objects(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 def differences(
     stored: DatasetInfo, given: DatasetInfo, *, names: tuple[str, str] = ("the dataset", "this setup")
 ) -> list[str]:
-    """Say in which fields two infos differ, one line each; versions are not compared.
+    """Describe in which fields two infos differ, one line each; versions are not compared.
 
     Args:
         stored: What a dataset on disk has.
         given: What a new recording would have.
-        names: What the two are called in the lines.
+        names: What to call the two.
     """
     one, other = names
     left, right = (dict(_leaves("", _comparable(info))) for info in (stored, given))
@@ -213,14 +213,14 @@ def differences(
 def feature_differences(
     stored: DatasetInfo, given: DatasetInfo, *, names: tuple[str, str] = ("the dataset", "this setup")
 ) -> list[str]:
-    """Say in what the rows of two infos differ: features, their order, rate, state, and what an action means.
+    """Describe how the rows of two infos differ: features and their order, rate, state, and meaning of actions.
 
-    Their setups and instructions may be different otherwise.
+    Other differences of setup and instruction are ignored.
 
     Args:
         stored: One info.
         given: The other.
-        names: What the two are called in the lines.
+        names: What to call the two.
     """
     alike = replace(
         given,
@@ -234,7 +234,7 @@ def feature_differences(
     for key in _MEANING_OF_ACTIONS:
         one, other = stored.setup.get(key), given.setup.get(key)
         if one is not None and other is not None and one != other:
-            lines.append(f"setup.{key}: to {names[0]} an action is {one!r}, to {names[1]} {other!r}")
+            lines.append(f"setup.{key}: actions are {one!r} in {names[0]} and {other!r} in {names[1]}")
     return lines
 
 
@@ -245,9 +245,9 @@ def shared_setup(setups: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _comparable(info: DatasetInfo) -> dict[str, Any]:
-    values = json.loads(json.dumps(info.to_json()))  # as it comes back from disk: tuples are lists, keys are strings
-    del values["versions"], values["schema_version"]  # an older layout is taken to this one when it is written to
-    # By key, so that one feature more is one line and not a shift of all that follow.
+    values = json.loads(json.dumps(info.to_json()))  # as read from disk: tuples become lists, keys strings
+    del values["versions"], values["schema_version"]  # an older layout is upgraded when it is written to
+    # By key, so that an additional feature is one line and does not shift the rest.
     features = {feature.pop("key"): _form(feature) for feature in values.pop("features")}
     return {**values, "features": features}
 

@@ -1,4 +1,4 @@
-"""JSON from a disk, which anybody may have written: of bounded size and depth, with finite numbers and whole texts."""
+"""Reads untrusted JSON: of bounded size and depth, with finite numbers and valid text."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from rcs.data.text import is_storable
 from rcs.errors import CorruptEpisode
 
 MOST_BYTES = 1 << 26
-"""A file is not read beyond this. The `dataset.json` of 50 000 episodes grows by some 0.8 MB with each edit."""
+"""Largest file that is read [B]. The `dataset.json` of 50 000 episodes grows by some 0.8 MB with each edit."""
 MOST_DEPTH = 64
-"""Values are not nested deeper: what works through them calls itself, and Python ends that at 1000 levels."""
-# A whole number beyond this has no place in a file of numbers, and takes time that grows with its square.
+"""Deepest nesting: code that walks the values is recursive, and Python ends that at 1000 levels."""
+# Digits of a whole number. No file needs more, and the time to parse them grows with their square.
 _MOST_DIGITS = 40
 
 
@@ -22,7 +22,7 @@ def read_json(path: Path) -> dict[str, Any]:
     """Read a file with one JSON object.
 
     Raises:
-        CorruptEpisode: It is missing, no JSON object, or larger or deeper than any that a dataset has.
+        CorruptEpisode: It is missing, not a JSON object, or larger or deeper than any of a dataset.
     """
     return parsed_json(read_bytes(path), path)
 
@@ -31,27 +31,27 @@ def read_json_lines(path: Path) -> list[dict[str, Any]]:
     """Read a file with a JSON object per line.
 
     Raises:
-        CorruptEpisode: It is missing, or a line is no JSON object.
+        CorruptEpisode: It is missing, or a line is not a JSON object.
     """
-    # Only at "\n": `splitlines` also takes a line separator within a text for the end of a line.
+    # Only at "\n": `splitlines` also splits at Unicode line separators within a text.
     return [parsed_json(line, path) for line in read_bytes(path).split(b"\n") if line.strip()]
 
 
 def read_bytes(path: Path) -> bytes:
-    """Read a file of a size that a description may have.
+    """Read a file of limited size.
 
     Raises:
-        CorruptEpisode: It is missing, no file, or too large.
+        CorruptEpisode: It is missing, not a file, or too large.
     """
     try:
         if not path.is_file():
-            raise CorruptEpisode(f"{path} is missing or no file.")
+            raise CorruptEpisode(f"{path} is missing or not a file.")
         with path.open("rb") as file:
             data = file.read(MOST_BYTES + 1)
     except OSError as err:
-        raise CorruptEpisode(f"{path} does not read: {err.strerror or err}.") from err
+        raise CorruptEpisode(f"Cannot read {path}: {err.strerror or err}.") from err
     if len(data) > MOST_BYTES:
-        raise CorruptEpisode(f"{path} has more than {MOST_BYTES >> 20} MB, which no description has; it is not read.")
+        raise CorruptEpisode(f"{path} has more than {MOST_BYTES >> 20} MB, too much for a description; it is not read.")
     return data
 
 
@@ -60,10 +60,10 @@ def parsed_json(data: bytes | str, path: Path | str) -> dict[str, Any]:
 
     Args:
         data: The text, bytes as UTF-8.
-        path: Where it came from, for the message.
+        path: The file, for the message.
 
     Raises:
-        CorruptEpisode: It is no JSON object, is nested too deeply, or has a number or text that JSON cannot have.
+        CorruptEpisode: It is not a JSON object, is nested too deeply, or has an invalid number or text.
     """
     try:
         text = data if isinstance(data, str) else data.decode()
@@ -71,17 +71,17 @@ def parsed_json(data: bytes | str, path: Path | str) -> dict[str, Any]:
     except (ValueError, RecursionError) as err:
         raise CorruptEpisode(f"{path} is damaged: {err}.") from err
     if not isinstance(values, dict):
-        raise CorruptEpisode(f"{path} is damaged: it is no JSON object.")
+        raise CorruptEpisode(f"{path} is damaged: it is not a JSON object.")
     if depth_of(values) > MOST_DEPTH:
         raise CorruptEpisode(f"{path} is damaged: its values are nested more than {MOST_DEPTH} levels deep.")
-    # Halves of surrogate pairs come in as escapes, so text without escapes of them needs no look.
+    # Half surrogate pairs are written as escapes, so only text with such escapes is searched.
     if "\\ud" in text.lower() and not is_storable(json.dumps(values, ensure_ascii=False)):
         raise CorruptEpisode(f"{path} is damaged: a text in it has half of a surrogate pair.")
     return values
 
 
 def depth_of(value: Any) -> int:
-    """Return how deep values are nested: 0 for a number, 1 for a list of numbers; beyond `MOST_DEPTH` not exactly."""
+    """Return how deep values are nested: 0 for a number, 1 for a list of numbers; inexact beyond `MOST_DEPTH`."""
     depth = 0
     level = [value] if isinstance(value, dict | list | tuple) else []
     while level and depth <= MOST_DEPTH:
@@ -92,13 +92,13 @@ def depth_of(value: Any) -> int:
 
 
 def _refused(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no JSON")
+    raise ValueError(f"{name} is not JSON")
 
 
 def _number(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
-        raise ValueError(f"{text} is beyond the numbers that there are")
+        raise ValueError(f"{text} is out of range")
     return value
 
 

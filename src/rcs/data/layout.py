@@ -1,7 +1,7 @@
-"""Where things are in a dataset's folder, and which names an episode may have.
+"""Paths in a dataset's folder, and valid names of episodes.
 
-Two folders matter: the dataset's (`root`), which has `dataset.json` and the locks, and the one that has the current
-episodes (`base`): the same until the first edit, then that of a generation.
+There are two folders: that of the dataset (`root`), with `dataset.json` and the locks, and that of the current episodes
+(`base`), which is the same until the first edit, then that of a generation.
 """
 
 from __future__ import annotations
@@ -13,31 +13,31 @@ from rcs.errors import InvalidSetup
 
 DATASET_FILE = "dataset.json"
 COPY_FILE = "dataset.copy.json"
-"""The same once more, for the day that a bit of the other one flips."""
+"""Backup of `dataset.json`, read if that is damaged."""
 EPISODE_FILE = "episode.json"
 STEPS_FILE = "steps.parquet"
 SIM_STATE_FILE = "sim_state.parquet"
 ROWS_FILE = "rows.arrows"
 """The append-only stream of an episode that is still open."""
 ABORTED_FILE = "aborted.json"
-"""Why an open episode was given up."""
+"""Why an open episode was aborted."""
 
 EPISODES_FOLDER = "episodes"
 GENERATIONS_FOLDER = "generations"
 QUARANTINE_FOLDER = "quarantine"
-"""What a repair found damaged, as it was; nothing reads it."""
+"""Damaged files that a repair put aside, unchanged; nothing reads them."""
 _OPEN = ".open-"
 _LONGEST_NAME = 200
 MOST_GENERATIONS = 10**9 - 1
-"""The largest number of a generation, one for each edit; its folder has four digits, and more when it needs them."""
+"""The largest number of a generation, one for each edit; its folder has four digits, or more if needed."""
 _DISCARDED = ".discarded-"
 
 
 def is_name(text: str) -> bool:
-    """Return whether a text can be the name of a file or folder, and of nothing but one beside the others."""
+    """Return whether a text can name a file or folder without leading elsewhere."""
     return (
         bool(text)
-        and text.isprintable()  # which half of a surrogate pair is not
+        and text.isprintable()  # which half a surrogate pair is not
         and not {"/", "\\"} & set(text)
         and text[0] != "."
         and len(text.encode()) <= _LONGEST_NAME
@@ -45,9 +45,9 @@ def is_name(text: str) -> bool:
 
 
 def check_name(text: object, what: str) -> None:
-    """Refuse a text that could not be the name of a file or folder, or that would lead out of its folder.
+    """Refuse a text that cannot name a file or folder, or would lead out of its folder.
 
-    Every name that comes from a file or a user and becomes part of a path goes through here.
+    Every name from a file or user that becomes part of a path is checked here.
 
     Args:
         text: The name.
@@ -64,16 +64,16 @@ def check_name(text: object, what: str) -> None:
 
 
 def name_of(folder: Path) -> str:
-    """Return what a dataset is called by others: the name of its folder, as far as that can be a name anywhere."""
+    """Return the name of a dataset: that of its folder, reduced to what is valid everywhere."""
     letters = (letter if letter.isprintable() and letter not in "/\\" else "_" for letter in folder.resolve().name)
     name = "".join(letters).lstrip(".")
-    while len(name.encode()) > _LONGEST_NAME // 2:  # with room for a number or an id behind it
+    while len(name.encode()) > _LONGEST_NAME // 2:  # leaves room for a number or an id
         name = name[:-1]
     return name or "dataset"
 
 
 def check_episode_id(episode_id: str) -> None:
-    """Refuse an id that could not be the name of a folder.
+    """Refuse an id that cannot name a folder.
 
     Raises:
         InvalidSetup: The id is empty, too long, starts with a dot or has a slash or a control character.
@@ -82,13 +82,13 @@ def check_episode_id(episode_id: str) -> None:
 
 
 def links_out(root: Path) -> list[Path]:
-    """Return the folders of a dataset that are links and lead out of it.
+    """Return the folders of a dataset that are links out of it.
 
-    Reading goes through them, so a dataset may be put together of links. Writing does not: what is behind them may be
-    anybody's.
+    Reading follows them, so a dataset may be composed of links. Writing does not: their targets may belong to somebody
+    else.
 
     Args:
-        root: The dataset's folder, which may be a link itself.
+        root: The dataset's folder; it may itself be a link.
     """
     bases = [root, *(generation_folder(root, number) for number in generations(root))]
     folders = [root / GENERATIONS_FOLDER, root / QUARANTINE_FOLDER, *bases[1:], *map(episodes_folder, bases)]
@@ -99,17 +99,17 @@ def links_out(root: Path) -> list[Path]:
 def _resolved(path: Path) -> Path:
     try:
         return path.resolve()
-    except (OSError, RuntimeError):  # a link that leads to itself
+    except (OSError, RuntimeError):  # a link to itself
         return Path("/")
 
 
 def generation_folder(root: Path, generation: int) -> Path:
-    """Return the folder with the episodes folder of a generation; that of 0 is the dataset's own."""
+    """Return the folder of a generation; that of 0 is the dataset's own."""
     return root if generation == 0 else root / GENERATIONS_FOLDER / f"{generation:04d}"
 
 
 def generations(root: Path) -> list[int]:
-    """Return the numbers of the generations on the disk but the first, sorted; of a killed edit, too."""
+    """Return the sorted numbers of the generations on disk except 0, including those of killed edits."""
     try:
         names = [path.name for path in (root / GENERATIONS_FOLDER).iterdir()]
     except (FileNotFoundError, NotADirectoryError):
@@ -135,7 +135,7 @@ def open_folder(base: Path, episode_id: str) -> Path:
 
 
 def new_trash_folder(base: Path, episode_id: str) -> Path:
-    """Return a free name for a folder that is about to be removed."""
+    """Return a free name for a folder about to be removed."""
     return base / EPISODES_FOLDER / f"{_DISCARDED}{episode_id}-{secrets.token_hex(4)}"
 
 
@@ -145,24 +145,24 @@ def complete_ids(base: Path) -> list[str]:
 
 
 def incomplete_ids(base: Path) -> list[str]:
-    """Return the names of folders that have no `episode.json` though they look complete; no kill leaves such."""
+    """Return the names of folders that look complete but have no `episode.json`; no kill leaves these."""
     return sorted(name for name in _names(base) if is_name(name) and not _has_description(base, name))
 
 
 def strange_names(base: Path) -> list[str]:
-    """Return what lies beside the episodes and cannot be one by its name; nothing reads it."""
+    """Return entries beside the episodes whose names cannot be episodes; nothing reads them."""
     names = (name for name in _names(base) if not name.startswith(_DISCARDED))
     return sorted(name for name in names if not is_name(name.removeprefix(_OPEN)))
 
 
 def open_ids(base: Path) -> list[str]:
-    """Return the ids of the episodes that are being recorded, or were when their writer died, sorted."""
+    """Return the sorted ids of the open episodes: being recorded, or left by a dead writer."""
     names = (name.removeprefix(_OPEN) for name in _names(base) if name.startswith(_OPEN))
     return sorted(name for name in names if is_name(name))
 
 
 def trash_folders(base: Path) -> list[Path]:
-    """Return what is left of discarded episodes."""
+    """Return the remains of discarded episodes."""
     return [base / EPISODES_FOLDER / name for name in _names(base) if name.startswith(_DISCARDED)]
 
 

@@ -1,8 +1,8 @@
-"""One writer at a time: a lock on a dataset that ends with the process that holds it.
+"""A lock that gives a dataset one writer at a time, and ends with the process that holds it.
 
-The lock is the operating system's (`flock`), so it is free as soon as its process is gone, however that came about; the
-process id in the file is only there to be named. Worker processes of one collection share a second lock, so that a new
-writer does not take the episodes of workers that outlive their parent for leftovers.
+The operating system's `flock` is free as soon as its process is gone, for whatever reason; the process id in the file
+only serves messages. Worker processes of one collection share a second lock, so that a new writer does not mistake the
+episodes of workers that outlive their parent for leftovers.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _WRITER_FILE = ".writer.lock"
 _WORKERS_FILE = ".workers.lock"
 LOCK_FILES = (_WRITER_FILE, _WORKERS_FILE)
 _ATTEMPTS = 5
-# Not through a link: who holds the lock is written into the file.
+# Not through a link, since the process id is written into the file.
 _LOCK_FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
 
 
@@ -33,7 +33,7 @@ class DatasetLock:
     def __init__(self, fd: int) -> None:
         """Hold the lock on an open file; use `writer` or `worker` to get one."""
         self._fd: int | None = fd
-        # A forked child shares the open file and would hold the lock when its parent is gone.
+        # A forked child shares the open file and would keep the lock after its parent's end.
         os.register_at_fork(after_in_child=_releasing(weakref.ref(self)))
 
     @classmethod
@@ -69,10 +69,10 @@ class DatasetLock:
 
     @classmethod
     def worker(cls, root: Path) -> DatasetLock:
-        """Share in the lock that another process has as the writer.
+        """Share the lock of another process that is the writer.
 
         Raises:
-            DatasetError: No process has the dataset open as its writer.
+            DatasetError: No process is writing to the dataset.
         """
         with disk_errors("join the writers of the dataset", root):
             if not is_locked(root):
@@ -80,7 +80,7 @@ class DatasetLock:
             fd = os.open(root / _WORKERS_FILE, _LOCK_FILE, 0o644)
             if not try_lock(fd, fcntl.LOCK_SH):
                 os.close(fd)
-                raise DatasetError(f"{root} is being opened by a writer just now; join it after that.")
+                raise DatasetError(f"A writer is just opening {root}; join it after that.")
         return cls(fd)
 
     def __enter__(self) -> Self:
@@ -92,17 +92,17 @@ class DatasetLock:
         self.release()
 
     def release(self) -> None:
-        """Give the lock back; twice is harmless."""
+        """Give the lock back; calling it twice is harmless."""
         if self._fd is not None:
             os.close(self._fd)
             self._fd = None
 
 
 def is_locked(root: Path) -> bool:
-    """Return whether a living process has the dataset open as its writer."""
+    """Return whether a living process is writing to the dataset."""
     try:
         fd = os.open(root / _WRITER_FILE, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError:  # there is none, or none that a writer could hold
+    except OSError:  # missing, or nothing that a writer could lock
         return False
     try:
         return not try_lock(fd, fcntl.LOCK_SH)
@@ -111,13 +111,13 @@ def is_locked(root: Path) -> bool:
 
 
 def try_lock(fd: int, kind: int) -> bool:
-    """Take a lock on an open file unless another process has it; return whether it was taken.
+    """Try to lock an open file; return whether it succeeded.
 
     Args:
         fd: The open file.
         kind: `fcntl.LOCK_EX` or `fcntl.LOCK_SH`.
     """
-    # Whoever asks `is_locked` has the lock for some microseconds: one refusal proves nothing.
+    # `is_locked` holds the lock for some microseconds, so one refusal proves nothing.
     for attempt in range(_ATTEMPTS):
         if attempt:
             time.sleep(0.005)
@@ -134,7 +134,7 @@ def _refuse_links_out(root: Path) -> None:
     if found:
         names = ", ".join(f"{path.relative_to(root)} to {path.readlink()}" for path in found)
         raise DatasetError(
-            f"{root} has links that lead out of it: {names}. Nothing is written through them. Put the folders "
+            f"{root} has links that lead out of it: {names}. Nothing is written through links. Put the folders "
             "themselves in their place, or link the whole dataset."
         )
 

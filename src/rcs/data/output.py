@@ -1,7 +1,7 @@
-"""Results that are there whole or not at all, and no rubbish: what a kill leaves is removed by the next call.
+"""Atomic outputs: a result exists whole or not at all, and the next call removes what a kill left.
 
-A result grows under another name beside its place, `.NAME.partial-…`, with a lock that ends with its process. Who makes
-the same result again removes what has a lock that nobody holds.
+A result grows beside its place as `.NAME.partial-…`, under a lock that ends with its process. The next call for the
+same result removes partial ones whose lock nobody holds.
 """
 
 from __future__ import annotations
@@ -10,13 +10,16 @@ import fcntl
 import logging
 import os
 import secrets
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rcs.data.durable import disk_errors, remove_tree, sync_folder
 from rcs.data.lock import DatasetLock, try_lock
 from rcs.errors import DatasetError
+
+OnProgress = Callable[[int, int], object]
+"""Called with the number of episodes (of an export or import, steps) done and in all; 0 in all if that is not known."""
 
 _log = logging.getLogger(__name__)
 
@@ -26,7 +29,7 @@ _LOCK = ".lock"
 
 @contextmanager
 def new_output(out: str | Path) -> Generator[Path]:
-    """Give a path to write a file or folder to, and put it in place at the end; after an error nothing stays.
+    """Yield a path to write a file or folder to, and move it into place at the end; an error leaves nothing.
 
     Args:
         out: Where the result goes; an empty folder may be there.
@@ -55,10 +58,10 @@ def new_output(out: str | Path) -> Generator[Path]:
 
 
 def remove_leftovers(target: Path) -> list[Path]:
-    """Remove what killed calls left of a result, and return the paths; a warning names each.
+    """Remove what killed calls left of a result, with a warning each, and return the paths.
 
     Args:
-        target: Where the result would have gone.
+        target: The result.
 
     Raises:
         OSError: Something cannot be removed.
@@ -71,13 +74,13 @@ def remove_leftovers(target: Path) -> list[Path]:
         try:
             fd = os.open(lock, os.O_RDWR | os.O_NOFOLLOW)
         except OSError:
-            continue  # another call was faster, or it is none of ours
+            continue  # another call was faster, or it is not ours
         try:
             if not try_lock(fd, fcntl.LOCK_EX):
-                continue  # somebody is at it
+                continue  # in use
             if os.path.lexists(partial):
                 remove_tree(partial)
-                _log.warning("Removed %s, which a call that was killed had left.", partial)
+                _log.warning("Removed %s, left by a killed call.", partial)
                 removed.append(partial)
             lock.unlink(missing_ok=True)
         finally:
@@ -92,7 +95,7 @@ def refuse_existing(target: Path) -> None:
         DatasetError: Something is there.
     """
     if target.is_symlink() or (target.exists() and not target.is_dir()) or (target.is_dir() and any(target.iterdir())):
-        raise DatasetError(f"{target} is there already. Choose another place, or remove it.")
+        raise DatasetError(f"{target} exists already. Choose another place, or remove it.")
 
 
 def size_on_disk(path: Path) -> int:
@@ -101,11 +104,11 @@ def size_on_disk(path: Path) -> int:
 
 
 def _claim(target: Path) -> tuple[Path, DatasetLock]:
-    """Return a free path beside a result's place, and the lock that keeps others from removing it."""
+    """Return a free path beside a result, and the lock that keeps others from removing it."""
     while True:
         partial = target.with_name(f".{target.name}{_PARTIAL}{secrets.token_hex(4)}")
         fd = os.open(_lock_of(partial), os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644)
-        # Before the lock is held, another call may take it for one of the dead, and its file is then gone.
+        # Until the lock is held, another call may take the path for a leftover and remove it.
         if try_lock(fd, fcntl.LOCK_EX) and os.fstat(fd).st_nlink:
             return partial, DatasetLock(fd)
         os.close(fd)

@@ -1,6 +1,6 @@
-"""The heads of pages in a Parquet file, as the file has them: Arrow does not tell them, and believes them.
+"""Reads the page headers of a Parquet file, which Arrow trusts but does not expose.
 
-A head says how large its page becomes when it is decompressed, which the footer need not say truly.
+Only a page header says how large its page becomes when decompressed; the footer may be wrong about that.
 """
 
 from __future__ import annotations
@@ -9,25 +9,25 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-# Numbers of fields in `parquet.thrift` of Apache Parquet: of the head of a page.
+# Field numbers in `parquet.thrift` of Apache Parquet: of a page header.
 _TYPE, _UNCOMPRESSED, _PAGE_SIZE, _PAGE_CRC = 1, 2, 3, 4
 _TRUE, _FALSE = 1, 2
-# Heads of ours have no statistics; those of others may have long texts in them.
+# Our headers have no statistics; those of other writers may contain long texts.
 _USUAL_HEAD, _LONGEST_HEAD = 128, 1 << 20
-# A list or struct in a head is not nested deeper, and no list in a footer is longer.
+# No list or struct in a header is nested deeper, and no list in a footer is longer.
 _MOST_DEPTH = 16
 _MOST_ITEMS = 1 << 20
 
 DICTIONARY_PAGE = 2
-"""The type of a page with values that others stand for."""
+"""The type of a dictionary page."""
 
 
 @dataclass(frozen=True)
 class PageHead:
-    """What stands before a page."""
+    """The header of a page."""
 
     start: int
-    """Where the page's data begin, after the head [B]."""
+    """Where the page's data begin, after the header [B]."""
     size: int
     """Their length in the file [B]."""
     uncompressed: int
@@ -39,15 +39,15 @@ class PageHead:
 
 
 def page_head(data: bytes | bytearray, at: int, base: int = 0) -> PageHead:
-    """Read the head of a page.
+    """Read a page header.
 
     Args:
         data: Bytes of the file.
-        at: Where the head begins in them.
+        at: Where the header begins in them.
         base: Where these bytes begin in the file.
 
     Raises:
-        ValueError: This is no head of a page, or it goes on after the end of the data.
+        ValueError: This is not a page header, or it ends beyond the data.
     """
     try:
         fields, after = thrift_struct(data, at)
@@ -60,18 +60,18 @@ def page_head(data: bytes | bytearray, at: int, base: int = 0) -> PageHead:
             type=int(fields[_TYPE]),
         )
     except (IndexError, KeyError, TypeError, AttributeError, RecursionError) as err:
-        raise ValueError(f"no head of a page: {err!r}") from err
+        raise ValueError(f"not a page header: {err!r}") from err
     if head.size < 0 or head.uncompressed < 0:
-        raise ValueError("a page of less than no bytes")
+        raise ValueError("a page of negative size")
     return head
 
 
 def page_heads(read: Callable[[int, int], bytes], start: int, end: int) -> Iterator[PageHead]:
-    """Yield the heads of the pages between two places in a file.
+    """Yield the headers of the pages between two places in a file.
 
     Args:
         read: Returns so many bytes from a place in the file, or fewer at its end.
-        start: Where the first head begins.
+        start: Where the first header begins.
         end: Where the last page ends.
 
     Raises:
@@ -83,19 +83,19 @@ def page_heads(read: Callable[[int, int], bytes], start: int, end: int) -> Itera
         except ValueError:
             head = page_head(read(min(_LONGEST_HEAD, end - start), start), 0, start)
         if head.start + head.size > end:
-            raise ValueError("a page goes on after its column")
+            raise ValueError("a page ends beyond its column")
         yield head
         start = head.start + head.size
 
 
 def thrift_struct(data: bytes | bytearray, at: int, depth: int = 0) -> tuple[dict[int, Any], int]:
-    """Read a struct of Thrift's compact protocol: its fields by their numbers, and where it ends.
+    """Read a struct of Thrift's compact protocol; return its fields by number, and where it ends.
 
     Source: the specification of the compact protocol in the documentation of Apache Thrift.
 
     Raises:
-        ValueError: This is no such struct.
-        IndexError: It goes on after the end of the data.
+        ValueError: This is not such a struct.
+        IndexError: It ends beyond the data.
     """
     fields: dict[int, Any] = {}
     number = 0
@@ -111,7 +111,7 @@ def thrift_struct(data: bytes | bytearray, at: int, depth: int = 0) -> tuple[dic
             folded, at = _varint(data, at)
             number = _unfolded(folded)
         kind = head & 0xF
-        # Of a field, unlike of what is in a list, a truth value is its type.
+        # The type of a boolean field is its value; only in a list does a boolean take a byte.
         fields[number], at = (kind == _TRUE, at) if kind in (_TRUE, _FALSE) else _thrift_value(data, at, kind, depth)
     return fields, at + 1
 
@@ -128,7 +128,7 @@ def _thrift_value(data: bytes | bytearray, at: int, kind: int, depth: int) -> tu
         case 8:
             size, at = _varint(data, at)
             if at + size > len(data):
-                raise IndexError("a text goes on after the end")
+                raise IndexError("a text ends beyond the data")
             return data[at : at + size], at + size
         case 9 | 10:
             head, at = data[at], at + 1
@@ -143,7 +143,7 @@ def _thrift_value(data: bytes | bytearray, at: int, kind: int, depth: int) -> tu
         case 12:
             return thrift_struct(data, at, depth + 1)
         case other:
-            raise ValueError(f"nothing here has the type {other}")
+            raise ValueError(f"type {other} is not supported")
 
 
 def _varint(data: bytes | bytearray, at: int) -> tuple[int, int]:

@@ -1,7 +1,7 @@
-"""Parquet files from a disk, which anybody may have written: what a file claims is checked before it is believed.
+"""Reads untrusted Parquet files: what a file claims is checked before it is used.
 
-A file of a megabyte can claim, and even hold, columns of gigabytes. What is read of it is therefore bounded: by so much
-as any file may have, or by so many times its own size as nothing that was recorded is ever compressed.
+A file of a megabyte can claim, and even hold, columns of gigabytes. What is read of it is therefore bounded by an
+absolute size, or by a multiple of the file's size that no recording reaches.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from rcs.data.page_heads import DICTIONARY_PAGE, page_heads, thrift_struct
 from rcs.errors import CorruptEpisode, DatasetError
 
 UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError, OverflowError)
-"""What reading a damaged Parquet file raises beside `CorruptEpisode`; the third where a column's name is damaged."""
+"""Raised when a damaged Parquet file is read, besides `CorruptEpisode`; the third if a column's name is damaged."""
 
 FREE_BYTES = 1 << 27
-"""What a file may become when it is read, however small it is: a million rows that are all alike are 30 kB."""
+"""Size that any file may have in memory, however small it is [B]: a million equal rows are 30 kB on disk."""
 MOST_GROWTH = 64
-"""And how many times its size beyond that. Joint angles of an arm at rest, the smallest there are, make about 20."""
+"""Multiple of its size that a larger file may have in memory. An arm at rest, the best case, reaches about 20."""
 
-# A footer: some 100 bytes for each column and row group; of a dataset with cameras 256 rows are a group.
+# A footer has some 100 bytes per column and row group; with cameras, a group has 256 rows.
 _MOST_FOOTER = 1 << 28
 _MAGIC = b"PAR1"
 _TAIL = 8
-# Numbers of fields in `parquet.thrift` of Apache Parquet: of the footer, a row group, a column in it, its description,
-# and the sizes in that.
+# Field numbers in `parquet.thrift` of Apache Parquet: of the footer, a row group, a column in it, its description, and
+# the sizes in that.
 _GROUPS, _COLUMNS, _META, _SIZES, _REPETITIONS, _DEFINITIONS = 4, 1, 3, 16, 2, 3
 _MOST_SOUND = 1 << 17
 _sound: set[tuple[int, int, int, int]] = set()
-# What a dictionary may take: each of its values can stand for any number of rows.
+# Largest dictionary [B]: each of its values can stand for any number of rows.
 _FREE_DICTIONARY, _MOST_DICTIONARY_GROWTH = 1 << 21, 4
-# Images of so many rows are read at a time, so that a dictionary cannot become more than so many times itself.
+# Rows of images read at a time, which bounds how often a dictionary is repeated.
 _IMAGES_AT_A_TIME = 16
 
 
 class ParquetSource:
-    """An open Parquet file, and how much of it may be read."""
+    """An open Parquet file that limits how much is read of it."""
 
     def __init__(self, name: str, file: pq.ParquetFile, size: int, read: Callable[[int, int], bytes]) -> None:
-        """Hold what `opened` opened.
+        """Hold a file; use `opened` to get one.
 
         Args:
-            name: The file's, for messages.
+            name: Name of the file, for messages.
             file: The file as Arrow has it.
-            size: Its bytes.
-            read: Returns so many bytes from a place in it.
+            size: Its size [B].
+            read: Returns a number of bytes from a place in it.
         """
         self.file = file
         self._name = name
@@ -60,18 +60,18 @@ class ParquetSource:
 
     @property
     def rows(self) -> int:
-        """How many rows it claims to have."""
+        """Rows that it claims to have."""
         return self.file.metadata.num_rows
 
     def require(
         self, columns: Sequence[str] | None = None, groups: Iterable[int] | None = None, *, is_damaged: bool = False
     ) -> None:
-        """Refuse to read what claims to be more than any recording is.
+        """Refuse to read what claims to be larger than any recording.
 
         Args:
             columns: The columns that will be read; None for all.
             groups: The row groups; None for all.
-            is_damaged: Whether pages are only looked at up to the first whose head does not read.
+            is_damaged: Whether to look only at the pages before the first unreadable header.
 
         Raises:
             CorruptEpisode: It is too much, or the file contradicts itself.
@@ -86,12 +86,12 @@ class ParquetSource:
             for i in chosen:
                 total += self._uncompressed(group.column(i), is_damaged=is_damaged)
             if total > bound:
-                raise CorruptEpisode(f"{self._name} has {self._size} bytes, and claims {total} and more once read.")
+                raise CorruptEpisode(f"{self._name} has {self._size} bytes and claims at least {total} once read.")
         if rows < 0 or (groups is None and rows != about.num_rows):
-            raise CorruptEpisode(f"{self._name} claims {about.num_rows} rows, and {rows} in its groups.")
+            raise CorruptEpisode(f"{self._name} claims {about.num_rows} rows in all, but {rows} in its groups.")
         kept = [field for field in self.file.schema_arrow if columns is None or field.name in columns]
         if rows * sum(_width(field.type) for field in kept) > bound:
-            raise CorruptEpisode(f"{self._name} has {self._size} bytes, and claims {rows} rows, more than it can have.")
+            raise CorruptEpisode(f"{self._name} has {self._size} bytes and claims {rows} rows, more than fit.")
 
     def table(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> pa.Table:
         """Read columns of some row groups.
@@ -101,8 +101,8 @@ class ParquetSource:
             groups: The row groups; None for all.
 
         Raises:
-            CorruptEpisode: It is more than any recording has, or the file contradicts itself.
-            ArrowException, OSError: It does not read.
+            CorruptEpisode: They are larger than any recording, or the file contradicts itself.
+            ArrowException, OSError: The file cannot be read.
         """
         self.require(columns, groups)
         names = None if columns is None else list(columns)
@@ -113,15 +113,15 @@ class ParquetSource:
         return pa.Table.from_batches(self.batches(names, numbers), schema=pa.schema(kept))
 
     def batches(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Iterator[Any]:
-        """Yield columns of some row groups, few rows at a time, up to as much as any recording has.
+        """Yield columns of some row groups, a few rows at a time, up to the size limit.
 
         Args:
             columns: The columns; None for all.
             groups: The row groups; None for all.
 
         Raises:
-            CorruptEpisode: It is more than that.
-            ArrowException, OSError: It does not read.
+            CorruptEpisode: They are larger than that.
+            ArrowException, OSError: The file cannot be read.
         """
         total = 0
         for batch in self.file.iter_batches(
@@ -132,11 +132,11 @@ class ParquetSource:
         ):
             total += batch.nbytes
             if total > bound_of(self._size):
-                raise CorruptEpisode(f"{self._name} has {self._size} bytes, and becomes {total} and more once read.")
+                raise CorruptEpisode(f"{self._name} has {self._size} bytes and becomes at least {total} once read.")
             yield batch
 
     def _chosen(self, columns: Sequence[str] | None) -> Iterator[int]:
-        """Yield the numbers of columns; names may have dots, as the paths of nested columns do."""
+        """Yield the numbers of columns; names may contain dots, as paths of nested columns do."""
         schema, names = self.file.metadata.schema, self.file.schema_arrow.names
         for i in range(self.file.metadata.num_columns):
             path: str = schema.column(i).path
@@ -145,14 +145,14 @@ class ParquetSource:
                 yield i
 
     def _uncompressed(self, chunk: Any, *, is_damaged: bool) -> int:
-        """Return how many bytes a column of a row group becomes, by what stands before its pages."""
+        """Return the size that a column of a row group has in memory [B], according to its page headers."""
         what = f"Column {chunk.path_in_schema!r} of {self._name}"
         start = chunk.data_page_offset
         if chunk.has_dictionary_page and chunk.dictionary_page_offset:
             start = min(start, chunk.dictionary_page_offset)
         end = start + chunk.total_compressed_size
         if not 0 < start <= end <= self._size:
-            raise CorruptEpisode(f"{what} is said to be outside of the file.")
+            raise CorruptEpisode(f"{what} claims to be outside of the file.")
         total = 0
         try:
             most = max(_FREE_DICTIONARY, _MOST_DICTIONARY_GROWTH * self._size)
@@ -164,23 +164,22 @@ class ParquetSource:
             raise
         except ValueError as err:
             if not is_damaged:
-                raise CorruptEpisode(f"{what} does not read: {err}.") from err
+                raise CorruptEpisode(f"Cannot read {what}: {err}.") from err
         return total
 
 
 @contextlib.contextmanager
 def opened(source: Path | pa.Buffer, *, verify: bool = True, mapped: bool = False) -> Generator[ParquetSource]:
-    """Open a Parquet file of an episode. What is read of it is first to be required of the source.
+    """Open a Parquet file of an episode. Call `require` before reading.
 
     Args:
         source: The file, or what is in it.
         verify: Whether the checksums of pages are checked.
-        mapped: Whether the file is mapped into memory, which is faster; a sector that does not read then ends the
-            process.
+        mapped: Whether the file is mapped into memory, which is faster, but an unreadable sector then ends the process.
 
     Raises:
-        CorruptEpisode: It is no whole Parquet file.
-        ArrowException, OSError: It is none, or does not read.
+        CorruptEpisode: It is not a complete Parquet file.
+        ArrowException, OSError: It cannot be read.
     """
     if not isinstance(source, Path):
         _check_footer(source[-_TAIL:].to_pybytes() if source.size >= _TAIL else b"", source.size, "The mended file")
@@ -196,13 +195,13 @@ def opened(source: Path | pa.Buffer, *, verify: bool = True, mapped: bool = Fals
 
 @contextlib.contextmanager
 def opened_of_others(path: Path) -> Generator[ParquetSource]:
-    """Open a Parquet file of another writer. What is read of it is first to be required of the source.
+    """Open a Parquet file of another writer. Call `require` before reading.
 
     Args:
         path: The file.
 
     Raises:
-        CorruptEpisode: It is no Parquet file, or what is read of it inside does not read.
+        CorruptEpisode: It is not a Parquet file, or cannot be read inside of the block.
     """
     try:
         with _opened(path, mapped=False, verify=False) as source:
@@ -210,27 +209,27 @@ def opened_of_others(path: Path) -> Generator[ParquetSource]:
     except UNREADABLE as err:
         if isinstance(err, DatasetError):
             raise
-        raise CorruptEpisode(f"{path} does not read: {err}.") from err
+        raise CorruptEpisode(f"Cannot read {path}: {err}.") from err
 
 
 def bound_of(size: int) -> int:
-    """Return how many bytes may become of a file of so many."""
+    """Return how many bytes a file may have in memory, given its size."""
     return max(FREE_BYTES, MOST_GROWTH * size)
 
 
 @contextlib.contextmanager
 def _opened(path: Path, *, mapped: bool, verify: bool) -> Generator[ParquetSource]:
-    if not path.is_file():  # a pipe would never end
-        raise CorruptEpisode(f"{path} does not read: it is missing or no file.")
+    if not path.is_file():  # reading a pipe would never end
+        raise CorruptEpisode(f"Cannot read {path}: it is missing or not a file.")
     fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         about = os.fstat(fd)
         size = about.st_size
         tail = os.pread(fd, _TAIL, max(size - _TAIL, 0))
         _check_footer(tail, size, str(path))
-        # Not `read_table`: that takes a folder named "seed=3" for a partition and adds a column.
+        # Not `read_table`, which takes a folder named "seed=3" for a partition and adds a column.
         with pq.ParquetFile(path, memory_map=mapped, page_checksum_verification=verify) as file:
-            # Once for each file and change of it: a footer of many row groups takes milliseconds.
+            # Cached per file and change of it: a footer with many row groups takes milliseconds.
             version = (about.st_dev, about.st_ino, size, about.st_mtime_ns)
             if version not in _sound:
                 length = int.from_bytes(tail[:4], "little")
@@ -246,13 +245,13 @@ def _opened(path: Path, *, mapped: bool, verify: bool) -> Generator[ParquetSourc
 def _check_footer(tail: bytes, size: int, name: str) -> None:
     length = int.from_bytes(tail[:4], "little")
     if len(tail) < _TAIL or tail[4:] != _MAGIC or length + _TAIL > size:
-        raise CorruptEpisode(f"{name} does not read: its {size} bytes are no whole Parquet file.")
+        raise CorruptEpisode(f"Cannot read {name}: its {size} bytes are not a complete Parquet file.")
     if length > _MOST_FOOTER:
-        raise CorruptEpisode(f"{name} claims to describe itself in {length} bytes, which no recording needs.")
+        raise CorruptEpisode(f"{name} claims a footer of {length} bytes, more than any recording needs.")
 
 
 def _check_levels(footer: bytes, file: pq.ParquetFile, name: str) -> None:
-    """Refuse counts of levels that do not go with the columns: Arrow would end the process where it looks at them."""
+    """Refuse counts of levels that do not fit the columns: Arrow would end the process when it reads them."""
     schema = file.metadata.schema
     try:
         fields, _ = thrift_struct(footer, 0)
@@ -271,23 +270,23 @@ def _check_levels(footer: bytes, file: pq.ParquetFile, name: str) -> None:
                     if len(sizes.get(field, ())) not in (0, level + 1):
                         raise ValueError(f"column {column.path!r} counts levels that it does not have")
     except (IndexError, KeyError, TypeError, AttributeError, ValueError) as err:
-        raise CorruptEpisode(f"{name} does not read: its footer contradicts itself: {err!r}.") from err
+        raise CorruptEpisode(f"Cannot read {name}: its footer contradicts itself: {err!r}.") from err
 
 
 def _is_fixed(kind: pa.DataType) -> bool:
-    """Return whether each row takes the same memory, whatever is in it."""
+    """Return whether every row takes the same memory, whatever its value."""
     if pa.types.is_fixed_size_list(kind):
         return _is_fixed(kind.value_type)
     return pa.types.is_primitive(kind)
 
 
 def _width(kind: pa.DataType) -> int:
-    """Return the bytes that a row takes in memory at least."""
+    """Return the least memory that a row takes [B]."""
     if pa.types.is_fixed_size_list(kind):
         return kind.list_size * _width(kind.value_type)
     if pa.types.is_struct(kind):
         return sum(_width(kind.field(i).type) for i in range(kind.num_fields))
     try:
         return max(1, kind.bit_width // 8)
-    except ValueError:  # of no fixed size: where it begins
+    except ValueError:  # of variable size: its offset
         return 4

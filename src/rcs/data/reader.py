@@ -1,4 +1,4 @@
-"""Reads a dataset: its episodes one by one, and of each only what is asked for."""
+"""Reads a dataset lazily: its episodes one by one, and only the parts of each that are used."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from rcs.errors import CorruptEpisode, InvalidSetup
 
 
 class EpisodeRecord:
-    """One complete episode; nothing is read before it is asked for.
+    """One complete episode; files are read when they are needed.
 
     Every property raises `CorruptEpisode` when the file it needs is missing or damaged.
     """
@@ -65,17 +65,17 @@ class EpisodeRecord:
 
     @cached_property
     def about(self) -> dict[str, Any]:
-        """All that `episode.json` says."""
+        """The contents of `episode.json`."""
         return read_about(self.path)
 
     @property
     def seed(self) -> int | None:
-        """The seed the episode was reset with."""
+        """The seed of the reset."""
         return self.about["seed"]
 
     @property
     def success(self) -> bool | None:
-        """Whether the task was done; None if nobody said."""
+        """Whether the task was done; None if that is not known."""
         return self.about["success"]
 
     @property
@@ -85,7 +85,7 @@ class EpisodeRecord:
 
     @property
     def outcome(self) -> dict[str, Any]:
-        """What else was kept about how it went."""
+        """What else is known about how it went."""
         return self.about["outcome"]
 
     @property
@@ -94,22 +94,22 @@ class EpisodeRecord:
         return self.about["instruction"]
 
     @property
-    def quality(self) -> dict[str, Any]:
-        """How well it was recorded: periods, gaps, repeated images."""
-        return self.about["quality"]
+    def timing(self) -> dict[str, Any]:
+        """The timing report: periods, gaps, repeated and dropped images."""
+        return self.about["timing"]
 
     @property
     def content_hash(self) -> str:
-        """A hash of all columns but times and flags: equal for two runs that are alike bit for bit."""
+        """A hash of all columns except times and flags: equal for runs that are equal bit for bit."""
         return self.about["content_hash"]
 
     @property
     def source(self) -> dict[str, Any] | None:
-        """Where the episode came from, if it was made of another one: dataset, episode, content hash, and so on."""
+        """The episode that this one was made from, if any: dataset, episode, content hash, and so on."""
         return self.about.get("source")
 
     def flags(self, camera: str) -> NDArray[np.uint8]:
-        """Return what was wrong with a camera's frames, shape (length,), as `FrameFlag` has it; 0 where nothing was.
+        """Return the flags of a camera's frames, a `FrameFlag` per row, shape (length,); 0 where nothing was wrong.
 
         Args:
             camera: The camera's name.
@@ -138,7 +138,7 @@ class EpisodeRecord:
     def column(self, key: str) -> NDArray[Any]:
         """Return one column, images decoded, shape (length, *feature.shape).
 
-        Where a row has no value, as the action of the first, there is NaN, or 0 for integers and False for booleans.
+        A missing value, such as the first row's action, is NaN, 0 for integers, or False for booleans.
 
         Args:
             key: The feature.
@@ -167,7 +167,7 @@ class EpisodeRecord:
             key: The feature.
 
         Raises:
-            InvalidSetup: There is no such feature, or it is no image.
+            InvalidSetup: There is no such feature, or it is not an image.
             CorruptEpisode: The file is missing or damaged; the message has the row.
         """
         feature = self.info.feature(key)
@@ -184,18 +184,18 @@ class EpisodeRecord:
     def encoded_frames(self, key: str) -> Iterator[bytes]:
         """Yield the images of one camera in order, as stored: JPEG files, or losslessly compressed ones.
 
-        A row without a new image has the same bytes object as the row before; black comes before the first image.
+        A row without a new image has the same bytes object as the row before; rows before the first image are black.
 
         Args:
             key: The feature.
 
         Raises:
-            InvalidSetup: There is no such feature, or it is no image.
+            InvalidSetup: There is no such feature, or it is not an image.
             CorruptEpisode: The file is missing or damaged.
         """
         feature = self.info.feature(key)
         if not feature.is_image:
-            raise InvalidSetup(f"{key!r} is no image; read it with column({key!r}).")
+            raise InvalidSetup(f"{key!r} is not an image; read it with column({key!r}).")
         last: bytes | None = None
         path = self.path / STEPS_FILE
         try:
@@ -207,7 +207,7 @@ class EpisodeRecord:
                         last = shown
                         yield shown
         except UNREADABLE as err:
-            raise CorruptEpisode(f"{path} does not read: {err}.") from err
+            raise CorruptEpisode(f"Cannot read {path}: {err}.") from err
 
     def sim_state(self) -> NDArray[np.float64]:
         """Return the simulation's state at each step, shape (length, sim_state_size).
@@ -217,7 +217,7 @@ class EpisodeRecord:
             CorruptEpisode: The file is missing or damaged.
         """
         if self.info.sim_state_size is None:
-            raise InvalidSetup(f"The dataset of {self.path} was recorded without a simulation's state.")
+            raise InvalidSetup(f"The dataset of {self.path} has no simulation states.")
         column = self._read(SIM_STATE_FILE, None).column(SIM_STATE)
         return flat_numbers(column).reshape(-1, self.info.sim_state_size)
 
@@ -227,19 +227,19 @@ class EpisodeRecord:
             with self._opened(path) as source:
                 return source.table(columns)
         except UNREADABLE as err:
-            raise CorruptEpisode(f"{path} does not read: {err}.") from err
+            raise CorruptEpisode(f"Cannot read {path}: {err}.") from err
 
     @contextlib.contextmanager
     def _opened(self, path: Path) -> Generator[ParquetSource]:
-        """Open a file of this episode, if it has the rows and columns that are said."""
+        """Open a file of this episode and check its rows and columns."""
         schema = steps_schema(self.info)
         if path.name == SIM_STATE_FILE:
             schema = sim_state_schema(self.info.sim_state_size or 1)
         with parquet.opened(path, mapped=True) as source:
             if source.rows != self.length:
-                raise CorruptEpisode(f"{path} has {source.rows} rows, and {EPISODE_FILE} says {self.length}.")
+                raise CorruptEpisode(f"{path} has {source.rows} rows, but {EPISODE_FILE} says {self.length}.")
             if not source.file.schema_arrow.equals(schema):
-                raise CorruptEpisode(f"{path} has other columns than the dataset says.")
+                raise CorruptEpisode(f"The columns of {path} differ from the dataset's.")
             yield source
 
 
@@ -247,11 +247,11 @@ class Dataset:
     """A dataset on disk, for reading; one that is being recorded can be read too."""
 
     def __init__(self, path: Path, head: Head, episodes: tuple[EpisodeRecord, ...]) -> None:
-        """Hold what `open` found.
+        """Hold a dataset; use `open` to get one.
 
         Args:
             path: The folder.
-            head: What `dataset.json` says.
+            head: The contents of `dataset.json`.
             episodes: The complete episodes, sorted by id.
         """
         self.path = path
@@ -277,16 +277,16 @@ class Dataset:
         return cls(root, head, tuple(episodes))
 
     def digest(self) -> str:
-        """Return one SHA-256 over all episodes, without times and flags: equal for two runs of one collection."""
+        """Return one SHA-256 over all episodes except times and flags: equal for two runs of one collection."""
         total = hashlib.sha256()
         for episode in self.episodes:
             total.update(f"{episode.id} {episode.content_hash}\n".encode())
         return total.hexdigest()
 
     def to_arrow(self, keys: list[str] | None = None) -> pa.Table:
-        """Return the numbers of all episodes as one table, with the columns "episode" (id) and "row" in front.
+        """Return all columns of numbers of all episodes as one table, preceded by "episode" (id) and "row".
 
-        Held values are in every row. A row without a value, as the action of the first, has a null.
+        Held values are filled in. A missing value, such as the first row's action, is null.
 
         Args:
             keys: The columns to read; None for all but images.
@@ -300,7 +300,7 @@ class Dataset:
         images = [key for key, feature in chosen.items() if feature.is_image]
         if images:
             raise InvalidSetup(
-                f"{', '.join(images)}: images go into no table; read them with `FrameAccess` or `frames`."
+                f"{', '.join(images)}: image columns cannot be tabulated; read them with `FrameAccess` or `frames`."
             )
         fields = [pa.field("episode", pa.string()), pa.field("row", pa.int64())]
         tables = [pa.schema([*fields, *(feature.arrow_field for feature in chosen.values())]).empty_table()]
@@ -329,13 +329,13 @@ class Dataset:
         return iter(self.episodes)
 
     def __contains__(self, episode: object) -> bool:
-        """Return whether there is a complete episode of an id, or a record is one of them."""
+        """Return whether the dataset has a complete episode, given its id or record."""
         if isinstance(episode, EpisodeRecord):
             return episode in self.episodes
         return episode in self._by_id
 
     def __len__(self) -> int:
-        """Return how many complete episodes there are."""
+        """Return the number of complete episodes."""
         return len(self.episodes)
 
     def __getitem__(self, episode_id: str) -> EpisodeRecord:
@@ -356,6 +356,6 @@ class Dataset:
 
 
 def _last_valid(column: pa.ChunkedArray) -> NDArray[np.intp]:
-    """Return for each row the last one up to it that has a value; row 0 where there is none yet."""
+    """Return for each row the last row up to it that has a value; row 0 where there is none yet."""
     rows = np.where(column.is_valid().to_numpy(), np.arange(len(column)), 0)
     return np.maximum.accumulate(rows) if len(rows) else rows

@@ -1,4 +1,4 @@
-"""Brings a dataset in order after its writer died: open episodes become complete ones, rubbish goes."""
+"""Repairs a dataset after its writer died: open episodes are completed, garbage is removed."""
 
 from __future__ import annotations
 
@@ -41,31 +41,31 @@ class RecoverReport:
     published: tuple[str, ...] = ()
     """Episodes that were finished and only lacked their final name."""
     removed: tuple[str, ...] = ()
-    """Open episodes that had no row, or were to be discarded."""
+    """Open episodes that had no rows, or were to be discarded."""
     failed: tuple[tuple[str, str], ...] = ()
     """Open episodes that were left alone, each with the reason."""
 
     def __str__(self) -> str:
         """Return one line per episode."""
         lines = [f"recovered {name}" for name in self.recovered]
-        lines += [f"published {name}, which was finished" for name in self.published]
+        lines += [f"published {name}, which was already finished" for name in self.published]
         lines += [f"removed {name}" for name in self.removed]
         lines += [f"left {name} alone: {reason}" for name, reason in self.failed]
         return "\n".join(lines) or "nothing to recover"
 
 
 def recover(path: str | Path) -> RecoverReport:
-    """Complete what a dead writer left open, and say what was done; a second call finds nothing to do.
+    """Complete the episodes that a dead writer left open, and return what was done; a second call does nothing.
 
     Args:
         path: The dataset's folder.
 
     Raises:
-        DatasetError: There is no dataset, a living writer has it, or the disk fails.
+        DatasetError: There is no dataset, a living writer holds it, or the disk fails.
         CorruptEpisode: `dataset.json` is damaged.
     """
     root = Path(path)
-    read_head(root)  # before anything is made where there is no dataset
+    read_head(root)  # before anything is created
     with DatasetLock.writer(root):
         return settle_leftovers(root, read_head(root), "recover")
 
@@ -75,7 +75,7 @@ def settle_leftovers(root: Path, head: Head, leftovers: Leftovers) -> RecoverRep
 
     Args:
         root: The dataset's folder.
-        head: What `dataset.json` says.
+        head: The contents of `dataset.json`.
         leftovers: Whether open episodes become complete ones or are removed; finished ones are always kept.
 
     Raises:
@@ -99,14 +99,14 @@ def settle_leftovers(root: Path, head: Head, leftovers: Leftovers) -> RecoverRep
 
 
 def _renew_copy(root: Path) -> None:
-    """Make the copy of `dataset.json` what that says, as a kill between the two did not.
+    """Update the copy of `dataset.json`, in case a kill came between the two.
 
-    An old copy, read in the place of a damaged `dataset.json`, would take the newest generation for rubbish.
+    An old copy, read instead of a damaged `dataset.json`, would make the newest generation look like garbage.
     """
     try:
         read_head_file(root / DATASET_FILE)
     except (CorruptEpisode, DatasetError):
-        return  # the copy is what is left
+        return  # the copy is all that is left
     data = read_bytes(root / DATASET_FILE)
     if not (root / COPY_FILE).is_file() or (root / COPY_FILE).read_bytes() != data:
         write_file(root / COPY_FILE, data)
@@ -114,7 +114,7 @@ def _renew_copy(root: Path) -> None:
 
 
 def unreachable_generations(root: Path, head: Head) -> list[Path]:
-    """Return the folders of generations that no line of the history leads to: what a killed edit leaves."""
+    """Return the folders of generations that the history does not mention, left by killed edits."""
     reachable = {head.generation, *(n for edit in head.history for n in (edit.before, edit.after))}
     return [generation_folder(root, n) for n in generations(root) if n not in reachable]
 
@@ -122,7 +122,7 @@ def unreachable_generations(root: Path, head: Head) -> list[Path]:
 def _settle(base: Path, info: DatasetInfo, episode_id: str, leftovers: Leftovers) -> str:
     folder = open_folder(base, episode_id)
     if folder.is_symlink() or not folder.is_dir():
-        raise CorruptEpisode(f"{folder} is no folder but {'a link' if folder.is_symlink() else 'a file'}")
+        raise CorruptEpisode(f"{folder} is not a folder but {'a link' if folder.is_symlink() else 'a file'}")
     with disk_errors(f"recover episode {episode_id!r}", folder):
         (folder / f"{EPISODE_FILE}.tmp").unlink(missing_ok=True)
         (folder / f"{ABORTED_FILE}.tmp").unlink(missing_ok=True)
@@ -134,7 +134,7 @@ def _settle(base: Path, info: DatasetInfo, episode_id: str, leftovers: Leftovers
     has_rows = (folder / ROWS_FILE).exists()
     if leftovers == "recover" and has_rows:
         outcome: dict[str, Any] = {"recovered": True, **_aborted(folder)}
-        # When it ended was not measured; the last row's time is in the rows.
+        # The end was not measured; the rows have the time of the last one.
         if compact(base, episode_id, info, success=None, outcome=outcome, ended=None) is not None:
             return "recovered"
     with disk_errors(f"remove episode {episode_id!r}", folder):

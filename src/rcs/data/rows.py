@@ -1,4 +1,4 @@
-"""Rows in memory: each is checked as it comes, and many at a time become one Arrow batch."""
+"""Rows in memory: each is checked when it is added, and many at a time become one Arrow batch."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ SIM_STATE = "sim_state"
 """The column of the simulation's state, beside the features while an episode is open."""
 
 Value = NDArray[Any] | np.generic | float | bool | bytes | None
-"""What a row may have under a key; None only where nothing was measured, or for an image where there is no new one. An
-image may also be the bytes of another recording with the same feature, as stored there."""
+"""A value in a row; None where nothing was measured or no image is new. An image may also be given as bytes, as stored
+in another recording with the same feature."""
 
 _CAPACITY = 64
 
@@ -37,7 +37,7 @@ def sim_state_schema(size: int) -> pa.Schema:
 
 
 def stream_schema(info: DatasetInfo) -> pa.Schema:
-    """Return the schema of an open episode: a step and its simulation state in one row, so they are lost together."""
+    """Return the schema of an open episode: step and simulation state share a row, so a kill loses both or neither."""
     schema = steps_schema(info)
     return schema if info.sim_state_size is None else schema.append(sim_state_schema(info.sim_state_size).field(0))
 
@@ -49,7 +49,7 @@ class RowBuffer:
         """Make an empty buffer.
 
         Args:
-            info: What a row must have.
+            info: The features of a row.
         """
         self._info = info
         self._schema = stream_schema(info)
@@ -61,36 +61,35 @@ class RowBuffer:
         self._numbers = {f.key: np.zeros((_CAPACITY, *f.shape), f.numpy_dtype) for f in info.features if not f.is_image}
         self._images: dict[str, list[bytes | None]] = {f.key: [] for f in info.features if f.is_image}
         self._flags = {key: companion(key, info.features, "flags") for key in self._images}
-        # Of a held value: which of the waiting rows have the value of the row before, and that value.
+        # For held values: which buffered rows repeat the row before, and the present value.
         self._is_held = {f.key: np.zeros(_CAPACITY, bool) for f in info.features if f.encoding == "held"}
         self._last: dict[str, NDArray[Any]] = {}
         self._sim_states = np.zeros((_CAPACITY, info.sim_state_size or 0))
         self._image_bytes = 0
-        # Simulations record faster than they would live: half a second of the episode, not of the wall clock, is at
-        # stake.
-        self._capacity = max(1, min(_CAPACITY, int(info.fps / 2)))
+        # Simulations record faster than real time, so this is half a second of the episode, not of the wall clock.
+        self._capacity = max(1, min(_CAPACITY, int(info.frequency / 2)))
         self._rows = 0
         self._at_reset = True
         self._null_at_reset: set[str] = set()
 
     @property
     def rows(self) -> int:
-        """How many rows are waiting."""
+        """Number of buffered rows."""
         return self._rows
 
     @property
     def is_full(self) -> bool:
-        """Whether the rows must be taken before another can come."""
-        # The first row has empty columns, so it is a batch of its own. A megabyte of images is worth a write by itself;
-        # more would keep the interpreter from other threads for milliseconds.
+        """Whether the rows must be taken before another can be added."""
+        # The first row has empty columns, so it is a batch of its own. A megabyte of images is worth a write; more
+        # would block other threads for milliseconds.
         return self._rows >= self._capacity or self._at_reset or self._image_bytes > 1 << 20
 
     def check(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None, *, is_first: bool) -> None:
-        """Refuse a row that could not be kept; changes nothing, so another thread may be adding rows meanwhile.
+        """Refuse an invalid row; changes nothing, so another thread may add rows meanwhile.
 
         Args:
             row: A value for each feature.
-            sim_state: The simulation's state, shape (sim_state_size,); None where there is no simulation.
+            sim_state: The simulation's state, shape (sim_state_size,); None without a simulation.
             is_first: Whether it is the reset observation.
 
         Raises:
@@ -102,11 +101,11 @@ class RowBuffer:
             _check_value(feature, row.get(feature.key), is_first)
 
     def add(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None) -> None:
-        """Check one row and keep it; a row that is refused leaves nothing behind.
+        """Check one row and buffer it; a refused row leaves no trace.
 
         Args:
-            row: A value for each feature; the first row is the reset observation and has no action and no reward.
-            sim_state: The simulation's state, shape (sim_state_size,); None where there is no simulation.
+            row: A value for each feature; the first row is the reset observation, without action and reward.
+            sim_state: The simulation's state, shape (sim_state_size,); None without a simulation.
 
         Raises:
             InvalidSetup: A key, shape, dtype or time is wrong.
@@ -132,7 +131,7 @@ class RowBuffer:
             self._image_bytes += len(data or b"")
             flags = self._flags[key]
             if data is None and flags is not None and not self._numbers[flags][i]:
-                self._numbers[flags][i] = FrameFlag.MISSING  # no image, and nobody said why
+                self._numbers[flags][i] = FrameFlag.MISSING  # no image, and no flag to say why
         for key, is_held in self._is_held.items():
             value = self._numbers[key][i]
             is_held[i] = key in self._last and value.tobytes() == self._last[key].tobytes()
@@ -146,7 +145,7 @@ class RowBuffer:
         self._rows += 1
 
     def take(self) -> pa.RecordBatch:
-        """Return the rows and forget them; the batch is valid until the next `add`."""
+        """Return the rows and empty the buffer; the batch is valid until the next `add`."""
         n = self._rows
         arrays = [self._array(feature, n) for feature in self._info.features]
         if self._info.sim_state_size is not None:
@@ -190,10 +189,10 @@ class RowBuffer:
         if sim_state is None and size is None:
             return
         if sim_state is None or size is None:
-            expected = "none, for sim_state_size is None" if size is None else f"({size},) float64"
-            raise InvalidSetup(f"sim_state is {_form(sim_state)}; expected is {expected}.")
+            expected = "None, because sim_state_size is None" if size is None else f"({size},) float64"
+            raise InvalidSetup(f"Expected sim_state to be {expected}; got {_form(sim_state)}.")
         if sim_state.shape != (size,) or sim_state.dtype != np.float64:
-            raise InvalidSetup(f"sim_state is {_form(sim_state)}; expected is ({size},) float64.")
+            raise InvalidSetup(f"Expected sim_state to be ({size},) float64; got {_form(sim_state)}.")
 
 
 def _check_value(feature: Feature, value: Value, is_first: bool) -> None:
@@ -202,19 +201,19 @@ def _check_value(feature: Feature, value: Value, is_first: bool) -> None:
             return
         if is_first and (feature.is_unknown_at_reset or feature.is_optional_at_reset):
             return
-        raise InvalidSetup(f"{feature.key!r} is None; expected is {feature.shape} {feature.dtype}.")
+        raise InvalidSetup(f"{feature.key!r} is None; expected {feature.shape} {feature.dtype}.")
     if is_first and feature.is_unknown_at_reset:
         raise InvalidSetup(
             f"{feature.key!r} is {_form(value)} in the first row; it must be None or left out, "
-            "for the first row is the reset observation and no action came before it."
+            "since it is the reset observation, which no action precedes."
         )
     if feature.is_image and isinstance(value, bytes):
         return
     if isinstance(value, np.ndarray):
         if value.shape != feature.shape or value.dtype != feature.dtype:
-            raise InvalidSetup(f"{feature.key!r} is {_form(value)}; expected is {feature.shape} {feature.dtype}.")
+            raise InvalidSetup(f"{feature.key!r} is {_form(value)}; expected {feature.shape} {feature.dtype}.")
     elif feature.shape != () or not _fits(value, feature.numpy_dtype):
-        raise InvalidSetup(f"{feature.key!r} is {_form(value)}; expected is {feature.shape} {feature.dtype}.")
+        raise InvalidSetup(f"{feature.key!r} is {_form(value)}; expected {feature.shape} {feature.dtype}.")
     if feature.is_time and not math.isfinite(float(value)):
         raise InvalidSetup(f"{feature.key!r} is {value}; a time must be finite, or None where none was measured.")
 

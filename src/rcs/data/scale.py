@@ -1,4 +1,4 @@
-"""Scales images, smoothly and to the same bits on every machine."""
+"""Scales images smoothly, with the same result on every machine bit for bit."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup
 
-# Weights are multiples of 1/4096 and what is between the two passes one of 1/16: every sum is then a whole number below
-# 2^24, which float32 has exactly, so neither the order of the sum nor the number of threads changes a bit.
+# Weights are multiples of 1/4096 and intermediate values multiples of 1/16: every sum is then a whole number below
+# 2^24, exact in float32, so neither the order of summation nor the number of threads changes a bit.
 _WEIGHT, _BETWEEN = 4096, 16
 
 
 class Scaler:
-    """Scales colour images of one size to another, each pixel the mean of those below it, weighted by a triangle.
+    """Scales colour images from one size to another; each pixel is a mean weighted by a triangle.
 
-    That is bilinear interpolation, over a wider triangle where the image becomes smaller, so that nothing flickers.
+    This is bilinear interpolation with a triangle that widens as the image shrinks, which avoids flicker.
     """
 
     def __init__(self, source: tuple[int, int], target: tuple[int, int]) -> None:
         """Prepare the weights.
 
         Args:
-            source: Height and width of the images that come.
-            target: Height and width that they get.
+            source: Height and width of the input [px].
+            target: Height and width of the output [px].
 
         Raises:
             InvalidSetup: A size is smaller than one pixel.
@@ -74,7 +74,7 @@ def _taps(source: int, target: int) -> Taps:
     distance = np.abs(np.arange(source) - centres[:, None])
     triangle = np.maximum(0, 1 - distance / max(ratio, 1))
     weights = np.rint(triangle / triangle.sum(axis=1, keepdims=True) * _WEIGHT)
-    # What rounding took or gave is made up for at the largest weight, so that a plain surface stays as it is.
+    # The rounding error goes to the largest weight, so that a plain surface keeps its colour.
     weights[np.arange(target), weights.argmax(axis=1)] += _WEIGHT - weights.sum(axis=1)
     first, reach = (weights > 0).argmax(axis=1), int((weights > 0).sum(axis=1).max())
     padded = np.pad(weights, ((0, 0), (0, reach))).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Statistics of vectors, for normalising: read as a stream, in memory that does not grow with the data."""
+"""Statistics of vectors for normalisation, computed in one pass with constant memory."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from rcs.errors import InvalidSetup
 
 Normalisation = Literal["mean_std", "min_max", "quantiles"]
 
-# So many different numbers of each column are counted apart; where there are more, neighbours are counted together.
+# Most bins per column; beyond that many different numbers, neighbours share a bin.
 _BINS = 16384
-# The finest bin is 2^-80 wide. From there widths double, so that a number falls into bins within bins.
+# The finest bin is 2^-80 wide. Widths double from there, so that bins are nested.
 _FINEST = -80
 _ARRAYS = ("mean", "std", "min", "max", "q01", "q99")
 
@@ -30,18 +30,18 @@ class Statistics:
     mean: NDArray[np.float64]
     """The mean."""
     std: NDArray[np.float64]
-    """The standard deviation of the whole, divided by the count."""
+    """The population standard deviation (divided by the count)."""
     min: NDArray[np.float64]
     """The smallest."""
     max: NDArray[np.float64]
     """The largest."""
     q01: NDArray[np.float64]
-    """What 1 % are smaller than."""
+    """The 1 % quantile."""
     q99: NDArray[np.float64]
-    """What 99 % are smaller than."""
+    """The 99 % quantile."""
 
     def normalise(self, values: NDArray[Any], by: Normalisation = "mean_std") -> NDArray[Any]:
-        """Return vectors with numbers of about one size; a number that is always the same becomes 0.
+        """Return normalised vectors; a constant number becomes 0.
 
         Args:
             values: Shape (..., size).
@@ -55,11 +55,11 @@ class Statistics:
         return (values - centre) / reach
 
     def denormalise(self, values: NDArray[Any], by: Normalisation = "mean_std") -> NDArray[Any]:
-        """Return what `normalise` was given.
+        """Invert `normalise`.
 
         Args:
             values: Shape (..., size).
-            by: As it was given to `normalise`.
+            by: As for `normalise`.
 
         Raises:
             InvalidSetup: There is no such normalisation.
@@ -75,7 +75,7 @@ class Statistics:
         else:
             low, high = (self.min, self.max) if by == "min_max" else (self.q01, self.q99)
             centre, reach = (low + high) / 2, (high - low) / 2
-        # Rounding leaves a constant a tiny spread, and dividing by that would make noise of it.
+        # Rounding gives a constant a tiny spread; dividing by it would amplify noise.
         is_constant = reach <= 1e-9 * np.maximum(np.abs(self.min), np.abs(self.max))
         return centre, np.where(is_constant, 1.0, reach)
 
@@ -88,7 +88,7 @@ class Statistics:
         """Build statistics from what `to_json` returned.
 
         Raises:
-            InvalidSetup: A field is missing or is not numbers.
+            InvalidSetup: A field is missing or not numeric.
         """
         try:
             arrays = {name: np.array(values[name], np.float64) for name in _ARRAYS}
@@ -98,19 +98,19 @@ class Statistics:
 
 
 class RunningStatistics:
-    """Collects statistics of vectors that come in pieces; how they were cut changes no more than rounding.
+    """Collects statistics of vectors piece by piece; how they are split affects only rounding.
 
     Mean and deviation: T. F. Chan, G. H. Golub, R. J. LeVeque, "Updating formulae and a pairwise algorithm for
     computing sample variances", 1979. Quantiles: numbers are counted in bins, the narrowest whose width is a power of
-    two and of which no more than 16384 have something in them. A quantile is off by no more than one bin, 1/8000 of the
-    range or less if the range is filled evenly, and exact while there are no more than 16384 different numbers.
+    two and of which at most 16384 are occupied. A quantile is off by at most one bin, 1/8000 of an evenly filled range,
+    and exact up to 16384 different numbers.
     """
 
     def __init__(self, size: int) -> None:
-        """Start with nothing.
+        """Start empty.
 
         Args:
-            size: Numbers in a vector.
+            size: Numbers per vector.
         """
         self.count = 0
         self._mean = np.zeros(size)
@@ -123,11 +123,11 @@ class RunningStatistics:
         """Take the next vectors, shape (rows, size).
 
         Raises:
-            InvalidSetup: The shape is another, or a number is not finite.
+            InvalidSetup: The shape is wrong, or a number is not finite.
         """
         numbers = np.asarray(values, np.float64)
         if numbers.ndim != 2 or numbers.shape[1] != len(self._mean):
-            raise InvalidSetup(f"Vectors have shape {numbers.shape}; expected is (rows, {len(self._mean)}).")
+            raise InvalidSetup(f"Vectors have shape {numbers.shape}; expected (rows, {len(self._mean)}).")
         if not np.isfinite(numbers).all():
             row, column = np.argwhere(~np.isfinite(numbers))[0]
             raise InvalidSetup(f"Number {column} of vector {row} is {numbers[row, column]}; all must be finite.")
@@ -144,10 +144,10 @@ class RunningStatistics:
             bins.add(column)
 
     def result(self) -> Statistics:
-        """Return the statistics of what came so far.
+        """Return the statistics so far.
 
         Raises:
-            InvalidSetup: Nothing came.
+            InvalidSetup: No vectors were added.
         """
         if not self.count:
             raise InvalidSetup("There are no vectors to take statistics of.")
@@ -165,11 +165,11 @@ class RunningStatistics:
 
 
 class _Bins:
-    """How often numbers came, in bins [i * width, (i + 1) * width) of the least width that keeps them few."""
+    """A histogram with bins [i * width, (i + 1) * width) of the least width that keeps them few."""
 
     def __init__(self) -> None:
         self._exponent = _FINEST
-        self._starts = np.empty(0)  # i of each bin; whole, sorted, and floats, which have them exactly however large
+        self._starts = np.empty(0)  # i of each bin: whole and sorted, as floats, which are exact for any of them
         self._counts = np.empty(0, np.int64)
 
     def add(self, numbers: NDArray[np.float64]) -> None:
@@ -188,10 +188,10 @@ class _Bins:
     def quantile(self, share: float) -> float:
         place = share * (self._counts.sum() - 1)
         summed = np.cumsum(self._counts)
-        # Between two numbers in proportion, as numpy's `quantile` does.
+        # Interpolated linearly, as by numpy's `quantile`.
         low, high = (
             self._starts[np.searchsorted(summed, at, side="right")] for at in (np.floor(place), np.ceil(place))
         )
         start = low + (high - low) * (place - np.floor(place))
-        # The middle of the bin; of the finest it is the number itself.
+        # The middle of the bin, or of a finest bin the number itself.
         return float(np.ldexp(start + (0.5 if self._exponent > _FINEST else 0.0), self._exponent))

@@ -1,7 +1,7 @@
 """The rows of an open episode on disk: an Arrow IPC stream that can only grow.
 
-A killed writer leaves a stream that is readable up to its last whole batch. A Parquet file would be lost, for what says
-where its columns are comes last.
+A killed writer leaves a stream that is readable up to its last whole batch. A Parquet file would be lost, since its
+footer is written last.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ _HEADER = b"rcs"
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeHeader:
-    """What is known of an episode before its first row; it is stored in the head of the stream."""
+    """What is known of an episode before its first row, stored in the stream's header."""
 
     id: str
     """The name of the episode."""
     seed: int | None
-    """The seed it was reset with."""
+    """The seed of the reset."""
     instruction: str
     """What the robot is asked to do."""
     started: str
     """Wall clock at the start, ISO 8601 in UTC."""
     versions: dict[str, str]
-    """Versions of the software that recorded."""
+    """Versions of the recording software."""
 
     def to_metadata(self) -> dict[bytes, bytes]:
         """Return the header as the metadata of an Arrow schema."""
@@ -46,30 +46,30 @@ class EpisodeHeader:
     def from_metadata(cls, metadata: dict[bytes, bytes]) -> EpisodeHeader:
         """Build the header from what `to_metadata` returned.
 
-        What is no text in it, as versions before this one let in, is replaced, so that the rows are not lost for it.
+        Invalid text, which older versions allowed, is replaced, so that the rows are not lost.
 
         Raises:
-            ValueError: There is no header in the metadata, or one that says what cannot be.
+            ValueError: The metadata has no header, or an invalid one.
         """
         given = json.loads(mended_text(json.dumps(json.loads(metadata.get(_HEADER, b"{}")), ensure_ascii=False)))
         try:
             header = cls(**given)
         except TypeError as err:
-            raise ValueError(f"no header of an episode: {err!r}") from err
+            raise ValueError(f"not a header of an episode: {err!r}") from err
         texts = [header.id, header.instruction, header.started]
         has_seed = header.seed is None or (type(header.seed) is int and abs(header.seed) < MOST_SEED)
         if not (has_seed and isinstance(header.versions, dict)):
-            raise ValueError(f"no header of an episode: {given!r:.200}")
+            raise ValueError(f"not a header of an episode: {given!r:.200}")
         if not all(isinstance(text, str) for text in [*texts, *header.versions.values()]):
-            raise ValueError(f"no header of an episode: {given!r:.200}")
+            raise ValueError(f"not a header of an episode: {given!r:.200}")
         return header
 
 
 class StreamWriter:
-    """Appends batches to a stream; each is handed to the operating system in one call, and then survives a kill."""
+    """Appends batches to a stream; each is passed to the operating system in one call and then survives a kill."""
 
     def __init__(self, path: Path, schema: pa.Schema, header: EpisodeHeader) -> None:
-        """Create the file with its head.
+        """Create the file with its header.
 
         Raises:
             DatasetError: The file cannot be made.
@@ -89,13 +89,13 @@ class StreamWriter:
         """Append a batch.
 
         Raises:
-            DatasetError: The disk is full or fails; what was written before stays readable.
+            DatasetError: The disk is full or fails; earlier batches stay readable.
         """
         with disk_errors("record rows", self._path):
             self._append(batch.serialize())
 
     def close(self) -> None:
-        """Close the file; twice is harmless."""
+        """Close the file; calling it twice is harmless."""
         if not self._closed:
             self._closed = True
             os.close(self._fd)
@@ -104,19 +104,19 @@ class StreamWriter:
         try:
             write_all(self._fd, memoryview(message))
         except OSError:
-            # Half a batch at the end would be cut on reading; without it the stream is whole.
+            # Half a batch at the end would be skipped on reading; without it the stream is whole.
             os.ftruncate(self._fd, self._size)
             raise
         self._size += message.size
 
 
 class StreamReader:
-    """A stream as far as it is whole.
+    """The readable part of a stream.
 
     Attributes:
-        header: What was known of the episode at its start; None when the head itself is torn, and there are no rows.
-        schema: The columns; None when the head is torn.
-        is_torn: After the batches were read: whether something unreadable follows the last of them.
+        header: What was known of the episode at its start; None if the header is torn, and then there are no rows.
+        schema: The columns; None if the header is torn.
+        is_torn: Whether unreadable data follow the last batch; known once the batches were read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -133,7 +133,7 @@ class StreamReader:
             if path.stat().st_size == 0:
                 return
             if not path.is_file():
-                raise CorruptEpisode(f"{path} is no file.")
+                raise CorruptEpisode(f"{path} is not a file.")
             source = pa.memory_map(str(path), "r")
         try:
             self._reader = pa.ipc.open_stream(source)
@@ -145,7 +145,7 @@ class StreamReader:
             self.is_torn = True
 
     def batches(self) -> Iterator[pa.RecordBatch]:
-        """Yield the batches up to the end or to the first that is not whole."""
+        """Yield the batches before the end or the first incomplete one."""
         while self._reader is not None:
             try:
                 batch = self._reader.read_next_batch()

@@ -1,4 +1,4 @@
-"""Text that can be stored: UTF-8 has no place for half of a surrogate pair, which Python strings may have."""
+"""Checks that text can be stored: Python strings may hold half surrogate pairs, which UTF-8 cannot encode."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ def is_storable(text: str) -> bool:
 
 
 def check_text(text: object, what: str) -> None:
-    """Refuse what is no text, or a text that could not be stored.
+    """Refuse a value that is not text or cannot be stored.
 
-    Half of a surrogate pair comes from arguments of a command that are no UTF-8, or from an emoji that was cut in two.
+    Half surrogate pairs come from command-line arguments that are not UTF-8, or from an emoji cut in two.
 
     Args:
         text: What was given.
         what: What it is, for the message, such as "The instruction".
 
     Raises:
-        InvalidSetup: It is no text, or has half of a surrogate pair.
+        InvalidSetup: It is not text, or has half a surrogate pair.
     """
     if not isinstance(text, str):
         raise InvalidSetup(f"{what} must be text, not {type(text).__name__}.")
     if not is_storable(text):
         place = next(i for i, letter in enumerate(text) if "\ud800" <= letter <= "\udfff")
         raise InvalidSetup(
-            f"{what} is {text!r}, and its character {place} is half of a surrogate pair, which is no text and cannot "
+            f"{what} is {text!r}, and its character {place} is half a surrogate pair, which cannot "
             "be stored. Was it read in another encoding than UTF-8, or cut in the middle of an emoji?"
         )
 
 
 def check_texts(value: Any, what: str) -> None:
-    """Refuse JSON values with a text that could not be stored, in keys too.
+    """Refuse JSON values whose texts or keys cannot be stored.
 
     Args:
         value: The JSON values.
         what: What they are, for the message.
 
     Raises:
-        InvalidSetup: A text has half of a surrogate pair.
+        InvalidSetup: A text has half a surrogate pair.
     """
     if isinstance(value, str):
         check_text(value, f"A text in {what}")
@@ -60,5 +60,5 @@ def check_texts(value: Any, what: str) -> None:
 
 
 def mended_text(text: str) -> str:
-    """Return a text that can be stored: with U+FFFD in the place of each half of a surrogate pair."""
+    """Return the text with U+FFFD in place of each half surrogate pair."""
     return text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")

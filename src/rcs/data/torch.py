@@ -1,4 +1,4 @@
-"""Windows of a dataset as torch tensors: what `torch.utils.data.DataLoader` takes."""
+"""Windows of a dataset as torch tensors, for `torch.utils.data.DataLoader`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Tensors = dict[str, Any]
 """A window or a batch of them, with the keys of `rcs.data.Window`.
 
 Vectors are float32, flags bool, images uint8 of shape (..., history, 3, H, W), depth uint16 (..., history, 1, H, W).
-The values of a pixel lie side by side, as in torch's `channels_last`; `.contiguous()` has them plane by plane.
+The memory format is torch's `channels_last`; `.contiguous()` returns planes.
 """
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     _Dataset = Dataset[Tensors]
 else:
-    # To torch a dataset is what has a length and items. A base class of its own would need torch before it is used.
+    # Torch accepts anything with a length and items; its base class would require torch at import.
     _Dataset = object
 
 
@@ -33,8 +33,8 @@ class TorchDataset(_Dataset):  # pyright: ignore[reportUntypedBaseClass]  where 
 
         loader = DataLoader(TorchDataset(windows), batch_size=64, shuffle=True, num_workers=4, collate_fn=collate)
 
-    With `collate`, images are decoded right into the memory in which the batch arrives. With torch's own everything
-    works as well, and takes longer. `Subset`, `random_split` and `ConcatDataset` take it.
+    With `collate`, images are decoded straight into the memory of the batch; torch's own `collate_fn` works too, but is
+    slower. `Subset`, `random_split` and `ConcatDataset` accept this dataset.
     """
 
     def __init__(self, windows: Windows) -> None:
@@ -67,7 +67,7 @@ class TorchDataset(_Dataset):  # pyright: ignore[reportUntypedBaseClass]  where 
         return {**{key: value[0] for key, value in batch.items() if key != "images"}, "images": images}
 
     def __getitems__(self, indices: Sequence[int]) -> ChosenWindows:
-        """Choose windows; torch calls this for each batch, and hands the result to the `collate_fn`."""
+        """Choose windows; torch calls this for each batch and passes the result to the `collate_fn`."""
         return ChosenWindows(self, indices)
 
     def batch(self, indices: Sequence[int]) -> Tensors:
@@ -91,14 +91,14 @@ class TorchDataset(_Dataset):  # pyright: ignore[reportUntypedBaseClass]  where 
 
 
 class ChosenWindows(Sequence[Tensors]):
-    """Windows of one batch, each read when it is asked for, or all together by `collate`."""
+    """Windows of one batch, read one by one when accessed, or all together by `collate`."""
 
     def __init__(self, dataset: TorchDataset, indices: Sequence[int]) -> None:
-        """Remember which.
+        """Choose windows.
 
         Args:
-            dataset: Where they are.
-            indices: Their numbers.
+            dataset: All windows.
+            indices: The numbers of those chosen.
         """
         self.dataset = dataset
         self.indices = indices
@@ -112,7 +112,7 @@ class ChosenWindows(Sequence[Tensors]):
     @overload
     def __getitem__(self, index: slice) -> ChosenWindows: ...
     def __getitem__(self, index: int | slice) -> Tensors | ChosenWindows:
-        """Read one window, or choose those of a slice."""
+        """Read one window, or choose a slice."""
         if isinstance(index, slice):
             return ChosenWindows(self.dataset, self.indices[index])
         return self.dataset[self.indices[index]]
@@ -147,7 +147,7 @@ def _as_tensors(torch: Any, read: WindowBatch, images: dict[str, Any]) -> Tensor
 
 
 def _channels_first(images: Any) -> Any:
-    # Depth images are (batch, history, H, W), those of colour have the channels behind.
+    # Depth images are (batch, history, H, W); colour images end with the channels.
     return images.unsqueeze(2) if images.dim() == 4 else images.permute(0, 1, 4, 2, 3)
 
 

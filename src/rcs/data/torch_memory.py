@@ -1,9 +1,9 @@
-"""Memory that images of a batch are put into, over and over: in this process, or shared by a worker of a loader.
+"""Reusable memory for batches of images, in this process or shared by a loader's worker.
 
-Each page of new memory has to be found and cleared. For an image of 224 x 224 pixels that took 25 µs on a virtual
-machine, and 85 µs in shared memory, beside 170 µs for decoding it. So memory is written to again when the last tensor
-in it is gone, and what a worker handed over when its receiver has let go of it. A tensor that leaves a worker in any
-other way, such as a part or a copy, is sent as torch sends all, and its memory is not used again.
+New memory must be found and cleared page by page. For an image of 224 x 224 pixels that took 25 µs on a virtual
+machine, and 85 µs in shared memory, besides 170 µs for decoding. So memory is reused when the last tensor in it is gone
+or, if a worker handed it over, when the receiver has released it. A tensor that leaves a worker in any other way, such
+as a part or a copy, is sent as usual by torch, and its memory is not reused.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Behind the values, and in a cache line of their own. The last one says whether somebody has the memory.
+# Follow the values, in a cache line of their own. The last byte says whether the memory is in use.
 _FLAG_BYTES = 64
 _FREE, _TAKEN = 0, 1
-# Two for each of four cameras: the batch that is being used, and the one that is being read.
+# Two for each of four cameras: the batch in use, and the one being read.
 _MOST_SPARE = 8
 
 _spare: list[OwnBlock] = []
-"""Memory of this process that nobody has now."""
+"""Unused memory of this process."""
 _handed_over: list[Any] = []
-"""Shared memory of this process that another one has or had, as tensors of bytes."""
+"""Shared memory of this process that others use or used, as tensors of bytes."""
 
 
 class OwnBlock:
     """A piece of memory of this process, for one tensor at a time."""
 
     def __init__(self, size: int) -> None:
-        """Take new memory.
+        """Allocate memory.
 
         Args:
             size: Bytes.
@@ -43,7 +43,7 @@ class OwnBlock:
 
 
 def reused_tensor(shape: Sequence[int], dtype: np.dtype[Any]) -> Any:
-    """Return a tensor with nothing in it, in memory of this process that is free again or new.
+    """Return an empty tensor in reused or new memory of this process.
 
     Args:
         shape: Its shape.
@@ -52,8 +52,8 @@ def reused_tensor(shape: Sequence[int], dtype: np.dtype[Any]) -> Any:
     size = math.prod(shape) * dtype.itemsize
     block = _take_spare(size) or OwnBlock(size)
     values = block.memory[:size].view(dtype).reshape(shape)
-    # torch holds just this array as long as there is a tensor on it, views included; and what numpy makes of a tensor
-    # holds that. The array itself must go to nobody else: numpy's views of it would hold the memory, and not it.
+    # Torch keeps exactly this array alive as long as a tensor, view, or numpy array made of a tensor uses it. The array
+    # itself must not be given away: numpy's views of it would keep the memory alive, but not it.
     weakref.finalize(values, _put_spare, block).atexit = False
     return importlib.import_module("torch").from_numpy(values)
 
@@ -78,7 +78,7 @@ class SharedBlock:
     """A piece of shared memory, for one array of a worker."""
 
     def __init__(self, shape: Sequence[int], dtype: np.dtype[Any]) -> None:
-        """Take memory that is free again, or new.
+        """Take reused or new memory.
 
         Args:
             shape: The shape of the array.
@@ -93,7 +93,7 @@ class SharedBlock:
         self.array: NDArray[Any] = memory[:size].view(dtype).reshape(shape)
 
     def lend(self, tensor: Any) -> Any:
-        """Return a tensor as one that gives the block back when the process it is sent to no longer has it.
+        """Return a tensor that gives the block back when the receiving process releases it.
 
         Args:
             tensor: All of the array, its axes in any order.
@@ -104,7 +104,7 @@ class SharedBlock:
 
 
 def _free_again(size: int) -> Any:
-    # Only this thread takes blocks out of the list; the one that sends them only adds to its end.
+    # Only this thread removes blocks from the list; the sending one only appends.
     for n, block in enumerate(_handed_over):
         if block.numel() >= size and block[-1].item() == _FREE:
             return _handed_over.pop(n)
@@ -123,12 +123,12 @@ def _lent_class() -> Any:
 
     def reduce(self: Any, _: int) -> tuple[Any, ...]:
         block, self.block = self.block, None
-        if block is None:  # somebody else has it already
+        if block is None:  # already given away
             return _unchanged, (self.as_subclass(torch.Tensor).clone(),)
         _handed_over.append(block)
         return _received, (block, self.dtype, tuple(self.shape), tuple(self.stride()))
 
-    # Whatever is computed from such a tensor is a plain one.
+    # Results computed from such a tensor are plain tensors.
     plain = torch._C._disabled_torch_function_impl
     return type("LentTensor", (torch.Tensor,), {"__reduce_ex__": reduce, "__torch_function__": plain})
 

@@ -1,7 +1,7 @@
-"""Episodes as trainers want them: what was seen at a step beside what was done next, numbers joined to vectors.
+"""Episodes as steps for training: each observation with the action that followed, joined to vectors.
 
-An episode has one row more than steps: row 0 is the reset observation, and row i + 1 holds what step i did and what
-came of it. Step i of a trajectory therefore has the observation of row i, and action, reward and flags of row i + 1.
+An episode has one row more than steps: row 0 is the reset observation, and row i + 1 holds the action of step i and its
+result. Step i of a trajectory therefore has the observation of row i, and action, reward and flags of row i + 1.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from rcs.errors import InvalidSetup
 
 OBSERVATION, ACTION, FRAMES = "observation", "action", "frames"
 
-# Joined in this order by default. Of a pose that is there in two notations only joints are taken: the others follow.
+# Joined in this order by default. Poses are left out, since they follow from the joints.
 _STATE_NAMES = ("joints", "gripper", "hand")
 _ACTION_NAMES = ("joints", "tquat", "xyzrpy", "gripper", "hand")
 
 
 @dataclass(frozen=True, kw_only=True)
 class VectorLayout:
-    """Which features make up one vector, in which order."""
+    """The features that make up a vector, in order."""
 
     features: tuple[Feature, ...]
-    """The parts, all of them plain numbers."""
+    """The features, all of them numbers."""
 
     @property
     def size(self) -> int:
-        """Numbers in the vector."""
+        """Size of the vector."""
         return sum(feature.size for feature in self.features)
 
     @property
@@ -68,24 +68,24 @@ class VectorLayout:
 
 
 def state_layout(info: DatasetInfo, keys: Sequence[str] | None = None) -> VectorLayout:
-    """Return how an observation becomes one vector: joints, then gripper or hand, robot by robot.
+    """Return the layout of states: joints, then gripper or hand, robot by robot.
 
     Args:
         info: What the dataset's episodes share.
-        keys: Other parts, such as ("observation/tquat", "observation/gripper"); None for the default.
+        keys: Other features, such as ("observation/tquat", "observation/gripper"); None for the default.
 
     Raises:
-        InvalidSetup: A key is unknown, is no observation, or is an image; or there is nothing to join.
+        InvalidSetup: A key is unknown, not an observation, or an image; or there is nothing to join.
     """
     return _layout(info, OBSERVATION, _STATE_NAMES, keys)
 
 
 def action_layout(info: DatasetInfo, keys: Sequence[str] | None = None) -> VectorLayout:
-    """Return how an action becomes one vector: the arm's part, then gripper or hand, robot by robot.
+    """Return the layout of actions: the arm's part, then gripper or hand, robot by robot.
 
     Args:
         info: What the dataset's episodes share.
-        keys: Other parts, such as ("executed/joints", "executed/gripper"); None for the default.
+        keys: Other features, such as ("executed/joints", "executed/gripper"); None for the default.
 
     Raises:
         InvalidSetup: A key is unknown or is an image; or there is nothing to join.
@@ -94,7 +94,7 @@ def action_layout(info: DatasetInfo, keys: Sequence[str] | None = None) -> Vecto
 
 
 def camera_features(info: DatasetInfo, kind: str = "rgb") -> dict[str, Feature]:
-    """Return the image features of one kind, "rgb" or "depth", by the name of the camera."""
+    """Return the image features of one kind, "rgb" or "depth", by camera."""
     found: dict[str, Feature] = {}
     for feature in info.features:
         parts = feature.key.split("/")
@@ -105,14 +105,14 @@ def camera_features(info: DatasetInfo, kind: str = "rgb") -> dict[str, Feature]:
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """The steps of one episode: `steps` of them, one fewer than rows."""
+    """The steps of one episode, one fewer than rows."""
 
     states: NDArray[np.float64]
     """What was seen before each step, shape (steps, state)."""
     actions: NDArray[np.float64]
     """What was done in each step, shape (steps, action)."""
     rewards: NDArray[np.float64]
-    """What each step earned, shape (steps,); 0 where the dataset has no reward."""
+    """The reward of each step, shape (steps,); 0 where the dataset has none."""
     terminated: NDArray[np.bool_]
     """Whether the step ended the episode as the task defines it, shape (steps,)."""
     truncated: NDArray[np.bool_]
@@ -128,8 +128,8 @@ def trajectory(episode: EpisodeRecord, state: VectorLayout, action: VectorLayout
 
     Args:
         episode: The episode.
-        state: How an observation becomes a vector.
-        action: How an action becomes a vector.
+        state: The layout of states.
+        action: The layout of actions.
 
     Raises:
         CorruptEpisode: The episode is damaged.
@@ -150,10 +150,10 @@ def trajectory(episode: EpisodeRecord, state: VectorLayout, action: VectorLayout
 
 
 def step_frames(episode: EpisodeRecord, key: str) -> Iterator[NDArray[np.generic]]:
-    """Yield the image that was seen before each step: all of the episode's but the last.
+    """Yield the image seen before each step: all of the episode's images but the last.
 
     Raises:
-        InvalidSetup: There is no such feature, or it is no image.
+        InvalidSetup: There is no such feature, or it is not an image.
         CorruptEpisode: The episode is damaged.
     """
     steps = episode.length - 1

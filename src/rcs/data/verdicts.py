@@ -1,4 +1,4 @@
-"""How episodes went: each succeeded, failed, or was not judged, and only those that were judged make a rate."""
+"""Counts of episodes that succeeded, failed, or were not judged; the success rate is of the judged ones."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ class Verdicts:
     """How many episodes succeeded, failed, and were not judged."""
 
     succeeded: int
-    """The task was done."""
+    """Episodes whose task was done."""
     failed: int
-    """It was not."""
+    """Episodes whose task was not done."""
     not_judged: int
-    """Nobody said: a recovered or repaired part of an episode, or one imported from where that is not kept."""
+    """Episodes without a verdict, such as recovered, repaired or some imported ones."""
 
     @classmethod
     def of(cls, verdicts: Iterable[bool | None]) -> Verdicts:
-        """Count verdicts, as `EpisodeRecord.success` has them."""
+        """Count values of `EpisodeRecord.success`."""
         given = list(verdicts)
         return cls(succeeded=given.count(True), failed=given.count(False), not_judged=given.count(None))
 
     @property
     def judged(self) -> int:
-        """Episodes of which somebody said how they went."""
+        """Episodes with a verdict."""
         return self.succeeded + self.failed
 
     @property
     def rate(self) -> float | None:
-        """The share of successes among those that were judged; None if none was."""
+        """The share of successes among the judged episodes; None if there are none."""
         return self.succeeded / self.judged if self.judged else None
 
     @property

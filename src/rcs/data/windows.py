@@ -1,9 +1,9 @@
-"""A dataset cut into windows for training: some observations up to a step, and the actions from it on.
+"""Windows of a dataset for training: some observations up to a step, and the actions from it on.
 
-Step t of an episode has the observation of row t and the action that was done next, as `rcs.data.trajectory` has it.
-The window of step t has the observations of t - history + 1 to t and the actions of t to t + horizon - 1. None crosses
-into another episode: before the first observation that one is repeated, after the last action that one, and flags say
-where, as in ACT (T. Z. Zhao et al., 2023) and Diffusion Policy (C. Chi et al., 2023).
+Step t of an episode has the observation of row t and the action that followed, as in `rcs.data.trajectory`.
+The window of step t has the observations of t - history + 1 to t and the actions of t to t + horizon - 1. Windows never
+cross into another episode: the first observation and the last action are repeated instead, with flags, as in ACT (T. Z.
+Zhao et al., 2023) and Diffusion Policy (C. Chi et al., 2023).
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ _Vectors = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 class Window(TypedDict):
-    """What is around one step."""
+    """The window of one step."""
 
     state: NDArray[np.float64]
-    """What was seen, the newest last, shape (history, state)."""
+    """States, the newest last, shape (history, state)."""
     images: dict[str, NDArray[Any]]
-    """By camera, (history, H, W, 3) uint8; of depth, (history, H, W) uint16 millimetres."""
+    """By camera, (history, H, W, 3) uint8, or for depth (history, H, W) uint16 millimetres."""
     actions: NDArray[np.float64]
-    """What was done from this step on, shape (horizon, action)."""
+    """Actions from this step on, shape (horizon, action)."""
     is_pad: NDArray[np.bool_]
     """Whether an action comes after the end and repeats the last one, shape (horizon,)."""
     is_history_pad: NDArray[np.bool_]
@@ -67,10 +67,10 @@ class WindowBatch(TypedDict):
 
 
 class Windows(Sequence[Window]):
-    """All windows of a dataset in order, read when they are asked for, in any order.
+    """All windows of a dataset, read when accessed, in any order.
 
-    Nothing is left open, and what is remembered stays behind when it is copied to another process: workers of any kind
-    may share it. Not for several threads at once.
+    No file stays open, and caches are not copied to other processes, so workers of any kind may share it. Not
+    thread-safe.
     """
 
     def __init__(
@@ -84,24 +84,25 @@ class Windows(Sequence[Window]):
         cameras: Sequence[str] | None = None,
         episodes: Sequence[EpisodeRecord] | None = None,
         stride: int = 1,
-        size: tuple[int, int] | None = None,
+        image_size: tuple[int, int] | None = None,
         pad: Padding = "repeat",
         cache_bytes: int = _VECTOR_BYTES,
     ) -> None:
-        """Find all windows; reads the length of every episode and no more.
+        """Find all windows; reads only the length of every episode.
 
         Args:
             dataset: The dataset.
             history: Observations in a window.
             horizon: Actions in a window.
-            state: Features that are joined to the state; None for joints, then gripper or hand, robot by robot.
-            action: Features that are joined to the action; None for the arm's part, then gripper or hand.
-            cameras: Names, such as "wrist", or "wrist/depth" for the depth image; None for colour of all, () for none.
+            state: Features that make up the state; None for joints, then gripper or hand, robot by robot.
+            action: Features that make up the action; None for the arm's part, then gripper or hand.
+            cameras: Names, such as "wrist", or "wrist/depth" for the depth image; None for the colour images of all, ()
+                for none.
             episodes: Episodes of the dataset to take, such as those that succeeded; None for all.
             stride: Steps from one window to the next.
-            size: Height and width that colour images are scaled to; None for as they are.
-            pad: "repeat" has a window of every step; "drop" only those that need no repeating.
-            cache_bytes: Memory in each process for states and actions; what was not used for longest is read again.
+            image_size: Width and height to scale colour images to [px]; None for the recorded size.
+            pad: "repeat" makes a window of every step; "drop" only those that need no repetition.
+            cache_bytes: Memory per process for states and actions; the least recently used are read again.
 
         Raises:
             InvalidSetup: An argument does not make sense, or there is no window.
@@ -121,17 +122,17 @@ class Windows(Sequence[Window]):
         for episode in self.episodes:
             if episode.info != dataset.info:
                 raise InvalidSetup(f"Episode {episode.id!r} is not of the dataset in {dataset.path}.")
-        self._scalers = _scalers(self.cameras, size)
+        self._scalers = _scalers(self.cameras, image_size)
         first, tail = (0, 1) if pad == "repeat" else (history - 1, horizon)
         self._first = first
-        # A step is between two rows, and a window needs `tail` of them from its own on.
+        # A step lies between two rows, and a window needs `tail` steps from its own on.
         counts = [len(range(first, max(e.length, 1) - tail, stride)) for e in self.episodes]
         self._ends = list(accumulate(counts))
         if not len(self):
             needed = (
                 "a step" if pad == "repeat" else f"the {history + horizon - 1} steps of one window; use pad='repeat'"
             )
-            raise InvalidSetup(f"Of the {len(self.episodes)} episodes of {dataset.path} none has {needed}.")
+            raise InvalidSetup(f"None of the {len(self.episodes)} episodes of {dataset.path} has {needed}.")
         self._cache_bytes = cache_bytes
         self._forget()
 
@@ -140,11 +141,11 @@ class Windows(Sequence[Window]):
         self._frames = FrameAccess(INDEX_BYTES)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave behind what was read: another process reads for itself."""
+        """Drop the caches: another process fills its own."""
         return {name: value for name, value in self.__dict__.items() if name not in ("_vectors", "_frames")}
 
     def __setstate__(self, values: dict[str, Any]) -> None:
-        """Start in another process with nothing read."""
+        """Start in another process with empty caches."""
         self.__dict__.update(values)
         self._forget()
 
@@ -166,7 +167,7 @@ class Windows(Sequence[Window]):
     @overload
     def __getitem__(self, index: slice) -> Sequence[Window]: ...
     def __getitem__(self, index: int | slice) -> Window | Sequence[Window]:
-        """Read one window, or those of a slice one after the other.
+        """Read one window, or all of a slice.
 
         Raises:
             IndexError: There is no such window.
@@ -187,7 +188,7 @@ class Windows(Sequence[Window]):
         }
 
     def image_shape(self, camera: str) -> tuple[int, ...]:
-        """Return the shape of one image as windows have it: (H, W, 3), or (H, W) for depth."""
+        """Return the shape of one image in a window: (H, W, 3), or (H, W) for depth."""
         scaler, feature = self._scalers.get(camera), self.cameras[camera]
         return feature.shape if scaler is None else (*scaler.target, *feature.shape[2:])
 
@@ -197,9 +198,9 @@ class Windows(Sequence[Window]):
         """Read several windows into one array each, in the order given.
 
         Args:
-            indices: Their numbers; those below 0 count from the end.
-            images: By camera, where its images go: contiguous, shape (len(indices), history, *image_shape), of the
-                feature's dtype; None for new arrays.
+            indices: Their numbers; negative ones count from the end.
+            images: Output arrays by camera: contiguous, shape (len(indices), history, *image_shape), of the feature's
+                dtype; None for new arrays.
 
         Raises:
             IndexError: There is no such window.
@@ -234,7 +235,7 @@ class Windows(Sequence[Window]):
         }
 
     def new_images(self, count: int) -> dict[str, NDArray[Any]]:
-        """Return arrays for the images of so many windows, by camera, with nothing in them yet."""
+        """Return empty arrays for the images of some windows, by camera."""
         return {
             name: np.empty((count, self.history, *self.image_shape(name)), feature.numpy_dtype)
             for name, feature in self.cameras.items()
@@ -307,13 +308,14 @@ def _chosen_cameras(dataset: Dataset, names: Sequence[str] | None) -> dict[str, 
     return {name: known[name] for name in names}
 
 
-def _scalers(cameras: Mapping[str, Feature], size: tuple[int, int] | None) -> dict[str, Scaler]:
-    if size is None:
+def _scalers(cameras: Mapping[str, Feature], image_size: tuple[int, int] | None) -> dict[str, Scaler]:
+    if image_size is None:
         return {}
     depth = [name for name, feature in cameras.items() if feature.encoding == "depth"]
     if depth:
-        raise InvalidSetup(f"{', '.join(depth)} cannot be scaled: a mean of two depths is a place where nothing is.")
-    return {name: Scaler((feature.shape[0], feature.shape[1]), size) for name, feature in cameras.items()}
+        raise InvalidSetup(f"{', '.join(depth)} cannot be scaled: depth cannot be averaged; leave image_size out.")
+    height, width = image_size[::-1]
+    return {name: Scaler((feature.shape[0], feature.shape[1]), (height, width)) for name, feature in cameras.items()}
 
 
 def _joined(parts: list[NDArray[np.float64]], rows: NDArray[np.int64], size: int) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Writes a dataset: makes it or resumes it, keeps other writers away, and starts episodes."""
+"""Writes a dataset: creates or resumes it, locks out other writers, and starts episodes."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ _log = logging.getLogger(__name__)
 class DatasetWriter:
     """A dataset that is being recorded; a context manager.
 
-    Several episodes can be open at the same time, as when many copies of an environment record together.
+    Several episodes can be open at the same time, for example one per copy of an environment.
     """
 
     def __init__(self, path: Path, head: Head, lock: DatasetLock, recovered: RecoverReport) -> None:
-        """Hold what `open` or `join` prepared.
+        """Hold a dataset; use `open` or `join` to get a writer.
 
         Args:
             path: The dataset's folder.
-            head: What `dataset.json` says.
-            lock: The lock that keeps other writers away.
+            head: The contents of `dataset.json`.
+            lock: The lock that keeps other writers out.
             recovered: What was done with the leftovers of an earlier writer.
         """
         self.path = path
@@ -56,18 +56,17 @@ class DatasetWriter:
     def open(
         cls, path: str | Path, info: DatasetInfo, *, resume: bool = False, leftovers: Leftovers = "recover"
     ) -> DatasetWriter:
-        """Make a dataset, or resume one, as its only writer.
+        """Create or resume a dataset as its only writer.
 
         Args:
-            path: The folder; it is made if there is none.
+            path: The folder; created if missing.
             info: What the episodes share.
-            resume: Whether to add to the dataset that may be there; without it, one that is there is refused.
+            resume: Whether to add to an existing dataset instead of refusing it.
             leftovers: What to do with episodes that were open when an earlier writer died.
 
         Raises:
-            DatasetError: Another process writes to it; there is a dataset and `resume` is not set; it was made with
-                another info, and then the message lists what differs; the folder has other things in it; or the disk
-                fails.
+            DatasetError: Another process writes to it; it exists and `resume` is not set; its info differs (the message
+                lists how); the folder contains something else; or the disk fails.
             CorruptEpisode: `dataset.json` is damaged.
         """
         root = Path(path)
@@ -98,13 +97,13 @@ class DatasetWriter:
 
     @classmethod
     def join(cls, path: str | Path) -> DatasetWriter:
-        """Write beside another process that has the dataset open, as its worker; each writes episodes of other ids.
+        """Join another process that is writing to the dataset, as its worker; their episodes have different ids.
 
         Args:
             path: The dataset's folder.
 
         Raises:
-            DatasetError: There is no dataset, or no process has it open as its writer.
+            DatasetError: There is no dataset, or no process is writing to it.
             CorruptEpisode: `dataset.json` is damaged.
         """
         root = Path(path)
@@ -121,7 +120,7 @@ class DatasetWriter:
 
         Raises:
             InvalidSetup: The id cannot be the name of a folder.
-            DatasetError: There is an episode of that name, the writer is closed, or the disk fails.
+            DatasetError: An episode has this name, the writer is closed, or the disk fails.
         """
         if self._is_closed:
             raise DatasetError(f"Cannot start episode {episode_id!r}: the writer of {self.path} is closed.")
@@ -157,7 +156,7 @@ class DatasetWriter:
             episode_id: The episode.
 
         Raises:
-            DatasetError: There is none of that id, or the disk fails.
+            DatasetError: There is no such episode, or the disk fails.
         """
         check_episode_id(episode_id)
         folder = episode_folder(self._base, episode_id)
@@ -167,7 +166,7 @@ class DatasetWriter:
             remove_folder(folder, new_trash_folder(self._base, episode_id))
 
     def close(self) -> None:
-        """Abort the episodes that are still open and give the lock back, whatever fails; twice is harmless."""
+        """Abort the open episodes and give the lock back, whatever fails; calling it twice is harmless."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -187,18 +186,18 @@ class DatasetWriter:
 
 
 def _refuse_strangers(root: Path) -> None:
-    # What a kill can leave of a dataset that was just being made.
+    # What a kill can leave of a dataset being created.
     ours = {*LOCK_FILES, EPISODES_FOLDER, f"{DATASET_FILE}.tmp", COPY_FILE, f"{COPY_FILE}.tmp"}
     strangers = sorted(entry.name for entry in root.iterdir() if entry.name not in ours)
     if strangers:
         raise DatasetError(
-            f"{root} is not a dataset and not empty: it has {', '.join(strangers[:5])}. Choose another folder."
+            f"{root} is neither a dataset nor empty: it has {', '.join(strangers[:5])}. Choose another folder."
         )
 
 
 def _refuse_other_info(root: Path, head: Head, info: DatasetInfo, resume: bool) -> None:
     lines = differences(head.info, info)
     if lines:
-        raise DatasetError(f"The dataset in {root} was made for another setup. What differs:\n  " + "\n  ".join(lines))
+        raise DatasetError(f"The dataset in {root} was made with another setup. Differences:\n  " + "\n  ".join(lines))
     if not resume:
         raise DatasetError(f"There already is a dataset in {root}. Resume it (resume=True), or choose another folder.")

@@ -1,6 +1,6 @@
-"""Random numbers for the starts of episodes: the same for one environment and for any copy of a batch.
+"""Random numbers for episodes, the same for one environment and for any copy of a batch.
 
-Every copy has a seed and counts its episodes; the numbers of an episode depend on these two alone. They come from
+Every copy has a seed and counts its episodes; an episode's numbers depend only on these two. They come from
 SplitMix64, computed for all copies at once.
 """
 
@@ -17,7 +17,7 @@ from rcs.errors import InvalidSetup
 from rcs.sim.splitmix import GAMMA, mix, units
 
 SEED_LIMIT = 2**63
-"""Seeds are from 0 to below this: what an int64 holds."""
+"""Seeds are from 0 to below this, the range of int64."""
 
 
 def check_seed(seed: Any) -> int:
@@ -50,10 +50,10 @@ class Draws:
         """Leading shape of every draw."""
 
     def branch(self, name: str) -> Draws:
-        """Return streams of their own for the same episodes; these here go on as if nothing was drawn from them.
+        """Return independent streams for the same episodes, without advancing these.
 
         Args:
-            name: Other name, other streams.
+            name: Name of the streams; different names give different numbers.
         """
         own = copy.copy(self)
         with np.errstate(over="ignore"):
@@ -65,12 +65,12 @@ class Draws:
         lower, upper = np.broadcast_arrays(np.asarray(low, np.float64), np.asarray(high, np.float64))
         drawn = np.empty((*self.leading, lower.size))
         with np.errstate(over="ignore"):
-            for i in range(lower.size):  # over dimensions, never over copies
+            for i in range(lower.size):  # indexed by dimension, never by copy
                 drawn[..., i] = units(self._next())
         return lower + (upper - lower) * drawn.reshape(self.leading + lower.shape)
 
     def bits(self) -> NDArray[np.uint64]:
-        """Return 64 random bits for each copy, such as a key for streams of its own, (*leading,)."""
+        """Return 64 random bits for each copy, such as a key for other streams, (*leading,)."""
         with np.errstate(over="ignore"):
             return self._next()
 

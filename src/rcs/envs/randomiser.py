@@ -1,8 +1,7 @@
-"""Draws what differs between episodes, for all copies at once, and writes it into the models that they run on.
+"""Randomises the models of all copies at once at the start of episodes.
 
-What is written is always the nominal value with the draw on it, so that an episode owes nothing to the one before. The
-draws come from the seed and the episode alone, in streams apart from the task's: a replay finds them again, and a task
-starts alike with and without them.
+Draws always apply to nominal values, so that an episode does not depend on the one before. They depend only on seed and
+episode, in streams separate from the task's: replays repeat them, and they do not change how a task starts.
 """
 
 from __future__ import annotations
@@ -37,12 +36,12 @@ class Randomiser:
         robots: Sequence[RobotPlacement] = (),
         cameras: Sequence[CameraPlacement] = (),
     ) -> None:
-        """Look up what is to vary, and take its present values as the nominal ones.
+        """Look up what varies, and take its present values as nominal.
 
         Args:
             world: A world fresh from its model.
-            ranges: How much.
-            objects: Names of the bodies that the task is about.
+            ranges: Ranges of the draws.
+            objects: Names of the task's bodies.
             robots: Robots of its scene.
             cameras: Cameras of its scene.
 
@@ -55,7 +54,7 @@ class Randomiser:
         self._writes: list[Write] = []
         self._changes_constants = False
         self.names: dict[str, tuple[str, ...]] = {}
-        """What the rows of a field's values are of, in order."""
+        """What the rows of each field's values belong to, in order."""
         self._add_lights()
         self._add_surfaces()
         self._add_objects([ObjectParts(world, name) for name in objects], objects)
@@ -64,13 +63,13 @@ class Randomiser:
         self.values: dict[str, NDArray[np.float64]] = {
             field: np.zeros(world.leading + low.shape) for field, (low, _) in self._bounds.items()
         }
-        """What was drawn for the present episodes, by field of `Randomisation`: (*leading, ...), replaced whole."""
+        """The draws of the present episodes, by field of `Randomisation`: (*leading, ...), replaced as a whole."""
 
     def begin(self, draws: Draws, copies: Copies = None) -> None:
-        """Draw and write what is different in the next episode of some copies.
+        """Draw and write the values of some copies' next episodes.
 
         Args:
-            draws: Random numbers for exactly these copies; they go on as if nothing was drawn.
+            draws: Random numbers for exactly these copies; they are not advanced.
             copies: Which copies; None for all.
         """
         if not self._bounds:
@@ -93,7 +92,7 @@ class Randomiser:
                 self.values[field][copies] = values
 
     def _draw(self, field: str, shape: tuple[int, ...], names: Sequence[str] = ()) -> bool:
-        """Have a field drawn, if its range has a width and there is something to vary; return whether."""
+        """Enable a field if its range has a width and there is something to vary; return whether."""
         if not self._ranges.varies(field) or 0 in shape:
             return False
         low, high = self._ranges.bounds(field)
@@ -152,7 +151,7 @@ class Randomiser:
         return [texture_name(i) for i in range(self._ranges.textures)]
 
     def _add_colour(self, field: str, groups: Sequence[NDArray[np.intp]], *, flexes: bool = False) -> None:
-        """Shift the colours of groups of geoms, or of flexes, each group by the same."""
+        """Shift the colours of groups of geoms or flexes, each group by the same amount."""
         members, group = np.concatenate(groups), owners(groups)
         if not len(members):
             return
@@ -199,7 +198,7 @@ class Randomiser:
         self._writes.append(write)
 
     def _add_sizes(self, parts: Sequence[ObjectParts]) -> None:
-        """Scale shapes about the root's frame, and with them whatever says how far they reach."""
+        """Scale shapes about the root's frame, including their bounds."""
         geoms = [part.geoms for part in parts]
         fields = {
             "geom_size": geoms,
@@ -214,7 +213,7 @@ class Randomiser:
             "flex_size": [part.flexes for part in parts],
             "flex_vert": [part.vertices for part in parts],
             "flex_node": [part.nodes for part in parts],
-            # Of a material that stays the same: forces grow with the area, strains fall with the length.
+            # The material stays the same: forces grow with the area, strains fall with the length.
             "flex_stiffness": [part.stiffness for part in parts],
         }
         scaled = [
@@ -252,7 +251,7 @@ class Randomiser:
         moves = [self._draw(field, (len(cameras), 3), names) for field in ("camera_translation", "camera_rotation")]
         if any(moves):
             self._changes_constants = True
-            # The camera's body, whose frame is the optical one: the housing moves along and never gets into the view.
+            # Moves the camera's body, whose frame is the optical one, so that the housing never gets into the view.
             bodies = [model.body(f"{camera.name}/{camera.camera.base_body}").id for camera in cameras]
             positions, quaternions = ModelRows(world, "body_pos", bodies), ModelRows(world, "body_quat", bodies)
             nominal = np.concatenate([positions.nominal, wxyz_to_xyzw(quaternions.nominal)], axis=-1)
@@ -271,7 +270,7 @@ class Randomiser:
             def write_views(drawn: dict[str, Values], copies: Copies) -> None:
                 factor = drawn["field_of_view"]
                 angles.scale(factor, copies)
-                # Cameras with a sensor size are drawn by their focal length, which the angle goes against.
+                # Cameras with a sensor size use a focal length, which falls as the angle grows.
                 focal = np.ones((*factor.shape, 4))
                 focal[..., :2] = 1.0 / factor[..., None]
                 intrinsics.write(intrinsics.nominal * focal, copies)

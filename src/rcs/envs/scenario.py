@@ -29,14 +29,14 @@ class Scenario:
         randomiser: Randomiser | None = None,
         frame_clock: FrameClock | None = None,
     ) -> None:
-        """Put all robots at home and take that as the state that every episode begins with.
+        """Put all robots at home, the state in which every episode begins.
 
         Args:
             world: A world fresh from its model.
             robots: Its robots.
             task: What to do in it.
-            randomiser: Varies the world from episode to episode; None for one that is always the same.
-            frame_clock: That of the cameras, which the episode's random numbers reach here; None without cameras.
+            randomiser: Varies the world from episode to episode; None for a constant world.
+            frame_clock: The cameras' clock, which needs the episode's random numbers; None without cameras.
         """
         self.world = world
         self._randomisers = [] if randomiser is None else [randomiser]
@@ -50,11 +50,11 @@ class Scenario:
         world.refresh()
 
     def add_randomiser(self, randomiser: Randomiser) -> None:
-        """Have more vary, over what varies already; made for this world before the first episode begins."""
+        """Add a randomiser after the present one; it must be made for this world before the first episode."""
         self._randomisers.append(randomiser)
 
     def begin(self, draws: Draws, copies: Copies = None) -> None:
-        """Start episodes: all robots at home, the task's objects where it puts them, all else as it is drawn.
+        """Start episodes: all robots at home, objects placed by the task, all else randomised.
 
         Args:
             draws: Random numbers for these copies.
@@ -70,10 +70,10 @@ class Scenario:
         self.world.refresh(copies)
 
     def start_at(self, start: Start) -> None:
-        """Put robots and objects somewhere else, right after `begin`; for a world of one copy.
+        """Put robots and objects at a given start, right after `begin`; for a world of one copy.
 
         Args:
-            start: Where to.
+            start: The start.
         """
         for robot in self.robots:
             state = start.robots.get(robot.placement.name)
@@ -84,7 +84,7 @@ class Scenario:
         self.world.refresh()
 
     def object_poses(self) -> dict[str, NDArray[np.float64]]:
-        """Return where the task's objects are by name, (*leading, 7) [m], xyzw.
+        """Return the poses of the task's objects by name, (*leading, 7) [m], xyzw.
 
         Poses are in the base frame of the robot; with several robots, in the scene. Recordings have those of the start
         in `outcome["objects"]`.
@@ -97,7 +97,7 @@ class Scenario:
 
     @property
     def randomisation(self) -> dict[str, NDArray[np.float64]]:
-        """What was drawn for the present episodes, by field of `Randomisation`, (*leading, ...)."""
+        """The draws of the present episodes, by field of `Randomisation`, (*leading, ...)."""
         return {field: drawn for randomiser in self._randomisers for field, drawn in randomiser.values.items()}
 
     def describe(self) -> dict[str, Any]:

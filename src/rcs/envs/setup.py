@@ -1,4 +1,4 @@
-"""A setup: everything that defines an environment, as one frozen record that can be stored, sent and compared."""
+"""A setup: everything that defines an environment, as one frozen record to store, send and compare."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rcs.sim.randomisation import Randomisation
 from rcs.sim.world import Stepping
 
 RelativeTo = Literal["last_step", "origin", "absolute"]
-"""What an arm's action is added to; `absolute`: to nothing."""
+"""The reference to which an arm's action is added; `absolute` for none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,16 +39,16 @@ class Setup:
     calibration: str | None = None
     """Calibration file with the poses and fields of view of cameras; None for those of the lab."""
     image_size: tuple[int, int] = (224, 224)
-    """Width and height of every frame [px]; a size that is none of a camera's modes is cut and scaled."""
+    """Width and height of every frame [px]; other sizes than those of a camera's modes are cropped and scaled."""
     camera_mode: str | None = None
     """Name of a mode that all cameras have, such as `848x480`, instead of `image_size`; see `rcs list --cameras`."""
     camera_fps: float | tuple[tuple[str, float], ...] | None = None
-    """Frames per second of all cameras, or of some by name; None for the most that a camera offers at this size. One
-    that is slower than `frequency` gives its last frame again until the next is due."""
+    """Frames per second of all cameras, or of some by name; None for the highest rate of a camera at this size. One
+    slower than `frequency` repeats its last frame until the next is due."""
     depth: bool = False
     """Whether frames carry depth; costs about a third of a frame's time."""
     tactile: str | None = None
-    """Name of a tactile sensor, such as `digit`, that takes the place of the gripper's pads; None for plain pads."""
+    """Name of a tactile sensor, such as `digit`, to replace the gripper's pads; None for plain pads."""
     camera_noise: bool = False
     """Whether frames have the noise of real cameras; the same state has the same noise."""
     render_quality: Quality = "fast"
@@ -58,9 +58,9 @@ class Setup:
     `mujoco-menagerie` (an extra), downloaded at first use. Physics is the same; without a GPU, drawing is tens of times
     slower."""
     control: Control = "joints"
-    """What an action says of the arm: joint positions, or the TCP's pose with a quaternion or with roll, pitch, yaw."""
+    """An arm's action: joint positions, or the TCP pose with a quaternion or with roll, pitch, yaw."""
     relative: RelativeTo = "last_step"
-    """What an arm's action is added to: the last target, an origin that the user sets, or nothing."""
+    """Reference of an arm's action: the last target, an origin set by the user, or none."""
     binary_gripper: bool = True
     """Whether the gripper only opens and closes fully."""
     layers: tuple[str, ...] = ()
@@ -74,17 +74,17 @@ class Setup:
     physics_step: float = 0.002
     """Time step of the physics [s]; longer is faster and grasps slip."""
     randomisation: Randomisation | None = None
-    """What differs between episodes besides the task's own start; None for nothing, True for the default ranges."""
+    """Domain randomisation of episodes; None for none, True for the default ranges."""
 
     def __post_init__(self) -> None:
         """Check every field.
 
         Raises:
-            InvalidSetup: A field has a value that makes no sense; the message says what is valid.
+            InvalidSetup: A field has an invalid value; the message says what is valid.
         """
         for own in dataclasses.fields(self):
             value = getattr(self, own.name)
-            if isinstance(value, np.generic):  # a number out of an array is a number
+            if isinstance(value, np.generic):  # numpy scalars become Python numbers
                 object.__setattr__(self, own.name, value.item())
         for name in ("task", "robot"):
             if not isinstance(getattr(self, name), str):
@@ -132,7 +132,7 @@ class Setup:
         return hash(json.dumps(self.to_json(), sort_keys=True))
 
     def fps_of(self, camera: str) -> float | None:
-        """Return the frame rate that is asked for of a camera [frames/s]; None for the most that it offers."""
+        """Return the wanted frame rate of a camera [frames/s]; None for its highest."""
         return dict(self.camera_fps).get(camera) if isinstance(self.camera_fps, tuple) else self.camera_fps
 
     def to_json(self) -> dict[str, Any]:
@@ -210,7 +210,7 @@ def _names(field: str, value: Any) -> tuple[str, ...]:
     if not isinstance(value, Sequence) or not all(isinstance(name, str) for name in value):
         raise InvalidSetup(f"{field} is {value!r}; it must be a tuple of names.")
     if len(set(value)) != len(value):
-        raise InvalidSetup(f"{field} is {value!r}; a name is there twice.")
+        raise InvalidSetup(f"{field} is {value!r}; names must not repeat.")
     return tuple(value)
 
 
@@ -231,7 +231,7 @@ def _size_of_mode(mode: Any, size: tuple[int, int], cameras: tuple[str, ...]) ->
     wanted = parse_mode(mode)
     if wanted is None or not all(_is_edge(edge) for edge in wanted):
         if cameras:
-            return size  # whoever looks the cameras up refuses it, and can say which modes they have
+            return size  # refused where the cameras are looked up, with a list of their modes
         raise InvalidSetup(f"camera_mode is {mode!r}; it is written like '848x480' (see `rcs list --cameras`).")
     if size not in (wanted, Setup.image_size):
         raise InvalidSetup(f"camera_mode is {mode!r} and image_size is {size}; give one of the two.")
@@ -251,7 +251,7 @@ def _frame_rates(value: Any, cameras: tuple[str, ...]) -> float | tuple[tuple[st
         raise InvalidSetup(f"camera_fps names the cameras {unknown}; this setup has {list(cameras)}.")
     for rate in [value] if by_name is None else by_name.values():
         if not (_is_number(rate) and 0 < rate < float("inf")):
-            raise InvalidSetup(f"camera_fps is {value!r}; a rate is a number above 0.")
+            raise InvalidSetup(f"camera_fps is {value!r}; a rate must be above 0.")
     return value if by_name is None else tuple(sorted(by_name.items()))
 
 

@@ -27,7 +27,7 @@ from rcs._core import clip_rows
 from rcs.errors import InvalidAction
 
 Control = Literal["joints", "tquat", "xyzrpy"]
-"""What an action says of the arm."""
+"""Kind of an arm's action."""
 
 Arrays = Mapping[str, NDArray[Any]]
 """An action or the robot's part of an observation: one array per key, of any leading shape."""
@@ -54,10 +54,13 @@ UNITS = {JOINTS: "rad", TQUAT: "m, xyzw", XYZRPY: "m, rad", JOINT_VELOCITIES: "r
 """Unit of a key, where it has one."""
 
 REACH = 2.0
-"""Bound on the coordinates of a pose [m]: farther than any arm here reaches."""
+"""Bound on the coordinates of a pose [m], beyond the reach of any arm here."""
 
 FASTEST = 100.0
 """Bound on measured joint velocities [rad/s]: collisions exceed a servo's limits, but not by this much."""
+
+MINIMAL_NORM = 0.1
+"""Shorter quaternions are rejected as degenerate."""
 
 LONGEST_FOCAL_LENGTH = 1e5
 """Bound on the entries of a camera matrix [px]."""
@@ -66,7 +69,7 @@ FARTHEST = 100.0
 """Bound on the coordinates of a camera [m]."""
 
 TOLERANCE = 1e-6
-"""How far out of bounds a value may be and count as rounded: a bound that went through float32 is off by up to 1e-7."""
+"""Tolerance of bounds for rounding: a bound converted to float32 is off by up to 1e-7."""
 
 
 def joints_space(lower: ArrayLike, upper: ArrayLike) -> spaces.Box:
@@ -87,12 +90,12 @@ def xyzrpy_space() -> spaces.Box:
 
 
 def measured(space: spaces.Box, margin: float) -> spaces.Box:
-    """Return a space of measurements of what a space commands: a servo overshoots by up to `margin`."""
+    """Return a space of measurements for a space of commands, which a servo overshoots by up to `margin`."""
     return spaces.Box(space.low - margin, space.high + margin, dtype=np.float64)
 
 
 def velocities_space(dof: int) -> spaces.Box:
-    """Return the space of measured joint velocities [rad/s], beyond what any arm does short of an explosion."""
+    """Return the space of measured joint velocities [rad/s], which only a diverged simulation exceeds."""
     return spaces.Box(-FASTEST, FASTEST, (dof,), np.float64)
 
 
@@ -122,7 +125,7 @@ def depth_space(width: int, height: int) -> spaces.Box:
 
 
 class ActionCheck:
-    """Checks actions against the spaces of their keys. Made once, called at every step."""
+    """Checks actions against the spaces of their keys; made once, called at every step."""
 
     def __init__(self, boxes: Mapping[str, spaces.Box], leading: tuple[int, ...] = ()) -> None:
         """Prepare the check.
@@ -140,14 +143,14 @@ class ActionCheck:
         """Check an action and return it as fresh arrays of the right dtype.
 
         Args:
-            action: What came: a mapping with one array per key.
+            action: A mapping with one array per key.
 
         Returns:
             One array per key, (*leading, *shape), inside the bounds.
 
         Raises:
             InvalidAction: A key is missing or unknown, or an array has a wrong shape or dtype, is not finite or is out
-                of bounds; the message names the key, what came and what is valid.
+                of bounds; the message names the key, the given and the valid values.
         """
         if not isinstance(action, Mapping) or action.keys() != self._boxes.keys():
             raise InvalidAction(_describe_keys(action, self._boxes))
@@ -191,7 +194,7 @@ def _as_numbers(key: str, given: Any, box: spaces.Box) -> NDArray[Any]:
 def _describe_keys(action: Any, boxes: Mapping[str, spaces.Box]) -> str:
     valid = ", ".join(f"{key!r} {box.shape} {box.dtype}" for key, box in boxes.items())
     if not isinstance(action, Mapping):
-        return f"An action is a mapping with the keys {valid}; {type(action).__name__} came."
+        return f"Expected a mapping with the keys {valid} as action; got {type(action).__name__}."
     missing = [key for key in boxes if key not in action]
     unknown = [key for key in action if key not in boxes]
     found = [f"{text} {keys}" for text, keys in (("missing", missing), ("unknown", unknown)) if keys]

@@ -1,4 +1,4 @@
-"""Where an episode starts when that is not left to the task: how the robots stand, and where the objects are."""
+"""A given start of an episode: joints of the robots and poses of the objects."""
 
 from __future__ import annotations
 
@@ -16,16 +16,13 @@ from rcs.sim.robot import SimRobot
 from rcs.sim.scene import RobotPlacement
 from rcs.spatial import compose, inverse, normalize
 
-MINIMAL_NORM = 0.1
-"""A quaternion shorter than this has no direction that anybody meant."""
-
 MARGIN = 0.1
-"""How far out of bounds a start may be [rad, or of 1], to be put at them: what a measurement may be off."""
+"""Tolerance of bounds for measurement errors [rad, or of 1]; a start within it is clipped."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """A checked start: what of it is empty is left to the robots' home and to the task."""
+    """A checked start; missing parts are left to the robots' home and to the task."""
 
     robots: dict[str, dict[str, NDArray[Any]]] = field(default_factory=dict[str, dict[str, NDArray[Any]]])
     """For robots by name: `joints` [rad], and `gripper` or `hand`, as in an observation."""
@@ -34,18 +31,18 @@ class Start:
 
 
 def check_start(robots: list[SimRobot], known: Mapping[str, Any], robot: Any, objects: Any) -> Start:
-    """Check where an episode is to start.
+    """Check a start.
 
     Args:
         robots: Robots of the world.
         known: The objects of its task, by name.
-        robot: `joints`, and `gripper` or `hand`, as an observation has them: with several robots, one level down under
-            the robots' names. None for home.
-        objects: Poses by name, (7,) [m], xyzw, in the base frame; with several robots, in the scene. None for where
-            the task puts them.
+        robot: `joints`, and `gripper` or `hand`, as in an observation; with several robots, nested under their names.
+            None for home.
+        objects: Poses by name, (7,) [m], xyzw, in the base frame; with several robots, in the scene. None to leave them
+            to the task.
 
     Raises:
-        InvalidSetup: A name or key is unknown, or a value has a wrong shape, is not finite or is out of its bounds.
+        InvalidSetup: A name or key is unknown, or a value has a wrong shape, is not finite or is out of bounds.
     """
     given: Any = {} if robot is None else robot if len(robots) > 1 else {robots[0].placement.name: robot}
     if not isinstance(given, Mapping) or not given.keys() <= {other.placement.name for other in robots}:
@@ -64,10 +61,10 @@ def check_start(robots: list[SimRobot], known: Mapping[str, Any], robot: Any, ob
 
 
 def check_state(state: Any, size: int) -> NDArray[np.float64]:
-    """Return a simulation state in which an episode is to start, (size,).
+    """Return a checked simulation state to start from, (size,).
 
     Raises:
-        InvalidSetup: It has a wrong shape, or a value that MuJoCo takes for divergence.
+        InvalidSetup: It has a wrong shape, or a value that MuJoCo treats as divergence.
     """
     if np.ma.is_masked(state):
         raise InvalidSetup("The option 'state' has masked values; valid is an array without a mask.")
@@ -77,13 +74,13 @@ def check_state(state: Any, size: int) -> NDArray[np.float64]:
         raise InvalidSetup(f"The option 'state' is {_form(state)}; valid are {size} numbers.") from err
     if array.shape != (size,):
         raise InvalidSetup(f"The option 'state' has shape {array.shape}; valid is ({size},).")
-    if not (np.abs(array) <= mujoco.mjMAXVAL).all():  # NaN is not either
-        raise InvalidSetup(f"The option 'state' has values beyond ±{mujoco.mjMAXVAL:g}, or such that are not finite.")
+    if not (np.abs(array) <= mujoco.mjMAXVAL).all():  # also catches NaN
+        raise InvalidSetup(f"The option 'state' has values that are not finite or beyond ±{mujoco.mjMAXVAL:g}.")
     return array
 
 
 def base_in_scene(robots: Sequence[RobotPlacement]) -> NDArray[np.float64]:
-    """Return the frame in which objects are told, (7,): the robot's base, or of several robots the scene itself."""
+    """Return the frame of objects' poses, (7,): the robot's base, or with several robots the scene."""
     pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     if len(robots) == 1:
         base = robots[0].base_in_scene
@@ -92,7 +89,7 @@ def base_in_scene(robots: Sequence[RobotPlacement]) -> NDArray[np.float64]:
 
 
 def in_frame_of(robots: list[SimRobot], poses: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-    """Return poses in the scene as they are told to people: in the base frame, or of several robots in the scene."""
+    """Convert poses in the scene to the frame of objects' poses: the base, or with several robots the scene."""
     if len(robots) != 1:
         return dict(poses)
     scene_in_base = inverse(base_in_scene([one.placement for one in robots]))
@@ -116,7 +113,7 @@ def _check_robot(robot: SimRobot, given: Any) -> dict[str, NDArray[Any]]:
         array = _as_array(f"The start's {key!r}", value)
         if array.shape != box.shape or not np.isfinite(array).all():
             raise InvalidSetup(f"The start's {key!r} has shape {array.shape}; valid are {box.shape} finite numbers.")
-        # A joint is measured a little outside of its limits at times; it starts inside.
+        # Joints are sometimes measured slightly outside of their limits; they start inside.
         checked[key] = np.clip(array, box.low, box.high).astype(box.dtype)
         if (np.abs(checked[key] - array) > MARGIN).any():
             raise InvalidSetup(f"The start's {key!r} is {array}; valid is {box.low} to {box.high}.")
@@ -125,7 +122,7 @@ def _check_robot(robot: SimRobot, given: Any) -> dict[str, NDArray[Any]]:
 
 def _check_pose(name: str, pose: Any) -> NDArray[np.float64]:
     array = _as_array(f"The pose of {name!r}", pose)
-    if array.shape != (7,) or not np.isfinite(array).all() or np.linalg.norm(array[3:]) < MINIMAL_NORM:
+    if array.shape != (7,) or not np.isfinite(array).all() or np.linalg.norm(array[3:]) < keys.MINIMAL_NORM:
         raise InvalidSetup(
             f"The pose of {name!r} is {pose!r}; valid are 7 numbers: translation [m] and quaternion xyzw."
         )

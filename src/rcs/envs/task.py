@@ -41,29 +41,29 @@ class Area:
 
 @dataclass(kw_only=True)
 class Judgement:
-    """What a task says of the present state. Arrays have the world's leading shape."""
+    """A task's verdict on the present state. Arrays have the world's leading shape."""
 
     reward: NDArray[np.float64]
     terminated: NDArray[np.bool_]
     info: dict[str, NDArray[Any]] = field(default_factory=dict)
-    """What agents and people may want to know; `success`, bool, is there where there is something to judge."""
+    """Info for agents and people; `success` (bool) if there is something to judge."""
 
 
 class Task(ABC):
-    """A task on one world. It keeps what it must remember per copy."""
+    """A task on one world; it keeps its memory per copy."""
 
     instruction: str = ""
-    """What a language-conditioned policy is told."""
+    """The instruction for language-conditioned policies."""
 
     expert: ClassVar[str | type | None] = None
     """The agent that can do the task: its class, `module:Class`, or the name of an entry point of `rcs.agents`."""
 
     @dataclass(frozen=True, kw_only=True)
     class Options:
-        """What may be chosen in every task; a task with more has a class `Options` of its own below this one."""
+        """Options of every task; a task with more options subclasses this as its own `Options`."""
 
         reward: Literal["dense", "sparse"] = "dense"
-        """`dense` rewards progress, too; `sparse` is 1 at success and 0 otherwise."""
+        """`dense` also rewards progress; `sparse` is 1 at success and 0 otherwise."""
 
         def __post_init__(self) -> None:
             """Check the values.
@@ -91,14 +91,14 @@ class Task(ABC):
             return dataclasses.asdict(self)
 
     def __init__(self, area: Area, options: Options | Mapping[str, Any] | None = None) -> None:
-        """Take place in an area.
+        """Set area and options.
 
         Args:
             area: Where objects may lie.
             options: Of the task's class `Options`, or some of its fields by name; None for its defaults.
 
         Raises:
-            InvalidSetup: An unknown option, or a value that is not valid.
+            InvalidSetup: An option is unknown, or a value is not valid.
         """
         self.area = area
         self.options = self.parse_options(options)
@@ -111,7 +111,7 @@ class Task(ABC):
             values: Options of this task, or some of their fields by name; None for the defaults.
 
         Raises:
-            InvalidSetup: Options of another task, an unknown option, or a value that is not valid.
+            InvalidSetup: The options are of another task, one is unknown, or a value is not valid.
         """
         if isinstance(values, cls.Options):
             return values
@@ -126,10 +126,10 @@ class Task(ABC):
         return cls.Options(**(values or {}))
 
     def reward(self, progress: NDArray[np.float64], success: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return the reward that the options ask for: 1 at success, and below it the progress if it is `dense`.
+        """Return the reward: 1 at success, otherwise the progress if it is `dense`.
 
         Args:
-            progress: How far each copy is, 0 … 1, (*leading,).
+            progress: Progress of each copy, 0 … 1, (*leading,).
             success: Which copies have succeeded, (*leading,).
         """
         return np.maximum(progress if self.options.reward == "dense" else 0.0, success)
@@ -138,7 +138,7 @@ class Task(ABC):
         """Add the task's objects to a scene before it is compiled."""
 
     def objects(self) -> list[str]:
-        """Return the names of the bodies that the task is about: those whose size, mass and colour may vary."""
+        """Return the names of the task's bodies, whose size, mass and colour may vary."""
         return []
 
     @abstractmethod
@@ -151,7 +151,7 @@ class Task(ABC):
 
         Args:
             draws: Random numbers for exactly these copies.
-            where: Which copies; `...` for all, or for the only one.
+            where: The copies; `...` for all, or for the only one.
         """
 
     @abstractmethod
@@ -163,14 +163,14 @@ class Task(ABC):
         return {}
 
     def object_poses(self) -> dict[str, NDArray[np.float64]]:
-        """Return where the objects that the task is about are: poses in the scene by name, (*leading, 7) [m], xyzw."""
+        """Return the poses of the task's objects in the scene by name, (*leading, 7) [m], xyzw."""
         return {}
 
     def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
-        """Put objects somewhere by writing the state, at rest; only called after `reset` and before the first step.
+        """Put objects at given poses, at rest, by writing the state; called only between `reset` and the first step.
 
         Args:
             poses: Poses in the scene by names of `object_poses`, of exactly these copies, (*leading, 7) [m], xyzw.
-            where: Which copies; `...` for all, or for the only one.
+            where: The copies; `...` for all, or for the only one.
         """
-        raise NotImplementedError(f"{type(self).__name__} tells where its objects are but cannot place them.")
+        raise NotImplementedError(f"{type(self).__name__} has poses of its objects but cannot set them.")

@@ -1,4 +1,4 @@
-"""One call at a time: threads, and calls from inside of a call, are told apart and refused."""
+"""Allows one call at a time; refuses calls of other threads and nested calls."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rcs.errors import WrongOrder
 
 
 class Turn:
-    """Who uses an environment. As a context manager it is taken by `take` before, and given up at the end.
+    """A turn to use an environment: `take` begins it, and leaving the context ends it.
 
     Example:
         >>> turn = Turn()
@@ -17,13 +17,13 @@ class Turn:
     """
 
     def __init__(self) -> None:
-        """Let anybody begin."""
-        # Reentrant, so that a call from inside of a call is told from one of another thread.
+        """Start unused."""
+        # Reentrant, to distinguish nested calls from those of another thread.
         self._lock = threading.RLock()
         self._is_taken = False
 
     def take(self, call: str) -> Turn:
-        """Begin a call, or refuse to.
+        """Begin a call, or refuse it.
 
         Args:
             call: Its name, for the message.
@@ -53,7 +53,7 @@ class Turn:
             pass
 
     def __enter__(self) -> None:
-        """Go on with the call that `take` has begun."""
+        """Continue the call that `take` began."""
 
     def __exit__(self, *_: object) -> None:
         """End the call."""

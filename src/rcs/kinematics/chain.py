@@ -1,4 +1,4 @@
-"""The chain of bodies from a robot's base to its TCP, put together from descriptions."""
+"""The kinematic chain from a robot's base to its TCP, composed from descriptions."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ from rcs.robots.description import ArmDescription, Description, GripperDescripti
 from rcs.spatial import xyzw_to_wxyz
 
 GRIPPER_PREFIX = "gripper/"
-"""Prefix of the names of what is at the flange, a gripper or a hand."""
+"""Prefix of the names of the end effector, a gripper or a hand."""
 
 EndEffector = GripperDescription | HandDescription
-"""What can be fixed to a flange."""
+"""An end effector."""
 
 
 def load(description: Description) -> mujoco.MjSpec:
-    """Read the MJCF file or URDF of a description, and have it completed where it says how.
+    """Read the MJCF file or URDF of a description, and complete it if the description says how.
 
-    What a file has only to be looked at alone is left out, or it would get into every scene: lights, and geoms of the
-    file's world, such as a floor.
+    Lights and geoms of the file's world, such as a floor, are left out; otherwise they would appear in every scene.
     """
     spec = mujoco.MjSpec.from_file(str(description.mjcf))
     for element in [*spec.lights, *spec.worldbody.geoms]:
@@ -59,7 +58,7 @@ def kinematics_of(arm: ArmDescription, gripper: EndEffector | None = None) -> Da
         gripper: The gripper or hand at its flange.
 
     Returns:
-        A solver of its own, which several threads may use.
+        A new solver, which several threads may use.
     """
     spec = load(arm)
     tcp = arm.flange_site

@@ -1,4 +1,4 @@
-"""The formats in which a camera streams: sizes, and the frame rates that each of them offers."""
+"""The formats in which a camera streams: sizes, and the frame rates of each."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ class ResolutionMode:
         """Check the figures.
 
         Raises:
-            InvalidSetup: A size or rate that is not positive, no rate, or rates that do not ascend.
+            InvalidSetup: A size or rate is not positive, there is no rate, or rates do not ascend.
         """
         ascends = all(a < b for a, b in zip(self.rates, self.rates[1:], strict=False))
         if min(self.width, self.height, *self.rates, 1) <= 0 or not self.rates or not ascends:
-            raise InvalidSetup(f"{self} needs a positive width and height, and positive rates that ascend.")
+            raise InvalidSetup(f"{self} needs a positive width and height, and positive ascending rates.")
 
     @property
     def name(self) -> str:
-        """How it is asked for, such as `848x480`."""
+        """Its name, such as `848x480`."""
         return f"{self.width}x{self.height}"
 
     def __str__(self) -> str:
-        """Return size and rates for people."""
+        """Return size and rates in words."""
         return f"{self.name} at {', '.join(map(str, self.rates))} Hz"
 
 
 def parse_mode(name: str) -> tuple[int, int] | None:
-    """Return the width and height [px] that the name of a mode says; None for a name that is not like `848x480`."""
+    """Return width and height [px] of a mode's name; None if it is not of the form `848x480`."""
     width, _, height = name.partition("x")
     if not (name.isascii() and width.isdecimal() and height.isdecimal()):
         return None
@@ -49,15 +49,15 @@ def parse_mode(name: str) -> tuple[int, int] | None:
 
 
 def find_mode(label: str, modes: Sequence[ResolutionMode], name: str) -> ResolutionMode:
-    """Return the mode of a name.
+    """Return the mode with a name.
 
     Args:
         label: The camera's name, for messages.
-        modes: Those of the camera.
-        name: Such as `848x480`.
+        modes: Modes of the camera.
+        name: Name of a mode, such as `848x480`.
 
     Raises:
-        UnknownName: The camera has none of that name; the message has all.
+        UnknownName: The camera has no such mode; the message lists all.
     """
     for mode in modes:
         if mode.name == name:
@@ -68,17 +68,17 @@ def find_mode(label: str, modes: Sequence[ResolutionMode], name: str) -> Resolut
 def choose_rate(label: str, modes: Sequence[ResolutionMode], size: tuple[int, int], wanted: float | None) -> int:
     """Return the rate at which a camera delivers frames of a size [frames/s].
 
-    A size that is no mode is cut out of a larger one and made smaller, so it may have the rate of any larger mode; one
-    that is larger than all has those of the largest.
+    A size that is not a mode is cropped and scaled from a larger one, so it may have the rate of any larger mode; a
+    size larger than all modes has the rates of the largest.
 
     Args:
         label: The camera's name, for messages.
-        modes: Those of the camera.
+        modes: Modes of the camera.
         size: Width and height of frames [px].
-        wanted: The rate that is asked for [frames/s]; None for the highest.
+        wanted: The wanted rate [frames/s]; None for the highest.
 
     Raises:
-        InvalidSetup: The camera does not offer that rate for that size; the message has all modes.
+        InvalidSetup: The camera does not offer that rate for that size; the message lists all modes.
     """
     fitting = [mode for mode in modes if (mode.width, mode.height) == size]
     fitting = fitting or [mode for mode in modes if mode.width >= size[0] and mode.height >= size[1]]

@@ -1,7 +1,7 @@
-"""What is known about an arm, a gripper or a camera: frozen figures, and the MJCF file that carries the same ones.
+"""Descriptions of arms, grippers, hands and cameras: frozen figures, and an MJCF file that agrees with them.
 
 Every description names one MJCF file whose elements have plain names (`joint1`, `flange`, `tcp`). A scene attaches
-these files to each other and adds its own prefixes, so the names given here are the names before the prefix.
+these files to each other with prefixes; names here are without prefixes.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """What all descriptions share: names, the model's file and where the figures come from."""
+    """The fields of all descriptions: names, model file and sources."""
 
     name: str
-    """Short name used to ask for it, such as `fr3`."""
+    """Short name, such as `fr3`."""
     label: str
     """Full name for people."""
     module: str
     """Name of the module that defines the description; the model's file lies next to it."""
     mjcf_file: str
-    """File name of the MJCF model; an arm's may be a URDF together with `complete`."""
+    """File name of the MJCF model; an arm may have a URDF, together with `complete`."""
     base_body: str
-    """Body whose frame is the base frame: it is fixed to the world or to a mount, and the file gives it no pose."""
+    """Body whose frame is the base frame; it is fixed to the world or a mount, and has no pose in the file."""
     sources: tuple[str, ...]
-    """Where the figures come from."""
+    """Sources of the figures."""
 
     @property
     def mjcf(self) -> Path:
@@ -63,7 +63,7 @@ class Description:
         """
         origin = importlib.import_module(self.module).__file__
         if origin is None:
-            raise InvalidSetup(f"{self.module} is not a file on disk, so {self.mjcf_file} cannot lie next to it.")
+            raise InvalidSetup(f"{self.module} is not a file on disk, so {self.mjcf_file} cannot be next to it.")
         return Path(origin).parent / self.mjcf_file
 
 
@@ -92,19 +92,19 @@ class ArmDescription(Description):
     effort_limit: tuple[float, ...]
     """Largest joint torques [Nm]."""
     workspace_reach: float
-    """Distance that the flange reaches from the shoulder [m]."""
+    """Reach of the flange from the shoulder [m]."""
     end_effectors: tuple[str, ...] | None = None
-    """Names of all that its flange carries; None for anything."""
+    """Names of the end effectors that fit its flange; None for any."""
     menagerie: MenagerieVisuals | None = None
-    """Where detailed visuals come from; None when the collection has none."""
+    """Source of detailed visuals; None if the collection has none."""
     complete: Callable[[mujoco.MjSpec], None] | None = None
-    """Adds to the model what its file cannot say, such as actuators and sites to a URDF's; called at each reading."""
+    """Completes the model with what its file cannot describe, such as actuators of a URDF; called at each reading."""
 
     def __post_init__(self) -> None:
         """Check that all tables have one entry per joint and that the home pose lies inside the limits.
 
         Raises:
-            InvalidSetup: A table of the wrong length, a limit that is not positive, or a home pose outside the limits.
+            InvalidSetup: A table has the wrong length, a limit is not positive, or the home pose is outside the limits.
         """
         dof = len(self.joints)
         if dof == 0 or len(set(self.joints)) != dof:
@@ -151,28 +151,29 @@ class GripperDescription(Description):
     ctrl_open: float
     """Control value of the actuator that opens."""
     pad_geoms: tuple[tuple[str, ...], tuple[str, ...]]
-    """Geoms that touch what is grasped: those of the left finger, those of the right finger.
+    """Geoms that touch a grasped object: of the left finger, and of the right finger.
 
-    Left is where the y axis of the TCP points to, and z points along the fingers: tactile sensors go by that.
+    Left is towards the TCP's y axis, and z points along the fingers; tactile sensors rely on that.
     """
     max_width: float
     """Distance between the pads when open [m]."""
     max_force: float
-    """Largest force per finger that the device holds without time limit [N]."""
+    """Largest continuous force per finger [N]."""
     grasp_force: float
-    """Force per finger that the MJCF model's actuator is limited to [N]; at most `max_force`."""
+    """Force limit per finger of the MJCF model's actuator [N]; at most `max_force`."""
     closing_speed: float
-    """Speed of each finger while it moves freely [m/s]."""
+    """Speed of each finger in free motion [m/s]."""
     arms: tuple[str, ...] | None = None
-    """Names of all arms that it can be mounted on; None for any."""
+    """Names of the arms that it fits; None for any."""
     menagerie: MenagerieVisuals | None = None
-    """Where detailed visuals come from; None when the collection has none."""
+    """Source of detailed visuals; None if the collection has none."""
 
     def __post_init__(self) -> None:
         """Check lengths and signs.
 
         Raises:
-            InvalidSetup: A table of the wrong length, a missing pad, equal end positions, or a figure out of range.
+            InvalidSetup: A table has the wrong length, a pad is missing, end positions are equal, or a figure is out of
+                range.
         """
         count = len(self.joints)
         require_numbers(f"{self.name}.joint_closed", self.joint_closed, count)
@@ -190,12 +191,12 @@ class GripperDescription(Description):
 
 @dataclass(frozen=True, kw_only=True)
 class HandDescription(Description):
-    """One hand whose finger joints are driven one by one; its targets are normalised to the joints' ranges."""
+    """One hand with individually driven joints; targets are normalised to the joints' ranges."""
 
     mount_in_flange: Mount
     """Pose of the base body in the flange frame."""
     tcp_site: str
-    """Site of the tool centre point, where the centre of what is grasped belongs."""
+    """Site of the tool centre point, where the centre of a grasped object belongs."""
     tcp_in_base: Mount
     """Pose of the TCP in the frame of the base body."""
     joints: tuple[str, ...]
@@ -209,15 +210,15 @@ class HandDescription(Description):
     open_pose: tuple[float, ...]
     """Normalised joints of the hand before a grasp."""
     grasps: Mapping[str, tuple[float, ...]]
-    """Normalised targets of closed hands by name; what is grasped stops the fingers before they arrive."""
+    """Normalised targets of closed hands by name; a grasped object stops the fingers before they arrive."""
     finger_geoms: Mapping[str, tuple[str, ...]]
-    """Geoms that touch what is grasped, by finger."""
+    """Geoms that touch a grasped object, by finger."""
 
     def __post_init__(self) -> None:
-        """Check lengths, and that limits ascend and targets are normalised.
+        """Check lengths, ascending limits and normalised targets.
 
         Raises:
-            InvalidSetup: A table of the wrong length, a range that does not ascend, or a target outside of 0 .. 1.
+            InvalidSetup: A table has the wrong length, a range does not ascend, or a target is outside of 0 .. 1.
         """
         dof = len(self.joints)
         if dof == 0 or len(self.actuators) != dof:
@@ -234,10 +235,10 @@ class HandDescription(Description):
 
 @dataclass(frozen=True, kw_only=True)
 class CameraDescription(Description):
-    """One colour camera, with or without depth; where it is mounted is up to the setup.
+    """One colour camera, with or without depth; setups decide where it is mounted.
 
     The frame of the base body is the optical frame of the colour sensor: x right, y down, z forward (OpenCV axes). A
-    pose from a calibration is therefore the pose of the body.
+    calibrated pose is therefore the pose of the body.
     """
 
     camera: str
@@ -259,18 +260,18 @@ class CameraDescription(Description):
     stereo_baseline: float = 0.05
     """Distance between the two eyes of a depth camera [m]; depth noise grows as depth squared over it."""
     longest_exposure: float = 0.0
-    """Longest exposure that the camera slows down for [s]: where it exceeds the frame period, frames come at intervals
-    from the one to the other. 0 for a camera that keeps its rate."""
+    """Longest exposure for which the camera slows down [s]; if it exceeds the frame period, intervals vary between the
+    two. 0 for a camera that keeps its rate."""
 
     def __post_init__(self) -> None:
         """Check ranges.
 
         Raises:
-            InvalidSetup: No mode or two of one name, a field of view outside of 0 .. pi, a negative exposure, or a
-                depth range that does not ascend.
+            InvalidSetup: There is no mode or a name is used twice, the field of view is outside of 0 .. pi, an exposure
+                is negative, or the depth range does not ascend.
         """
         if not self.modes or len({mode.name for mode in self.modes}) != len(self.modes):
-            raise InvalidSetup(f"{self.name}: modes needs at least one, each of another size, got {self.modes}.")
+            raise InvalidSetup(f"{self.name}: modes needs at least one, all of different sizes, got {self.modes}.")
         if not (math.isfinite(self.longest_exposure) and self.longest_exposure >= 0.0):
             raise InvalidSetup(f"{self.name}: longest_exposure is {self.longest_exposure} s; valid is from 0.")
         if not 0.0 < self.fovy < math.pi:
@@ -281,22 +282,22 @@ class CameraDescription(Description):
             raise InvalidSetup(f"{self.name}: depth_range {self.depth_range} m must ascend from above 0.")
 
     def mode(self, name: str) -> ResolutionMode:
-        """Return the mode of a name such as `848x480`.
+        """Return the mode with a name such as `848x480`.
 
         Raises:
-            UnknownName: There is none; the message has all.
+            UnknownName: There is no such mode; the message lists all.
         """
         return find_mode(self.name, self.modes, name)
 
     def frame_rate(self, size: tuple[int, int], wanted: float | None = None) -> int:
-        """Return the rate at which frames of a size come [frames/s].
+        """Return the frame rate for a size [frames/s].
 
         Args:
-            size: Width and height [px]; one that is no mode is cut out of a larger one.
-            wanted: The rate that is asked for [frames/s]; None for the highest.
+            size: Width and height [px]; cropped from a larger mode if it is not one.
+            wanted: The wanted rate [frames/s]; None for the highest.
 
         Raises:
-            InvalidSetup: The camera does not offer it; the message has all modes.
+            InvalidSetup: The camera does not offer it; the message lists all modes.
         """
         return choose_rate(self.name, self.modes, size, wanted)
 
@@ -304,8 +305,8 @@ class CameraDescription(Description):
         """Return the camera matrix of an ideal image of this camera, without distortion.
 
         Pixels are square and the principal point is the image's centre. Every format shows the sensor's full height;
-        one that is narrower than the sensor loses its sides. This is what MuJoCo draws for the same `fovy`, and what
-        the camera's own 16:9 and 4:3 colour formats do.
+        narrower ones lose the sides. This matches MuJoCo for the same `fovy`, and the camera's own 16:9 and 4:3 colour
+        formats.
 
         Args:
             width: Width of the image [px].
@@ -315,10 +316,10 @@ class CameraDescription(Description):
             Camera matrix [px], shape (3, 3); the centre of the top left pixel is (0, 0), as in OpenCV.
 
         Raises:
-            InvalidSetup: A size that is not positive, or an image wider than the sensor.
+            InvalidSetup: A size is not positive, or the image is wider than the sensor.
         """
         if width <= 0 or height <= 0:
-            raise InvalidSetup(f"{self.name}: an image of {width} x {height} px does not exist; both must be positive.")
+            raise InvalidSetup(f"{self.name}: image size is {width} x {height} px; both must be positive.")
         # One pixel of slack: 854 x 480 and other rounded 16:9 formats are not wider than the sensor.
         if width > self.native_aspect * height + 1.0:
             widest = int(self.native_aspect * height)

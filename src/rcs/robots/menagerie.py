@@ -1,4 +1,4 @@
-"""Where the detailed meshes of a robot are in the collection `mujoco-menagerie`."""
+"""The detailed meshes of a robot in the collection `mujoco-menagerie`."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from rcs.robots.mount import Mount
 
 @dataclass(frozen=True, kw_only=True)
 class MenagerieBody:
-    """Where the detailed visuals of one body come from."""
+    """The source of one body's detailed visuals."""
 
     body: str
-    """Body of the built-in model; its visual geoms are exchanged."""
+    """Body of the built-in model whose visual geoms are replaced."""
     source: str
     """Body of the collection's model that carries the meshes."""
     source_in_body: Mount = field(default_factory=Mount)
@@ -22,18 +22,18 @@ class MenagerieBody:
 
 @dataclass(frozen=True, kw_only=True)
 class MenagerieVisuals:
-    """The model of `mujoco-menagerie` that has detailed meshes of a robot."""
+    """The model of `mujoco-menagerie` with detailed meshes of a robot."""
 
     model: str
     """Name of the model in the collection, such as `franka_fr3`."""
     entry: str
     """Entry point of the model: its XML file without ending."""
     bodies: tuple[MenagerieBody, ...]
-    """Where the meshes go. A body may be named more than once; one that is not named keeps its primitives."""
+    """Where the meshes go. A body may occur more than once; others keep their primitives."""
 
     @staticmethod
     def of(model: str, entry: str, bodies: Mapping[str, str]) -> MenagerieVisuals:
-        """Return visuals whose body frames agree: `bodies` has the source by the name of the built-in body."""
+        """Return visuals whose body frames agree; `bodies` maps built-in bodies to their sources."""
         return MenagerieVisuals(
             model=model,
             entry=entry,

@@ -23,7 +23,7 @@ class Mount:
         """Check lengths, finiteness and the norm.
 
         Raises:
-            InvalidSetup: A wrong length, a number that is not finite, or a quaternion that is not of unit norm.
+            InvalidSetup: A length is wrong, a number is not finite, or the quaternion does not have unit norm.
         """
         require_numbers("translation", self.translation, 3)
         require_numbers("quaternion", self.quaternion, 4)
@@ -33,13 +33,13 @@ class Mount:
 
     @staticmethod
     def of(pose: Pose) -> Mount:
-        """Return a pose as plain numbers."""
+        """Return the mount of a pose."""
         (x, y, z), (i, j, k, w) = pose.translation.tolist(), pose.quaternion.tolist()
         return Mount(translation=(x, y, z), quaternion=(i, j, k, w))
 
     @property
     def pose(self) -> Pose:
-        """The same, to calculate with."""
+        """The mount as a `Pose`."""
         return Pose(self.translation, self.quaternion)
 
 

@@ -1,4 +1,4 @@
-"""What is known about an optical tactile sensor: frozen figures of its gel, its camera and its lights.
+"""The description of an optical tactile sensor: frozen figures of its gel, camera and lights.
 
 The frame of the base body is the sensor's own: x out of the gel, z along the gel's long side.
 """
@@ -19,7 +19,7 @@ class TactileLight:
     """One light inside of the sensor."""
 
     position: _Vector
-    """Where it is, in the frame of the base body [m]."""
+    """Position in the frame of the base body [m]."""
     color: _Vector
     """Red, green and blue, 0 … 1."""
     intensity: float
@@ -28,10 +28,10 @@ class TactileLight:
 
 @dataclass(frozen=True, kw_only=True)
 class TactileDescription(Description):
-    """One sensor that watches the back of an elastic gel with a camera."""
+    """A sensor whose camera watches the back of an elastic gel."""
 
     gel_geom: str
-    """Geom that touches what is felt."""
+    """Geom of the gel, which touches objects."""
     gel_center: _Vector
     """Foremost point of the gel, in the frame of the base body [m]."""
     gel_width: float
@@ -39,15 +39,15 @@ class TactileDescription(Description):
     gel_height: float
     """Length of the gel along z [m]."""
     gel_curvature_radius: float
-    """Radius of the sphere that the gel's surface is cut from [m]."""
+    """Radius of the sphere of which the gel's surface is a part [m]."""
     gel_bulge: float
-    """How far the centre of the gel stands out above its corners; the sphere's cap is stretched to it [m]."""
+    """Height of the gel's centre above its corners; the sphere's cap is stretched to it [m]."""
     camera_position: _Vector
-    """Where the camera is, in the frame of the base body; it looks along x with z up [m]."""
+    """Position of the camera in the frame of the base body [m]; it looks along x with z up."""
     camera_yfov: float
     """Field of view of the camera along z [rad]."""
     camera_znear: float
-    """Distance that the camera sees from [m]."""
+    """Nearest distance that the camera sees [m]."""
     image_size: tuple[int, int]
     """Width (along y) and height (along z) of the image [px]."""
     rate: int
@@ -57,16 +57,16 @@ class TactileDescription(Description):
     force_range: tuple[float, float]
     """Contact forces from the first trace in the image to the deepest [N]."""
     max_indentation: float
-    """Depth that something is pressed into the gel at the largest force [m]."""
+    """Indentation of the gel at the largest force [m]."""
     noise_std: float
-    """Standard deviation of the image's noise, of 255 levels."""
+    """Standard deviation of the image's noise [of 255]."""
 
     def __post_init__(self) -> None:
         """Check ranges.
 
         Raises:
-            InvalidSetup: A length that is not positive, a field of view outside of 0 .. pi, no light, or a force range
-                that does not ascend.
+            InvalidSetup: A length is not positive, the field of view is outside of 0 .. pi, there is no light, or the
+                force range does not ascend.
         """
         lengths = (self.gel_width, self.gel_height, self.gel_curvature_radius, self.gel_bulge)
         positive = (*lengths, self.camera_znear, self.max_indentation, *self.image_size, self.rate)

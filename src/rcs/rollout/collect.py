@@ -1,7 +1,7 @@
-"""Collect a dataset of scripted episodes, on one process or several.
+"""Collects a dataset of scripted episodes, in one process or several.
 
-Episode i depends on the seed of the collection and on i alone, so that the number of workers, an interruption and a
-resumption change nothing in the data.
+Episode i depends only on the seed of the collection and on i, so the number of workers, interruption and resumption do
+not change the data.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rcs.setups.make import make
 
 _log = logging.getLogger(__name__)
 
-# The id of an attempt, as `episode_id` makes it.
+# The id of an attempt, made by `episode_id`.
 _ATTEMPT = re.compile(r"\d{6,}")
 
 
@@ -41,7 +41,7 @@ class Collection:
     out: Path
     """The dataset's folder."""
     episodes: int
-    """How many episodes the dataset shall have in the end; those count that the task has judged."""
+    """Number of episodes in the finished dataset; only those judged by the task count."""
     seed: int = 0
     """Same seed, same data."""
     only_success: bool = False
@@ -49,9 +49,9 @@ class Collection:
     workers: int = 1
     """Processes; one works in this process."""
     colour: Colour = "jpeg"
-    """How colour frames are stored."""
+    """Encoding of colour frames."""
     jpeg_quality: int = 95
-    """Of colour frames as JPEG, 1 to 100."""
+    """JPEG quality of colour frames, 1 to 100."""
     agent: Any = None
     """An agent's class or name, `module:Class`; None for the expert of the task."""
 
@@ -59,7 +59,7 @@ class Collection:
         """Check the numbers.
 
         Raises:
-            InvalidSetup: A number that makes no sense.
+            InvalidSetup: A number is not valid.
         """
         for name, least in (("episodes", 1), ("seed", 0), ("workers", 1)):
             value = getattr(self, name)
@@ -73,18 +73,18 @@ class Collection:
         return None if self.agent is None else lookup.name_of("agent", self.agent)
 
     def seed_of(self, attempt: int) -> int:
-        """Return the seed of an attempt; those of two collections with different seeds do not overlap."""
+        """Return the seed of an attempt; collections with different seeds share none."""
         return seed_of(self.seed, attempt)
 
 
 def seed_of(seed: int, number: int) -> int:
-    """Return the seed of an episode of a collection or evaluation; those of different seeds do not overlap."""
+    """Return the seed of an episode of a collection or evaluation; different seeds share no episodes."""
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """One attempt that was made."""
+    """One finished attempt."""
 
     number: int
     result: EpisodeResult
@@ -92,16 +92,16 @@ class Attempt:
 
 @dataclass
 class Progress:
-    """How far a collection is."""
+    """The progress of a collection."""
 
     kept: int = 0
-    """Episodes in the dataset, with those of earlier runs."""
+    """Episodes in the dataset, including those of earlier runs."""
     found: int = 0
-    """Episodes that were there at the start, and complete."""
+    """Complete episodes at the start of this run."""
     again: int = 0
-    """Attempts that were there in part, cut short by a kill, and are made again from their start."""
+    """Attempts cut short by a kill, which are made again from the start."""
     attempts: list[Attempt] = field(default_factory=list[Attempt])
-    """Attempts of this run, in the order in which they ended."""
+    """Attempts of this run, in the order of their ends."""
     is_interrupted: bool = False
     seconds: float = 0.0
     """Wall time of this run [s]."""
@@ -113,7 +113,7 @@ def episode_id(number: int) -> str:
 
 
 class Collector:
-    """Makes attempts and keeps episodes: the part of a collection that one process does."""
+    """Makes attempts and keeps episodes: one process of a collection."""
 
     def __init__(self, collection: Collection, writer: DatasetWriter, env: Env | None = None) -> None:
         """Make the environment and the expert."""
@@ -124,7 +124,7 @@ class Collector:
         self._agent = agent_for(self._env, collection.agent)
 
     def attempt(self, number: int) -> Attempt:
-        """Make one attempt, and keep it if it is to be kept."""
+        """Make one attempt, and keep it if the collection wants it."""
         self._recorder.name_next(episode_id(number))
         with self._recorder.discard_on_error():
             return self._attempt(number)
@@ -150,26 +150,25 @@ class Collector:
 def collect(collection: Collection, progress: Progress, env: Env | None = None) -> Iterator[Attempt]:
     """Collect until the dataset is complete, yielding every attempt as it ends.
 
-    Attempts that an earlier collection left half done, recovered or not, are made again from their start.
-
-    Closing the iterator, or setting `progress.is_interrupted`, ends the collection after the episodes at work; the
-    dataset stays resumable.
+    Attempts that an earlier collection left unfinished, recovered or not, are made again from the start. Closing the
+    iterator, or setting `progress.is_interrupted`, ends the collection after the running episodes; the dataset stays
+    resumable.
 
     Args:
         collection: What to collect.
         progress: Updated while it runs.
-        env: An environment of the collection's setup to use in this process; made when not given. It is closed in the
+        env: An environment of the collection's setup to use in this process; None for a new one. It is closed at the
             end.
 
     Raises:
         DatasetError: The dataset cannot be written, is locked, or belongs to another setup.
-        InvalidSetup: The setup makes no sense.
+        InvalidSetup: The setup is not valid.
     """
     env = env or make(collection.setup)
     try:
         agent_for(env, collection.agent).close()
         info = dataset_info(env, colour=collection.colour, jpeg_quality=collection.jpeg_quality)
-        # How an episode is numbered and seeded is part of what makes two collections the same.
+        # Two collections are the same only if they number and seed episodes alike.
         made = {"seed": collection.seed, "only_success": collection.only_success, "agent": collection.agent_name}
         info = replace(info, origin={**info.origin, "collection": made})
         with DatasetWriter.open(collection.out, info, resume=True, leftovers="discard") as writer:
@@ -191,10 +190,10 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
 
 
 def _remove_fragments(writer: DatasetWriter) -> int:
-    """Remove the attempts that no task judged, and return how many there were.
+    """Remove the attempts without a verdict, and return how many there were.
 
-    A kill cut these short, and they were recovered since. An attempt depends on the seed and its number alone, so all
-    their rows are recorded again, and the dataset becomes that of a collection that nothing ended.
+    A kill cut them short, and they were recovered since. An attempt depends only on the seed and its number, so
+    recording them again gives the dataset of an uninterrupted collection.
     """
     fragments = [e.id for e in Dataset.open(writer.path) if e.success is None and _ATTEMPT.fullmatch(e.id)]
     for name in fragments:
@@ -203,7 +202,7 @@ def _remove_fragments(writer: DatasetWriter) -> int:
 
 
 def _numbers(collection: Collection, progress: Progress, taken: set[str]) -> Iterator[int]:
-    """Give out the numbers of attempts until enough episodes are kept."""
+    """Yield numbers of attempts until enough episodes are kept."""
     number = 0
     while not progress.is_interrupted:
         if collection.only_success:
@@ -233,8 +232,8 @@ def _collect_in_pool(
         for attempt in pool.map(numbers):
             _count(attempt, collection, progress)
             yield attempt
-    # Attempts of other workers were under way when the last one succeeded. Those with the lowest numbers stay, so that
-    # the dataset does not depend on who was faster.
+    # Other workers had running attempts when the last one succeeded. Those with the lowest numbers stay, so that the
+    # dataset does not depend on the workers' speed.
     kept = [episode.id for episode in Dataset.open(collection.out).episodes]
     if collection.only_success and not progress.is_interrupted:
         for surplus in sorted(kept)[collection.episodes :]:
@@ -249,7 +248,7 @@ def _count(attempt: Attempt, collection: Collection, progress: Progress) -> None
 
 @dataclass(frozen=True)
 class _Work:
-    """What a worker process does; sent to it once."""
+    """Makes the worker in its process; sent to it once."""
 
     collection: Collection
 

@@ -1,8 +1,9 @@
-"""Makes a dataset from another one in simulation, episode by episode; it is there whole or not at all."""
+"""Derives a dataset from another one in simulation, episode by episode, whole or not at all."""
 
 from __future__ import annotations
 
 import os
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -31,29 +32,31 @@ SOURCE = "source"
 
 @dataclass(frozen=True, kw_only=True)
 class Derivation(ABC):
-    """What is made of which dataset: `derive` makes it."""
+    """The recipe of a derived dataset; `derive` makes it."""
 
-    mode: ClassVar[str]
-    """How outcomes name the way in which their episodes were made."""
+    kind: ClassVar[str]
+    """The kind of replay, stored in outcomes."""
 
     source: Path
     """Folder of the dataset."""
     out: Path
-    """Folder of the new one; nothing may be there."""
+    """Folder of the new dataset; it must not exist."""
     look: Look = field(default_factory=Look)
     workers: int = 1
-    """Processes; one works in this process, 0 for one per core."""
+    """Number of processes; 1 for this one, 0 for one per core."""
+    trust: tuple[str, ...] = ()
+    """Modules that may be imported because the dataset's setup names them, such as `my_tasks`."""
 
     @abstractmethod
     def stage(self, dataset: Dataset) -> Stage:
-        """Return where the episodes are made.
+        """Return the stage of the new episodes.
 
         Raises:
-            InvalidSetup: The dataset cannot be replayed so, or an option makes no sense.
+            InvalidSetup: The dataset cannot be replayed in this way, or an option is not valid.
         """
 
     def info(self, dataset: Dataset, stage: Stage, env: Env) -> DatasetInfo:
-        """Return what the new episodes share, and check what can only be checked with an environment.
+        """Return the info of the new dataset, and check what requires an environment.
 
         Raises:
             InvalidSetup: The dataset does not fit the environment.
@@ -62,10 +65,10 @@ class Derivation(ABC):
 
     @abstractmethod
     def make(self, workplace: Workplace, episode: EpisodeRecord) -> Any:
-        """Make an episode from a recorded one, and return how that went."""
+        """Make an episode from a recorded one, and return the result."""
 
     def give_up(self, episode: EpisodeRecord, error: InvalidSetup) -> Any:
-        """Return how it went with an episode that could not be made; raises the error where all others fail too."""
+        """Return the result for an episode that could not be made, or raise the error if all others would fail too."""
         raise error
 
 
@@ -85,12 +88,12 @@ class Workplace:
 
     @cached_property
     def transfer(self) -> StateTransfer:
-        """Carries recorded simulation states over to the scene of the environment."""
-        source = compose(resolve(replace(physics_of(self.dataset), assets="builtin"))).compile()
+        """Transfers recorded simulation states to the scene of the environment."""
+        source = compose(resolve(replace(physics_of(self.dataset, trust=self.job.trust), assets="builtin"))).compile()
         return StateTransfer(source, self.env.scenario.world.model)
 
     def attempt(self, number: int) -> Any:
-        """Make the episode of a number in the dataset."""
+        """Make an episode, given its number in the dataset."""
         episode = self.dataset.episodes[number]
         if self._looks is not None:
             self._looks.episode_id = episode.id
@@ -104,13 +107,13 @@ class Workplace:
     def play(
         self, episode: EpisodeRecord, agent: Agent, options: Mapping[str, Any], most: int, see: Callable[[Step], None]
     ) -> Step:
-        """Have an agent act from a start, record that in the place of a recorded episode, and return the end.
+        """Let an agent act from a given start, record that under the recorded episode's id, and return the end.
 
         Args:
             episode: The recorded episode.
-            agent: Acts.
-            options: Of the reset: the start.
-            most: Steps to make at most.
+            agent: The agent.
+            options: Options of the reset: the start.
+            most: Largest number of steps.
             see: Called after the reset and after every step.
         """
         self.recorder.name_next(episode.id, instruction=episode.instruction)
@@ -118,33 +121,33 @@ class Workplace:
         for step in play(self.env, agent, seed=episode.seed, options=options, most=most):
             see(step)
             self.count_row()
-        assert step is not None, "the reset is always seen"
+        assert step is not None, "the reset always yields"
         return step
 
     def count_row(self) -> None:
-        """Count a row that was made, for whoever watches."""
+        """Count a new row, for progress bars."""
         if self._rows is not None:
             with self._rows.get_lock():
                 self._rows.value += 1
 
     def outcome(self, episode: EpisodeRecord, more: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return what an outcome keeps of what was drawn for an episode, and of the one that it is made from.
+        """Return the outcome's entries about randomisation and source of an episode.
 
         Args:
-            episode: That one.
-            more: What else is kept of it.
+            episode: The source.
+            more: Further entries about it.
         """
         source = {
             "dataset": self.dataset.path.resolve().name,
             "episode": episode.id,
             "content_hash": episode.content_hash,
-            "mode": self.job.mode,
-            SOURCE: episode.outcome.get(SOURCE, episode.source),  # what that one was made from
+            "kind": self.job.kind,
+            SOURCE: episode.outcome.get(SOURCE, episode.source),  # its own source
         }
         return {**varied(self.env), SOURCE: {**source, **(more or {})}}
 
     def keep(self, episode: EpisodeRecord, last: Step, more: Mapping[str, Any]) -> None:
-        """Keep the recording of what was played up to a last step; see `outcome`."""
+        """Keep the recording up to a last step; see `outcome`."""
         failure = None if last.success else "replay"
         self.recorder.finish(last.success, {"failure": failure, "reward": last.reward, **self.outcome(episode, more)})
 
@@ -167,20 +170,21 @@ class _Work:
 
 
 def derive(job: Derivation, rows: Synchronized[int] | None = None) -> Iterator[Any]:
-    """Make a dataset, and yield how it went with each episode as they are done.
+    """Make a dataset, and yield the result of each episode as it is done.
 
     Args:
         job: What to make.
-        rows: Counts the rows that were made, in whichever process; None for no count. See `row_counter`.
+        rows: Counts the new rows across processes; None for no count. See `row_counter`.
 
     Raises:
-        InvalidSetup: The dataset cannot be replayed so, or an option makes no sense.
-        DatasetError, CorruptEpisode: A dataset cannot be read or written, or there is something in `out`.
+        InvalidSetup: The dataset cannot be replayed in this way, or an option is not valid.
+        DatasetError, CorruptEpisode: A dataset cannot be read or written, or `out` is not empty.
     """
     if not isinstance(job.workers, int) or job.workers < 0:
         raise InvalidSetup(f"workers is {job.workers!r}; valid is 0 (one per core) and more.")
     dataset = Dataset.open(job.source)
     stage = job.stage(dataset)
+    job = replace(job, trust=tuple(sys.modules))  # what is imported here may be imported by the workers
     env, _ = stage.env()
     try:
         info = job.info(dataset, stage, env)
@@ -201,5 +205,5 @@ def derive(job: Derivation, rows: Synchronized[int] | None = None) -> Iterator[A
 
 
 def row_counter() -> Synchronized[int]:
-    """Return a count that processes share, at 0."""
+    """Return a counter that processes share, at 0."""
     return get_context("spawn").Value("q", 0)

@@ -1,4 +1,4 @@
-"""Where and by how much a replayed episode leaves the recorded one."""
+"""The divergence of a replayed episode from the recorded one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerance:
-    """Errors beyond these count as a divergence; in the order of those of `Divergence`."""
+    """Largest errors that do not count as divergence, in the order of `Divergence`."""
 
     max_joint_error: float = 0.02
     """Of any joint [rad]."""
@@ -56,14 +56,14 @@ class Trace:
 
     @staticmethod
     def of(rows: Sequence[Trace]) -> Trace:
-        """Put single rows, whose arrays lack the first axis, one after the other."""
+        """Stack single rows, whose arrays lack the first axis."""
         names = [field.name for field in dataclasses.fields(Trace)]
         return Trace(**{name: np.stack([getattr(row, name) for row in rows]) for name in names})
 
 
 @dataclass(frozen=True, kw_only=True)
 class Divergence:
-    """Errors per row, from the first; of several joints, robots or objects the largest."""
+    """Errors per row; the largest of all joints, robots or objects."""
 
     joints: Values
     """[rad], (rows,)."""
@@ -78,7 +78,7 @@ class Divergence:
 
     @staticmethod
     def between(recorded: Trace, replayed: Trace) -> Divergence:
-        """Compare two episodes as far as both go."""
+        """Compare the rows that two episodes share."""
         rows = min(len(recorded.joints), len(replayed.joints))
         tcps = distance(recorded.tcps[:rows], replayed.tcps[:rows]).max(axis=1)
         objects = np.empty((0, 2))
@@ -94,11 +94,11 @@ class Divergence:
 
     @property
     def errors(self) -> dict[str, Values]:
-        """All errors by their names."""
+        """All errors by name."""
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
     def first_beyond(self, tolerance: Tolerance) -> tuple[int, str] | None:
-        """Return the first row with an error beyond the tolerance and which error it is; None if there is none."""
+        """Return the first row beyond the tolerance and the name of its error; None if there is none."""
         limits = dataclasses.astuple(tolerance)  # in the order of the errors
         beyond = [
             (np.flatnonzero(v > limit), name) for (name, v), limit in zip(self.errors.items(), limits, strict=True)
@@ -106,7 +106,7 @@ class Divergence:
         return min(((int(rows[0]), name) for rows, name in beyond if len(rows)), key=lambda row: row[0], default=None)
 
     def summary(self) -> dict[str, dict[str, float] | None]:
-        """Return largest and median error of each kind as JSON values; None where there is nothing to measure."""
+        """Return largest and median error of each kind as JSON values; None if there is nothing to measure."""
         return {
             name: {"max": float(values.max()), "median": float(np.median(values))} if len(values) else None
             for name, values in self.errors.items()

@@ -15,27 +15,27 @@ from rcs.envs.spaces import Observation
 from rcs.errors import InvalidSetup
 
 OPEN = 0.5
-"""A gripper that is told at least this opens."""
+"""A gripper command of at least this opens."""
 
 Judge = Callable[[Observation, Mapping[str, Any]], bool | None]
-"""Says from the last observation and info whether the task was done; None if that is not known."""
+"""Judges the last observation and info: whether the task was done; None if that is not known."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeResult:
-    """How an episode went."""
+    """The result of an episode."""
 
     seed: int | None
     steps: int
     success: bool | None
-    """Whether the task was done; None where nobody judged, as no task does on devices or after a fault."""
+    """Whether the task was done; None without a verdict, as on devices or after a fault."""
     failure: str | None
     """Class of the failure, `fault` where a device failed, `diverged` where the simulation did; None otherwise."""
     reward: float
     """Sum over the episode."""
 
     def outcome(self) -> dict[str, Any]:
-        """Return what a dataset keeps of it besides success and seed."""
+        """Return the outcome to store, besides success and seed."""
         return {"failure": self.failure, "reward": self.reward}
 
 
@@ -61,7 +61,7 @@ def run_episode(
         options: Of the reset.
         judge: Says whether the task was done, in the place of the task; not asked after a fault.
         on_step: Called after the reset and after every step.
-        max_steps: The episode ends after this many steps, whatever the environment says; None for no such limit.
+        max_steps: Most steps of the episode, besides the environment's limit; None for no limit.
 
     Raises:
         InvalidSetup: The agent's rate does not divide the environment's, its repeated actions would add up, or
@@ -127,6 +127,6 @@ def _steps_per_decision(env: Env, agent: Agent) -> int:
 
 
 def _is_open(action: Mapping[str, Any]) -> bool:
-    """Return whether the gripper was told to be open: touching something then is a collision."""
+    """Return whether the gripper was commanded to be open, so that touching something is a collision."""
     parts = list(action.values()) if all(isinstance(value, Mapping) for value in action.values()) else [action]
     return all("gripper" in part and float(np.min(part["gripper"])) >= OPEN for part in parts)

@@ -1,4 +1,4 @@
-"""How often an agent succeeds: seeded episodes, on one process or several, with videos of the first ones."""
+"""Measures how often an agent succeeds in seeded episodes, in one process or several, with videos."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Evaluation:
     """An agent's class or name, `module:Class`; None for the expert of the task. In one process also an agent."""
     episodes: int = 50
     seed: int = 0
-    """Same seed, same episodes; those of other seeds are others."""
+    """Same seed, same episodes; different seeds share none."""
     workers: int = 1
     """Processes; one works in this process."""
     videos: int = 0
@@ -45,7 +45,7 @@ class Evaluation:
         """Check the numbers.
 
         Raises:
-            InvalidSetup: A number that makes no sense.
+            InvalidSetup: A number is not valid.
         """
         for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0)):
             value = getattr(self, name)
@@ -75,7 +75,7 @@ class Summary:
 
     @property
     def judged(self) -> int:
-        """Episodes that somebody judged."""
+        """Episodes with a verdict."""
         return sum(result.success is not None for result in self.results)
 
     @property
@@ -90,7 +90,7 @@ class Summary:
 
     @property
     def failures(self) -> Counter[str]:
-        """Classes of failures and how often each came."""
+        """Number of failures by class."""
         return Counter(result.failure for result in self.results if result.failure is not None)
 
     def to_json(self) -> dict[str, Any]:
@@ -116,7 +116,7 @@ class Summary:
 
 
 class Evaluator:
-    """Runs the episodes of an evaluation: the part that one process does."""
+    """Runs episodes: one process of an evaluation."""
 
     def __init__(self, evaluation: Evaluation, env: Env | None = None, judge: Judge | None = None) -> None:
         """Make the environment and the agent.
@@ -150,7 +150,7 @@ class Evaluator:
 
 @dataclass(frozen=True)
 class _Work:
-    """What a worker process does; sent to it once."""
+    """Makes the worker in its process; sent to it once."""
 
     evaluation: Evaluation
 

@@ -1,8 +1,10 @@
-"""How the frames of a replay look: what is asked for, over what was recorded."""
+"""The look of a replay's frames: changes to the recorded one."""
 
 from __future__ import annotations
 
+import sys
 import zlib
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,26 +24,26 @@ from rcs.sim.randomisation import Randomisation
 from rcs.sim.world import Copies
 
 NONE = "none"
-"""The name of no camera."""
+"""Stands for no cameras."""
 LOOKS = (
     "light_intensity", "light_direction", "light_position", "table_colour", "object_colour", "room_colour", "textures",
     "camera_translation", "camera_rotation", "field_of_view",
 )  # fmt: skip
-"""Fields of a randomisation that change pictures and nothing else."""
+"""Fields of a randomisation that change only pictures."""
 RECORDED = "recorded"
-"""Key in a dataset's setup: the setup that the states came from, where frames were drawn anew with another one."""
+"""Key in a dataset's setup: the setup that its states are from, if its frames were drawn with another one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """How frames are drawn; None for as they were recorded."""
+    """How to draw frames; None keeps the recorded value."""
 
     cameras: tuple[str, ...] | None = None
     """Cameras to draw; `none` for none."""
     image_size: int | None = None
     """Width and height of every frame [px]."""
     camera_fps: float | None = None
-    """Frames per second of all cameras; one that is slower than the recording gives its last frame again."""
+    """Frames per second of all cameras; one slower than the recording repeats its last frame."""
     depth: bool | None = None
     """Whether frames carry depth."""
     render_quality: Quality | None = None
@@ -53,17 +55,17 @@ class Look:
     calibration: str | None = None
     """Calibration file with poses and fields of view of cameras."""
     randomise: bool = False
-    """Draw lights, colours, textures and camera poses anew for every episode."""
+    """Randomise lights, colours, textures and camera poses in every episode."""
     looks_seed: int = 0
-    """Same seed, same looks: several seeds make several variants of a dataset."""
+    """Same seed, same looks; different seeds make variants of a dataset."""
     jpeg_quality: int | None = None
-    """Of colour frames, 1 to 100."""
+    """JPEG quality of colour frames, 1 to 100."""
 
     def apply(self, setup: Setup) -> Setup:
         """Return a setup with this look.
 
         Raises:
-            InvalidSetup: Something that makes no sense.
+            InvalidSetup: A value is not valid.
         """
         changes: dict[str, Any] = {
             name: getattr(self, name)
@@ -87,14 +89,14 @@ class Look:
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """An environment with the scene that was recorded in, and frames of any of its cameras or of new ones.
+    """The recorded scene, seen by the same or other cameras.
 
-    Cameras have a mass and housings that collide and are seen. What was recorded in a scene is therefore replayed in a
-    scene with all its cameras, whichever of them are drawn.
+    Cameras have mass and visible housings that collide. The scene therefore keeps all recorded cameras, whichever are
+    drawn.
     """
 
     setup: Setup
-    """What is observed."""
+    """The setup of the frames."""
     mounted: tuple[str, ...]
     """All cameras of the scene."""
     looks: Look
@@ -102,12 +104,12 @@ class Stage:
 
     @staticmethod
     def of(physics: Setup, setup: Setup, look: Look) -> Stage:
-        """Return the stage for a look at something recorded.
+        """Return the stage for a look at a recording.
 
         Args:
             physics: The setup of the recording's states.
-            setup: The setup of its frames, with whatever is to be different.
-            look: What is asked for of the frames.
+            setup: The setup of its frames, with any changes.
+            look: Changes to the frames' look.
         """
         seen = look.apply(setup)
         return Stage(setup=seen, mounted=tuple(dict.fromkeys((*physics.cameras, *seen.cameras))), looks=look)
@@ -118,7 +120,7 @@ class Stage:
         return replace(self.setup, cameras=self.mounted)
 
     def env(self) -> tuple[Env, NewLooks | None]:
-        """Make the environment, and what draws the looks of its episodes anew; None when they are as recorded."""
+        """Make the environment, and the randomiser of its looks; None if they are as recorded."""
         parts = resolve(self.scene)
         env = assemble(parts, drawn=self.setup.cameras)
         if not self.looks.randomise:
@@ -128,12 +130,12 @@ class Stage:
         return env, looks
 
     def info(self, env: Env, recorded: DatasetInfo, physics: Setup | None = None) -> DatasetInfo:
-        """Return what a dataset of this stage has in common, made from another one.
+        """Return the info of a dataset of this stage that is derived from another one.
 
         Args:
             env: The environment.
-            recorded: What the other has.
-            physics: The setup that its states come from; None when they come from this stage.
+            recorded: The info of the other.
+            physics: The setup that its states are from; None for this stage.
         """
         is_lossless = any(feature.encoding == "lossless" for feature in recorded.features)
         info = dataset_info(
@@ -149,10 +151,10 @@ class Stage:
 
 
 class NewLooks(Randomiser):
-    """Draws the looks of episodes from a seed of its own and the episodes' names, whatever seed they are reset with."""
+    """Draws the looks of episodes from its own seed and the episodes' ids, independent of the reset's seed."""
 
     def __init__(self, env: Env, parts: Parts, seed: int) -> None:
-        """Take the nominal looks of an environment that was not reset yet."""
+        """Take the nominal looks of an environment that has not been reset yet."""
         ranges = parts.setup.randomisation
         assert ranges is not None
         looks = Randomisation.off(**{name: getattr(ranges, name) for name in LOOKS})
@@ -161,7 +163,7 @@ class NewLooks(Randomiser):
         )
         self._seed = seed
         self.episode_id = ""
-        """The episode that begins next."""
+        """The id of the next episode."""
 
     def begin(self, draws: Draws, copies: Copies = None) -> None:
         """Draw and write the looks of an episode."""
@@ -169,16 +171,22 @@ class NewLooks(Randomiser):
 
 
 def varied(env: Env) -> dict[str, Any]:
-    """Return what an outcome keeps of what was drawn for the present episode."""
+    """Return the outcome's entry about the randomisation of the present episode."""
     drawn = {field: values.tolist() for field, values in env.scenario.randomisation.items()}
     return {"randomisation": drawn} if drawn else {}
 
 
-def setup_of(dataset: Dataset) -> Setup:
+def setup_of(dataset: Dataset, *, trust: Collection[str] = (), task: str | None = None) -> Setup:
     """Return the setup of a dataset's observations: an environment of it gives frames like the recorded ones.
 
+    Args:
+        dataset: The dataset.
+        trust: Modules that may be imported because the setup names them.
+        task: Replaces the recorded task; its module is trusted.
+
     Raises:
-        InvalidSetup: The dataset has none, or one of another version, or was merged from datasets of several.
+        InvalidSetup: The dataset has no setup, one of another version, several that were merged, or one that names a
+            module that is neither imported nor trusted.
     """
     setup = dataset.info.setup
     for name, part in dataset.info.origin.get(MERGED, {}).items():
@@ -188,31 +196,58 @@ def setup_of(dataset: Dataset) -> Setup:
                 f"{dataset.path} was merged from datasets whose setups differ in {', '.join(different)} ({name} is one "
                 "of them). Split it and replay each part."
             )
-    return Setup.from_json({key: value for key, value in setup.items() if key != RECORDED})
+    values = {key: value for key, value in setup.items() if key != RECORDED}
+    if task is not None:
+        values, trust = {**values, "task": task}, {*trust, *_modules(task)}
+    return _parse(dataset, values, trust)
 
 
-def physics_of(dataset: Dataset) -> Setup:
-    """Return the setup that a dataset's states came from; differs from `setup_of` where frames were drawn anew.
+def physics_of(dataset: Dataset, *, trust: Collection[str] = ()) -> Setup:
+    """Return the setup that a dataset's states come from; it differs from `setup_of` where frames were drawn later.
+
+    Args:
+        dataset: The dataset.
+        trust: Modules that may be imported because the setup names them.
 
     Raises:
-        InvalidSetup: The dataset has none, or one of another version.
+        InvalidSetup: See `setup_of`.
     """
     recorded = dataset.info.setup.get(RECORDED)
-    return setup_of(dataset) if recorded is None else Setup.from_json(recorded)
+    return setup_of(dataset, trust=trust) if recorded is None else _parse(dataset, recorded, trust)
 
 
-def require_rate(dataset: Dataset) -> None:
-    """Check that a dataset has a row for every control step, so that its actions can be executed.
+def _parse(dataset: Dataset, values: Any, trust: Collection[str]) -> Setup:
+    """Read a setup. A dataset from elsewhere must not run code by naming a module, whatever the field."""
+    for module in sorted(_modules(values)):
+        if module not in sys.modules and module not in trust:
+            raise InvalidSetup(
+                f"The setup of {dataset.path} names a class of the module {module!r}, which is not imported. Importing "
+                f"it runs its code; if you trust it, import it first, or give --trust {module}."
+            )
+    return Setup.from_json(values)
+
+
+def _modules(value: Any) -> set[str]:
+    """Return the modules of all `module:Class` in a JSON value."""
+    if isinstance(value, dict | list):
+        return set().union(*map(_modules, value.values() if isinstance(value, dict) else value))
+    module, colon, name = value.partition(":") if isinstance(value, str) else ("", "", "")
+    is_reference = colon and all(part.isidentifier() for part in (*module.split("."), *name.split(".")))
+    return {module} if is_reference else set()
+
+
+def require_rate(dataset: Dataset, physics: Setup) -> None:
+    """Check that a dataset still has a row for every control step, so that its actions can be executed.
 
     Raises:
-        InvalidSetup: It has another rate than it was recorded at.
+        InvalidSetup: The dataset was resampled.
     """
-    recorded = physics_of(dataset).frequency
-    if dataset.info.fps != recorded:
+    recorded = physics.frequency
+    if dataset.info.frequency != recorded:
         raise InvalidSetup(
-            f"The dataset in {dataset.path} was recorded at {recorded:g} Hz and now has {dataset.info.fps:g} rows per "
-            "second; its actions cannot be executed step by step. Replay it by `--mode states`, or replay what it was "
-            "made from."
+            f"The dataset in {dataset.path} was recorded at {recorded:g} Hz and is now at "
+            f"{dataset.info.frequency:g} Hz, so its actions cannot be executed step by step. Use `--kind states`, or "
+            "replay the original dataset."
         )
 
 
@@ -224,6 +259,6 @@ def require_states(dataset: Dataset) -> None:
     """
     if dataset.info.sim_state_size is None:
         raise InvalidSetup(
-            f"The dataset in {dataset.path} has no simulation states; only simulated episodes can be replayed so. "
-            "For recordings of real robots there is `--mode states`."
+            f"The dataset in {dataset.path} has no simulation states, which this replay needs. "
+            "For recordings of real robots, use `--kind states`."
         )

@@ -1,7 +1,7 @@
-"""Worker processes that each make one thing and then answer numbers with results.
+"""A pool of worker processes, each with its own worker object that maps numbers to results.
 
-Workers die with their parent (Linux tells them; elsewhere they see their pipe end), so that no writer outlives the lock
-on its dataset. Ctrl-C is the parent's business: workers finish what they have at work.
+Workers die with their parent (on Linux by a signal, elsewhere when their pipe closes), so that no writer outlives the
+lock on its dataset. Only the parent handles Ctrl-C: workers finish their present number.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from rcs.errors import RcsError
 
 
 class Worker(Protocol):
-    """What a worker process makes."""
+    """The object that a worker process makes and uses."""
 
     def attempt(self, number: int) -> Any:
-        """Answer a number."""
+        """Return the result for a number."""
         ...
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Release all resources."""
         ...
 
 
 class WorkerPool:
-    """Processes that answer numbers, in the order in which they are done."""
+    """Processes that map numbers to results, in order of completion."""
 
     def __init__(self, make: Callable[[], Worker], workers: int) -> None:
         """Prepare the processes.
@@ -43,18 +43,18 @@ class WorkerPool:
             make: Makes a worker in its process; it is pickled.
             workers: Number of processes.
         """
-        context = get_context("spawn")  # a fork would copy threads and GL contexts in unknown states
+        context = get_context("spawn")  # a fork would copy threads and GL contexts in undefined states
         self._workers = workers
         self._pool = ProcessPoolExecutor(workers, context, initializer=_start, initargs=(make, os.getpid()))
 
     def map(self, numbers: Iterator[int]) -> Iterator[Any]:
-        """Have the workers answer numbers, and yield the answers as they come.
+        """Map numbers to results, and yield these in order of completion.
 
-        A number is taken when a worker is free for it.
+        A number is taken when a worker is free.
 
         Raises:
             RcsError: A worker died.
-            Exception: What a worker raised.
+            Exception: A worker raised it.
         """
         pending: set[Future[Any]] = set()
         try:
@@ -69,7 +69,7 @@ class WorkerPool:
             raise RcsError("A worker process died (was it killed, or out of memory?); resume to go on.") from err
 
     def close(self) -> None:
-        """Let the workers finish what they have at work, then end them. Closing twice is harmless."""
+        """Let the workers finish their numbers, then end them. Closing twice is harmless."""
         self._pool.shutdown(cancel_futures=True)
 
     def __enter__(self) -> Self:
@@ -84,7 +84,7 @@ class WorkerPool:
 
 
 class _Process:
-    """What a worker process has: how to make its worker, and that once it is made."""
+    """The state of a worker process: how to make its worker, then the worker."""
 
     make: list[Callable[[], Worker]]
     worker: Worker
@@ -93,13 +93,13 @@ class _Process:
 def _start(make: Callable[[], Worker], parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _die_with(parent)
-    # One process per core is what the pool is for; Mesa's own threads would only get in the way.
+    # The pool has one process per core; Mesa's own threads would only get in the way.
     os.environ["LP_NUM_THREADS"] = "1"
     _Process.make = [make]
 
 
 def _attempt(number: int) -> Any:
-    if _Process.make:  # only now, so that what goes wrong reaches the parent
+    if _Process.make:  # only now, so that errors reach the parent
         _Process.worker = _Process.make[0]()
         _Process.make = []
         atexit.register(_Process.worker.close)
@@ -107,7 +107,7 @@ def _attempt(number: int) -> Any:
 
 
 def _die_with(parent: int) -> None:
-    """Have the system kill this process when its parent dies, on Linux."""
+    """Make Linux kill this process when its parent dies."""
     if sys.platform != "linux":
         return
     import ctypes

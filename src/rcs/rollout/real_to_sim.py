@@ -1,8 +1,8 @@
-"""Real-to-sim replay: drives a simulation with the recorded states of a real robot, and keeps what succeeds there too.
+"""Real-to-sim replay: drives a simulation with the recorded states of a real robot, and keeps the successes.
 
-A real episode needs no simulation states: its joints and gripper openings are followed, with the objects of the task
-placed where `outcome["objects"]` says they were at the start: poses by name, translation [m] and quaternion xyzw in the
-base frame of the robot (of several robots: in the scene). The task then judges.
+The simulated robot follows recorded joints and gripper openings. The task's objects are placed according to
+`outcome["objects"]`: their poses at the start by name, translation [m] and quaternion xyzw in the base frame of the
+robot (with several robots: in the scene). The task judges the result.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from rcs.rollout.recorded_motion import GripperFrom, RecordedMotion, find_states
 from rcs.rollout.replay import Step
 
 Keep = Literal["successes", "all"]
-"""Which episodes the new dataset has: those that succeed in simulation, or all that could be replayed."""
+"""Episodes to keep: those that succeed in simulation, or all that could be replayed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RealToSimResult:
-    """How one episode went in simulation."""
+    """The result of one episode in simulation."""
 
     episode_id: str
     recorded_success: bool | None
-    """What the recording says."""
+    """The verdict of the recording."""
     success: bool
-    """What the task says of the simulated one."""
+    """The task's verdict on the simulated episode."""
     steps: int = 0
     joint_error: tuple[float, float] | None = None
     """Largest and median distance of a simulated joint from the recorded one [rad]; None if it was not replayed."""
@@ -59,9 +59,9 @@ class RealToSimResult:
 
 @dataclass(frozen=True, kw_only=True)
 class RealToSim(Derivation):
-    """Replays every episode of real (or simulated) robots in simulation and records those that are to be kept."""
+    """Replays every episode of real (or simulated) robots in simulation and records those to keep."""
 
-    mode = "states"
+    kind = "states"
 
     task: str | None = None
     """Name of the task that judges; None for that of the dataset's setup."""
@@ -70,27 +70,27 @@ class RealToSim(Derivation):
     frequency: float | None = None
     """Control steps per second of the simulation [Hz]; None for that of the setup, or of the recording."""
     objects: Path | None = None
-    """JSON file with the objects' poses by episode, {id: {name: [x, y, z, qx, qy, qz, qw]}}; None for those that were
-    recorded in `outcome["objects"]`."""
+    """JSON file with the objects' poses by episode, {id: {name: [x, y, z, qx, qy, qz, qw]}}; None for those in
+    `outcome["objects"]`."""
     state: str | None = None
-    """Feature that has joints [rad], then gripper (0 closed … 1 open) or hand, robot by robot, such as
-    `observation/state` in datasets of others; None for those of this library, a feature each."""
+    """Feature with joints [rad], then gripper (0 closed … 1 open) or hand, robot by robot, such as `observation/state`
+    in foreign datasets; None for RCS's own, one feature each."""
     lookahead: float | None = None
-    """By how much joint targets run ahead of the recorded states [s]; None for as much as each simulated servo lags, so
-    that joints are where they were recorded."""
+    """Lead of joint targets over the recorded states [s]; None for the lag of each simulated servo, so that joints
+    match the recording."""
     gripper: GripperFrom | None = None
-    """What the gripper is told: `trend`, to open or to close as the recorded opening does; `opening`, the opening
-    itself; `command`, what it was told in the recording. None for `trend` where grippers only open and close fully."""
+    """What the gripper follows: `trend`, whether the recorded opening grows or shrinks; `opening`, the opening itself;
+    `command`, the recorded command. None for `trend` with grippers that only open and close fully."""
     keep: Keep = "successes"
-    """Which episodes the new dataset has."""
+    """Episodes to keep."""
     grace: float = 1.0
-    """For how long the last state is held when the recording is over and the task is not done yet [s]."""
+    """How long to hold the last state if the task is not done yet [s]."""
 
     def __post_init__(self) -> None:
         """Check the options.
 
         Raises:
-            InvalidSetup: One that makes no sense.
+            InvalidSetup: An option is not valid.
         """
         for name in ("lookahead", "grace"):
             value = getattr(self, name)
@@ -104,17 +104,14 @@ class RealToSim(Derivation):
         """Return the setup to replay a dataset in: absolute joint targets, and task and robot as given or recorded.
 
         Raises:
-            InvalidSetup: The dataset's setup is not one of ours, and task or robot is not given; or it has no rate.
+            InvalidSetup: The dataset's setup cannot be used, and task or robot is not given.
         """
         try:
-            setup = setup_of(dataset)
+            setup = setup_of(dataset, trust=self.trust, task=self.task)
         except InvalidSetup as err:
             if self.task is None or self.robot is None:
-                raise InvalidSetup(
-                    f"The setup of {dataset.path} is not one of this library ({err}) Say what to simulate: give a "
-                    "robot and a task."
-                ) from err
-            setup = Setup(max_episode_steps=None, frequency=dataset.info.fps)
+                raise InvalidSetup(f"Cannot use the setup of {dataset.path} ({err}) Give a  robot and a task.") from err
+            setup = Setup(max_episode_steps=None, frequency=dataset.info.frequency)
         setup = replace(
             setup,
             task=self.task or setup.task,
@@ -129,19 +126,19 @@ class RealToSim(Derivation):
         return replace(setup, binary_gripper=setup.binary_gripper if self.gripper is None else self.gripper == "trend")
 
     def gripper_from(self, setup: Setup) -> GripperFrom:
-        """Return what the gripper is told, in a setup of `setup`."""
+        """Return what the gripper follows in a setup."""
         return self.gripper or ("trend" if setup.binary_gripper else "opening")
 
     def stage(self, dataset: Dataset) -> Stage:
-        """Return the scene to replay in."""
+        """Return the stage to replay on."""
         setup = self.setup(dataset)
         return Stage.of(setup, setup, self.look)
 
     def info(self, dataset: Dataset, stage: Stage, env: Env) -> DatasetInfo:
-        """Return what the new episodes share.
+        """Return the info of the new dataset.
 
         Raises:
-            InvalidSetup: The dataset does not fit the robots, or no episode says where the objects were.
+            InvalidSetup: The dataset does not fit the robots, or no episode has the objects' poses.
         """
         if names := sorted(env.scenario.task.object_poses()):
             self._require_objects(dataset, names)
@@ -179,7 +176,7 @@ class RealToSim(Derivation):
         return result
 
     def give_up(self, episode: EpisodeRecord, error: InvalidSetup) -> RealToSimResult:
-        """Go on with the others: a joint far out of its limits, no object's pose, an explosion is of this one alone."""
+        """Go on, since joints out of limits, missing poses of objects or an explosion concern this episode only."""
         return RealToSimResult(
             episode_id=episode.id, recorded_success=episode.success, success=False, problem=str(error)
         )
@@ -188,13 +185,13 @@ class RealToSim(Derivation):
         given = _read_objects(self.objects)
         poses = episode.outcome.get(OBJECTS) if given is None else given.get(episode.id)
         if poses is None:
-            raise InvalidSetup("It is not known where the objects were.")
+            raise InvalidSetup("The objects' poses are unknown.")
         return poses
 
     def _require_objects(self, dataset: Dataset, names: list[str]) -> None:
         if _read_objects(self.objects) is None and not any(OBJECTS in e.outcome for e in dataset.episodes):
             raise InvalidSetup(
-                f"No episode of {dataset.path} says where the objects were ({', '.join(names)}). Record it as "
+                f"No episode of {dataset.path} has poses of the objects {', '.join(names)}. Record them as  "
                 "outcome['objects'] = {name: [x, y, z, qx, qy, qz, qw]} in the robot's base frame, or give a JSON file "
                 "{episode id: {name: [...]}}."
             )
@@ -206,7 +203,7 @@ def _read_objects(path: Path | None) -> dict[str, Any] | None:
     try:
         poses = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as err:
-        raise InvalidSetup(f"The file with the objects' poses, {path}, cannot be read: {err}") from err
+        raise InvalidSetup(f"Cannot read the objects' poses in {path}: {err}") from err
     if not isinstance(poses, dict) or not all(isinstance(value, dict) for value in poses.values()):
-        raise InvalidSetup(f"{path} has no poses; valid is {{episode id: {{name: [x, y, z, qx, qy, qz, qw]}}}}.")
+        raise InvalidSetup(f"{path} has no poses; expected {{episode id: {{name: [x, y, z, qx, qy, qz, qw]}}}}.")
     return poses

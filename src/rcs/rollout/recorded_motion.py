@@ -1,4 +1,4 @@
-"""An agent that has simulated robots follow the recorded motion of others."""
+"""An agent that makes simulated robots follow a recorded motion."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 
 GripperFrom = Literal["trend", "opening", "command"]
-"""What a gripper is told: to open or close as its recorded opening does, that opening, or what it was told then."""
+"""What a gripper follows: the trend of the recorded opening, that opening, or the recorded command."""
 
 TREND = 0.1
-"""An opening that has changed by this much since its last turn (of 1) opens or closes: more than a sensor's noise."""
+"""Change of an opening since its last turn that counts as opening or closing (of 1): above a sensor's noise."""
 GROWTH = 0.01
-"""An opening that grows by more than this from row to row is opening."""
+"""Growth of an opening from row to row that counts as opening."""
 SQUEEZE = 0.15
-"""An opening that does not grow is aimed this much below (of 1): fingers that were stopped by an object press on it."""
+"""How far to aim below an opening that does not grow (of 1), so that fingers press on an object that stopped them."""
 GRIPPER_LEAD = 0.07
-"""So long after a command the opening shows it [s]: a step, and what a gripper needs for `TREND`."""
+"""Delay from a command to its effect on the opening [s]: a step, and the time to change by `TREND`."""
 BARELY_CLOSED = 0.97
-"""Above this a gripper counts as fully open and is not squeezed."""
+"""Opening above which a gripper counts as fully open and is not closed further."""
 
 
 class RecordedMotion(Agent):
-    """Has the robots of an environment do what those of an episode did: one agent per episode."""
+    """Makes the robots of an environment follow those of an episode; one agent per episode."""
 
     def __init__(
         self,
@@ -48,22 +48,22 @@ class RecordedMotion(Agent):
 
         Args:
             episode: The episode.
-            robots: The simulated robots that are to follow.
-            gripper: What their grippers are told.
+            robots: The simulated robots.
+            gripper: What their grippers follow.
             frequency: Control steps per second of the simulation [Hz].
-            lookahead: By how much joint targets run ahead of the recording [s]; None for as much as each servo lags.
-            state: The feature that has joints, then gripper or hand, robot by robot; None for a feature each.
+            lookahead: Lead of joint targets over the recording [s]; None for the lag of each servo.
+            state: The feature with joints, then gripper or hand, robot by robot; None for one feature each.
 
         Raises:
-            InvalidSetup: The dataset lacks a feature, or it has another shape than these robots.
+            InvalidSetup: A feature is missing or does not fit these robots.
             CorruptEpisode: The episode is damaged.
         """
         if episode.length < 2:
-            raise InvalidSetup(f"Episode {episode.id!r} has {episode.length} rows; a motion has at least 2.")
+            raise InvalidSetup(f"Episode {episode.id!r} has {episode.length} rows; a motion needs at least 2.")
         places = find_states(episode.info, robots, gripper, state)
         columns = {feature: episode.column(feature).astype(np.float64) for feature, _ in places.values()}
         values = {key: columns[feature][:, part] for key, (feature, part) in places.items()}
-        self._times: NDArray[np.float64] = np.arange(episode.length) / episode.info.fps
+        self._times: NDArray[np.float64] = np.arange(episode.length) / episode.info.frequency
         self._frequency = frequency
         self._steps = 0
         before = prefixes(robot.placement.name for robot in robots)
@@ -74,11 +74,11 @@ class RecordedMotion(Agent):
 
     @property
     def duration(self) -> float:
-        """How long the recording is [s]."""
+        """Duration of the recording [s]."""
         return float(self._times[-1])
 
     def start(self) -> dict[str, Any]:
-        """Return how the robots stood at the start, for `Env.reset`."""
+        """Return the state of the robots at the start, for `Env.reset`."""
         return joined({name: robot.start for name, robot in self._robots.items()})
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
@@ -86,17 +86,17 @@ class RecordedMotion(Agent):
         self._steps = 0
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
-        """Return what has the robots be, at the end of the next step, where they were recorded at that time.
+        """Return the action that takes the robots to where they were recorded at the end of the next step.
 
         Returns:
-            Absolute joint targets, and what grippers or hands are told.
+            Absolute joint targets, and commands of grippers or hands.
         """
         self._steps += 1
         time, period = self._steps / self._frequency, 1 / self._frequency
         return joined({name: robot.target(time, period, self._times) for name, robot in self._robots.items()})
 
     def error(self, observation: Observation, time: float) -> float:
-        """Return the largest distance of a joint from where it was recorded at a time since the start [rad]."""
+        """Return the largest distance of a joint from its recorded position at a time since the start [rad]."""
         errors = [
             np.abs(part[keys.JOINTS] - _interpolated(self._robots[name].joints, time, self._times)).max()
             for name, part in by_robot(self._robots, observation).items()
@@ -105,7 +105,7 @@ class RecordedMotion(Agent):
 
 
 class _Robot:
-    """The recorded states of one robot, and what its simulated twin is told."""
+    """The recorded states of one robot, and the commands of its simulated twin."""
 
     def __init__(
         self,
@@ -130,15 +130,15 @@ class _Robot:
             self.start[key] = measured[0]
             if gripper == "command":
                 told = values[f"{EXECUTED}/{prefix}{key}"]
-                self._fingers[key] = np.concatenate([told[1:2], told[1:]])  # nothing was told before the first step
+                self._fingers[key] = np.concatenate([told[1:2], told[1:]])  # no command precedes the first step
             elif gripper == "trend":
-                # A hand that only opens and grasps is told so under the gripper's key too.
+                # A hand that only opens and grasps is commanded under the gripper's key.
                 self._fingers[keys.GRIPPER] = trend(values[f"{OBSERVATION}/{prefix}{keys.GRIPPER}"])
             else:
                 self._fingers[key] = squeezed(measured) if key == keys.GRIPPER else measured
 
     def target(self, time: float, period: float, times: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
-        # A target is held for a whole period, so that at the end of it half of one is made up already.
+        # A target is held for a whole period, which makes up for half of one.
         ahead = np.maximum(self._lag - period / 2, 0.0) if self._lookahead is None else self._lookahead
         at = time + np.broadcast_to(ahead, self._lag.shape)
         joints = np.array([np.interp(at[i], times, self.joints[:, i]) for i in range(len(at))])
@@ -153,19 +153,19 @@ class _Robot:
 def find_states(
     info: DatasetInfo, robots: list[SimRobot], gripper: GripperFrom, state: str | None = None
 ) -> dict[str, tuple[str, slice]]:
-    """Return where a dataset has what a motion is made of: feature and place in it, by the key that this has here.
+    """Return feature and slice for each part of a motion, by its key in an environment.
 
     Args:
-        info: What the dataset has.
+        info: The info of the dataset.
         robots: The robots that are to follow.
-        gripper: What their grippers are told.
-        state: The feature that has joints, then gripper or hand, robot by robot; None for a feature each.
+        gripper: What their grippers follow.
+        state: The feature with joints, then gripper or hand, robot by robot; None for one feature each.
 
     Raises:
-        InvalidSetup: A feature is missing or has another shape than the robots.
+        InvalidSetup: A feature is missing or does not fit the robots.
     """
     sizes: dict[str, int] = {}
-    apart: dict[str, int] = {}  # what is never joined to the others
+    apart: dict[str, int] = {}  # never joined to the others
     before = prefixes(robot.placement.name for robot in robots).values()
     for placement, prefix in zip([robot.placement for robot in robots], before, strict=True):
         sizes[f"{OBSERVATION}/{prefix}{keys.JOINTS}"] = len(placement.arm.joints)
@@ -173,7 +173,7 @@ def find_states(
         if placement.hand is not None:
             parts[keys.HAND] = len(placement.hand.joints)
             if gripper == "trend":
-                apart[f"{OBSERVATION}/{prefix}{keys.GRIPPER}"] = 1  # a hand that only opens and grasps has it too
+                apart[f"{OBSERVATION}/{prefix}{keys.GRIPPER}"] = 1  # also for a hand that only opens and grasps
         for key, size in parts.items():
             sizes[f"{OBSERVATION}/{prefix}{key}"] = size
             if gripper == "command":
@@ -189,25 +189,25 @@ def find_states(
     if wrong:
         found = {key: shape for key, shape in shapes.items() if key.startswith((OBSERVATION, EXECUTED))}
         names = ", ".join(robot.placement.name for robot in robots)
-        raise InvalidSetup(f"To follow the recording, {names} needs the features {wrong}; there are {found}.")
+        raise InvalidSetup(f"To follow the recording, {names} needs the features {wrong}; the dataset has {found}.")
     return places
 
 
 def trend(openings: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return 1 where a gripper is open or opens and 0 where it is closed or closes.
+    """Return 1 where a gripper is open or opening and 0 where it is closed or closing.
 
     Args:
         openings: Measured openings, 0 closed … 1 open, (rows, 1).
 
     Returns:
-        The same shape: it changes in the row in which the opening has turned by more than `TREND`.
+        The same shape; it changes in the row where the opening has turned by more than `TREND`.
     """
     told = np.empty(openings.shape, np.float64)
     is_open = bool(openings[0, 0] >= 0.5)
-    # Medians of three rows: one that is far off tells nothing, and a step stays a step.
+    # Medians of three rows remove single outliers and preserve steps.
     padded = np.concatenate([openings[:1, 0], openings[:, 0], openings[-1:, 0]])
     medians = np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
-    turn = float(medians[0])  # the largest opening since it began to open, or the smallest since it began to close
+    turn = float(medians[0])  # the extreme opening since the last turn
     for i, opening in enumerate(medians):
         turn = max(turn, float(opening)) if is_open else min(turn, float(opening))
         if abs(opening - turn) > TREND:
@@ -217,7 +217,7 @@ def trend(openings: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def squeezed(openings: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return openings to aim at, so that fingers which were stopped by an object press on it.
+    """Return openings to aim at, so that fingers stopped by an object press on it.
 
     Args:
         openings: Measured openings, 0 closed … 1 open, (rows, 1).
@@ -227,7 +227,7 @@ def squeezed(openings: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _interpolated(values: NDArray[np.float64], time: float, times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return values (rows, n) at a time, on a line between rows; before the first and after the last, those."""
+    """Return values (rows, n) at a time, interpolated linearly and clamped to the first and last row."""
     i = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(times) - 2))
     part = float(np.clip((time - times[i]) / (times[i + 1] - times[i]), 0.0, 1.0))
     return values[i] + part * (values[i + 1] - values[i])

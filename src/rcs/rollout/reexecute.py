@@ -1,4 +1,4 @@
-"""Executes recorded episodes again, if wanted in another control mode, and measures where that leads elsewhere."""
+"""Executes recorded episodes again, in another control mode if given, and measures the divergence."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from rcs.rollout.replay import recorded
 
 @dataclass(frozen=True, kw_only=True)
 class ReexecutionResult:
-    """One episode that was executed again."""
+    """The result of one episode executed again."""
 
     episode_id: str
     steps: int
@@ -37,10 +37,10 @@ class ReexecutionResult:
     recorded_success: bool | None
     divergence: Divergence
     first_beyond: tuple[int, str] | None
-    """First row with an error beyond the tolerance, and which; None if there is none."""
+    """First row beyond the tolerance and the name of its error; None if there is none."""
 
     def kept(self) -> dict[str, Any]:
-        """Return what an outcome keeps of it, as JSON values."""
+        """Return the entries for the outcome, as JSON values."""
         first = self.first_beyond
         beyond = None if first is None else {"row": first[0], "error": first[1]}
         return {"errors": self.divergence.summary(), "first_beyond_tolerance": beyond}
@@ -49,7 +49,7 @@ class ReexecutionResult:
         """Return the result as JSON values.
 
         Args:
-            with_rows: With the errors of every row, not only the largest and the median.
+            with_rows: Whether to include the errors of every row.
         """
         values: dict[str, Any] = {
             "episode": self.episode_id,
@@ -64,44 +64,44 @@ class ReexecutionResult:
 
 @dataclass(frozen=True, kw_only=True)
 class Reexecution(Derivation):
-    """Executes the actions of every episode from its first state, and records what comes of it.
+    """Executes the actions of every episode from its first state, and records the result.
 
-    In another control mode, each step's action is written for the joint targets that were sent to the devices: the
-    targets themselves, or the TCP's poses there.
+    In another control mode, actions are computed from the joint targets that were sent to the devices: the targets
+    themselves, or the TCP poses at them.
     """
 
-    mode = "actions"
+    kind = "actions"
 
     control: Control | None = None
-    """What actions shall say of the arm; None for what they say in the dataset."""
+    """Control mode of the new actions; None for the recorded one."""
     relative: RelativeTo | None = None
-    """What they shall be added to; None for nothing if `control` is given, and otherwise for as in the dataset."""
+    """Reference of relative actions; None for absolute ones if `control` is given, else for the recorded one."""
     tolerance: Tolerance = field(default_factory=Tolerance)
     grace: float = 1.0
-    """For how long the last target is held when the actions are over and the task is not done yet [s]."""
+    """How long to hold the last target if the task is not done yet [s]."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
 
         Raises:
-            InvalidSetup: A time that makes no sense.
+            InvalidSetup: A time is not valid.
         """
         if not 0 <= self.grace < np.inf:
             raise InvalidSetup(f"grace is {self.grace} s; valid is 0 and more.")
 
     @property
     def is_translated(self) -> bool:
-        """Whether actions are written anew instead of taken as they are."""
+        """Whether actions are computed instead of copied."""
         return self.control is not None or self.relative is not None
 
     def stage(self, dataset: Dataset) -> Stage:
-        """Return the scene of the recording, with the control mode that is asked for."""
+        """Return the recorded scene, with the new control mode."""
         require_states(dataset)
-        require_rate(dataset)
-        before = setup_of(dataset)
+        physics, before = physics_of(dataset, trust=self.trust), setup_of(dataset, trust=self.trust)
+        require_rate(dataset, physics)
         relative = self.relative or ("absolute" if self.control is not None else before.relative)
         setup = replace(before, control=self.control or before.control, relative=relative)
-        return Stage.of(physics_of(dataset), setup, self.look)
+        return Stage.of(physics, setup, self.look)
 
     def make(self, workplace: Workplace, episode: EpisodeRecord) -> ReexecutionResult:
         """Execute one episode again."""
@@ -130,7 +130,7 @@ class Reexecution(Derivation):
 
 
 class Translator(Agent):
-    """Writes the targets of a recorded episode in the control mode of an environment; holds the last one in the end."""
+    """Writes the targets of a recorded episode in an environment's control mode, and holds the last one at the end."""
 
     def __init__(self, env: Env, setup: Setup, episode: EpisodeRecord) -> None:
         """Read the targets.
@@ -177,7 +177,7 @@ class Translator(Agent):
 
 
 def _trace(env: Env) -> Trace:
-    """Return one row: what the world of an environment is like now."""
+    """Return the present row of an environment's trace."""
     robots = env.scenario.robots
     return Trace(
         joints=np.concatenate([robot.joints for robot in robots]),

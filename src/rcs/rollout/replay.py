@@ -1,9 +1,9 @@
-"""Replay recorded episodes in simulation and compare the states bit for bit."""
+"""Replays recorded episodes in simulation and compares the states bit for bit."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,21 +37,23 @@ class ReplayResult:
         return self.first_difference is None
 
 
-def replay(path: str | Path) -> Iterator[ReplayResult]:
+def replay(path: str | Path, *, trust: Collection[str] = ()) -> Iterator[ReplayResult]:
     """Play every episode's actions from its first state, without cameras, and compare all states.
 
     Args:
         path: The dataset.
+        trust: Modules that may be imported because the dataset's setup names them.
 
     Raises:
-        InvalidSetup: The dataset is not from simulation.
+        InvalidSetup: The dataset is not from simulation, or its setup names a module that is not trusted.
         DatasetError, CorruptEpisode: The dataset cannot be read.
     """
     dataset = Dataset.open(path)
     require_states(dataset)
-    require_rate(dataset)
-    # Cameras look and change nothing; without their frames a replay is ten times faster. Looks change nothing either.
-    env = assemble(resolve(dataclasses.replace(physics_of(dataset), assets="builtin")), is_blind=True)
+    setup = dataclasses.replace(physics_of(dataset, trust=trust), assets="builtin")
+    require_rate(dataset, setup)
+    # Neither cameras nor looks change the physics, and without frames a replay is ten times faster.
+    env = assemble(resolve(setup), is_blind=True)
     try:
         for episode in dataset.episodes:
             yield replay_episode(env, episode)
@@ -76,7 +78,7 @@ def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
 
 @dataclass(frozen=True)
 class Step:
-    """What is seen after the reset, and after every step."""
+    """The result of the reset, or of a step."""
 
     row: int
     """0 after the reset, then the number of the step."""
@@ -93,14 +95,14 @@ class Step:
 
 
 def play(env: Env, agent: Agent, *, seed: int | None, options: Mapping[str, Any], most: int) -> Iterator[Step]:
-    """Have an agent act from a given start until the episode is over.
+    """Let an agent act from a given start until the episode is over.
 
     Args:
         env: The environment.
         agent: Acts in it.
         seed: Of the reset.
         options: Of the reset: the start.
-        most: Steps to make at most.
+        most: Largest number of steps.
     """
     observation, info = env.reset(seed=seed, options=options)
     agent.reset(observation, info)
@@ -115,10 +117,10 @@ def play(env: Env, agent: Agent, *, seed: int | None, options: Mapping[str, Any]
 
 
 def recorded(episode: EpisodeRecord, prefix: str, space: spaces.Dict) -> dict[str, Any]:
-    """Read what was recorded of all steps under a prefix such as `action`, nested as a space is: (steps, ...) each.
+    """Read the columns of all steps under a prefix such as `action`, nested like a space: (steps, ...) each.
 
     Raises:
-        InvalidSetup: The dataset has other features.
+        InvalidSetup: The dataset lacks a feature.
         CorruptEpisode: The episode is damaged.
     """
     return {

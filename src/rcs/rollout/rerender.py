@@ -1,4 +1,4 @@
-"""Draws the frames of recorded episodes anew: other cameras, sizes, qualities and looks of the very same states."""
+"""Renders recorded episodes again: other cameras, sizes, qualities and looks of the same states."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FRAMES = f"{OBSERVATION}/{keys.FRAMES}/"
 
 @dataclass(frozen=True, kw_only=True)
 class RerenderResult:
-    """One episode that was drawn anew."""
+    """The result of one rendered episode."""
 
     episode_id: str
     rows: int
@@ -34,21 +34,21 @@ class RerenderResult:
 class Rerendering(Derivation):
     """Restores every recorded state bit for bit, without stepping, and draws frames of it into a new dataset.
 
-    All that is not a frame, its calibration or its capture time stays as it is, simulation states included. Frames of
-    tactile sensors stay too: what they felt is not in the states.
+    Everything but frames, their calibration and their capture times is copied, including simulation states. So are
+    frames of tactile sensors, since the states do not determine them.
     """
 
-    mode = "render"
+    kind = "render"
 
     def stage(self, dataset: Dataset) -> Stage:
-        """Return the scene of the recording, seen by the cameras that are asked for."""
+        """Return the recorded scene, seen by the chosen cameras."""
         require_states(dataset)
-        return Stage.of(physics_of(dataset), setup_of(dataset), self.look)
+        return Stage.of(physics_of(dataset, trust=self.trust), setup_of(dataset, trust=self.trust), self.look)
 
     def info(self, dataset: Dataset, stage: Stage, env: Env) -> DatasetInfo:
-        """Return the info of the new dataset: features in the order in which they would be recorded."""
+        """Return the info of the new dataset, with features in the order of a recording."""
         recorded = dataset.info
-        fresh = stage.info(env, recorded, physics_of(dataset))
+        fresh = stage.info(env, recorded, physics_of(dataset, trust=self.trust))
         cameras = [*camera_names(recorded), *camera_names(fresh)]
         kept = {f.key: f for f in recorded.features if not is_of_camera(f.key, cameras)}
         features = [kept.pop(f.key, f) for f in fresh.features if f.key in kept or is_of_camera(f.key, cameras)]
@@ -61,11 +61,11 @@ class Rerendering(Derivation):
         )
 
     def make(self, workplace: Workplace, episode: EpisodeRecord) -> RerenderResult:
-        """Draw one episode anew: in each row, the cameras that have a frame due."""
+        """Render one episode: in each row, the cameras that have a frame due."""
         scenario, info = workplace.env.scenario, workplace.writer.info
         world = scenario.world
-        if episode.seed is None and physics_of(workplace.dataset).randomisation is not None:
-            raise InvalidSetup(f"Episode {episode.id!r} was randomised without a seed; how it looked is not known.")
+        if episode.seed is None and physics_of(workplace.dataset, trust=self.trust).randomisation is not None:
+            raise InvalidSetup(f"Episode {episode.id!r} was randomised without a seed, so its looks are unknown.")
         states = episode.sim_state()
         scenario.begin(Draws(episode.seed or 0, 0))
         rows, fresh = _RecordedRows(episode, info), _FreshFrames(_cameras_of(workplace.env), info)
@@ -82,30 +82,30 @@ class Rerendering(Derivation):
 
 
 class _RecordedRows:
-    """The rows of a recorded episode, one after the other, as far as another dataset has the same features."""
+    """The rows of a recorded episode, reduced to the features of another dataset."""
 
     def __init__(self, episode: EpisodeRecord, info: DatasetInfo) -> None:
-        """Read what is kept, all but frames of cameras that are drawn; images stay encoded as they are."""
+        """Read all but the frames of rendered cameras; images stay encoded."""
         drawn = camera_names(info)
         recorded = {feature.key: feature for feature in episode.info.features}
         kept = [f for f in info.features if f.key in recorded and not is_of_camera(f.key, drawn)]
         self._columns = {f.key: _column(episode, f) for f in kept}
-        # A new frame is of the state of its row, so it was taken when the row was complete.
+        # A new frame shows its row's state, so its capture time is that of the row.
         ends = self._columns.get(TIME_MONOTONIC, [None] * episode.length)
         own = {name: time_key(name) for name in drawn}
         self._times = {name: _column(episode, recorded[key]) if key in recorded else ends for name, key in own.items()}
 
     def at(self, row: int) -> dict[str, Any]:
-        """Return what a row has."""
+        """Return the values of a row."""
         return {key: column[row] for key, column in self._columns.items()}
 
     def capture_times(self, row: int) -> dict[str, Any]:
-        """Return when a new frame of each drawn camera would have been taken in a row [s]; None where it is unknown."""
+        """Return the capture time of a new frame of each rendered camera in a row [s]; None if unknown."""
         return {name: times[row] for name, times in self._times.items()}
 
 
 class _FreshFrames:
-    """Frames of the present state as a recorder keeps them: one that is not new is not stored again."""
+    """Frames of the present state in the form of a recorder, which stores only new ones."""
 
     def __init__(self, port: SimCameraPort | None, info: DatasetInfo) -> None:
         """Read from the cameras of an environment, if it has any, from the start of an episode."""
@@ -118,7 +118,7 @@ class _FreshFrames:
         """Return the features of all cameras for one row.
 
         Args:
-            times: When a new frame of each would have been taken [s]; None where that is not known.
+            times: Capture time of a new frame of each [s]; None if unknown.
         """
         if self._port is None:
             return {}
@@ -139,7 +139,7 @@ class _FreshFrames:
 
 
 def _column(episode: EpisodeRecord, feature: Feature) -> list[Any]:
-    """Return a column by row, images as they are stored, with None where there is nothing new."""
+    """Return a column by row, images as stored, with None for no new value."""
     if feature.encoding != "plain" and not feature.is_image:
         return list(episode.column(feature.key))
     stored = episode.steps([feature.key]).column(feature.key)
@@ -150,7 +150,7 @@ def _column(episode: EpisodeRecord, feature: Feature) -> list[Any]:
 
 
 def camera_names(info: DatasetInfo) -> list[str]:
-    """Return the names of the cameras that a dataset has frames of; tactile sensors are none: they have no matrix."""
+    """Return the cameras of a dataset; tactile sensors, which have no camera matrix, do not count."""
     matrices = [f.key for f in info.features if f.key.startswith(FRAMES) and f.key.endswith(f"/{keys.INTRINSICS}")]
     return [key.removeprefix(FRAMES).removesuffix(f"/{keys.INTRINSICS}") for key in matrices]
 

@@ -26,7 +26,7 @@ class Video:
         """Prepare a file, which the first picture begins.
 
         Args:
-            path: Of the file, `.mp4`; its folder is made.
+            path: Path of the file, `.mp4`; its folder is created.
             rate: Pictures per second.
         """
         self._path = Path(path)

@@ -1,4 +1,4 @@
-"""The cameras of a scene, drawn together: one update of the picture's scene per call, then every camera."""
+"""The cameras of a scene, drawn together: each call updates the rendered scene once, then draws every camera."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ MAX_SIZE = 4096
 """Largest edge of a frame [px]."""
 
 FrameArrays = dict[str, NDArray[Any]]
-"""What a camera gives: `rgb`, `depth` if it has one, `intrinsics`, `extrinsics`. Nobody may write to the arrays."""
+"""The output of a camera: `rgb`, `depth` if it has one, `intrinsics`, `extrinsics`. The arrays are read-only."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Snapshot:
-    """All that frames of one moment are drawn from, so that they can be drawn later."""
+    """Everything needed to draw the frames of one moment later."""
 
     state: NDArray[np.float64]
     """The simulation's integration state, (state_size,)."""
@@ -40,13 +40,13 @@ class Snapshot:
     calibrations: Mapping[str, FrameArrays]
     """`intrinsics` and `extrinsics` of each camera to be drawn."""
     positions: NDArray[np.float64]
-    """Positions of all joints, (nq,), which the noise depends on."""
+    """Positions of all joints, (nq,), which determine the noise."""
 
 
 class SimCameras:
-    """All cameras of a world's scene. The renderer is made at the first `read`, and draws on its own GL context.
+    """All cameras of a world's scene. The renderer is created by the first `read`, and draws in its own GL context.
 
-    They show the present state whenever they are read; `CameraFeed` gives them the frame rates of devices.
+    A read shows the present state; `CameraFeed` adds the frame rates of devices.
     """
 
     def __init__(
@@ -63,16 +63,16 @@ class SimCameras:
         """Look the cameras up.
 
         Args:
-            world: The world that they see.
+            world: The world to draw.
             cameras: Cameras of its scene.
             size: Width and height of every frame [px].
-            has_depth: Draw depth too.
-            quality: How much a frame may cost.
-            has_noise: Add the noise of real cameras.
-            frame_body: Body in whose frame extrinsics are given: the robot's base, or 0 for the scene.
+            has_depth: Whether to draw depth too.
+            quality: Rendering quality.
+            has_noise: Whether to add the noise of real cameras.
+            frame_body: Body that is the reference frame of extrinsics: the robot's base, or 0 for the scene.
 
         Raises:
-            InvalidSetup: A size out of range, or depth from a camera that has none.
+            InvalidSetup: The size is out of range, or a camera has no depth.
         """
         if not all(1 <= edge <= MAX_SIZE for edge in size):
             raise InvalidSetup(f"The size of a frame is {size}; valid is 1 to {MAX_SIZE} px for width and height.")
@@ -99,8 +99,8 @@ class SimCameras:
         """Draw cameras, each frame in new arrays that are read-only.
 
         Args:
-            names: Which cameras; None for all.
-            copies: Which copies of a world of copies; None for all. `leading` is then their number.
+            names: Cameras to draw; None for all.
+            copies: Copies to draw; None for all. `leading` is then their number.
 
         Returns:
             Per camera `rgb` (*leading, H, W, 3) uint8; with depth, `depth` (*leading, H, W) uint16 [mm], 0 = no
@@ -117,10 +117,10 @@ class SimCameras:
         return frames
 
     def snapshot(self, names: Sequence[str]) -> Snapshot:
-        """Return what frames of the present moment can be drawn from later; of a world of one copy.
+        """Return a snapshot from which frames of the present moment can be drawn later; for a world of one copy.
 
         Args:
-            names: Which cameras are to be drawn.
+            names: Cameras to draw.
         """
         return Snapshot(
             state=self.world.states(),
@@ -130,14 +130,14 @@ class SimCameras:
         )
 
     def draw(self, snapshot: Snapshot, names: Sequence[str]) -> Iterator[tuple[str, FrameArrays]]:
-        """Draw what `read` would have returned at the moment of a snapshot, one camera after the other.
+        """Draw the frames of a snapshot's moment, one camera after the other, as `read` would have.
 
-        May be called by another thread than the one that steps the world, but only by one thread at a time, and while
-        nobody calls `read`.
+        May be called by another thread than the one that steps the world, but only by one at a time, and not during
+        `read`.
 
         Args:
             snapshot: Of these cameras.
-            names: Which of the cameras of the snapshot.
+            names: Cameras of the snapshot to draw.
         """
         width, height = self.size
         renderer = self._renderer or self._make_renderer()
@@ -158,7 +158,7 @@ class SimCameras:
         calibration: FrameArrays,
         positions: NDArray[np.float64],
     ) -> FrameArrays:
-        """Return the whole frame of a camera, with noise where that is wanted."""
+        """Return the whole frame of a camera, with noise if enabled."""
         frame: FrameArrays = {"rgb": rgb, **calibration}
         if depth is not None:
             frame["depth"] = depth
@@ -175,7 +175,7 @@ class SimCameras:
         width, height = self.size
         core = self.world.core
         ids = [self._ids[i] for i in chosen]
-        # Where copies have models of their own, a row of states is a copy, and all have to be drawn.
+        # If copies have their own models, a row of states is a copy, and all have to be drawn.
         picks = copies is not None and not core.is_varied
         states = core.states[copies] if picks else None
         leading = self.world.leading if states is None else (len(states),)
@@ -201,7 +201,7 @@ class SimCameras:
         return [part[copies] for part in rgb], None if depth is None else [part[copies] for part in depth]
 
     def _calibration(self, i: int, rows: slice | NDArray[np.integer[Any]]) -> FrameArrays:
-        """Return the matrices of a camera as it is now: it may move, and its field of view may vary."""
+        """Return the present matrices of a camera, which may move and vary its field of view."""
         width, height = self.size
         fovy = self.world.field("cam_fovy")[..., self._ids[i]]
         poses = self.world.poses[..., self._poses[i], :]
@@ -233,19 +233,19 @@ class SimCameras:
 
 
 class SimCamera(Camera):
-    """One camera of a world of one copy as a device, with the device's frame rate in simulated time."""
+    """One camera of a world of one copy as a device, with its frame rate in simulated time."""
 
     def __init__(self, cameras: SimCameras, name: str, world: World, *, fps: float | None = None) -> None:
         """Use one of a scene's cameras.
 
         Args:
             cameras: The cameras of the scene.
-            name: Which of them.
+            name: The camera.
             world: Their world.
-            fps: Frames per second; None for the most that the camera offers for the size of the frames.
+            fps: Frames per second; None for the highest rate at the frames' size.
 
         Raises:
-            InvalidSetup: The world has many copies, or no camera of that name, or the camera does not offer that rate.
+            InvalidSetup: The world has many copies, there is no such camera, or it does not offer that rate.
         """
         if world.leading or name not in cameras.names:
             raise InvalidSetup(

@@ -1,4 +1,4 @@
-"""The frames of simulated cameras as devices deliver them: a new one when it is due, in between the last one again."""
+"""Delivers the frames of simulated cameras like devices: a new one when it is due, the last one in between."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from rcs.sim.frame_clock import FrameClock
 
 
 class CameraFeed:
-    """The newest frame of every camera and copy, drawn inside `read`. Only what is due is drawn."""
+    """The newest frame of every camera and copy, drawn inside `read`. Only due frames are drawn."""
 
     def __init__(self, cameras: SimCameras, clock: FrameClock) -> None:
         """Deliver the frames of some cameras.
 
         Args:
-            cameras: They draw.
-            clock: Says when; it has all of these cameras, and nobody else takes frames from it.
+            cameras: Draw the frames.
+            clock: Says when frames are due; it has all of these cameras and no other user.
         """
         self._cameras = cameras
         self._clock = clock
@@ -28,9 +28,9 @@ class CameraFeed:
         return self._cameras.capture_times
 
     def read(self) -> dict[str, FrameArrays]:
-        """Return what `SimCameras.read` does, but as each camera took it last: picture, depth and camera pose.
+        """Return the newest frame of each camera, as `SimCameras.read` does: picture, depth and camera pose.
 
-        The arrays are read-only. A camera without a new frame gives the same arrays again.
+        The arrays are read-only. A camera without a new frame returns the same arrays again.
         """
         is_new = self._clock.take()
         always = [name for name in self._cameras.names if self._clock.has_frame_each_step(name)]

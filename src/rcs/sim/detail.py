@@ -1,7 +1,7 @@
-"""Detailed visuals: meshes of the package `mujoco-menagerie` in the place of a robot's built-in primitives.
+"""Detailed visuals: meshes of the package `mujoco-menagerie` instead of a robot's built-in primitives.
 
-Only what cameras see is exchanged. Bodies, joints, sites, inertias, collisions and actuators stay the built-in ones, so
-an episode is the same with either, bit for bit.
+Only visible geoms are replaced. Bodies, joints, sites, inertias, collisions and actuators stay the same, and so do
+episodes, bit for bit.
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ from rcs.kinematics.chain import mount_frame
 from rcs.robots.description import MenagerieVisuals
 
 Assets = Literal["builtin", "menagerie"]
-"""Where a robot's looks come from."""
+"""The source of a robot's looks."""
 
 VISUAL_GROUP = 2
-"""Group of the geoms that are for cameras only, in the built-in models."""
+"""Group of purely visual geoms in the built-in models."""
 LAST_DRAWN_GROUP = 2
-"""MuJoCo draws the groups 0 to 2 unless told otherwise; models of others keep their visuals in any of them."""
+"""MuJoCo draws the groups 0 to 2 by default; models of others have visuals in any of them."""
 
 
 def exchange_visuals(spec: mujoco.MjSpec, parts: Iterable[tuple[str, MenagerieVisuals | None]]) -> bool:
-    """Exchange the visual geoms of a robot for meshes: of all its parts, or of none.
+    """Replace the visual geoms of a robot by meshes, of all its parts or none.
 
     Args:
         spec: Model of the robot, changed in place.
-        parts: For each part the prefix of its names, and where its meshes come from; a part with None keeps its looks.
+        parts: The prefix of each part's names and the source of its meshes; with None the part keeps its looks.
 
     Returns:
-        False when the meshes are not to be had; one warning has then said why and what to do.
+        False if the meshes are unavailable; a warning then says why and what to do.
     """
     mapped = [(prefix, visuals) for prefix, visuals in parts if visuals is not None]
     wanted = " ".join(visuals.model for _, visuals in mapped)
     try:
         opened = [(prefix, visuals, _open(visuals, wanted)) for prefix, visuals in mapped]
     except MissingDependency as err:
-        # Looks change no physics: a run without a network goes on, and says so.
+        # Looks do not change physics, so a run without a network goes on with a warning.
         warnings.warn(f"assets='menagerie' shows the built-in visuals: {err}", stacklevel=3)
         return False
     for prefix, visuals, source in opened:
@@ -55,10 +55,10 @@ def _open(visuals: MenagerieVisuals, wanted: str) -> mujoco.MjSpec:
 
     Args:
         visuals: Names the model.
-        wanted: Names of all models that the robot needs, for the advice.
+        wanted: Names of all models that the robot needs, for the message.
 
     Raises:
-        MissingDependency: The package is not installed, or the model is not to be had or not the one that is mapped.
+        MissingDependency: The package is not installed, or the model is unavailable or of another version.
     """
     try:
         menagerie = importlib.import_module("mujoco_menagerie")
@@ -78,8 +78,8 @@ def _open(visuals: MenagerieVisuals, wanted: str) -> mujoco.MjSpec:
     lacks += [f"file {file}" for file in (_file_of(source, mesh) for mesh in source.meshes) if not file.is_file()]
     if lacks:
         raise MissingDependency(
-            f"{visuals.model} of mujoco-menagerie lacks {', '.join(lacks)}; take the version of the package that "
-            "constraints.txt names, or a complete checkout of its models."
+            f"{visuals.model} of mujoco-menagerie lacks {', '.join(lacks)}; install the version of the package in  "
+            "constraints.txt, or a complete checkout of its models."
         )
     return source
 
@@ -87,7 +87,7 @@ def _open(visuals: MenagerieVisuals, wanted: str) -> mujoco.MjSpec:
 def _exchange(spec: mujoco.MjSpec, prefix: str, visuals: MenagerieVisuals, source: mujoco.MjSpec) -> None:
     for name in {body.body for body in visuals.bodies}:
         for geom in spec.body(prefix + name).geoms:
-            # A geom with a name is one that something else refers to.
+            # Something may refer to a geom with a name.
             if geom.group == VISUAL_GROUP and not geom.name:
                 spec.delete(geom)
     names = f"{prefix}{visuals.model}/"
@@ -140,7 +140,7 @@ def _add_mesh(spec: mujoco.MjSpec, source: mujoco.MjSpec, mesh: mujoco.MjsMesh, 
 
 
 def _add_material(spec: mujoco.MjSpec, material: mujoco.MjsMaterial, names: str) -> str:
-    """Add a material without its texture: none of the mapped models has one."""
+    """Add a material without its texture, which none of the mapped models has."""
     name = names + material.name
     if spec.material(name) is None:
         spec.add_material(

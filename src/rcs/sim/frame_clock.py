@@ -1,7 +1,7 @@
-"""When simulated cameras have a new frame: each at its own rate, counted in simulated time from the episode's start.
+"""Says when simulated cameras have new frames: each at its own rate, in simulated time since the episode's start.
 
-A frame that falls due between two control steps is there at the later one. Rates are kept as ratios of integers, so a
-camera of 30 frames/s beside 100 control steps/s has exactly 30 frames in each second, however long the episode.
+A frame due between two control steps appears at the later one. Rates are ratios of integers, so a camera of 30 frames/s
+has exactly 30 frames in each second at 100 control steps/s, however long the episode.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from rcs.sim.world import Copies, World
 
 @dataclass(frozen=True, kw_only=True)
 class FrameRate:
-    """How often a camera has a new frame."""
+    """The frame rate of a camera."""
 
     fps: float
     """Frames per second."""
     longest_exposure: float = 0.0
-    """Where this exceeds the frame period, intervals are drawn evenly from the period to this [s]."""
+    """If this exceeds the frame period, intervals are uniformly distributed between the two [s]."""
 
     def __post_init__(self) -> None:
         """Check the figures.
 
         Raises:
-            InvalidSetup: A rate that is not positive, or a negative exposure.
+            InvalidSetup: The rate is not positive, or the exposure is negative.
         """
         if not (np.isfinite(self.fps) and self.fps > 0 and np.isfinite(self.longest_exposure)):
             raise InvalidSetup(f"fps is {self.fps}, longest_exposure {self.longest_exposure} s; they must be positive.")
@@ -50,7 +50,7 @@ class FrameRate:
         Args:
             camera: Its figures.
             size: Width and height [px].
-            wanted: The rate that is asked for [frames/s]; None for the highest.
+            wanted: The wanted rate [frames/s]; None for the highest.
 
         Raises:
             InvalidSetup: The camera does not offer that rate for that size.
@@ -59,20 +59,20 @@ class FrameRate:
 
 
 class FrameClock:
-    """Says for each camera and copy whether it has a new frame. An episode begins with one."""
+    """Says for each camera and copy whether it has a new frame. Episodes begin with one."""
 
     def __init__(self, world: World, rates: Mapping[str, FrameRate]) -> None:
-        """Start to count.
+        """Start counting.
 
         Args:
-            world: Whose simulated time counts.
+            world: The world whose time counts.
             rates: The rate of each camera, by name.
         """
         self._world = world
         self._is_synchronous = world.stepping == "sync"
         step = Fraction(world.model.opt.timestep).limit_denominator(10**9)
         frequency = Fraction(world.frequency).limit_denominator(10**6)
-        # A synchronous step lasts as long as it needs, so there the physics steps are counted.
+        # Synchronous steps vary in length, so physics steps are counted instead.
         tick = step if self._is_synchronous else 1 / frequency
         self._tick = float(tick)
         self._rates = dict(rates)
@@ -81,7 +81,7 @@ class FrameClock:
         }
         copies = world.copies
         self.numbers = {name: np.full(copies, -1, np.int64) for name in rates}
-        """Number of the newest frame since the start of the episode, (copies,), counted from 0 as the device counts."""
+        """Number of the newest frame since the start of the episode, (copies,), counted from 0 as by the device."""
         self._keys = np.zeros(copies, np.uint64)
         self._start_times = np.zeros(copies)
         rolling = [name for name, rate in rates.items() if rate.is_rolling]
@@ -91,21 +91,21 @@ class FrameClock:
         """Start episodes.
 
         Args:
-            keys: Decides over the intervals of cameras whose rate rolls, one for each of the copies.
-            copies: Which copies; None for all.
+            keys: Random bits for the intervals of cameras with varying rate, one per copy.
+            copies: The copies; None for all.
         """
         self._keys[slice(None) if copies is None else copies] = keys
 
     def has_frame_each_step(self, name: str) -> bool:
-        """Return whether a camera always has a new frame when a control step ends."""
+        """Return whether a camera has a new frame after every control step."""
         if self._is_synchronous:
             return False
         return self._frames_per_tick[name] >= 1 and self._rates[name].longest_exposure <= self._tick
 
     def take(self) -> dict[str, NDArray[np.bool_]]:
-        """Return which copies have a frame that they did not have at the last call, (copies,) for each camera."""
+        """Return which copies have a new frame since the last call, (copies,) for each camera."""
         steps = self._world.core.steps
-        # Also without `begin`, as in a world that is reset by hand.
+        # Also without `begin`, in a world that is reset by hand.
         starts = steps == 0
         ticks = self._count_physics_steps(starts) if self._is_synchronous else steps
         is_new: dict[str, NDArray[np.bool_]] = {}
@@ -135,7 +135,7 @@ class FrameClock:
         return numbers
 
     def _intervals(self, name: str, numbers: NDArray[np.int64], keys: NDArray[np.uint64]) -> NDArray[np.float64]:
-        """Return how long frames last [s]; they follow from the episode, the camera's name and the frame's number."""
+        """Return the intervals of frames [s], determined by episode, camera name and frame number."""
         shortest, longest = 1.0 / self._rates[name].fps, self._rates[name].longest_exposure
         with np.errstate(over="ignore"):
             stream = mix(keys ^ mix(np.array([zlib.crc32(name.encode())], np.uint64) + GAMMA))

@@ -1,8 +1,8 @@
-"""The gel of a tactile sensor as its camera sees it: where it is at rest, and what an object makes of it.
+"""The gel of a tactile sensor as its camera sees it: at rest, and deformed by an object.
 
-All maps are images. The camera looks along the sensor's x axis, and depth is the distance from it along x. As a DIGIT
-streams its images lying on their side, columns run along +z and rows along -y; `numpy.rot90` stands one up. Objects are
-looked up on a coarser grid of rays than the image has: the gel rounds off details that are finer than its pixels.
+All maps are images. The camera looks along the sensor's x axis, and depth is the distance from it along x. Like a
+DIGIT's, images lie on their side: columns run along +z and rows along -y; `numpy.rot90` turns one upright. Objects are
+found on a grid of rays coarser than the image, since the gel rounds off finer details.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ RAY_PITCH = 2
 FINEST_DETAIL = 0.16e-3
 """Standard deviation of the blur with which the gel's skin follows an object [m]; our choice, two pixels."""
 SKIRT = 0.2e-3
-"""Standard deviation of the blur with which the gel next to a contact is pulled along [m].
+"""Standard deviation of the blur by which the gel next to a contact is pulled along [m].
 
-Our choice: next to a steep wall the skirt is as bright as the contact, so that a wider one makes the patch of a small
-ball look too large; with this one, that of a ball of 2 mm at 80 % of its radius is within 10 %.
+Our choice: next to a steep wall the skirt is as bright as the contact, so a wider one would enlarge the patch of a
+small ball; with this one, the patch of a ball of 2 mm at 80 % of its radius is within 10 %.
 """
 STILL = 1e-7
-"""A displacement below this is none [m]: it changes no colour, and far from a contact every bit stays the same."""
+"""Displacements below this are set to 0 [m]: they change no colour, and bits far from a contact stay the same."""
 
 
 class Gel:
     """The gel's rest surface, and its deformation under objects that penetrate it."""
 
     def __init__(self, sensor: TactileDescription) -> None:
-        """Find the rest surface along every ray and in every pixel.
+        """Compute the rest surface along every ray and in every pixel.
 
         Args:
-            sensor: The sensor whose gel it is.
+            sensor: The sensor with the gel.
         """
         self._sensor = sensor
         self._half_slope = math.tan(0.5 * sensor.camera_yfov)
@@ -88,17 +88,17 @@ class Gel:
         """Return the depth [m] at which rays from the camera meet the rest surface."""
         x0, y0, z0 = self._sensor.camera_position
         depth = np.full(np.broadcast_shapes(slope_y.shape, slope_z.shape), self._sensor.gel_center[0] - x0)
-        # The surface falls off by less than a ray moves sideways, so this contracts; it stops at machine precision.
+        # The surface falls off by less than a ray moves sideways, so the iteration contracts, to machine precision.
         for _ in range(60):
             depth = self.surface(y0 + depth * slope_y, z0 + depth * slope_z) - x0
         return depth
 
     def penetration(self, depth: NDArray[np.float64], coarser: int = 1) -> NDArray[np.float64]:
-        """Return how far behind the rest surface an object begins.
+        """Return how far an object penetrates the rest surface.
 
         Args:
             depth: Depth at which rays meet an object [m], infinite where there is none.
-            coarser: Which rays: every ray of the grid, every second in both directions, and so on.
+            coarser: 1 for every ray of the grid, 2 for every second in both directions, and so on.
 
         Returns:
             Distance along x between the rest surface and the object [m]: positive where the object is inside the gel,
@@ -113,14 +113,14 @@ class Gel:
     def displacement(self, depth: NDArray[np.float64]) -> Image:
         """Return how far the gel's surface moves towards the camera.
 
-        The surface follows the object where they touch. Next to it, the skin is pulled along and comes back within
-        half a millimetre; the skin also rounds off what is finer than it can follow.
+        The surface follows the object where they touch. Next to it, the skin is pulled along and returns within half a
+        millimetre; it also rounds off fine details.
 
         Args:
             depth: Depth at which each ray meets an object [m], infinite where there is none, (rows, columns).
 
         Returns:
-            Displacement along the optical axis [m], (height, width), exactly 0 where nothing is felt.
+            Displacement along the optical axis [m], (height, width), exactly 0 without contact.
         """
         pressed = np.clip(self.ray_rest - depth, 0.0, self._sensor.max_indentation).astype(np.float32)
         pulled = np.maximum(pressed, _blur(pressed, SKIRT / self._ray_distance))
@@ -130,12 +130,12 @@ class Gel:
 
 
 def _blur(image: Image, sigma: float, finer: int = 1) -> Image:
-    """Blur an image with a Gaussian, and draw it `finer` times as large in the same pass.
+    """Blur an image with a Gaussian and enlarge it `finer` times in the same pass.
 
-    Slices instead of matrix products: those of NumPy take a hundred times as long when the CPU's cores are busy.
+    Uses slices, since NumPy's matrix products take a hundred times as long when the CPU's cores are busy.
 
     Args:
-        image: Values of two axes; beyond its edge it goes on as at the edge.
+        image: Values along two axes; edge values continue beyond the edge.
         sigma: Standard deviation in the image's own steps.
         finer: Values of the result per value of the image, along each axis.
     """

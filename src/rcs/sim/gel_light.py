@@ -1,4 +1,4 @@
-"""What a tactile sensor's camera sees of its gel: coloured lights on the deformed surface, over a background frame."""
+"""The image of a tactile sensor's gel: coloured lights on the deformed surface, over a background frame."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from rcs.sim.gel import Gel, Image
 GelImage = NDArray[np.uint8]
 
 AMBIENT = 0.22
-"""Share of full brightness that light from everywhere gives; our choice, as real frames are nowhere black."""
+"""Ambient light as a share of full brightness; our choice, since real frames are nowhere black."""
 DIFFUSE = 0.40
-"""Share of full brightness that a light gives to a surface in the middle of the gel that faces it; our choice."""
+"""Share of full brightness that a light adds to a surface facing it in the middle of the gel; our choice."""
 
 
 class GelRenderer(Protocol):
-    """Turns the gel's displacement into the frame of the sensor's camera."""
+    """Turns displacements of the gel into camera frames."""
 
     def draw(self, displacement: Image) -> GelImage:
-        """Return the frame, (height, width, 3), of a displacement towards the camera [m], (height, width)."""
+        """Return the frame (height, width, 3) of a displacement towards the camera [m] (height, width)."""
         ...
 
     def close(self) -> None:
-        """Free what drawing needed. Closing twice is harmless."""
+        """Free resources. Closing twice is harmless."""
         ...
 
 
 class GelLight:
-    """Lambert's law for the sensor's lights: each gives its colour, falling off with the square of the distance.
+    """Lambert's law for the sensor's lights, which fall off with the square of the distance.
 
-    Only the change against the gel at rest is computed and added to the background, so that a background frame from a
-    real sensor can take the place of the computed one, and where nothing is felt every bit of it stays.
+    Only the change from the gel at rest is computed and added to the background. So a real sensor's background frame
+    can be used, and pixels without contact keep every bit.
     """
 
     def __init__(self, sensor: TactileDescription, gel: Gel, background: GelImage | None = None) -> None:
@@ -44,10 +44,10 @@ class GelLight:
         Args:
             sensor: Has the lights.
             gel: The gel that they light.
-            background: A frame without contact, (height, width, 3); None for the one that the lights give.
+            background: A frame without contact, (height, width, 3); None to compute it from the lights.
 
         Raises:
-            InvalidSetup: The background has another shape or type.
+            InvalidSetup: The background has the wrong shape or dtype.
         """
         width, height = gel.size
         if background is not None and (background.shape != (height, width, 3) or background.dtype != np.uint8):
@@ -82,7 +82,7 @@ class GelLight:
         return frame
 
     def _light(self, depth: Image, rows: slice, columns: slice) -> Image:
-        """Return the light that a part of the gel throws back, 0 … 255, (rows, columns, 3).
+        """Return the light reflected by a part of the gel, 0 … 255, (rows, columns, 3).
 
         Args:
             depth: Depth of the surface [m], (rows, columns).
@@ -92,7 +92,7 @@ class GelLight:
         x = depth
         y = self._slope_y[rows] * depth
         z = self._slope_z[:, columns] * depth
-        # The normal is the cross product of the steps to the next row, towards -y, and to the next column, towards +z.
+        # The normal is the cross product of the steps to the next row (-y) and to the next column (+z).
         x_row, x_column = np.gradient(x)
         y_row, y_column = np.gradient(y)
         z_row, z_column = np.gradient(z)
@@ -111,11 +111,11 @@ class GelLight:
         return reflected
 
     def close(self) -> None:
-        """Do nothing: there is nothing to free."""
+        """Do nothing."""
 
 
 def _span(flags: NDArray[np.bool_], across: int) -> slice | None:
-    """Return the rows (across 1) or columns (0) with true flags, and two more on each side; None if none is."""
+    """Return the rows (across 1) or columns (0) with true flags, and two more on each side; None without any."""
     found = np.flatnonzero(flags.any(axis=across))
     if len(found) == 0:
         return None

@@ -1,4 +1,4 @@
-"""Where a robot's joints, controls and bodies are in a model: names looked up once, numbers used ever after."""
+"""Indices of a robot's joints, controls and bodies in a model, looked up once by name."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rcs.errors import InvalidSetup
 from rcs.sim.scene import RobotPlacement
 
 Index = slice | NDArray[np.intp]
-"""Selects elements of the last axis; a slice where they are neighbours, which costs a third."""
+"""Selects elements of the last axis; a slice if they are neighbours, which costs a third."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Rows of a field of the model that get values of their own in every copy: masses of bodies or colours of geoms."""
+"""Rows of a model's field with individual values per copy, such as masses of bodies or colours of geoms."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class ModelRows:
         """Give the field values per copy.
 
         Args:
-            world: Its model still has the nominal values.
-            field: MuJoCo's name of the field, such as `body_mass`.
-            rows: Which rows: ids of bodies, geoms, …
+            world: The world, whose model still has the nominal values.
+            field: Name in MuJoCo, such as `body_mass`.
+            rows: The rows: ids of bodies, geoms, …
         """
         self.rows = np.asarray(rows, np.intp)
         self.nominal: NDArray[Any] = np.array(getattr(world.model, field)[self.rows])
-        """Values in the model as it was compiled, (rows, ...)."""
+        """Values in the compiled model, (rows, ...)."""
         self._has_copies = bool(world.leading)
         self._live = world.vary(field)
 
@@ -33,7 +33,7 @@ class ModelRows:
 
         Args:
             values: Shape (*leading of the copies, rows, ...).
-            copies: Which copies; None for all, or for the only one.
+            copies: The copies; None for all, or for the only one.
         """
         if not self._has_copies:
             self._live[self.rows] = values
@@ -48,7 +48,7 @@ class ModelRows:
 
 
 class ObjectParts:
-    """What in a model belongs to one object: its body, all that is attached to it, and their shapes, rigid and soft."""
+    """The parts of one object in a model: its body, everything attached to it, and their shapes, rigid and soft."""
 
     def __init__(self, world: World, body: str) -> None:
         """Look an object up.
@@ -77,12 +77,12 @@ class ObjectParts:
             and _have_nodes_alone(model, self.flexes)
             and np.isin(model.jnt_bodyid[joints], moving).all()
         )
-        """Whether it is of simple shapes that are rigid, or of soft solids whose shape follows nodes. Meshes are shared
-        by all copies and keep their size, as do soft bodies with springs along their edges."""
+        """Whether it consists of simple rigid shapes, or of soft solids that follow nodes. Meshes are shared by all
+        copies and keep their size, as do soft bodies with springs along their edges."""
 
 
 _SIMPLE = np.arange(2, 7)
-"""Sphere, capsule, ellipsoid, cylinder and box, as `mjtGeom` numbers them."""
+"""Sphere, capsule, ellipsoid, cylinder and box in `mjtGeom`."""
 
 
 def _rows_of(flexes: NDArray[np.intp], first: NDArray[np.int32], count: NDArray[np.int32]) -> NDArray[np.intp]:
@@ -90,14 +90,14 @@ def _rows_of(flexes: NDArray[np.intp], first: NDArray[np.int32], count: NDArray[
 
 
 def _stiffness_count(model: Any) -> NDArray[np.int32]:
-    """Return how many values the stiffness of each flex has that is elastic between nodes; 0 for all others."""
+    """Return the number of stiffness values of each flex that is elastic between nodes; 0 for others."""
     nodes_per_cell = (model.flex_interp + 1) ** 3
     count = model.flex_cellnum.prod(axis=1, dtype=np.int32) * (3 * nodes_per_cell) ** 2
     return np.where((model.flex_interp > 0) & (model.flex_stiffnessadr >= 0), count, 0)
 
 
 def _have_nodes_alone(model: Any, flexes: NDArray[np.intp]) -> bool:
-    """Return whether flexes are solids whose only elasticity is that between nodes: it alone is known to grow along."""
+    """Return whether flexes are solids that are elastic only between nodes, the only elasticity that can be scaled."""
     has_edges = (model.flex_edgestiffness[flexes] != 0) | (model.flex_edgeequality[flexes] != 0)
     is_plastic = model.flex_plasticadr[flexes] >= 0
     is_of_nodes = (model.flex_dim[flexes] == 3) & (model.flex_interp[flexes] > 0)
@@ -109,17 +109,17 @@ def _tree_of(model: Any, body: int) -> NDArray[np.intp]:
 
 
 def owners(parts: Iterable[NDArray[np.intp]]) -> NDArray[np.intp]:
-    """Return for each row, of the parts one after the other, which part it belongs to."""
+    """Return the part of each row, for parts one after the other."""
     lengths = [len(part) for part in parts]
     return np.repeat(np.arange(len(lengths)), lengths)
 
 
 def colours(world: World, geoms: NDArray[np.intp]) -> NDArray[np.float32]:
-    """Return the colours that geoms are drawn with, (geoms, 4): their own, or their material's if they have none."""
+    """Return the visible colours of geoms, (geoms, 4): their own, or else their material's."""
     model = world.model
     rgba: NDArray[np.float32] = np.array(model.geom_rgba[geoms])
     materials = model.geom_matid[geoms]
-    # MuJoCo's renderer takes this grey, a geom's default, for "no colour of its own".
+    # MuJoCo's renderer treats this grey, a geom's default, as "no colour".
     has_none = (rgba == np.array([0.5, 0.5, 0.5, 1.0], np.float32)).all(axis=-1) & (materials >= 0)
     rgba[has_none] = model.mat_rgba[materials[has_none]]
     return rgba

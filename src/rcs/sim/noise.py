@@ -1,7 +1,6 @@
-"""Noise of cameras: what a colour sensor adds, and what a stereo depth camera cannot know.
+"""Noise of cameras: of colour sensors, and of stereo depth.
 
-The noise of a frame depends on the state that is seen alone, so that the same seed gives the same frames, in one
-environment and in any copy.
+The noise of a frame depends only on the visible state, so the same seed gives the same frames in any copy.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ COLOUR_DEVIATION = 2.0
 SUBPIXEL = 0.08
 """Standard deviation of a disparity [px], as Intel states for D400 cameras on textured scenes."""
 EDGE = 64
-"""By how much a field of noise is larger than a frame, so that it can be shifted [px]."""
+"""Margin of a noise field over a frame, which allows to shift it [px]."""
 
 
 class CameraNoise:
@@ -30,7 +29,7 @@ class CameraNoise:
         Args:
             camera: Its figures.
             size: Width and height of frames [px].
-            number: Of the camera in its scene: each has noise of its own.
+            number: Number of the camera in its scene, as each has different noise.
         """
         width, height = size
         rng = np.random.default_rng(number)
@@ -45,11 +44,11 @@ class CameraNoise:
 
         Args:
             frame: `rgb` (*leading, H, W, 3), `intrinsics` (*leading, 3, 3) and perhaps `depth` [mm] (*leading, H, W).
-            state: Positions of all joints, (*leading, nq); decides which part of the noise is taken.
+            state: Positions of all joints, (*leading, nq); determines the part of the noise field.
         """
         leading = state.shape[:-1]
         noisy = {key: value.copy() for key, value in frame.items()}
-        for index in np.ndindex(leading):  # frames are drawn one by one as well
+        for index in np.ndindex(leading):  # single frames have no leading axis
             row, column = _shift(state[index])
             height, width = frame["rgb"][index].shape[:2]
             part = np.s_[row : row + height, column : column + width]
@@ -60,7 +59,7 @@ class CameraNoise:
         return noisy
 
     def _depth(self, depth_mm: NDArray[np.uint16], focal: float, disparity: NDArray[np.float64]) -> NDArray[np.uint16]:
-        """Return depth with the error of a disparity, dz = z^2 / (f b) dd, and without what is too near."""
+        """Return depth with the error of a disparity, dz = z^2 / (f b) dd, and without readings that are too near."""
         depth = 1e-3 * depth_mm
         measured = depth + depth * depth / (focal * self._baseline) * disparity
         is_seen = (depth_mm > 0) & (measured >= self._nearest)
@@ -68,14 +67,14 @@ class CameraNoise:
 
 
 def nearest_depth(camera: CameraDescription, size: tuple[int, int]) -> float:
-    """Return the nearest depth that a camera measures in frames of a size [m]: that of the next larger format."""
+    """Return the nearest measurable depth in frames of a size [m], that of the next larger format."""
     around = [entry for entry in sorted(camera.min_depth) if entry[0] >= size[0] and entry[1] >= size[1]]
     formats = around[:1] or sorted(camera.min_depth)[-1:]
     return formats[0][2] if formats else 0.0
 
 
 def _shift(state: NDArray[np.float64]) -> tuple[int, int]:
-    """Return where in its field the noise of a state begins: a hash of the state's bits."""
+    """Return the offset of a state's noise in its field, a hash of the state's bits."""
     bits = np.ascontiguousarray(state).view(np.uint64)
     with np.errstate(over="ignore"):
         weights = np.arange(1, len(bits) + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)

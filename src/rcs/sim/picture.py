@@ -18,18 +18,18 @@ class Picture:
     """Draws a world of one copy from the overview camera."""
 
     def __init__(self, world: World, *, size: tuple[int, int] = (640, 480), quality: Quality = "fast") -> None:
-        """Look at a world.
+        """Prepare to draw a world.
 
         Args:
             world: A world of one copy.
             size: Width and height [px].
-            quality: How much a picture may cost.
+            quality: Rendering quality.
 
         Raises:
             InvalidSetup: The world has many copies.
         """
         if world.data is None:
-            raise InvalidSetup("A picture is drawn of a world of one copy.")
+            raise InvalidSetup("Pictures need a world of one copy.")
         self._world = world
         self._data = world.data
         self._size = size

@@ -1,4 +1,4 @@
-"""What differs between episodes besides the task's own start: how much, as one frozen record."""
+"""The ranges of domain randomisation, as one frozen record."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _SAME: Factors = (1.0, 1.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Randomisation:
-    """Ranges from which every episode draws, evenly. A range of no width changes nothing, not a bit.
+    """Ranges from which every episode draws uniformly. A range without width changes nothing, not even a bit.
 
-    Each field draws from a stream of its own: switching one on or off changes no other.
+    Each field draws from its own stream, so switching one on or off does not change others.
     """
 
     light_intensity: Factors = (0.5, 1.5)
@@ -28,7 +28,7 @@ class Randomisation:
     light_direction: float = 0.3
     """Largest turn of each light about each axis [rad]."""
     light_position: float = 0.2
-    """Largest shift of each light along each axis [m]; one that shines in parallel looks the same anywhere."""
+    """Largest shift of each light along each axis [m]; directional lights do not change."""
     table_colour: float = 0.15
     """Largest change of red, green and blue of the table, of 1."""
     object_colour: float = 0.10
@@ -36,19 +36,19 @@ class Randomisation:
     room_colour: float = 0.15
     """The same for each wall and the floor."""
     textures: int = 4
-    """How many procedural textures the table top may have besides its own look; all equally often."""
+    """Number of procedural textures of the table top besides its own look, all equally likely."""
     camera_translation: float = 0.01
     """Largest shift of each camera along each axis of its optical frame [m]."""
     camera_rotation: float = 0.03
-    """Largest turn of each camera about each of these axes [rad]."""
+    """Largest turn of each camera about each axis of its optical frame [rad]."""
     field_of_view: Factors = (0.97, 1.03)
     """Factor on the vertical field of view of each camera."""
     object_size: Factors = (0.9, 1.1)
-    """Factor on all edges of each object that is made of simple shapes or soft; its mass and material stay."""
+    """Factor on the size of each object of simple or soft shapes; mass and material stay the same."""
     object_mass: Factors = (0.5, 2.0)
     """Factor on the mass and the inertia of each object."""
     friction: Factors = (0.8, 1.25)
-    """One factor on the friction of everything: contact takes the greater of two, and so scales with it."""
+    """One factor on all friction, since a contact uses the greater of two."""
     joint_damping: Factors = (0.8, 1.25)
     """Factor on the damping of each joint of the robots, fingers included."""
 
@@ -56,7 +56,7 @@ class Randomisation:
         """Check every range.
 
         Raises:
-            InvalidSetup: A range is no range, or would make something negative.
+            InvalidSetup: A range is not valid, or would make something negative.
         """
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
@@ -73,7 +73,7 @@ class Randomisation:
 
     @staticmethod
     def off(**ranges: Any) -> Randomisation:
-        """Return ranges of no width, but for those that are given."""
+        """Return ranges without width, except those given."""
         nothing: dict[str, Any] = {
             field.name: _SAME if field.name in FACTORS else 0 if field.name == "textures" else 0.0
             for field in dataclasses.fields(Randomisation)
@@ -86,7 +86,7 @@ class Randomisation:
         return value != _SAME if isinstance(value, tuple) else value > 0
 
     def bounds(self, field: str) -> tuple[float, float]:
-        """Return between what a field is drawn, evenly; for textures, numbers to be rounded down."""
+        """Return the bounds of a field's uniform draw; for textures, of a number to be rounded down."""
         value: float | Factors = getattr(self, field)
         if isinstance(value, tuple):
             return value
@@ -99,7 +99,7 @@ class Randomisation:
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> Randomisation:
-        """Return the ranges that `to_json` wrote; fields that are left out have their defaults.
+        """Return the ranges that `to_json` wrote; missing fields have their defaults.
 
         Raises:
             InvalidSetup: A key is unknown or a value is not valid.
@@ -122,9 +122,9 @@ LIMITS = {
     "camera_translation": 0.5,
     "camera_rotation": 1.0,
 }
-"""Largest values of the others, where there are any: beyond, a camera looks elsewhere and a light from below."""
+"""Largest values of the others, if limited: beyond these, cameras look elsewhere and lights shine from below."""
 MAX_TEXTURES = 16
-"""Each takes 48 kB of the model."""
+"""Each takes 48 kB in the model."""
 
 
 def _is_number(value: Any) -> bool:

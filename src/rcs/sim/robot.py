@@ -13,18 +13,18 @@ from rcs.sim.scene import RobotPlacement
 from rcs.sim.world import World
 
 ARRIVED_TOLERANCE = 1e-3
-"""A joint has arrived this close to its target [rad] …"""
+"""A joint has arrived when it is this close to its target [rad] …"""
 STILL_TOLERANCE = 1e-2
-"""… at less than this speed [rad/s, m/s]."""
+"""… and slower than this [rad/s, m/s]."""
 REST_TIME = 0.05
-"""Fingers are at rest after standing still for this long [s]; shorter, and a gripper that just starts counts."""
+"""Time without motion after which fingers are at rest [s]; less would include a gripper that is about to start."""
 
 
 class SimRobot:
     """An arm with its gripper in a world. Arrays are (*world.leading, n)."""
 
     def __init__(self, world: World, robot: RobotPlacement) -> None:
-        """Look the robot up in a world and have its TCP pose read out.
+        """Look the robot up in a world and register its TCP pose for readout.
 
         Args:
             world: The world.
@@ -59,7 +59,7 @@ class SimRobot:
 
     @property
     def tcp_xyzrpy(self) -> NDArray[np.float64]:
-        """The same as translation [m] and roll, pitch, yaw [rad]."""
+        """Pose of the TCP as translation [m] and roll, pitch, yaw [rad]."""
         return self.world.xyzrpy[..., self.tcp_readout, :].copy()
 
     @property
@@ -137,15 +137,15 @@ class SimRobot:
         opening: NDArray[np.floating] | None = None,
         hand: NDArray[np.floating] | None = None,
     ) -> None:
-        """Put every copy somewhere, at rest and with its targets there, by writing the state (no motion).
+        """Put every copy at a given position, at rest and with its targets there, by writing the state (no motion).
 
         Args:
             joints: Joint positions [rad], (*leading, dof).
-            opening: Of the gripper, 0 closed … 1 open, (*leading, 1); None leaves it as it is.
-            hand: Joints of the hand, normalised to 0 … 1, (*leading, n); None leaves them as they are.
+            opening: Opening of the gripper, 0 closed … 1 open, (*leading, 1); None keeps it.
+            hand: Joints of the hand, normalised to 0 … 1, (*leading, n); None keeps them.
 
         Raises:
-            InvalidSetup: An opening without a gripper, or joints of a hand without one.
+            InvalidSetup: There is an opening but no gripper, or joints of a hand but no hand.
         """
         self.world.qpos[..., self.layout.qpos] = joints
         self.world.qvel[..., self.layout.qvel] = 0.0
@@ -170,9 +170,9 @@ class SimRobot:
 
     @property
     def servo_lag(self) -> NDArray[np.float64]:
-        """By how much each joint lags behind a target that moves evenly [s], (dof,).
+        """Lag of each joint behind a target at constant speed [s], (dof,).
 
-        A servo's force `gain * target - stiffness * q - damping * v` is then at balance with the joint's own damping.
+        A servo's force `gain * target - stiffness * q - damping * v` then balances the joint's own damping.
         """
         model, ids = self.world.model, self.layout
         damping = model.dof_damping[model.jnt_dofadr[ids.joint_ids]] - model.actuator_biasprm[ids.actuator_ids, 2]

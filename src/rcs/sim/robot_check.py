@@ -1,4 +1,4 @@
-"""Checks a robot in a compiled scene for what would otherwise only be seen in bad episodes."""
+"""Checks a robot in a compiled scene for faults that would otherwise only show in bad episodes."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:  # a scene makes these checks
     from rcs.sim.scene import RobotPlacement
 
 MAX_TCP_SAG = 0.002
-"""A TCP that sags further than this at home is worth a warning [m]: from 2.3 mm on, scripted grasps fail (measured)."""
+"""Sag of the TCP at home above which to warn [m]: from 2.3 mm on, scripted grasps fail (measured)."""
 MAX_JOINT_SAG = 0.005
 """The same for a joint [rad]: 2 mm at a lever of 0.4 m."""
 BASE_TOLERANCE = 1e-6
-"""What rounding may move a base by [m, rad]."""
+"""Tolerance of a base's pose for rounding [m, rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sag:
-    """How far a robot sinks below its home pose while its servos are told to hold it there."""
+    """How far a robot sags below its home pose while its servos hold it."""
 
     joints: NDArray[np.float64]
     """Of each joint, (dof,) [rad]; infinite for a joint without a position servo."""
@@ -35,19 +35,19 @@ class Sag:
 
     @property
     def is_small(self) -> bool:
-        """Whether neither a joint nor the TCP sinks noticeably."""
+        """Whether neither a joint nor the TCP sags noticeably."""
         return bool(np.abs(self.joints).max() <= MAX_JOINT_SAG) and self.tcp <= MAX_TCP_SAG
 
 
 def check_robot(robot: RobotPlacement, model: mujoco.MjModel) -> None:
-    """Check that the base is where the robot was put, and warn if its servos do not carry it.
+    """Check that the base is where the robot was placed, and warn if its servos cannot carry its weight.
 
     Args:
         robot: The robot.
-        model: The scene that it stands in.
+        model: The compiled scene.
 
     Raises:
-        InvalidSetup: Its base body has a pose of its own in its file.
+        InvalidSetup: Its base body has a pose in its file.
     """
     data = _at_home(robot, model)
     _require_base(robot, data)
@@ -55,7 +55,7 @@ def check_robot(robot: RobotPlacement, model: mujoco.MjModel) -> None:
     if not sag.is_small:
         worst = int(np.abs(sag.joints).argmax())
         warnings.warn(
-            f"Robot {robot.name!r} sags: told to hold its home pose, joint {robot.arm.joints[worst]!r} gives way by "
+            f"Robot {robot.name!r} sags: while holding its home pose, joint {robot.arm.joints[worst]!r} gives way by  "
             f"{abs(sag.joints[worst]):.3g} rad and the TCP by {1e3 * sag.tcp:.2g} mm, so that it misses what it "
             f'reaches for. Add gravcomp="1" to every body in {robot.arm.mjcf_file} if its controller compensates '
             "the weight, or raise the servos' gain (kp).",
@@ -64,12 +64,12 @@ def check_robot(robot: RobotPlacement, model: mujoco.MjModel) -> None:
 
 
 def sag_of(robot: RobotPlacement, model: mujoco.MjModel) -> Sag:
-    """Return how far a robot sags at home: the weight that is not compensated, over the servos' stiffness."""
+    """Return how far a robot sags at home: uncompensated weight over the servos' stiffness."""
     return _sag(robot, model, _at_home(robot, model))
 
 
 def _at_home(robot: RobotPlacement, model: mujoco.MjModel) -> mujoco.MjData:
-    """Return data with the robot at home, at rest and told to stay; forces are computed, contacts are not solved."""
+    """Return data with the robot at rest at home and its targets there; forces are computed without contacts."""
     data = mujoco.MjData(model)
     for joint, actuator, q in zip(robot.arm.joints, robot.arm.actuators, robot.arm.home, strict=True):
         data.joint(robot.prefix + joint).qpos[0] = data.actuator(robot.prefix + actuator).ctrl[0] = q
@@ -97,7 +97,7 @@ def _sag(robot: RobotPlacement, model: mujoco.MjModel, data: mujoco.MjData) -> S
     servos = [model.actuator(robot.prefix + name).id for name in robot.arm.actuators]
     missing = (data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias)[dofs]
     stiffness = -model.actuator_biasprm[servos, 1]
-    if (stiffness <= 0.0).any():  # not a position servo: nothing holds the joint
+    if (stiffness <= 0.0).any():  # without a position servo nothing holds the joint
         return Sag(joints=np.where(stiffness > 0.0, 0.0, np.inf), tcp=np.inf)
     jacobian = np.zeros((3, model.nv))
     mujoco.mj_jacSite(model, data, jacobian, None, model.site(robot.tcp_site).id)

@@ -1,4 +1,4 @@
-"""A scene put together from robots, cameras and furniture, as one MuJoCo model.
+"""Composes a scene of robots, cameras and furniture into one MuJoCo model.
 
 The frame of the scene has its origin on the table top, x away from the robot, z up. Names of a robot's elements get the
 robot's name as prefix (`fr3/joint1`, `fr3/gripper/tcp`), those of a camera the camera's (`wrist/...`).
@@ -20,27 +20,27 @@ from rcs.sim.tactile_placement import TactilePlacement, attach_tactile
 from rcs.sim.textures import add_wood
 
 OVERVIEW = "overview"
-"""Name of the camera that sees the whole scene; it is for people and in no observation."""
+"""Name of the camera that shows the whole scene to people; it is not observed."""
 
 TABLE = "table"
 """Name of the body of the table."""
 TABLE_THICKNESS = 0.04
 STEEPEST = -0.7
-"""A camera whose view points down more steeply than this (z of its direction) gets no stand."""
+"""Steepest downward view of a camera on a stand (z of its direction)."""
 FLOOR_HEIGHT = -0.76
 """A common table height [m], below the table top."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotPlacement:
-    """One robot and where it stands."""
+    """One robot and its place."""
 
     name: str
     """Name in keys and prefixes, such as `fr3`."""
     arm: ArmDescription
     gripper: GripperDescription | None = None
     hand: HandDescription | None = None
-    """A hand instead of a gripper."""
+    """The hand, instead of a gripper."""
     base_in_scene: Mount = Mount()
     """Pose of the robot's base frame in the scene."""
 
@@ -48,14 +48,14 @@ class RobotPlacement:
         """Check that there is one end effector at most.
 
         Raises:
-            InvalidSetup: A gripper and a hand.
+            InvalidSetup: There are both a gripper and a hand.
         """
         if self.gripper is not None and self.hand is not None:
-            raise InvalidSetup(f"Robot {self.name!r} has a gripper and a hand; a flange carries one of them.")
+            raise InvalidSetup(f"Robot {self.name!r} has a gripper and a hand; a flange carries only one.")
 
     @property
     def end_effector(self) -> GripperDescription | HandDescription | None:
-        """What is at the flange."""
+        """The end effector."""
         return self.gripper or self.hand
 
     @property
@@ -65,7 +65,7 @@ class RobotPlacement:
 
     @property
     def gripper_prefix(self) -> str:
-        """Prefix of the names of what is at the flange."""
+        """Prefix of the end effector's element names."""
         return self.prefix + GRIPPER_PREFIX
 
     @property
@@ -89,7 +89,7 @@ class CameraPlacement:
     """Name in keys and prefixes, such as `wrist`."""
     camera: CameraDescription
     parent_body: str
-    """Body of the scene that carries it; `world` for one that stands still."""
+    """Body of the scene that carries it; `world` if it is fixed."""
     optical_in_parent: Mount
     """Pose of the optical frame (x right, y down, z forward) in the parent body's frame."""
     fovy: float | None = None
@@ -103,7 +103,7 @@ class CameraPlacement:
 
 @dataclass
 class Scene:
-    """A scene while it is put together. `spec` is MuJoCo's own, to be changed freely before `compile`."""
+    """A scene under construction. `spec` is MuJoCo's own and may be changed freely before `compile`."""
 
     spec: mujoco.MjSpec
     robots: list[RobotPlacement] = field(default_factory=list)
@@ -111,15 +111,15 @@ class Scene:
     has_textures: bool = False
     tactile: list[TactilePlacement] = field(default_factory=list)
     _lacks_details: bool = field(default=False, init=False, repr=False)
-    """Whether detailed visuals were asked for in vain; the next robot neither waits for the network nor warns again."""
+    """Whether detailed visuals are unavailable; the next robot then neither waits for the network nor warns again."""
 
     @staticmethod
     def empty(*, physics_step: float = 0.002, has_textures: bool = False) -> Scene:
-        """Start a scene with a floor, lights and the solver settings that grasping needs.
+        """Start a scene with a floor, lights and solver settings for grasping.
 
         Args:
             physics_step: Time step of the physics [s].
-            has_textures: Whether furniture has textures, which take a tenth of the time of a small frame.
+            has_textures: Whether furniture has textures, which take a tenth of a small frame's time.
         """
         spec = mujoco.MjSpec()
         spec.modelname = "rcs"
@@ -139,7 +139,7 @@ class Scene:
         spec.visual.headlight.ambient = [0.36, 0.36, 0.36]
         spec.visual.headlight.diffuse = [0.12, 0.12, 0.12]
         spec.visual.headlight.specular = [0.0, 0.0, 0.0]
-        # Fixed, so that pictures do not depend on what else is in the scene.
+        # Fixed, so that pictures do not depend on the rest of the scene.
         spec.stat.extent = 1.5
         spec.stat.center = [0.4, 0.0, 0.3]
         scene = Scene(spec, has_textures=has_textures)
@@ -154,7 +154,7 @@ class Scene:
         return scene
 
     def _add_room(self) -> None:
-        """Add a floor and three walls: boxes are almost free to draw, and a black background is like no lab."""
+        """Add a floor and three walls: boxes are almost free to draw, and no lab has a black background."""
         room: dict[str, tuple[list[float], list[float], list[float]]] = {
             "floor": ([0.3, 0.0, FLOOR_HEIGHT - 0.05], [2.5, 2.5, 0.05], [0.42, 0.44, 0.47, 1.0]),
             "back wall": ([-1.25, 0.0, 0.8], [0.05, 2.5, 1.6], [0.80, 0.81, 0.82, 1.0]),
@@ -168,7 +168,7 @@ class Scene:
                 pos=pos,
                 size=size,
                 rgba=rgba,
-                # Only what falls off the table meets the floor, and nothing meets the walls.
+                # Only falling objects touch the floor, and nothing touches the walls.
                 contype=int(name == "floor"),
                 conaffinity=int(name == "floor"),
                 group=0,
@@ -184,7 +184,7 @@ class Scene:
                     dir=[0.4 - x, -y, -2.2],
                     diffuse=[0.17, 0.17, 0.17],
                     specular=[0.05, 0.05, 0.05],
-                    # One light throws shadows in full quality: four shadow maps cost four times as much and add little.
+                    # Only one light casts shadows: four shadow maps cost four times as much and add little.
                     castshadow=x < 0 and y < 0,
                 )
 
@@ -217,14 +217,14 @@ class Scene:
                 )
 
     def add_robot(self, robot: RobotPlacement, *, assets: Assets = "builtin") -> None:
-        """Stand a robot in the scene, with its gripper at the flange.
+        """Add a robot to the scene, with its end effector.
 
         Args:
-            robot: The robot and where it stands.
-            assets: Where its looks come from; nothing else depends on it.
+            robot: The robot and its place.
+            assets: Source of its looks; nothing else depends on it.
 
         Raises:
-            InvalidSetup: A robot of that name is in the scene already.
+            InvalidSetup: The scene already has a robot of that name.
         """
         if any(other.name == robot.name for other in self.robots):
             raise InvalidSetup(f"Two robots are named {robot.name!r}; give each a name of its own.")
@@ -250,7 +250,7 @@ class Scene:
         parent = self.spec.body(camera.parent_body)
         if parent is None:
             raise InvalidSetup(
-                f"Camera {camera.name!r} is to be mounted on {camera.parent_body!r}, which is not there."
+                f"Camera {camera.name!r} is mounted on {camera.parent_body!r}, which is not in the scene."
             )
         frame = mount_frame(parent, camera.optical_in_parent)
         housing = load(camera.camera)
@@ -260,14 +260,14 @@ class Scene:
             self.spec.camera(camera.camera_name).fovy = np.degrees(camera.fovy)
         self.cameras.append(camera)
         if not has_housing:
-            return  # nothing is seen that would float
+            return  # nothing visible would float
         if camera.parent_body in {"world", *(robot.base_body for robot in self.robots)}:
             self._add_stand(parent, camera)
         else:
             self._add_bracket(parent, camera)
 
     def _add_bracket(self, parent: mujoco.MjsBody, camera: CameraPlacement) -> None:
-        """Join a camera that moves to the body that carries it, so that it is not seen to float."""
+        """Draw a bracket between a moving camera and its body, so that it does not seem to float."""
         optical = camera.optical_in_parent
         behind = np.array(optical.translation) - 0.012 * optical.pose.matrix[:3, 2]
         parent.add_geom(
@@ -282,7 +282,7 @@ class Scene:
         )
 
     def add_tactile(self, sensor: TactilePlacement) -> None:
-        """Mount a tactile sensor on a body of the scene, such as a finger in the place of its pad.
+        """Mount a tactile sensor on a body of the scene, such as a finger instead of its pad.
 
         Raises:
             InvalidSetup: The name is taken, or the body or the pad is not in the scene.
@@ -293,11 +293,11 @@ class Scene:
         self.tactile.append(sensor)
 
     def _add_stand(self, parent: mujoco.MjsBody, camera: CameraPlacement) -> None:
-        """Stand a camera that does not move on a post, which nothing can touch."""
+        """Add a post, without collisions, under a fixed camera."""
         x, y, z = camera.optical_in_parent.translation
         forward = camera.optical_in_parent.pose.matrix[:3, 2]
         if forward[2] < STEEPEST:
-            return  # it hangs from above, or it would see its own post
+            return  # it looks down, and would see its own post
         # Behind the optical centre, so that the camera does not see its own post.
         back = -0.02 * forward
         top = z - 0.02
@@ -313,10 +313,10 @@ class Scene:
         )
 
     def compile(self) -> mujoco.MjModel:
-        """Make the model; a robot whose servos do not carry its weight gets a warning.
+        """Compile the model; warn about robots whose servos cannot carry their weight.
 
         Raises:
-            InvalidSetup: A robot's base is not where it was put, as its file gives it a pose of its own.
+            InvalidSetup: A robot's base is not where it was placed, because its file gives it a pose.
         """
         model = self.spec.compile()
         for robot in self.robots:
@@ -325,7 +325,7 @@ class Scene:
 
 
 def _axes_looking(eye: list[float], target: list[float]) -> list[float]:
-    """Return x and y axes of a MuJoCo camera (looking along its -z) at `eye` that looks at `target`, upright."""
+    """Return x and y axes of an upright MuJoCo camera (looking along -z) at `eye` that looks at `target`."""
     back = np.subtract(eye, target)
     back = back / np.linalg.norm(back)
     right = np.cross([0.0, 0.0, 1.0], back)

@@ -1,4 +1,4 @@
-"""Carries states over between scenes that differ in what hangs on them, such as cameras, and in nothing that moves."""
+"""Transfers states between scenes with the same joints that differ in fixed parts such as cameras."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from numpy.typing import NDArray
 from rcs.errors import InvalidSetup
 
 _PER_BODY = 6
-"""Numbers of an external force per body in a state."""
+"""Numbers per body in a state: its external force."""
 
 
 class StateTransfer:
     """Writes states of one model as states of another with the same joints and actuators.
 
-    A state has a force for every body, so that one more camera makes it longer. Bodies are matched by name; a body
-    that only the other model has gets no force.
+    A state has a force for every body, so an additional camera makes it longer. Bodies are matched by name; those only
+    in the target get no force.
     """
 
     def __init__(self, source: mujoco.MjModel, target: mujoco.MjModel) -> None:
         """Match two models.
 
         Args:
-            source: The model that states come from.
-            target: The model that they are for.
+            source: The model of given states.
+            target: The model of returned states.
 
         Raises:
-            InvalidSetup: Their joints or actuators differ, or whatever else is in a state.
+            InvalidSetup: Their joints, actuators or other parts of the state differ.
         """
         if (joints := _names(source, "jnt")) != _names(target, "jnt"):
             raise InvalidSetup(
@@ -44,7 +44,7 @@ class StateTransfer:
                 columns = np.arange(_PER_BODY)
                 reads.append((read + _PER_BODY * from_rows[:, None] + columns).ravel())
                 writes.append((write + _PER_BODY * to_rows[:, None] + columns).ravel())
-                assert len(common) > 0  # the world is in both
+                assert len(common) > 0  # both have the world
             elif sizes[0] != sizes[1]:
                 raise InvalidSetup(
                     f"States of one scene do not fit another: {name} has {sizes[0]} numbers in one and "
@@ -59,13 +59,13 @@ class StateTransfer:
         self._source_size = read
 
     def __call__(self, states: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return states as those of the target.
+        """Return the corresponding states of the target.
 
         Args:
             states: States of the source, (..., size).
 
         Raises:
-            InvalidSetup: They have another size than the source's.
+            InvalidSetup: Their size differs from the source's.
         """
         if states.shape[-1] != self._source_size:
             raise InvalidSetup(f"A state has {states.shape[-1]} numbers; this scene's have {self._source_size}.")
@@ -75,7 +75,7 @@ class StateTransfer:
 
 
 def _parts() -> list[tuple[str, int]]:
-    """Return name and bit of all parts of a state, in the order in which they are stored."""
+    """Return name and bit of all parts of a state, in storage order."""
     whole = int(mujoco.mjtState.mjSTATE_INTEGRATION.value)
     parts = {int(part.value): name for name, part in mujoco.mjtState.__members__.items()}
     return [(parts[bit], bit) for bit in sorted(parts) if bit & whole and bit & (bit - 1) == 0]
@@ -88,6 +88,6 @@ def _names(model: mujoco.MjModel, kind: str) -> list[str]:
 
 
 def _bodies(model: mujoco.MjModel) -> NDArray[np.str_]:
-    """Return the names of all bodies; those without one get a name by their number among such, which is as good."""
+    """Return the names of all bodies; unnamed ones are numbered."""
     names = [model.body(i).name for i in range(model.nbody)]
     return np.array([name or f"\0{i}" for i, name in enumerate(names)])

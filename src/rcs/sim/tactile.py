@@ -1,9 +1,8 @@
 """A tactile sensor with a camera behind its gel, such as the DIGIT, in a world of one copy or of many.
 
-Rays from the sensor's camera find what is pressed into the gel, with the precision of the geometry and without OpenGL.
-The gel's surface follows (`gel`), and its lights make the frame (`gel_light`). Contacts in MuJoCo are much stiffer than
-a gel, so by default it is the measured contact force that says how deep the gel gives in. Soft bodies (flexes) are not
-felt.
+Rays from the sensor's camera find objects in the gel, with the precision of the geometry and without OpenGL. The gel's
+surface follows (`gel`), and its lights make the frame (`gel_light`). Contacts in MuJoCo are much stiffer than a gel, so
+by default the measured contact force determines the indentation. Soft bodies (flexes) are not felt.
 """
 
 from __future__ import annotations
@@ -23,18 +22,18 @@ from rcs.sim.tactile_placement import UNFELT_GROUP, TactilePlacement
 from rcs.sim.world import World
 
 Indentation = Literal["force", "geometry"]
-"""What says how deep the gel gives in. `force`: the normal force on the gel, which grows with the depth up to the
-sensor's largest. `geometry`: how far objects are inside the gel, for poses that are set and not simulated."""
+"""What determines the indentation. `force`: the normal force on the gel, in proportion up to the sensor's largest.
+`geometry`: how far objects are inside the gel, for poses that are set, not simulated."""
 
 TactileLook = Literal["rcs", "tacto"]
-"""Who draws the frame: this library, or Tacto (extra `tacto`)."""
+"""The renderer of frames: RCS, or Tacto (extra `tacto`)."""
 
 FELT_GROUPS = (0, 3)
-"""Groups of geoms that are felt: 0 is what both touches and is seen, 3 what only touches."""
+"""Groups of geoms that are felt: 0 collides and is visible, 3 only collides."""
 FELT_FIELDS = ("body_pos", "body_quat", "geom_pos", "geom_quat", "geom_size", "geom_rbound", "geom_aabb", "bvh_aabb")
-"""Fields of the model that say where geoms are and how large: they may vary, from copy to copy as well."""
+"""Fields of the model with places and sizes of geoms, which may vary between copies."""
 COARSER = 2
-"""Every second ray finds the deepest point; all rays are cast only where something touches."""
+"""Every second ray finds the deepest point; all rays are cast only near a contact."""
 
 
 class SimTactile:
@@ -50,20 +49,20 @@ class SimTactile:
         background: GelImage | None = None,
         noise_seed: int | None = None,
     ) -> None:
-        """TactileLook the sensor up in a world, and have the force on its gel read out.
+        """Look the sensor up in a world, and register the force on its gel for readout.
 
         Args:
             world: The world.
             placement: A sensor of its scene.
-            indentation: What says how deep the gel gives in.
-            look: Who draws the frame.
-            background: A frame without contact, (height, width, 3), such as one from a real sensor; None for the one
-                that the lights give. Tacto has one of its own.
+            indentation: What determines the indentation.
+            look: The renderer of frames.
+            background: A frame without contact, (height, width, 3), such as one from a real sensor; None to compute it
+                from the lights. Tacto has its own.
             noise_seed: Seed of the noise of the sensor's pixels; None for frames without noise.
 
         Raises:
-            InvalidSetup: The sensor is not in the world, or an option that does not make sense.
-            MissingDependency: Tacto was asked for and is not installed.
+            InvalidSetup: The sensor is not in the world, or an option is not valid.
+            MissingDependency: Tacto is chosen but not installed.
         """
         if indentation not in get_args(Indentation) or look not in get_args(TactileLook):
             raise InvalidSetup(
@@ -71,7 +70,7 @@ class SimTactile:
                 f"{get_args(TactileLook)}."
             )
         if look == "tacto" and background is not None:
-            raise InvalidSetup("Tacto has a background of its own; give none, or look='rcs'.")
+            raise InvalidSetup("Tacto has its own background; leave background out, or use look='rcs'.")
         model = world.model
         try:
             self._body: int = model.body(placement.body_name).id
@@ -87,7 +86,7 @@ class SimTactile:
         is_gel = np.zeros(model.ngeom, np.uint8)
         is_gel[gel_geom] = 1
         self._force = world.core.read_force(is_gel, 1 - is_gel)
-        # What the sensor is fixed to is not felt; to the world, everything that stands is.
+        # The body that carries the sensor is not felt; for the world, this includes all fixed bodies.
         fixed_to = model.body_weldid[self._body]
         bodies = model.geom_bodyid
         self._is_own = bodies == self._body if fixed_to == 0 else model.body_weldid[bodies] == fixed_to
@@ -105,11 +104,11 @@ class SimTactile:
         return self._world.forces[..., self._force].copy()
 
     def read(self) -> dict[str, NDArray[Any]]:
-        """Feel what touches the gel now.
+        """Return the present frame.
 
         Returns:
-            `rgb` (*leading, H, W, 3) uint8, and `indentation` (*leading, H, W) float32: how far the gel's surface is
-            pushed towards the camera [m], 0 where nothing is felt.
+            `rgb` (*leading, H, W, 3) uint8, and `indentation` (*leading, H, W) float32: displacement of the gel's
+            surface towards the camera [m], 0 without contact.
         """
         width, height = self.gel.size
         leading = self._world.leading
@@ -121,7 +120,7 @@ class SimTactile:
         return {"rgb": rgb, "indentation": indentation}
 
     def _present(self, copy: tuple[int, ...]) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """Return the shapes, without those that the sensor is fixed to, and the poses of one copy."""
+        """Return the model (without the body that carries the sensor) and data of one copy."""
         world = self._world
         if self._shapes is None:
             self._shapes = self._without_own(world.model)
@@ -140,9 +139,9 @@ class SimTactile:
         return model, data
 
     def _without_own(self, model: mujoco.MjModel) -> mujoco.MjModel:
-        """Return a copy of a model whose rays pass through what the sensor is fixed to.
+        """Return a copy of a model in which rays pass through the body that carries the sensor.
 
-        A finger may reach into the housing, in between the camera and the gel.
+        A finger may reach into the housing, between the camera and the gel.
         """
         seen: mujoco.MjModel = copying.copy(model)
         seen.geom_group[self._is_own] = UNFELT_GROUP
@@ -174,7 +173,7 @@ class SimTactile:
         return self.gel.displacement(depth)
 
     def _is_something_near(self, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
-        """Return whether the box around a geom that can be felt reaches the gel: most of the time none does."""
+        """Return whether the bounding box of any geom reaches the gel; most of the time none does."""
         sensor, felt = self.placement.sensor, self._felt
         middle = data.xpos[self._body] + data.xmat[self._body].reshape(3, 3) @ np.array(sensor.gel_center)
         offset = np.einsum("gji,gj->gi", data.geom_xmat[felt].reshape(-1, 3, 3), middle - data.geom_xpos[felt])
@@ -203,11 +202,11 @@ class SimTactile:
         rays = self._rays[rows, columns]
         count = rays.shape[0] * rays.shape[1]
         geoms, depth = np.empty(count, np.int32), np.empty(count)
-        # einsum, as the threads of a matrix product cost more than the product when all cores are busy.
+        # einsum, since the threads of a matrix product cost more than the product when all cores are busy.
         directions = np.einsum("ij,rcj->rci", rotation, rays).ravel()
-        # What lies farther from the gel than it gives in does not touch it, wherever on the gel a contact is.
+        # Objects farther from the gel than its indentation do not touch it.
         farthest = sensor.gel_center[0] - sensor.camera_position[0] + 2.0 * sensor.max_indentation
-        # MuJoCo leaves geoms out by their distance from the eye, which is more than the depth towards the corners.
+        # MuJoCo culls geoms by distance from the eye, which exceeds the depth towards the corners.
         reach = 2.0 * farthest
         mujoco.mj_multiRay(model, data, eye, directions, self._groups, 1, self._body, geoms, depth, None, count, reach)
         depth[(depth < 0.0) | (depth > farthest)] = np.inf
@@ -221,19 +220,19 @@ class SimTactile:
         return np.clip(np.rint(frame + noise), 0.0, 255.0).astype(np.uint8)
 
     def close(self) -> None:
-        """Free what drawing needed. Closing twice is harmless; reading again makes it anew."""
+        """Free the renderer. Closing twice is harmless; reading again makes a new one."""
         self._renderer.close()
 
 
 def _around(flags: NDArray[np.bool_], across: int) -> slice:
-    """Return the rows (across 1) or columns (0) of rays where coarser ones have true flags, and two of these more."""
+    """Return the rows (across 1) or columns (0) of rays at true flags of coarser ones, with two of these as margin."""
     found = np.flatnonzero(flags.any(axis=across))
     return slice(max(int(found[0]) - 2, 0) * COARSER, (int(found[-1]) + 3) * COARSER)
 
 
 def _renderer(placement: TactilePlacement, gel: Gel, look: TactileLook, background: GelImage | None) -> GelRenderer:
     if look == "tacto":
-        # Here, because it needs packages that most users do not have.
+        # Imported here, since it needs packages that most users do not have.
         from rcs.sim.tacto import Tacto
 
         return Tacto(placement.sensor, gel)

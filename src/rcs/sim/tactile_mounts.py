@@ -1,4 +1,4 @@
-"""Where tactile sensors go on grippers and hands: in the place of the pads, which the robot's own model tells."""
+"""Mounts of tactile sensors on grippers and hands: instead of the pads, found in the robot's model."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from rcs.spatial import Pose
 Vector = NDArray[np.float64]
 
 FAR = 1.0
-"""A way that is longer than any gripper is wide [m]."""
+"""A distance greater than any gripper's width [m]."""
 
 
 def on_pad(touch_in_finger: Mount, sensor: TactileDescription) -> Mount:
     """Return the pose of a sensor whose gel protrudes most at a given point of a finger.
 
     Args:
-        touch_in_finger: The point where the pad touches and how it faces, in the finger's frame: x out of the pad, z
-            towards the fingertip.
+        touch_in_finger: Contact point and orientation of the pad in the finger's frame: x out of the pad, z towards the
+            fingertip.
         sensor: The sensor.
 
     Returns:
@@ -40,11 +40,10 @@ def on_pad(touch_in_finger: Mount, sensor: TactileDescription) -> Mount:
 
 
 def on_pads(robot: RobotPlacement, sensor: TactileDescription) -> tuple[TactilePlacement, TactilePlacement]:
-    """Return sensors in the place of the left and the right pad of a gripper.
+    """Return sensors instead of the left and right pad of a gripper.
 
-    Each gel protrudes most in the middle of the face of its pad, so that what is grasped is where it was and the
-    gripper's opening means what it meant. Where that face is follows from the model, for any gripper whose description
-    names its pads.
+    Each gel protrudes most in the middle of its pad's face, so grasped objects and the meaning of the opening stay the
+    same. The face is found in the model, for any gripper whose description names its pads.
 
     Args:
         robot: A robot with a gripper; the sensors are named `<robot>_left` and `<robot>_right`.
@@ -56,7 +55,7 @@ def on_pads(robot: RobotPlacement, sensor: TactileDescription) -> tuple[TactileP
     gripper = robot.gripper
     if gripper is None:
         given = "nothing at its flange" if robot.end_effector is None else f"a hand, {robot.end_effector.label}"
-        raise InvalidSetup(f"Robot {robot.name!r} has {given}; the pads to mount {sensor.label} on are a gripper's.")
+        raise InvalidSetup(f"Robot {robot.name!r} has {given}; {sensor.label} is mounted on the pads of a gripper.")
     hand = _Posed(gripper)
     hand.put(gripper.joints, gripper.joint_closed)
     across, along = hand.tcp_rotation[:, 1], hand.tcp_rotation[:, 2]
@@ -74,7 +73,7 @@ def on_pads(robot: RobotPlacement, sensor: TactileDescription) -> tuple[TactileP
 def on_fingertips(
     robot: RobotPlacement, sensor: TactileDescription, fingers: Sequence[str]
 ) -> tuple[TactilePlacement, ...]:
-    """Return sensors in the place of fingertips of a hand, facing the way they bend towards the TCP.
+    """Return sensors instead of fingertips of a hand, facing the direction in which they bend towards the TCP.
 
     Args:
         robot: A robot with a hand; the sensors are named `<robot>_<finger>`.
@@ -82,7 +81,7 @@ def on_fingertips(
         fingers: Names of the fingers, such as `thumb`; the last of a finger's geoms is its tip.
 
     Raises:
-        InvalidSetup: The robot has no hand, or it has no such finger.
+        InvalidSetup: The robot has no hand, or the hand no such finger.
     """
     if robot.hand is None:
         raise InvalidSetup(f"Robot {robot.name!r} has no hand; on the pads of a gripper, use on_pads.")
@@ -131,11 +130,11 @@ class _Posed:
         return self._data.site(self._description.tcp_site).xmat.reshape(3, 3).copy()
 
     def middle(self, geoms: Sequence[str]) -> Vector:
-        """Return the mean of where geoms are [m]."""
+        """Return the mean position of geoms [m]."""
         return np.mean([self._data.geom(name).xpos for name in geoms], axis=0)
 
     def hinge(self, geom: str) -> tuple[Vector, Vector]:
-        """Return where the joint that moves a geom is [m], and its axis."""
+        """Return position [m] and axis of the joint that moves a geom."""
         weld = self._model.body_weldid[self._model.geom(geom).bodyid[0]]
         joint = self._model.body_jntadr[weld]
         return self._data.xanchor[joint].copy(), self._data.xaxis[joint].copy()
@@ -153,7 +152,7 @@ class _Posed:
 
         Args:
             robot: The robot.
-            side: What the sensor is named after, next to the robot.
+            side: Suffix of the sensor's name, after the robot.
             pads: Geoms of one finger.
             inwards: Direction into the pads.
             along: Direction of the finger.
@@ -170,7 +169,7 @@ class _Posed:
         distance = mujoco.mj_ray(self._model, self._data, start, direction, groups, 1, -1, geom, normal)
         if distance < 0.0:
             raise InvalidSetup(
-                f"{self._description.name}: where {sensor.label} would go on {tuple(pads)} there is nothing; "
+                f"{self._description.name}: found no surface on {tuple(pads)} for {sensor.label};  "
                 "place it yourself with TactilePlacement."
             )
         body = int(self._model.geom_bodyid[geom[0]])
@@ -191,7 +190,7 @@ class _Posed:
 
 
 def _facing(normal: Vector, along: Vector, place: Vector) -> Pose:
-    """Return a pose with x along a normal and z as near to a direction as it can be."""
+    """Return a pose with x along a normal and z as near as possible to a direction."""
     z = along - (along @ normal) * normal
     z /= np.linalg.norm(z)
     matrix = np.eye(4)

@@ -1,4 +1,4 @@
-"""Where a tactile sensor is mounted, and how it takes the place of a finger's pad."""
+"""The mount of a tactile sensor, and how it replaces a finger's pad."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from rcs.robots.tactile import TactileDescription
 from rcs.spatial import Pose
 
 CONTACT_FIELDS = ("condim", "friction", "solref", "solimp", "margin", "gap", "priority", "solmix")
-"""What a gel takes over from the pad that it replaces: how it holds, not its shape."""
+"""Attributes that a gel takes over from the pad that it replaces: contact properties, not shape."""
 UNFELT_GROUP = 5
-"""Group of geoms that are neither seen nor felt."""
+"""Group of geoms that are neither visible nor felt."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TactilePlacement:
-    """One tactile sensor and where it is mounted."""
+    """One tactile sensor and its mount."""
 
     name: str
     """Name in keys and prefixes, such as `left_touch`."""
     sensor: TactileDescription
     parent_body: str
-    """Body of the scene that carries it; `world` for one that stands still."""
+    """Body of the scene that carries it; `world` if it is fixed."""
     sensor_in_parent: Mount
     """Pose of the sensor's frame (x out of the gel, z along its longer side) in the parent body's frame."""
     replaced_pad: str | None = None
-    """Geom of the parent body that the gel takes the place of; None when nothing is in its way.
+    """Geom of the parent body that the gel replaces; None if nothing is in its way.
 
-    The gel gets its name, so that whoever asks for the contacts of the pad gets those of the gel, and its friction and
-    stiffness, so that it grasps as well. What else of the finger is in the gel's way is left out.
+    The gel gets its name, so that queries for the pad's contacts find the gel, and its friction and stiffness, so that
+    grasps hold as well. Other geoms of the finger in the gel's way are removed.
     """
     other_pads: tuple[str, ...] = ()
-    """More pads of the same finger: they keep their names and no longer touch anything."""
+    """Other pads of the same finger: they keep their names but no longer collide."""
 
     @property
     def body_name(self) -> str:
@@ -55,15 +55,15 @@ def attach_tactile(spec: mujoco.MjSpec, placement: TactilePlacement) -> None:
 
     Args:
         spec: The scene, changed in place.
-        placement: The sensor and where it goes.
+        placement: The sensor and its mount.
 
     Raises:
-        InvalidSetup: The body is not in the scene, or has no such pad.
+        InvalidSetup: The body is not in the scene, or it lacks the pad.
     """
     parent = spec.body(placement.parent_body)
     if parent is None:
         raise InvalidSetup(
-            f"Tactile sensor {placement.name!r} is to be mounted on {placement.parent_body!r}, which is not there."
+            f"Tactile sensor {placement.name!r} is mounted on {placement.parent_body!r}, which is not in the scene."
         )
     pad = None if placement.replaced_pad is None else _pad(parent, placement)
     frame = mount_frame(parent, placement.sensor_in_parent)
@@ -77,7 +77,7 @@ def attach_tactile(spec: mujoco.MjSpec, placement: TactilePlacement) -> None:
         gel.name = placement.replaced_pad
     for name in placement.other_pads:
         _retire(spec.geom(name))
-    # The sensor is a part of the finger: what the finger passes through without a contact, it does too.
+    # The sensor is part of the finger, so it shares the finger's contact exclusions.
     for exclude in list(spec.excludes):
         pair = [exclude.bodyname1, exclude.bodyname2]
         if placement.parent_body in pair:
@@ -90,19 +90,18 @@ def _pad(parent: mujoco.MjsBody, placement: TactilePlacement) -> mujoco.MjsGeom:
     pads = [geom for geom in parent.geoms if geom.name == placement.replaced_pad]
     if not pads:
         raise InvalidSetup(
-            f"Tactile sensor {placement.name!r} is to replace {placement.replaced_pad!r}; {placement.parent_body!r} "
+            f"Tactile sensor {placement.name!r} cannot replace {placement.replaced_pad!r}; {placement.parent_body!r}  "
             f"has {[geom.name for geom in parent.geoms if geom.name]}."
         )
     return pads[0]
 
 
 def _clear_way(spec: mujoco.MjSpec, parent: mujoco.MjsBody, pad: mujoco.MjsGeom, placement: TactilePlacement) -> None:
-    """Leave out what is drawn inside of a pad, and what of its finger is inside of the sensor and reaches into the gel.
+    """Remove visuals inside of a pad, and geoms of its finger inside of the sensor that reach into the gel.
 
-    What has its middle elsewhere carries the sensor and stays. So does a geom with a name, for those who look it up,
-    but it no longer touches.
+    Geoms centred elsewhere carry the sensor and stay. Named geoms stay for lookups, but no longer collide.
     """
-    model = spec.copy().compile()  # only here it is known where geoms are that a file gives by their ends or by angles
+    model = spec.copy().compile()  # compiled, since a file may give geoms by their ends or by angles
     sensor, mount = placement.sensor, placement.sensor_in_parent
     in_sensor = Pose(mount.translation, mount.quaternion).inverse()
     depth = sensor.gel_center[0] - sensor.camera_position[0]
@@ -134,6 +133,6 @@ def _pose_of(model: mujoco.MjModel, geom: int) -> Pose:
 
 
 def _retire(geom: mujoco.MjsGeom) -> None:
-    """Make a geom neither touch, nor be felt, nor be seen."""
+    """Make a geom invisible, without contacts, and not felt."""
     geom.contype = geom.conaffinity = 0
     geom.group = UNFELT_GROUP

@@ -1,7 +1,7 @@
 """Frames of a tactile sensor drawn by Tacto 0.0.3 (extra `tacto`), to compare with or to train on.
 
-Tacto gets the gel's surface as this library finds it, so that any object of a scene can be felt, and draws it with its
-own lights, materials and OpenGL context. Without a GPU it takes 50 to 130 ms a frame, `gel_light` about 1.
+RCS computes the gel's surface, so any object of a scene can be felt; Tacto draws it with its own lights, materials and
+OpenGL context. Without a GPU it takes 50 to 130 ms a frame, `gel_light` about 1 ms.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ MESH_ROWS = 160
 
 
 class Tacto:
-    """Tacto's renderer with the figures that it has for the DIGIT."""
+    """Tacto's renderer with its figures of the DIGIT."""
 
     def __init__(self, sensor: TactileDescription, gel: Gel) -> None:
-        """Import Tacto; its scene is made when it is first drawn.
+        """Import Tacto; its scene is created by the first drawing.
 
         Args:
             sensor: A DIGIT.
             gel: Its gel.
 
         Raises:
-            InvalidSetup: The sensor is none that Tacto has figures of.
+            InvalidSetup: Tacto has no figures of the sensor.
             MissingDependency: Tacto is not installed.
         """
         if sensor.name != "digit":
-            raise InvalidSetup(f"Tacto draws the sensor 'digit', not {sensor.name!r}.")
+            raise InvalidSetup(f"Tacto supports only the sensor 'digit', not {sensor.name!r}.")
         self._tacto = _import_tacto()
         self._renderer: Any = None
         self._gel = gel
@@ -77,7 +77,7 @@ class Tacto:
         """Return the depth of the gel's surface on Tacto's grid: rows along z, columns along y [m]."""
         depth = self._gel.rest - displacement
         found = np.full(self._y.shape, self._front)
-        # Where a ray meets the surface depends on the depth there; each round brings it closer by half or more.
+        # A ray's hit depends on the depth there; each round halves the error or better.
         for _ in range(12):
             found = _sample(depth, *self._gel.pixels(self._y / found, self._z / found))
         return found
@@ -90,7 +90,7 @@ class Tacto:
 
 
 def _sample(image: Image, rows: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return an image's values between its pixels; beyond its edge it goes on as at the edge."""
+    """Return an image's values between its pixels; edge values continue beyond the edge."""
     rows = np.clip(rows, 0.0, image.shape[0] - 1.001)
     columns = np.clip(columns, 0.0, image.shape[1] - 1.001)
     row, column = rows.astype(np.intp), columns.astype(np.intp)
@@ -106,7 +106,7 @@ def _import_tacto() -> Any:
     Raises:
         MissingDependency: It is not installed, or a package that it needs does not work here.
     """
-    # Without it, Tacto's OpenGL wants a display. What was chosen before stays.
+    # Without it, Tacto's OpenGL needs a display. An earlier choice stays.
     if "PYOPENGL_PLATFORM" not in os.environ:
         usable = [probe.name for probe in probe_gl() if probe.ok]
         if usable:
@@ -127,9 +127,9 @@ def _remedy(err: Exception) -> str:
 
 @contextmanager
 def _names_of_2018() -> Generator[None]:
-    """Lend Python and NumPy names that they have dropped, for as long as Tacto is imported.
+    """Restore names that Python and NumPy have dropped while Tacto is being imported.
 
-    Tacto's packages are pinned to networkx 2.2, which uses them; once it is loaded it does not.
+    Tacto's packages are pinned to networkx 2.2, which needs them at import only.
     """
     lent: list[tuple[Any, str]] = []
     wanted: list[tuple[Any, str, Any]] = [

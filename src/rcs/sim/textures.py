@@ -1,4 +1,4 @@
-"""Procedural textures for surfaces: computed here, so that no picture has to be shipped."""
+"""Procedural textures for surfaces, computed so that no images need to be shipped."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ WOOD_EDGE = 512
 BOARDS = 6
 """Boards of a table top."""
 REPEAT = 2.0
-"""How often it is laid side by side on a surface."""
+"""How often it repeats on a surface."""
 
 
 def add_textures(spec: mujoco.MjSpec, count: int) -> None:
     """Add materials with textures to a scene; `texture_name` has their names.
 
-    They are grey and bright, so that a surface keeps its own colour under them.
+    They are bright grey, so that a surface keeps its colour.
     """
     for number in range(count):
         name = texture_name(number)
@@ -50,7 +50,7 @@ def wood() -> NDArray[np.uint8]:
     board = np.floor(BOARDS * y).astype(int)
     tone = rng.uniform(0.86, 1.0, BOARDS)[board]
     phase = rng.uniform(0.0, 1.0, BOARDS)[board]
-    # Year rings: lines along the board that wander slowly across it.
+    # Growth rings: lines along the board that wander slowly across it.
     wander = 0.35 * np.sin(2 * np.pi * (1.3 * x + phase)) + 0.15 * np.sin(2 * np.pi * (3.1 * x + 2 * phase))
     rings = 0.5 + 0.5 * np.sin(2 * np.pi * (9.0 * (BOARDS * y) + 1.5 * wander + 5 * phase))
     fibre = np.repeat(rng.random((WOOD_EDGE, WOOD_EDGE // 32)), 32, axis=1)
@@ -67,7 +67,7 @@ def texture_name(number: int) -> str:
 def procedural_texture(number: int) -> NDArray[np.uint8]:
     """Return the grey values of a texture, (EDGE, EDGE): wood, checks, stripes or cloth, of changing scale.
 
-    All of them can be laid side by side without a seam.
+    All tile without seams.
     """
     rng = np.random.default_rng(number)
     x, y = np.meshgrid(np.arange(EDGE) / EDGE, np.arange(EDGE) / EDGE)

@@ -1,4 +1,4 @@
-"""A window on a world of one copy, where there is a display."""
+"""A window that shows a world of one copy; needs a display."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Viewer:
     """MuJoCo's own viewer beside a running environment; a context manager."""
 
     def __init__(self, world: World) -> None:
-        """Look at a world.
+        """Prepare to show a world.
 
         Args:
             world: A world of one copy.
@@ -41,7 +41,7 @@ class Viewer:
         except ImportError as err:
             raise MissingDependency("The viewer needs glfw: pip install 'mujoco-core[rendering]'.") from err
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # GLFW's own words on a missing display; ours follow
+            warnings.simplefilter("ignore")  # GLFW's own message on a missing display; ours follows
             has_display = glfw.init()
         if not has_display:
             raise MissingDependency(
@@ -52,7 +52,7 @@ class Viewer:
         self._handle = mujoco.viewer.launch_passive(
             self._world.model, self._world.data, show_left_ui=False, show_right_ui=False
         )
-        # The handle does not give its thread away, and a program that ends before the thread does crashes in it.
+        # The handle hides its thread, and a program that ends before that thread crashes in it.
         self._threads = set(threading.enumerate()) - before
 
     @property

@@ -1,7 +1,7 @@
-"""Copies of a scene that are advanced together, one control step at a time.
+"""A world: copies of a scene that are stepped together, one control step at a time.
 
 A world on the user's own `MjModel` and `MjData` has arrays without a leading axis; a world of copies has arrays
-(copies, ...). Everything that indexes from the right (`qpos[..., 3]`) works on both. Stepping runs in C++ on MuJoCo's
+(copies, ...). Code that indexes from the right (`qpos[..., 3]`) works on both. Stepping runs in C++ on MuJoCo's
 thread pool without the GIL, and its result does not depend on the number of threads or copies.
 """
 
@@ -23,16 +23,16 @@ Stepping = Literal["async", "sync", "realtime"]
 """How long a step lasts: one control period of simulated time, until converged, or one on the wall clock."""
 
 Copies = NDArray[np.integer[Any]] | None
-"""Which copies a call is for: their ids, in any order, each once; none if there are none. None means all."""
+"""The copies that a call is for: distinct ids in any order, possibly none; None for all."""
 
 StepFunction = Callable[[StepView], bool | None]
 """A function that sees a copy during a step; None counts as False."""
 
 LOWEST_FREQUENCY = 1e-6
-"""Lowest rate of control steps [Hz]: one in eleven days."""
+"""Lowest control rate [Hz]: one step in eleven days."""
 
 SHORTEST_PHYSICS_STEP = 1e-9
-"""Shortest time step of the physics [s]: the finest that a control period is counted in."""
+"""Shortest time step of the physics [s], the resolution of control periods."""
 
 DIVERGENCE = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
@@ -40,7 +40,7 @@ DIVERGENCE = (
     mujoco.mjtWarning.mjWARN_BADQACC,
     mujoco.mjtWarning.mjWARN_BADCTRL,
 )
-"""Warnings of MuJoCo after which a step counts as failed."""
+"""Warnings of MuJoCo that make a step fail."""
 
 
 class World:
@@ -61,7 +61,7 @@ class World:
 
         Args:
             model: The scene. A world of copies works on a copy of it.
-            data: State of a world of one copy, changed in place; made when not given.
+            data: State of a world of one copy, changed in place; None for a new one.
             copies: Number of copies; None for one copy on `data`.
             threads: Threads for copies, 0 for one per CPU that this process may use.
             frequency: Control steps per second of simulated time [Hz].
@@ -69,7 +69,7 @@ class World:
             max_substeps: Limit of physics steps in a synchronous step.
 
         Raises:
-            InvalidSetup: A number that makes no sense, both `data` and `copies`, or data of another model.
+            InvalidSetup: A number is not valid, both `data` and `copies` are given, or the data are of another model.
         """
         if copies is not None and data is not None:
             raise InvalidSetup("Give data for one copy or copies for many, not both.")
@@ -102,14 +102,14 @@ class World:
         self._scratch: mujoco.MjData | None = None
 
     def close(self) -> None:
-        """Drop the callbacks and end the threads; calls afterwards raise WrongOrder, and closing twice is harmless.
+        """Drop the callbacks and end the threads; later calls raise WrongOrder, but closing twice is harmless.
 
-        Arrays keep their last values. Threads end when no array that was taken from this world is left.
+        Arrays keep their last values. Threads end when no array of this world is left.
         """
         if not self.core.is_open:
             return
         self.core.close()
-        # Copies, which need no world: this one's arrays would keep the threads.
+        # Copies of the arrays, since this world's would keep the threads alive.
         self.qpos, self.qvel, self.ctrl, self.time = (a.copy() for a in (self.qpos, self.qvel, self.ctrl, self.time))
 
     @property
@@ -162,14 +162,14 @@ class World:
         return self.core.read_force(first, second)
 
     def _read_out(self) -> None:
-        """Take views of what is read out. The first use ends the time in which readouts may be added."""
+        """Take views of the readouts. After the first use, no readouts may be added."""
         self._poses, self._xyzrpy = self.core.poses, self.core.xyzrpy
         self._forces, self._openings = self.core.forces, self.core.openings
         self._is_read_out = True
 
     @property
     def poses(self) -> NDArray[np.float64]:
-        """Live poses asked for by `read_pose`, (*leading, readouts, 7): translation [m], quaternion xyzw."""
+        """Live poses registered with `read_pose`, (*leading, readouts, 7): translation [m], quaternion xyzw."""
         if not self._is_read_out:
             self._read_out()
         return self._poses
@@ -183,14 +183,14 @@ class World:
 
     @property
     def forces(self) -> NDArray[np.float64]:
-        """Live forces of what was asked for by `read_force`, (*leading, readouts) [N]."""
+        """Live forces registered with `read_force`, (*leading, readouts) [N]."""
         if not self._is_read_out:
             self._read_out()
         return self._forces
 
     @property
     def openings(self) -> NDArray[np.float32]:
-        """Live openings of what was asked for by `core.read_opening`, (*leading, readouts), 0 … 1."""
+        """Live openings registered with `core.read_opening`, (*leading, readouts), 0 … 1."""
         if not self._is_read_out:
             self._read_out()
         return self._openings
@@ -204,8 +204,8 @@ class World:
         """Advance copies by one control step.
 
         Raises:
-            InvalidSetup: Copies that are not ids of this world, each named once.
-            SimulationError: MuJoCo failed, or left out contacts; a copy's end says which.
+            InvalidSetup: The copies are not distinct ids of this world.
+            SimulationError: MuJoCo failed or dropped contacts; the message names the copy.
             WrongOrder: The world is stepping already, in another thread or around a callback, or is closed.
         """
         if copies is None:
@@ -214,21 +214,21 @@ class World:
             self.core.advance(copies)
 
     def why_diverged(self) -> str:
-        """Return MuJoCo's words on why the last step failed, of a world of one copy; empty if it did not diverge."""
+        """Return MuJoCo's message on why the last step failed, for a world of one copy; empty if it did not."""
         if self.data is None:
             return ""
         warnings = [(kind.value, self.data.warning[kind.value]) for kind in DIVERGENCE]
         return " ".join(mujoco.mju_warningText(kind, stat.lastinfo) for kind, stat in warnings if stat.number)
 
     def reset(self, copies: Copies = None) -> None:
-        """Return copies to the initial state; call `refresh` when the state is written."""
+        """Reset copies to the initial state; call `refresh` after writing the state."""
         if copies is None:
             self.core.reset()
         else:
             self.core.reset(copies)
 
     def refresh(self, copies: Copies = None) -> None:
-        """Recompute what is read out (poses, forces) after the state was written to."""
+        """Recompute the readouts (poses, forces) after writing the state."""
         self._is_read_out = False  # readouts may have been added
         if copies is None:
             self.core.refresh()
@@ -240,7 +240,7 @@ class World:
         return self.core.states if self.leading else self.core.get_state(0)
 
     def vary(self, field: str) -> NDArray[Any]:
-        """Return live values of a field of `MjModel` to write to, (*leading, *its shape); each copy has its own.
+        """Return live, writable values of a field of `MjModel`, (*leading, *its shape), one per copy.
 
         Call `update_constants` after writing masses, inertias, sizes or places of bodies.
 
@@ -248,21 +248,21 @@ class World:
             field: MuJoCo's name, such as `body_mass`.
 
         Raises:
-            ValueError: In a world of copies, a field that cannot differ between them.
+            ValueError: The field cannot differ between copies.
         """
         if not self.leading:
             return getattr(self.model, field)
         return self.core.expand(field).reshape(*self.leading, *getattr(self.model, field).shape)
 
     def field(self, field: str) -> NDArray[Any]:
-        """Return the present values of a field of `MjModel` to read, (*leading, *its shape)."""
+        """Return the present values of a field of `MjModel`, read-only, (*leading, *its shape)."""
         common: NDArray[Any] = getattr(self.model, field)
         shape = (*self.leading, *common.shape)
         own = self.core.expanded(field) if self.leading else None
         return np.broadcast_to(common, shape) if own is None else own.reshape(shape)
 
     def update_constants(self, copies: Copies = None) -> None:
-        """Recompute what the model derives from masses, inertias and sizes (`mj_setConst`)."""
+        """Recompute the constants derived from masses, inertias and sizes (`mj_setConst`)."""
         if not self.leading:
             if self._scratch is None:
                 self._scratch = mujoco.MjData(self.model)
@@ -296,7 +296,7 @@ class World:
         return np.concatenate([inside[self.model.geom_bodyid], self.subtree_flexes(body)]).astype(np.uint8)
 
     def subtree_flexes(self, body: str) -> NDArray[np.bool_]:
-        """Return for each flex of the model whether all of it moves with a body and what is attached to it.
+        """Return for each flex of the model whether all of it belongs to a body and everything attached to it.
 
         Raises:
             KeyError: The body is not in the model.
@@ -304,7 +304,7 @@ class World:
         inside, model = self.subtree(body), self.model
         flexes = np.zeros(model.nflex, np.bool_)
         for i in range(model.nflex):
-            # Vertices that are interpolated between nodes have no bodies of their own.
+            # Vertices that are interpolated between nodes have no bodies.
             part = "node" if model.flex_interp[i] else "vert"
             first = getattr(model, f"flex_{part}adr")[i]
             bodies = getattr(model, f"flex_{part}bodyid")[first : first + getattr(model, f"flex_{part}num")[i]]

@@ -1,10 +1,10 @@
 """Functions on arrays of poses: one pose or a batch, indexed from the right, as float64.
 
 A pose is a `tquat`, shape (..., 7): translation [m] and unit quaternion xyzw; or an `xyzrpy`, shape (..., 6):
-translation [m] and roll, pitch, yaw [rad] about the fixed x, y, z axes, in that order. Leading dimensions are kept; of
-several arguments, each has the same leading shape or holds a single pose, which then serves every row. Results are new
-arrays; the quaternions of poses have w >= 0. Poses with numbers that are not finite, or with a quaternion more than
-1e-3 off norm 1, raise ValueError, which names the row; `normalize` takes quaternions of any length.
+translation [m] and roll, pitch, yaw [rad] about the fixed x, y, z axes, in that order. Leading dimensions are kept;
+each of several arguments has the same leading shape or is a single pose for every row. Results are new arrays; the
+quaternions of poses have w >= 0. Poses with numbers that are not finite, or with a quaternion more than 1e-3 off norm
+1, raise a ValueError that names the row; `normalize` accepts quaternions of any length.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ def relative(a: npt.ArrayLike, b: npt.ArrayLike) -> FloatArray:
 
 
 def interpolate(a: npt.ArrayLike, b: npt.ArrayLike, fraction: npt.ArrayLike) -> FloatArray:
-    """Go part of the way from one pose to another: straight line and shortest rotation, both at constant speed.
+    """Interpolate between poses: straight line and shortest rotation, both at constant speed.
 
     Args:
         a: Poses at fraction 0 as tquat, shape (..., 7).
         b: Poses at fraction 1 as tquat, shape (..., 7).
-        fraction: Parts of the way in [0, 1], shape (...). A row of fractions between two single poses makes a path.
+        fraction: Fractions in [0, 1], shape (...). Several fractions between two single poses make a path.
 
     Raises:
         ValueError: A fraction is outside [0, 1].
@@ -63,13 +63,13 @@ def interpolate(a: npt.ArrayLike, b: npt.ArrayLike, fraction: npt.ArrayLike) -> 
 
 
 def limit_step(start: npt.ArrayLike, goal: npt.ArrayLike, max_translation: float, max_rotation: float) -> FloatArray:
-    """Go from start towards goal as far as the limits allow; each limit clips its own part.
+    """Move from start towards goal within limits on translation and on rotation.
 
     Args:
         start: Poses to start from as tquat, shape (..., 7).
-        goal: Poses to reach as tquat, shape (..., 7); one within both limits is returned as it is.
-        max_translation: Longest distance from start [m], 0 or more; infinity is no limit.
-        max_rotation: Largest angle from start [rad], 0 or more; infinity is no limit.
+        goal: Poses to reach as tquat, shape (..., 7); returned unchanged if within both limits.
+        max_translation: Longest distance from start [m], at least 0; infinity for no limit.
+        max_rotation: Largest angle from start [rad], at least 0; infinity for no limit.
 
     Raises:
         ValueError: A limit is below 0 or NaN.
@@ -88,13 +88,13 @@ def distance(a: npt.ArrayLike, b: npt.ArrayLike) -> FloatArray:
 
 
 def normalize(tquat: npt.ArrayLike) -> FloatArray:
-    """Give quaternions norm 1 and w >= 0, whatever their length: for numbers from a policy or a file.
+    """Normalize quaternions of any length to norm 1 and w >= 0, for numbers from a policy or file.
 
     Args:
         tquat: Translations [m] and quaternions xyzw of any length but 0, shape (..., 7).
 
     Raises:
-        ValueError: Every component of a quaternion is below 1e-9, so it has no direction.
+        ValueError: All components of a quaternion are below 1e-9, so it has no direction.
     """
     return _core.normalize_tquat(tquat)
 

@@ -12,15 +12,15 @@ from rcs.sim.world import World
 
 
 class Free(Task):
-    """Nothing to do and nothing to win."""
+    """A task without objects, reward or end."""
 
     def bind(self, world: World, robots: list[SimRobot]) -> None:
         """Remember the leading shape."""
         self._leading = world.leading
 
     def reset(self, draws: Draws, where: Where) -> None:
-        """Leave everything as it is: the robot starts at home."""
+        """Do nothing: the robot starts at home."""
 
     def evaluate(self) -> Judgement:
-        """Return reward 0, never terminated, and no `success`: there is nothing to judge."""
+        """Return reward 0, never terminated, and no `success`."""
         return Judgement(reward=np.zeros(self._leading), terminated=np.zeros(self._leading, np.bool_))

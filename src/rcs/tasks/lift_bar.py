@@ -22,18 +22,18 @@ EDGES = (0.035, 0.50, 0.05)
 MASS = 0.30
 """Mass of such a bar of light wood [kg]."""
 GRASP_AT = 0.8
-"""Where it is grasped along its y, between its middle (0) and its ends (1)."""
+"""Grasped points along its y, between its middle (0) and its ends (1)."""
 MAX_TILT = np.deg2rad(10.0)
 """Tilt above which the bar does not count as level [rad]."""
 MAX_YAW = 0.35
-"""The bar lies turned by up to this [rad]: farther and the arms would cross."""
+"""Largest turn of the bar at the start [rad]; beyond, the arms would cross."""
 TOUCH_FORCE = 0.5
-"""A pad with less than this on the bar does not count as touching it [N]."""
+"""Least force of a pad that counts as contact with the bar [N]."""
 BAR = "bar"
 
 
 class LiftBar(Task):
-    """Grasp a bar at both ends with two arms, lift it, by 10 cm unless the options say otherwise, and hold it level.
+    """Grasp a bar at both ends with two arms, lift it, by 10 cm by default, and hold it level.
 
     The reward is 1 per step at success, below that the mean over the arms of reaching, grasping and lifting.
     """
@@ -53,7 +53,7 @@ class LiftBar(Task):
         return [BAR]
 
     def bind(self, world: World, robots: list[SimRobot]) -> None:
-        """Have the bar's pose and the pads' forces on it read out.
+        """Register the bar's pose and the pads' forces on it for readout.
 
         Raises:
             InvalidSetup: There are not exactly two robots, or one has no gripper.
@@ -76,25 +76,25 @@ class LiftBar(Task):
         self._measure()
 
     def _measure(self) -> None:
-        """Take over how large the bars are, which may vary between episodes."""
+        """Take over the bars' sizes, which may vary between episodes."""
         half_edges = self._world.field("geom_size")[..., self._geom, :]
         self._rest_height = half_edges[..., 2].copy()
         self._grasp_offset = GRASP_AT * half_edges[..., 1]
-        # The first robot stands on the left, at larger y: it takes the end at larger y.
+        # The first robot stands on the left and takes the end at larger y.
         self._ends = np.stack([self._grasp_offset, -self._grasp_offset], axis=-1)
 
     def reset(self, draws: Draws, where: Where) -> None:
-        """Lay the bar down at a random place, turned a little."""
+        """Put the bar at a random place, turned slightly."""
         self._measure()
         self._body.place(upright(self.area.draw_place(draws, MAX_YAW), self._rest_height[where]), where)
         self._held.reset(where)
 
     def object_poses(self) -> dict[str, NDArray[np.float64]]:
-        """Return where the bar is: its middle, in the scene."""
+        """Return the bar's pose in the scene."""
         return {BAR: self._world.poses[..., self._pose, :].copy()}
 
     def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
-        """Put the bar somewhere."""
+        """Put the bar at a given pose."""
         if BAR in poses:
             self._body.place(poses[BAR], where)
 
@@ -121,13 +121,13 @@ class LiftBar(Task):
         return Judgement(reward=reward, terminated=success, info=info)
 
     def _grasps(self, bar: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where the two ends are to be grasped, in the scene, (..., 2, 3)."""
+        """Return the grasp points of both ends in the scene, (..., 2, 3)."""
         x, y, z, w = (bar[..., 3 + i] for i in range(4))
         axis = np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=-1)
         return bar[..., None, :3] + self._ends[..., None] * axis[..., None, :]
 
     def describe(self) -> dict[str, NDArray[Any]]:
-        """Return where the bar lies, and how far from its middle along its y it is to be grasped [m]."""
+        """Return the bar's pose, and the distance of the grasp points from its middle along its y [m]."""
         never = np.zeros(self._world.leading, np.bool_)
         bar = self._world.poses[..., self._pose, :].copy()
         return {

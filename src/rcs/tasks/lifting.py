@@ -1,4 +1,4 @@
-"""What tasks share in which something that lies on the table is lifted and held."""
+"""Shared parts of tasks in which an object on the table is lifted and held."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from rcs.spatial import xyzw_to_wxyz
 
 @dataclass(frozen=True, kw_only=True)
 class LiftOptions(Task.Options):
-    """What may be chosen in a task of lifting and holding."""
+    """Options of a task of lifting and holding."""
 
     lift_height: float = 0.10
-    """How far above where it lay the object must be held [m]."""
+    """Height above its start at which the object must be held [m]."""
     hold_time: float = 1.0
-    """For how long [s]."""
+    """How long it must be held [s]."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -39,31 +39,31 @@ class LiftOptions(Task.Options):
 
 
 class HoldCounter:
-    """Counts for how many steps in a row something was held, for each copy."""
+    """Counts how many steps in a row something was held, for each copy."""
 
     def __init__(self, world: World, hold_time: float) -> None:
-        """Count from 0 for a world; `hold_time` [s] is how long is long enough."""
+        """Count from 0 for a world; `hold_time` is the required time [s]."""
         self.steps: NDArray[np.int64] = np.zeros(world.leading, np.int64)
-        """Steps in a row up to now, (*leading,)."""
+        """Steps in a row so far, (*leading,)."""
         self._enough = max(1, round(hold_time * world.frequency))
 
     def reset(self, where: Where) -> None:
-        """Start anew for some copies."""
+        """Start again for some copies."""
         steps = np.array(self.steps)  # of one copy it is a number of NumPy's, which is faster than an array
         steps[where] = 0
         self.steps = steps
 
     def count(self, is_held: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Take a step into account, and return which copies have held for long enough, (*leading,)."""
+        """Count a step, and return which copies have held for long enough, (*leading,)."""
         self.steps = (self.steps + 1) * is_held
         return self.steps >= self._enough
 
 
 class FreeBody:
-    """A body that moves freely, by the name that it shares with its joint and its geom."""
+    """A free body whose joint and geom share its name."""
 
     def __init__(self, world: World, name: str) -> None:
-        """Look up where its state is."""
+        """Look up its place in the state."""
         self._qpos = world.qpos
         first = int(world.model.joint(name).qposadr[0])
         self._translation = slice(first, first + 3)
@@ -78,13 +78,13 @@ class FreeBody:
 def add_box(
     scene: Scene, name: str, place: tuple[float, float], *, edges: Sequence[float], mass: float, rgb: Sequence[float]
 ) -> None:
-    """Add a box that lies on the table and moves freely.
+    """Add a free box on the table.
 
     Args:
         scene: The scene, before it is compiled.
-        name: Of its body, its joint and its geom.
+        name: Name of its body, joint and geom.
         place: x, y of its middle in the scene [m].
-        edges: Along its x, y, z [m].
+        edges: Edges along its x, y, z [m].
         mass: Its mass [kg].
         rgb: Its colour, 0 … 1.
     """
@@ -96,8 +96,8 @@ def add_box(
         size=[edge / 2 for edge in edges],
         mass=mass,
         rgba=[*rgb, 1.0],
-        # Sliding friction of PLA or wood on rubber is about 1. Torsional friction counts from condim 4 on, and is what
-        # keeps a box from turning between the pads.
+        # Sliding friction of PLA or wood on rubber is about 1. Torsional friction, which needs condim 4, keeps a box
+        # from turning between the pads.
         friction=[1.0, 0.01, 0.0001],
         condim=4,
         solref=[0.01, 1.0],
@@ -106,7 +106,7 @@ def add_box(
 
 
 def upright(place: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return poses (*leading, 7) that are turned about the vertical only.
+    """Return poses (*leading, 7) turned only about the vertical.
 
     Args:
         place: x, y [m] and yaw [rad], (*leading, 3).
@@ -125,18 +125,18 @@ def progress(
     """Return the mean of reaching, grasping, and lifting while grasping, 0 … 1 each (ManiSkill 3's PickCube-v1).
 
     Args:
-        distance: Between the TCP and what is to be grasped [m].
-        is_grasped: Whether it is.
-        height: How far above where it lay the object is [m].
-        lift_height: How far it should be [m].
+        distance: Distance from the TCP to the grasp point [m].
+        is_grasped: Whether the object is grasped.
+        height: Height of the object above its start [m].
+        lift_height: Required height [m].
     """
     reach = 1.0 - np.tanh(5.0 * distance)
     lift = np.minimum(np.maximum(height * (1.0 / lift_height), 0.0), 1.0)
     return (reach + is_grasped * (1.0 + lift)) * (1.0 / 3.0)
 
 
-# NumPy's own sums add in an order that may depend on how many copies there are.
+# The order of NumPy's sums may depend on the number of copies.
 def norm(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the lengths of vectors (..., 3), the same for one copy as for many."""
+    """Return the lengths of vectors (..., 3), with the same bits for one copy as for many."""
     x, y, z = (vectors[..., i] for i in range(3))
     return np.sqrt(x * x + y * y + z * z)

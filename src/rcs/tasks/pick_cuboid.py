@@ -22,12 +22,12 @@ SIZE = (0.064, 0.032, 0.0576)
 MASS = 0.05
 """Mass of such a cuboid printed in PLA with a usual infill [kg]."""
 TOUCH_FORCE = 0.5
-"""A pad with less than this on the cuboid does not count as touching it [N] (ManiSkill's PickCube)."""
+"""Least force of a pad that counts as contact with the cuboid [N] (ManiSkill's PickCube)."""
 CUBOID = "cuboid"
 
 
 class PickCuboid(Task):
-    """Lift the cuboid, by 10 cm unless the options say otherwise, and hold it there for one second.
+    """Lift the cuboid, by 10 cm and for one second by default.
 
     The reward is 1 per step at success, below that the mean of three parts in [0, 1]: reaching, grasping, and lifting
     while grasping, in the form of ManiSkill 3's PickCube-v1 (`1 - tanh(5 d)`).
@@ -39,7 +39,7 @@ class PickCuboid(Task):
     options: LiftOptions
 
     def __init__(self, area: Area, options: LiftOptions | Mapping[str, Any] | None = None) -> None:
-        """Take place in an area; the cuboid's centre is anywhere in it, at any yaw."""
+        """Set the area; the cuboid's centre is anywhere in it, at any yaw."""
         super().__init__(area, options)
         self.edges = tuple(area.object_scale * edge for edge in SIZE)
         """Edges of the cuboid here [m]."""
@@ -55,7 +55,7 @@ class PickCuboid(Task):
         return [CUBOID]
 
     def bind(self, world: World, robots: list[SimRobot]) -> None:
-        """Have the cuboid's pose and the pads' forces on it read out.
+        """Register the cuboid's pose and the pads' forces on it for readout.
 
         Raises:
             InvalidSetup: There is not exactly one robot, or it has no gripper.
@@ -78,26 +78,26 @@ class PickCuboid(Task):
         self._held = HoldCounter(world, self.options.hold_time)
         self._geom = int(model.geom(CUBOID).id)
         self._rest_height = np.full(world.leading, self.edges[2] / 2)
-        # The pose for agents is in the base frame, which may stand anywhere; how high the cuboid is held is not.
+        # The pose for agents is in the base frame, which may be anywhere; the height is in the scene.
         self._in_scene = world.core.read_body_pose(model.body(CUBOID).id, 0)
 
     def reset(self, draws: Draws, where: Where) -> None:
-        """Lay the cuboid down at a random place and yaw."""
-        self._rest_height = self._world.field("geom_size")[..., self._geom, 2].copy()  # it may vary between episodes
+        """Put the cuboid at a random place and yaw."""
+        self._rest_height = self._world.field("geom_size")[..., self._geom, 2].copy()  # varies between episodes
         self._body.place(upright(self.area.draw_place(draws), self._rest_height[where]), where)
         self._held.reset(where)
 
     def object_poses(self) -> dict[str, NDArray[np.float64]]:
-        """Return where the cuboid is: its middle, in the scene."""
+        """Return the cuboid's pose in the scene."""
         return {CUBOID: self._world.poses[..., self._in_scene, :].copy()}
 
     def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
-        """Put the cuboid somewhere."""
+        """Put the cuboid at a given pose."""
         if CUBOID in poses:
             self._body.place(poses[CUBOID], where)
 
     def evaluate(self) -> Judgement:
-        """Judge height, grasp and how long the cuboid was held."""
+        """Judge height, grasp and duration."""
         touches = self._world.forces > TOUCH_FORCE
         poses = self._world.poses
         cuboid = poses[..., self._pose, :].copy()
@@ -116,7 +116,7 @@ class PickCuboid(Task):
         return Judgement(reward=reward, terminated=success, info=info)
 
     def describe(self) -> dict[str, NDArray[Any]]:
-        """Return where the cuboid lies."""
+        """Return the cuboid's pose."""
         never = np.zeros(self._world.leading, np.bool_)
         cuboid = self._world.poses[..., self._pose, :].copy()
         return {"success": never, "is_grasped": never, "is_touched": never, "cuboid": cuboid}

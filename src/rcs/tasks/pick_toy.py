@@ -25,7 +25,7 @@ from rcs.tasks.lifting import HoldCounter, LiftOptions, norm, progress
 SIZE = (0.09, 0.075, 0.07)
 """Length, width and height of the toy, an ellipsoid [m]."""
 MASS = 0.08
-"""Mass of the toy [kg]. Our choice, like its stiffness: the paper says no more than that it is deformable."""
+"""Mass of the toy [kg]. Our choice, like its stiffness: the paper only says that it is deformable."""
 YOUNG = 2e4
 """Young's modulus [Pa]: a power grasp squeezes the toy by 15 to 30 %, its own weight by less than 1 %."""
 POISSON = 0.3
@@ -37,23 +37,22 @@ GRID = 6
 SKIN = 0.002
 """Radius of the skin around vertices and faces [m]."""
 SETTLE_TIME = 1.0
-"""Time in which the toy comes to rest under its own weight [s]."""
+"""Time for the toy to come to rest under its own weight [s]."""
 NEAR_HOME = 0.05
-"""The arm is back home with its TCP this close to where it was at the start [m]."""
+"""Distance of the TCP from its start at which the arm is back home [m]."""
 TOUCH_FORCE = 0.2
-"""A robot with less than this on the toy does not count as touching it [N]: half the weight of the lightest toy."""
+"""Least force of a robot that counts as contact with the toy [N]: half the weight of the lightest toy."""
 SQUEEZED = 0.03
-"""A toy is squeezed when a distance between two nodes differs from the one at rest by more than this part of it: 2 N
-from above make as much."""
+"""Relative change of a distance between two nodes above which a toy is squeezed; 2 N from above cause it."""
 TOY = "toy"
 
 
 class PickToy(Task):
-    """Lift a soft toy, by 10 cm unless the options say otherwise, and hold it at the arm's home pose for one second.
+    """Lift a soft toy, by 10 cm by default, and hold it at the arm's home pose for one second.
 
     The toy is a flex whose shape follows eight nodes, the corners of a box around it. Each has three slide joints along
-    the scene's axes, so that its place, turn and shape are all in `qpos`. There is no pose to turn it by: a turn moves
-    the nodes, and MuJoCo's elasticity takes no notice of turns.
+    the scene's axes, so that its position, orientation and shape are all in `qpos`. Rotating it means moving the nodes,
+    which MuJoCo's elasticity permits without stress.
 
     The reward is 1 per step at success, below that the mean of three parts in [0, 1]: reaching, squeezing, and lifting
     while squeezing.
@@ -74,7 +73,7 @@ class PickToy(Task):
         return [TOY]
 
     def bind(self, world: World, robots: list[SimRobot]) -> None:
-        """Look up the toy's nodes and have the robot's force on it read out.
+        """Look up the toy's nodes and register the robot's force on it for readout.
 
         Raises:
             InvalidSetup: There is not exactly one robot, or it has neither gripper nor hand.

@@ -18,7 +18,7 @@ Rows = list[dict[str, Any]]
 MakeMoving = Callable[..., Path]
 
 INFO = DatasetInfo(
-    fps=FPS,
+    frequency=FPS,
     features=(
         Feature(key="observation/joints", shape=(7,), dtype="float64", unit="rad"),
         Feature(key=RGB, shape=(8, 12, 3), dtype="uint8", encoding="jpeg"),

@@ -43,7 +43,7 @@ def make(path: Path) -> None:
         Feature(key="time/monotonic", shape=(), dtype="float64"),
         Feature(key="flags/frames/side", shape=(), dtype="uint8"),
     )
-    info = DatasetInfo(fps=30, features=features, setup={"robot": "a toy"}, instruction="look", sim_state_size=3)
+    info = DatasetInfo(frequency=30, features=features, setup={"robot": "a toy"}, instruction="look", sim_state_size=3)
     rng = np.random.default_rng(0)
     with DatasetWriter.open(path, info) as writer:
         for number in range(COUNT):

@@ -28,7 +28,7 @@ def test_a_whole_dataset_has_no_findings(dataset: Path) -> None:
     report = check(dataset)
     assert not report.findings, str(report)
     assert (report.episodes, report.rows, report.frames) == (3, 21, 42)
-    assert report.summary == "3 episodes, 21 rows, 42 images checked: all as it was written"
+    assert report.summary == "3 episodes, 21 rows, 42 images checked: no damage"
     assert check(dataset, decode_frames=False).frames == 0
 
 
@@ -84,7 +84,7 @@ def test_a_broken_image_is_located_by_row(dataset: Path) -> None:
 def test_files_of_another_episode_are_found(dataset: Path) -> None:
     shutil.copy(dataset / "episodes/000000/steps.parquet", dataset / "episodes/000002/steps.parquet")
     messages = [finding.message for finding in check(dataset).findings]
-    assert messages[0] == "has 6 rows, and episode.json says 8"
+    assert messages[0] == "has 6 rows, but episode.json says 8"
     assert {finding.episode for finding in check(dataset).findings} == {"000002"}
 
 

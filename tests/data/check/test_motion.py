@@ -80,7 +80,7 @@ def test_the_arms_of_a_lab_are_known_by_the_names_in_its_keys(tmp_path: Path) ->
     from rcs.data.check.arms import find_arms
 
     features = tuple(Feature(key=f"observation/{s}/joints", shape=(7,), dtype="float64") for s in ("left", "other"))
-    info = DatasetInfo(fps=30, features=features, setup={"robot": "dual_fr3"}, instruction="lift")
+    info = DatasetInfo(frequency=30, features=features, setup={"robot": "dual_fr3"}, instruction="lift")
     arms, notes = find_arms(info)
     assert arms == {"observation/left/joints": FR3}
     assert len(notes) == 1

@@ -196,13 +196,13 @@ def test_a_description_is_made_anew_from_the_rows(dataset: Path, how: str) -> No
     assert (after.success, after.instruction) == (None, "pick the cuboid")
     assert after.seed == (1 if how == "cut" else None)
     assert after.outcome["repaired"] is True
-    assert after.quality["period"] == about["quality"]["period"]
+    assert after.timing["period"] == about["timing"]["period"]
     assert check(dataset).is_ok
 
 
 def test_simulation_states_that_are_lost_cost_no_row(dataset: Path) -> None:
     file(dataset, "sim_state.parquet").unlink()
-    assert "7 of its simulation states do not read" in only(dataset).message
+    assert "7 of its simulation states cannot be read" in only(dataset).message
     after = Dataset.open(dataset)[ID]
     assert (after.length, after.success) == (7, False)
     assert np.isnan(after.sim_state()).all()
@@ -235,16 +235,16 @@ def test_a_file_that_another_generation_still_has_is_taken_from_there(dataset: P
     assert Dataset.open(dataset)[ID].content_hash == content
 
 
-def test_a_wrong_quality_report_is_computed_anew(dataset: Path) -> None:
+def test_a_wrong_timing_report_is_computed_anew(dataset: Path) -> None:
     path = file(dataset, "episode.json")
     about = unsealed(path.read_bytes(), path)
-    wrong = {**about["quality"], "rows": 99, "writer": {"dropped_images": 0}}
-    path.write_bytes(sealed({**about, "quality": wrong}))
+    wrong = {**about["timing"], "rows": 99, "writer": {"dropped_images": 0}}
+    path.write_bytes(sealed({**about, "timing": wrong}))
     (finding,) = check(dataset).findings
-    assert (finding.kind, finding.severity) == ("quality", "warning")
+    assert (finding.kind, finding.severity) == ("timing", "warning")
     assert only(dataset).what == "recomputed"
     after = Dataset.open(dataset)[ID]
-    assert after.quality == {**about["quality"], "writer": {"dropped_images": 0}}
+    assert after.timing == {**about["timing"], "writer": {"dropped_images": 0}}
     assert (after.content_hash, after.success) == (about["content_hash"], about["success"])
     assert not check(dataset).findings
 

@@ -89,10 +89,10 @@ def test_flags_of_frames_are_counted(tmp_path: Path, moving: MakeMoving, flag: F
     assert found(moving(tmp_path, change)) == ([] if kind is None else [(kind, (10, 12))])
 
 
-@pytest.mark.parametrize("fps", [29.0, 25.0, 20.0, 7.0, 5.0])
-def test_a_lower_rate_is_no_gap(tmp_path: Path, moving: MakeMoving, fps: float) -> None:
+@pytest.mark.parametrize("frequency", [29.0, 25.0, 20.0, 7.0, 5.0])
+def test_a_lower_rate_is_no_gap(tmp_path: Path, moving: MakeMoving, frequency: float) -> None:
     path = moving(tmp_path)
-    edit.resample(path, fps)
+    edit.resample(path, frequency)
     assert found(path) == []
 
 

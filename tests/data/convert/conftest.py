@@ -122,12 +122,12 @@ def _made(
     episodes: int = 3,
     cameras: bool = True,
     robots: tuple[str, ...] = ("",),
-    fps: float = 30.0,
+    frequency: float = 30.0,
     success: tuple[bool | None, ...] = (True, False, True),
     **changes: Any,
 ) -> Dataset:
     features = list(_features(cameras, robots))
-    values = {"fps": fps, "setup": {"robot": "fr3"}, "instruction": WORDS[0], "features": tuple(features)}
+    values = {"frequency": frequency, "setup": {"robot": "fr3"}, "instruction": WORDS[0], "features": tuple(features)}
     with DatasetWriter.open(path, DatasetInfo(**{**values, **changes})) as writer:
         for index in range(episodes):
             words = WORDS[index % len(WORDS)]

@@ -272,7 +272,7 @@ def test_provenance_of_every_episode_is_kept(source: Dataset, tmp_path: Path) ->
 def test_only_successes_are_exported_where_asked(source: Dataset, tmp_path: Path) -> None:
     report = export_lerobot(source, tmp_path / "out", ExportOptions(success_only=True))
     assert (report.episodes, report.steps) == (2, 14)
-    with pytest.raises(InvalidSetup, match="none that succeeded"):
+    with pytest.raises(InvalidSetup, match="is one that succeeded"):
         export_lerobot(source, tmp_path / "none", ExportOptions(success_only=True, episodes=("take-1",)))
     assert not (tmp_path / "none").exists()
 
@@ -310,12 +310,12 @@ def test_a_dataset_without_cameras_has_no_videos(make_dataset: Any, tmp_path: Pa
 
 
 def test_a_rate_that_is_no_whole_number_is_refused_or_claimed_knowingly(make_dataset: Any, tmp_path: Path) -> None:
-    dataset = make_dataset(fps=29.97, cameras=False)
+    dataset = make_dataset(frequency=29.97, cameras=False)
     with pytest.raises(InvalidSetup, match=r"29\.97.*fps=30.*0\.10%"):
         export_lerobot(dataset, tmp_path / "out")
     report = export_lerobot(dataset, tmp_path / "out", ExportOptions(fps=30))
     assert load(tmp_path / "out" / "meta" / "info.json")["fps"] == 30
-    assert load(tmp_path / "out" / "meta" / "rcs.json")["fps"] == 29.97
+    assert load(tmp_path / "out" / "meta" / "rcs.json")["frequency"] == 29.97
     assert any("29.97" in note for note in report.notes)
 
 
@@ -342,7 +342,7 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(
 def test_what_is_there_is_not_overwritten(source: Dataset, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "thesis.tex").write_text("years of work")
-    with pytest.raises(DatasetError, match="there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         export_lerobot(source, tmp_path / "out")
     assert (tmp_path / "out" / "thesis.tex").read_text() == "years of work"
 

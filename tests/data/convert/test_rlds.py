@@ -157,12 +157,12 @@ def test_episodes_and_cameras_are_chosen(dataset: Path, tmp_path: Path, examples
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (ExportOptions(episodes=()), "none with a step"),
-        (ExportOptions(episodes=("000001",), success_only=True), "none that succeeded"),
+        (ExportOptions(episodes=()), "is one with a step"),
+        (ExportOptions(episodes=("000001",), success_only=True), "is one that succeeded"),
         (ExportOptions(cameras=("front",)), "front"),
         (ExportOptions(extra=("observation/frames/wrist/rgb",)), "cannot be extra"),
         (ExportOptions(name="pick-cuboid"), "letters, digits"),
-        (ExportOptions(name="3pick"), "letter first"),
+        (ExportOptions(name="3pick"), "first a letter"),
     ],
 )
 def test_what_makes_no_export_is_refused_and_leaves_nothing(
@@ -177,7 +177,7 @@ def test_exports_stand_side_by_side_and_none_is_written_over(dataset: Path, tmp_
     source = Dataset.open(dataset)
     export_rlds(source, tmp_path / "out", ExportOptions(name="a"))
     export_rlds(source, tmp_path / "out", ExportOptions(name="b"))
-    with pytest.raises(DatasetError, match="is there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         export_rlds(source, tmp_path / "out", ExportOptions(name="a"))
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "b"]
 
@@ -191,7 +191,7 @@ def test_the_folder_gives_the_name(tmp_path: Path, folder: str, name: str) -> No
 def test_two_parts_of_one_name_are_refused(tmp_path: Path) -> None:
     keys = ("observation/left/joints", "observation/left_joints", "action/joints")
     info = DatasetInfo(
-        fps=10,
+        frequency=10,
         features=tuple(Feature(key=key, shape=(1,), dtype="float64") for key in keys),
         setup={},
         instruction="",
@@ -230,7 +230,7 @@ def _varied(path: Path) -> Dataset:
         Feature(key="observation/frames/left/wrist/rgb", shape=(6, 8, 3), dtype="uint8", encoding="lossless"),
         Feature(key="time/monotonic", shape=(), dtype="float64"),
     )
-    info = DatasetInfo(fps=12.5, features=features, setup={}, instruction="立方体を持ち上げる – é")
+    info = DatasetInfo(frequency=12.5, features=features, setup={}, instruction="立方体を持ち上げる – é")
     rng = np.random.default_rng(0)
     with DatasetWriter.open(path, info) as writer:
         for i in range(2):

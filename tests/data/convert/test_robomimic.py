@@ -125,8 +125,8 @@ def test_actions_out_of_the_range_of_robomimic_are_told(dataset: Path, tmp_path:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (ExportOptions(episodes=("000001",), success_only=True), "none that succeeded"),
-        (ExportOptions(episodes=()), "none with a step"),
+        (ExportOptions(episodes=("000001",), success_only=True), "is one that succeeded"),
+        (ExportOptions(episodes=()), "is one with a step"),
         (ExportOptions(cameras=("front",)), "front"),
         (ExportOptions(state=("observation/frames/wrist/rgb",)), "cannot be joined"),
     ],
@@ -142,7 +142,7 @@ def test_what_makes_no_export_is_refused_and_leaves_nothing(
 
 def test_a_file_that_is_there_is_not_written_over(dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "out.hdf5").write_text("mine")
-    with pytest.raises(DatasetError, match="is there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         export_robomimic(Dataset.open(dataset), tmp_path / "out.hdf5")
     assert (tmp_path / "out.hdf5").read_text() == "mine"
 

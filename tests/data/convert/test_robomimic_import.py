@@ -70,7 +70,7 @@ def test_two_robots_held_values_missing_times_and_any_words_come_back(tmp_path: 
         Feature(key="observation/touch", shape=(3,), dtype="bool"),
         Feature(key="time/monotonic", shape=(), dtype="float64"),
     )
-    info = DatasetInfo(fps=12.5, features=features, setup={"robot": "dual"}, instruction="立方体 – é")
+    info = DatasetInfo(frequency=12.5, features=features, setup={"robot": "dual"}, instruction="立方体 – é")
     rng = np.random.default_rng(0)
     with DatasetWriter.open(tmp_path / "source", info) as writer, writer.episode("é 1", seed=None) as episode:
         for i in range(4):
@@ -114,7 +114,7 @@ def test_a_file_of_others_becomes_a_dataset(tmp_path: Path) -> None:
             file[f"data/demo_{i}/obs/agentview_depth"] = rng.integers(0, 65536, (4, 6, 8, 1), np.uint16)
     assert import_format("auto", tmp_path / "in.hdf5") is import_robomimic
     back = import_robomimic(tmp_path / "in.hdf5", tmp_path / "back")
-    assert back.info.fps == 20 and back.info.instruction == "Lift"
+    assert back.info.frequency == 20 and back.info.instruction == "Lift"
     assert back.info.setup["imported"]["env_args"]["env_name"] == "Lift"
     kinds = {feature.key: (feature.shape, feature.dtype, feature.encoding) for feature in back.info.features}
     assert kinds == {
@@ -184,16 +184,18 @@ def test_what_is_unknown_is_kept_and_what_is_no_number_is_named(tmp_path: Path) 
 
 def test_a_rate_that_the_file_does_not_have_must_be_given(tmp_path: Path) -> None:
     _foreign(tmp_path / "in.hdf5", [("demo_0", 3, {})], environment={"env_name": "x", "type": 2, "env_kwargs": None})
-    with pytest.raises(InvalidSetup, match="give fps"):
+    with pytest.raises(InvalidSetup, match="give frequency"):
         import_robomimic(tmp_path / "in.hdf5", tmp_path / "back")
     assert not (tmp_path / "back").exists()
-    assert import_robomimic(tmp_path / "in.hdf5", tmp_path / "back", ImportOptions(fps=12.5)).info.fps == 12.5
+    assert (
+        import_robomimic(tmp_path / "in.hdf5", tmp_path / "back", ImportOptions(frequency=12.5)).info.frequency == 12.5
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "values", "error", "message"),
     [
-        ("obs/robot0_eef_pos", np.zeros((3, 3)), CorruptEpisode, "3 rows; expected are 4"),
+        ("obs/robot0_eef_pos", np.zeros((3, 3)), CorruptEpisode, "3 rows; expected 4"),
         ("obs/robot0_eef_pos", np.zeros((4, 2)), InvalidSetup, "other episodes have"),
         ("obs/robot0_eef_pos", None, InvalidSetup, "other episodes have"),
         ("actions", None, CorruptEpisode, "no actions"),
@@ -220,12 +222,12 @@ def test_what_is_no_file_of_robomimic_is_told(dataset: Path, tmp_path: Path) -> 
     with pytest.raises(InvalidSetup, match="no episodes"):
         import_robomimic(tmp_path / "empty.hdf5", tmp_path / "back")
     (tmp_path / "text.hdf5").write_text("words")
-    with pytest.raises(CorruptEpisode, match="does not read"):
+    with pytest.raises(CorruptEpisode, match="Cannot read"):
         import_robomimic(tmp_path / "text.hdf5", tmp_path / "back")
     export_robomimic(Dataset.open(dataset), tmp_path / "cut.hdf5")
     cut = (tmp_path / "cut.hdf5").read_bytes()
     (tmp_path / "cut.hdf5").write_bytes(cut[: len(cut) // 2])
-    with pytest.raises(CorruptEpisode, match="does not read"):
+    with pytest.raises(CorruptEpisode, match="Cannot read"):
         import_robomimic(tmp_path / "cut.hdf5", tmp_path / "back")
     assert not (tmp_path / "back").exists()
 
@@ -236,7 +238,7 @@ def test_progress_ends_at_the_number_of_steps_and_a_dataset_is_not_written_over(
     options = ImportOptions(on_progress=lambda done, total: calls.append((done, total)))
     import_robomimic(tmp_path / "out.hdf5", tmp_path / "back", options)
     assert calls[-1] == (18, 18) and calls == sorted(calls)
-    with pytest.raises(DatasetError, match="is there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         import_robomimic(tmp_path / "out.hdf5", tmp_path / "back")
 
 

@@ -35,7 +35,7 @@ def make_info(**changes: Any) -> DatasetInfo:
         Feature(key="flags/frames/wrist", shape=(), dtype="uint8"),
     )
     values: dict[str, Any] = {
-        "fps": 30.0, "features": features, "setup": {"robot": "fr3", "relative": "last_step"},
+        "frequency": 30.0, "features": features, "setup": {"robot": "fr3", "relative": "last_step"},
         "instruction": "pick", "sim_state_size": 3,
     }  # fmt: skip
     return DatasetInfo(**{**values, **changes})

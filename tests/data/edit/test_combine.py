@@ -82,7 +82,7 @@ def test_what_does_not_fit_is_refused_with_what_differs(tmp_path: Path, make_dat
 def test_a_folder_that_is_not_empty_is_left_alone(dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "precious").write_text("x")
-    with pytest.raises(DatasetError, match="there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         edit.merge([dataset], tmp_path / "out")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["precious"]
 

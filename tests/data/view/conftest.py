@@ -203,7 +203,9 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         Feature(key="observation/frames/side/depth", shape=(30, 40), dtype="uint16", unit="mm", encoding="depth"),
         Feature(key="observation/frames/wrist/rgb", shape=(32, 48, 3), dtype="uint8", encoding="lossless"),
     )
-    info = DatasetInfo(fps=30.0, features=features, setup={"task": "Pick", "robot": "fr3"}, instruction="pick it up")
+    info = DatasetInfo(
+        frequency=30.0, features=features, setup={"task": "Pick", "robot": "fr3"}, instruction="pick it up"
+    )
     with DatasetWriter.open(path, info) as writer:
         for episode_id, length in LENGTHS.items():
             with writer.episode(episode_id, seed=int(episode_id) + 7) as episode:

@@ -120,7 +120,10 @@ def test_it_plays_all_cameras_in_step_to_the_end_and_stops(page: str, show: Call
 
 def test_without_videos_the_clock_plays(tmp_path: Path, show: Callable[[str], Browser]) -> None:
     info = DatasetInfo(
-        fps=30, features=(Feature(key="observation/joints", shape=(2,), dtype="float64"),), setup={}, instruction=""
+        frequency=30,
+        features=(Feature(key="observation/joints", shape=(2,), dtype="float64"),),
+        setup={},
+        instruction="",
     )
     with DatasetWriter.open(tmp_path / "data", info) as writer:
         episode = writer.episode("a", seed=0)
@@ -239,7 +242,7 @@ def test_words_of_the_dataset_are_words(episode_id: str, tmp_path: Path, show: C
     evil = "</script><script>window.hacked=1</script><b onclick=x>\u2028 \\u003c"
     camera = Feature(key="observation/frames/<i>/rgb", shape=(16, 16, 3), dtype="uint8", encoding="jpeg", unit=evil)
     joints = Feature(key="observation/<b>", shape=(1,), dtype="float64", unit=evil)
-    info = DatasetInfo(fps=30, features=(camera, joints), setup={evil: evil, "robot": evil}, instruction=evil)
+    info = DatasetInfo(frequency=30, features=(camera, joints), setup={evil: evil, "robot": evil}, instruction=evil)
     with DatasetWriter.open(tmp_path / "<b>data", info) as writer:
         episode = writer.episode(episode_id, seed=2**63)
         for _ in range(3):

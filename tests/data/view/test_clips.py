@@ -17,7 +17,7 @@ FRAME = "observation/frames/a/rgb"
 
 
 def record(path: Path, feature: Feature, images: list[Any], fps: float = 30.0) -> EpisodeRecord:
-    info = DatasetInfo(fps=fps, features=(feature,), setup={}, instruction="")
+    info = DatasetInfo(frequency=fps, features=(feature,), setup={}, instruction="")
     with DatasetWriter.open(path, info) as writer:
         episode = writer.episode("a", seed=0)
         for image in images:
@@ -105,7 +105,7 @@ def test_touch_is_shown_where_it_is_a_map_of_numbers(tmp_path: Path) -> None:
     touch = Feature(key="observation/frames/left/indentation", shape=(24, 32), dtype="float32", unit="m")
     matrix = Feature(key="observation/frames/left/intrinsics", shape=(3, 3), dtype="float64")
     vector = Feature(key="observation/table", shape=(24, 32), dtype="float64")
-    info = DatasetInfo(fps=30, features=(touch, matrix, vector), setup={}, instruction="")
+    info = DatasetInfo(frequency=30, features=(touch, matrix, vector), setup={}, instruction="")
     assert pictures(info) == [touch]
     deep = np.zeros((24, 32), np.float32)
     deep[10:14, 12:20] = 2e-3

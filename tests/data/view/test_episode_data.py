@@ -21,7 +21,7 @@ FLAGS = Feature(key="flags/frames/a", shape=(), dtype="uint8")
 
 
 def record(path: Path, features: tuple[Feature, ...], rows: list[dict[str, object]], **info: object) -> EpisodeRecord:
-    values = {"fps": 30.0, "features": features, "setup": {}, "instruction": "", **info}
+    values = {"frequency": 30.0, "features": features, "setup": {}, "instruction": "", **info}
     with DatasetWriter.open(path, DatasetInfo(**values)) as writer:  # pyright: ignore[reportArgumentType]
         episode = writer.episode("a", seed=0)
         for row in rows:
@@ -67,7 +67,7 @@ def test_two_robots_have_their_plots_one_after_the_other_and_what_belongs_togeth
     sources, names = ("observation", "action", "executed"), ("gripper", "joints", "tquat")
     keys = ["/".join(words) for words in itertools.product(sources, ("left", "right"), names)]
     features = tuple(Feature(key=key, shape=(2,), dtype="float64") for key in keys)
-    found = curves(DatasetInfo(fps=30, features=features, setup={}, instruction=""))
+    found = curves(DatasetInfo(frequency=30, features=features, setup={}, instruction=""))
     assert [plot.key for plot in found[:6]] == [
         "observation/left/joints", "action/left/joints", "executed/left/joints",
         "observation/left/gripper", "action/left/gripper", "executed/left/gripper",
@@ -84,7 +84,7 @@ def test_pictures_matrices_and_measured_times_are_no_curves() -> None:
         Feature(key="simulated_time", shape=(), dtype="float64"),
         Feature(key="terminated", shape=(), dtype="bool"),
     )  # fmt: skip
-    found = curves(DatasetInfo(fps=30, features=features, setup={}, instruction=""))
+    found = curves(DatasetInfo(frequency=30, features=features, setup={}, instruction=""))
     assert [plot.key for plot in found] == ["period", "terminated"]
 
 

@@ -49,4 +49,4 @@ def test_a_damaged_episode_says_so(tmp_path: Path, filmed: Path) -> None:
     (copy / "episodes/000001/steps.parquet").write_bytes(b"PAR1")
     dataset = Dataset.open(copy)
     assert "damaged" in html(dataset)
-    assert "does not read" in html(dataset["000001"])
+    assert "Cannot read" in html(dataset["000001"])

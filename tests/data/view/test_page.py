@@ -191,7 +191,7 @@ def test_progress_is_told(copy: Path) -> None:
 
 def test_numbers_that_json_does_not_have_are_gaps(tmp_path: Path) -> None:
     feature = Feature(key="observation/force", shape=(1,), dtype="float64")
-    info = DatasetInfo(fps=30, features=(feature,), setup={}, instruction="")
+    info = DatasetInfo(frequency=30, features=(feature,), setup={}, instruction="")
     with DatasetWriter.open(tmp_path / "data", info) as writer:
         episode = writer.episode("a", seed=0)
         for value in (1.0, np.nan, np.inf, 2.0):

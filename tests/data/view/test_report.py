@@ -31,7 +31,7 @@ def record(path: Path, verdicts: list[bool | None], *, cameras: bool = True, len
             Feature(key=key, shape=(*size, 3), dtype="uint8", encoding="lossless" if name == "side" else "jpeg")
         )
     values = {"setup": {"robot": "fr3", "nested": {"deep": "<script>"}}, "instruction": "pick <it> & go", **info}
-    with DatasetWriter.open(path, DatasetInfo(fps=30.0, features=tuple(features), **values)) as writer:  # pyright: ignore[reportArgumentType]
+    with DatasetWriter.open(path, DatasetInfo(frequency=30.0, features=tuple(features), **values)) as writer:  # pyright: ignore[reportArgumentType]
         for number, success in enumerate(verdicts):
             with writer.episode(f"{number:06d}", seed=number) as episode:
                 for i in range(length):

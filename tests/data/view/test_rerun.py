@@ -64,7 +64,7 @@ class TestWithRerun:
 
     def test_what_is_there_is_not_overwritten(self, filmed: Path, tmp_path: Path) -> None:
         (tmp_path / "a.rrd").write_text("mine")
-        with pytest.raises(DatasetError, match="is there already"):
+        with pytest.raises(DatasetError, match="exists already"):
             write_rerun(filmed, tmp_path / "a.rrd")
         with pytest.raises(InvalidSetup, match="named 'x'"):
             write_rerun(filmed, tmp_path / "b.rrd", episodes=["x"])

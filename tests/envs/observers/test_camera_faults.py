@@ -20,7 +20,7 @@ from rcs.errors import DeviceFault, InvalidSetup
 RGB = "observation/frames/wrist/rgb"
 PERIOD = 0.01
 INFO = DatasetInfo(
-    fps=1 / PERIOD,
+    frequency=1 / PERIOD,
     features=(
         Feature(key="observation/joints", shape=(1,), dtype="float64"),
         Feature(key=RGB, shape=(48, 64, 3), dtype="uint8", encoding="jpeg"),
@@ -163,7 +163,7 @@ def test_10_a_camera_without_an_image_is_flagged_as_missing(tmp_path: Path) -> N
 def test_10_an_image_of_another_shape_is_refused_and_the_rows_before_it_stay(tmp_path: Path, background: bool) -> None:
     loop = Loop(tmp_path, background=background)
     loop.run(0, 50)
-    with pytest.raises(InvalidSetup, match=r"rgb' is \(8, 8, 3\) uint8; expected is \(48, 64, 3\)"):
+    with pytest.raises(InvalidSetup, match=r"rgb' is \(8, 8, 3\) uint8; expected \(48, 64, 3\)"):
         loop.run(50, 51, lambda now: (np.zeros((8, 8, 3), np.uint8), now))
     loop.run(50, 60)
     assert loop.finish().length == 60
@@ -194,7 +194,7 @@ def test_11_a_writer_that_is_too_slow_leaves_out_images_counts_them_and_says_so(
         loop.run(0, 200)
     gate.open.set()
     episode = loop.finish()
-    dropped = episode.quality["writer"]["dropped_images"]
+    dropped = episode.timing["writer"]["dropped_images"]
     # 200 kB are 21 images of 48 x 64, or more as soon as they are encoded; the camera gave 60.
     assert 10 < dropped <= 60 - 21
     assert episode.length == 200, "rows go on"

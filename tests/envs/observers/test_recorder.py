@@ -15,7 +15,7 @@ from rcs.envs.observers.recorder import Recorder, dataset_info
 
 RGB = "observation/frames/wrist/rgb"
 INFO = DatasetInfo(
-    fps=100.0,
+    frequency=100.0,
     features=(
         Feature(key="observation/joints", shape=(1,), dtype="float64"),
         Feature(key=RGB, shape=(8, 8, 3), dtype="uint8", encoding="lossless"),

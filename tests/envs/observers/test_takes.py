@@ -85,7 +85,7 @@ def test_what_makes_no_sense_is_refused(session: Session) -> None:
         session.takes.stop(True)
     with pytest.raises(WrongOrder, match="no take to discard"):
         session.takes.discard()
-    with pytest.raises(WrongOrder, match="no take to do again"):
+    with pytest.raises(WrongOrder, match="no take to repeat"):
         session.takes.retake()
     session.takes.start()
     with pytest.raises(WrongOrder, match="under way"):

@@ -1,6 +1,6 @@
-"""Look at datasets, check, mend, edit, mix, replay, convert and view them.
+"""Inspect, check, repair, edit, mix, replay, convert and view datasets.
 
-A file per verb; this is their table.
+Each verb has a file; this is their table.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`rcs data check`: say what is wrong with a dataset, and mend what can be mended."""
+"""`rcs data check`: find what is wrong with a dataset, and repair what can be repaired."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from rich.text import Text
 
 from rcs.cli.console import plain_console
 from rcs.data import CheckReport, check
-from rcs.data.check.dataset import OnProgress
 from rcs.data.check.repair import RepairReport, repair
+from rcs.data.output import OnProgress
 
-# Where a table goes into a file or a pipe: wide enough that no line is folded.
+# Width of a table in a file or pipe [columns]; no line is folded.
 _WIDE = 1000
 _STYLES = {"damage": "bold red", "warning": "yellow"}
 
 
 @dataclass(kw_only=True)
 class CheckCommand:
-    """Check a dataset: bytes, images, times, motion, labels. Exit code 1 when something is damaged.
+    """Check a dataset: bytes, images, times, motion, labels. Exit code 1 if something is damaged.
 
-    Damage is what is not as it was written. Warnings are about what makes doubtful training data: gaps, frozen or black
-    images, jumps, joints beyond their limits, missing verdicts.
+    Damage means that bytes are not as written. Warnings are about doubtful training data: gaps, frozen or black images,
+    jumps, joints beyond their limits, missing verdicts.
     """
 
     path: tyro.conf.Positional[Path]
@@ -36,14 +36,14 @@ class CheckCommand:
     fast: bool = False
     """Do not decode the frames; every byte is still checked."""
     strict: bool = False
-    """Exit code 1 for warnings, too."""
+    """Exit with code 1 for warnings, too."""
     repair: bool = False
-    """Mend what can be mended first. What was damaged goes to the folder `quarantine`, and `undo` takes it back."""
+    """Repair what can be repaired first. Damaged files go to the folder `quarantine`, and `undo` reverts the repair."""
     json: bool = False
-    """Print one JSON document instead of a table."""
+    """Print JSON instead of a table."""
 
     def run(self) -> int:
-        """Check, after a repair if asked, and print the findings."""
+        """Repair if asked to, check, and print the findings."""
         mended: RepairReport | None = None
         if self.repair:
             with _progress("Looking for damage") as on_progress:

@@ -1,4 +1,4 @@
-"""`rcs data merge`, `split` and `mix`: one dataset of several, several of one."""
+"""`rcs data merge`, `split` and `mix`: several datasets into one, one into several."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rcs.errors import InvalidSetup
 
 @dataclass(kw_only=True)
 class MergeCommand:
-    """Make one dataset of several with the same features."""
+    """Merge datasets with the same features."""
 
     sources: tyro.conf.Positional[tuple[Path, ...]]
     """Folders of the datasets."""
@@ -25,7 +25,7 @@ class MergeCommand:
     """Folder of the new dataset."""
 
     def run(self) -> int:
-        """Merge and say what was made."""
+        """Merge and print the result."""
         with progress("Merging") as on_progress:
             merged = edit.merge(self.sources, self.out, on_progress=on_progress)
         return _tell([merged])
@@ -33,56 +33,56 @@ class MergeCommand:
 
 @dataclass(kw_only=True)
 class SplitCommand:
-    """Make several datasets of one: by shares, such as `--parts train=0.9 val=0.1`; without, a merged one's sources."""
+    """Split a dataset by shares, such as `--parts train=0.9 val=0.1`, or a merged one into its sources."""
 
     path: tyro.conf.Positional[Path]
-    """Folder of the dataset; it stays."""
+    """Folder of the dataset, which is not changed."""
     out: Path
-    """Folder in which the parts are made."""
+    """Folder for the parts."""
     parts: tuple[str, ...] = ()
-    """The share of each part, as NAME=SHARE; together 1."""
+    """The share of each part, as NAME=SHARE; they sum up to 1."""
     seed: int = 0
-    """Of the draw."""
+    """Seed of the draw."""
 
     def run(self) -> int:
-        """Split and say what was made."""
+        """Split and print the result."""
         shares = {name: _number(text, share) for text in self.parts for name, _, share in [text.partition("=")]}
         return _tell(list(edit.split(self.path, self.out, parts=shares or None, seed=self.seed).values()))
 
 
 @dataclass(kw_only=True)
 class MixCommand:
-    """Make a dataset of episodes of others, such as `rcs data mix real:143 sim:500 --out mixed --seed 1`."""
+    """Mix episodes of several datasets, such as `rcs data mix real:143 sim:500 --out mixed --seed 1`."""
 
     parts: tyro.conf.Positional[tuple[str, ...]]
-    """What to take: DATASET for all episodes, DATASET:143 for so many, DATASET:0.7 for a share of the total."""
+    """Parts: DATASET for all episodes, DATASET:143 for 143 episodes, DATASET:0.7 for a share of the total."""
     out: Path
     """Folder of the new dataset."""
     seed: int = 0
-    """Of the draw."""
+    """Seed of the draw."""
     total: int | None = None
-    """Episodes in all, with shares."""
+    """Total number of episodes, with shares."""
     common: bool = False
-    """Leave out features that not all have."""
+    """Leave out features that are not in all datasets."""
     drop: tuple[str, ...] = ()
-    """Features to leave out, or the start of their keys."""
+    """Features to leave out: keys, or prefixes of keys."""
     rename: tuple[str, ...] = ()
-    """Other names of cameras, as DATASET/CAMERA=NAME."""
+    """New names of cameras, as DATASET/CAMERA=NAME."""
     size: tuple[int, int] | None = None
     """Width and height of all frames [px]."""
-    fps: float | None = None
-    """Rate of all episodes [Hz]."""
+    frequency: float | None = None
+    """Control rate of all episodes [Hz]."""
 
     def run(self) -> int:
-        """Mix and say what was made."""
+        """Mix and print the result."""
         names: dict[str, dict[str, str]] = {}
         for text in self.rename:
             place, equals, name = text.partition("=")
             dataset, slash, camera = place.partition("/")
             if not (equals and slash):
-                raise InvalidSetup(f"--rename {text!r} is no rename of a camera; write DATASET/CAMERA=NAME.")
+                raise InvalidSetup(f"Expected --rename DATASET/CAMERA=NAME; got {text!r}.")
             names.setdefault(dataset, {})[camera] = name
-        how = edit.Harmonise(common=self.common, drop=self.drop, rename=names, size=self.size, fps=self.fps)
+        how = edit.Harmonise(common=self.common, drop=self.drop, rename=names, size=self.size, frequency=self.frequency)
         parts = [edit.parse_part(text) for text in self.parts]
         with progress("Mixing") as on_progress:
             mixed = edit.mix(parts, self.out, seed=self.seed, total=self.total, mapping=how, on_progress=on_progress)
@@ -93,7 +93,7 @@ def _number(text: str, share: str) -> float:
     try:
         return float(share)
     except ValueError as err:
-        raise InvalidSetup(f"--parts {text!r} is no share; write NAME=SHARE, such as train=0.9.") from err
+        raise InvalidSetup(f"Expected --parts NAME=SHARE, such as train=0.9; got {text!r}.") from err
 
 
 def _tell(made: list[Dataset]) -> int:

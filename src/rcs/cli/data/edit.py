@@ -14,7 +14,7 @@ from rich.table import Table
 
 from rcs.cli.console import plain_console
 from rcs.data import Dataset, edit
-from rcs.data.edit.transaction import OnProgress
+from rcs.data.output import OnProgress
 from rcs.errors import InvalidSetup
 
 Which = Literal["listed", "failed", "successful", "unjudged"]
@@ -28,13 +28,13 @@ class _Selection:
     episodes: tuple[str, ...] = ()
     """Ids of episodes."""
     which: Which = "listed"
-    """Instead of ids: all that failed, that succeeded, or that nobody judged."""
+    """Instead of ids: all episodes that failed, succeeded, or have no verdict."""
 
     def ids(self) -> list[str]:
-        """Return the ids that are meant.
+        """Return the ids of the chosen episodes.
 
         Raises:
-            InvalidSetup: Nothing is chosen, or in two ways.
+            InvalidSetup: No episodes are chosen, or in two ways.
         """
         if (self.which == "listed") != bool(self.episodes):
             raise InvalidSetup("Choose episodes by --episodes ID ID …, or by --which failed, successful or unknown.")
@@ -45,27 +45,27 @@ class _Selection:
 
 @dataclass(kw_only=True)
 class DeleteCommand(_Selection):
-    """Take episodes out of a dataset; `undo` brings them back."""
+    """Delete episodes of a dataset; `undo` restores them."""
 
     def run(self) -> int:
-        """Delete and say what is left."""
+        """Delete and print what is left."""
         edit.delete(self.path, self.ids())
         return _tell(self.path)
 
 
 @dataclass(kw_only=True)
 class KeepCommand(_Selection):
-    """Take all episodes but some out of a dataset; `undo` brings them back."""
+    """Delete all episodes but some; `undo` restores them."""
 
     def run(self) -> int:
-        """Keep and say what is left."""
+        """Keep and print what is left."""
         edit.keep(self.path, self.ids())
         return _tell(self.path)
 
 
 @dataclass(kw_only=True)
 class TrimCommand:
-    """Cut rows off the start and the end of an episode."""
+    """Cut rows off the start and end of an episode."""
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
@@ -74,44 +74,44 @@ class TrimCommand:
     first: int = 0
     """The row that becomes the first."""
     last: int = -1
-    """The row that becomes the last; -1 is the last there is."""
+    """The row that becomes the last; negative numbers count from the end."""
 
     def run(self) -> int:
-        """Trim and say what there is."""
+        """Trim and print a summary."""
         edit.trim(self.path, self.episode, first=self.first, last=self.last)
         return _tell(self.path)
 
 
 @dataclass(kw_only=True)
 class RelabelCommand:
-    """Change what the robot was asked to do, in some episodes or in all."""
+    """Change the instruction of some or all episodes."""
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
     instruction: str
-    """The new words."""
+    """The new instruction."""
     episodes: tuple[str, ...] = ()
-    """Ids of episodes; none for all."""
+    """Ids of episodes; default: all."""
 
     def run(self) -> int:
-        """Relabel and say what there is."""
+        """Relabel and print a summary."""
         edit.relabel(self.path, self.instruction, episodes=self.episodes or None)
         return _tell(self.path)
 
 
 @dataclass(kw_only=True)
 class RenameCameraCommand:
-    """Give a camera another name."""
+    """Rename a camera."""
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
     name: str
     """The camera."""
     to: str
-    """Its name from now on."""
+    """Its new name."""
 
     def run(self) -> int:
-        """Rename and say what there is."""
+        """Rename and print a summary."""
         with progress("Renaming") as on_progress:
             edit.rename_camera(self.path, self.name, self.to, on_progress=on_progress)
         return _tell(self.path)
@@ -119,23 +119,23 @@ class RenameCameraCommand:
 
 @dataclass(kw_only=True)
 class ResampleCommand:
-    """Lower the rate of all episodes, as from 30 to 5 Hz."""
+    """Lower the control rate of all episodes, for example from 30 to 5 Hz."""
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
-    fps: float
+    frequency: float
     """The new rate [Hz]."""
 
     def run(self) -> int:
-        """Resample and say what there is."""
+        """Resample and print a summary."""
         with progress("Resampling") as on_progress:
-            edit.resample(self.path, self.fps, on_progress=on_progress)
+            edit.resample(self.path, self.frequency, on_progress=on_progress)
         return _tell(self.path)
 
 
 @dataclass(kw_only=True)
 class ResizeCommand:
-    """Scale the frames of all cameras, and their intrinsics with them."""
+    """Scale the frames of all cameras and their intrinsics."""
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
@@ -143,7 +143,7 @@ class ResizeCommand:
     """Width and height [px]."""
 
     def run(self) -> int:
-        """Resize and say what there is."""
+        """Resize and print a summary."""
         with progress("Resizing") as on_progress:
             edit.resize(self.path, self.size, on_progress=on_progress)
         return _tell(self.path)
@@ -151,21 +151,21 @@ class ResizeCommand:
 
 @dataclass(kw_only=True)
 class UndoCommand:
-    """Take back the last edit that was not taken back yet."""
+    """Undo the last edit that is not undone yet."""
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
 
     def run(self) -> int:
-        """Undo and say what."""
+        """Undo and print what was undone."""
         line = edit.undo(self.path)
-        plain_console().print(f"Took back {line.command} of {line.at}.")
+        plain_console().print(f"Undid {line.command} of {line.at}.")
         return _tell(self.path)
 
 
 @dataclass(kw_only=True)
 class HistoryCommand:
-    """Show what was done to a dataset."""
+    """Show the edits of a dataset."""
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
@@ -189,21 +189,21 @@ def _short(value: object) -> str:
 
 @dataclass(kw_only=True)
 class PruneCommand:
-    """Free the space of what edits replaced; what is in the history can then not be undone."""
+    """Free the space of replaced episodes; former edits can then not be undone."""
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
 
     def run(self) -> int:
-        """Prune and say how much became free."""
+        """Prune and print how much was freed."""
         freed = edit.prune(self.path)
-        plain_console().print(f"{freed / 1e6:.1f} MB are free.")
+        plain_console().print(f"{freed / 1e6:.1f} MB freed.")
         return 0
 
 
 @contextmanager
 def progress(doing: str) -> Generator[OnProgress]:
-    """Show a bar while the block runs; give what moves it."""
+    """Show a bar while the block runs; yield the function that moves it."""
     with Progress(console=plain_console(stderr=True, soft_wrap=False)) as bar:
         task = bar.add_task(doing, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
@@ -212,6 +212,6 @@ def progress(doing: str) -> Generator[OnProgress]:
 def _tell(path: Path) -> int:
     dataset = Dataset.open(path)
     rows = sum(episode.length for episode in dataset.episodes)
-    text = f"{len(dataset)} episodes, {rows} rows at {dataset.info.fps:g} Hz. `rcs data undo {path}` takes it back."
+    text = f"{len(dataset)} episodes, {rows} rows at {dataset.info.frequency:g} Hz. Undo: `rcs data undo {path}`."
     plain_console().print(text)
     return 0

@@ -1,4 +1,4 @@
-"""`rcs data export`: write a dataset in a format that a trainer reads."""
+"""`rcs data export`: write a dataset in a format for trainers."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from rcs.data.convert.options import ExportOptions
 
 @dataclass(kw_only=True)
 class ExportCommand:
-    """Write a dataset in a format that a trainer reads."""
+    """Write a dataset in a format for trainers."""
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
     out: Path
-    """What to write; nothing may be there yet."""
+    """File or folder to write; it must not exist yet."""
     format: str
     """lerobot-v3, lerobot-v2.1 (openpi), gr00t, rlds (Octo, OpenVLA) or robomimic."""
     more: tyro.conf.SuppressFixed[ExportOptions] = field(default_factory=ExportOptions)

@@ -1,4 +1,4 @@
-"""`rcs data import`: make a dataset of one in another format."""
+"""`rcs data import`: import a dataset of another format."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from rcs.data.verdicts import Verdicts
 
 @dataclass(kw_only=True)
 class ImportCommand:
-    """Make a dataset of one in another format, so that it can be checked, edited and mixed."""
+    """Import a dataset of another format, so that it can be checked, edited and mixed."""
 
     source: tyro.conf.Positional[Path]
     """File or folder to read."""
     out: Path
-    """Folder of the dataset to make; nothing may be there yet."""
+    """Folder of the new dataset; it must not exist yet."""
     format: str = "auto"
-    """lerobot or robomimic; default: what it looks like."""
+    """lerobot or robomimic; default: detected."""
     more: tyro.conf.SuppressFixed[ImportOptions] = field(default_factory=ImportOptions)
 
     def run(self) -> int:
-        """Import and print what was made."""
+        """Import and print the result."""
         console = plain_console()
         read = import_format(self.format, self.source)
         with Progress(console=console, transient=True) as progress:

@@ -1,4 +1,4 @@
-"""`rcs data info`: what is in a dataset."""
+"""`rcs data info`: show the contents of a dataset."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rcs.data.verdicts import Verdicts
 
 @dataclass(kw_only=True)
 class InfoCommand:
-    """Show what is in a dataset."""
+    """Show show the contents of a dataset."""
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
@@ -40,7 +40,8 @@ class InfoCommand:
             table.add_row("not judged", str(verdicts.not_judged))
         if verdicts.judged:
             table.add_row("failures", ", ".join(f"{name} {count}" for name, count in failures.most_common()) or "none")
-        table.add_row("rows", f"{steps} at {dataset.info.fps:g} Hz = {steps / dataset.info.fps / 60:.1f} min")
+        rate = dataset.info.frequency
+        table.add_row("rows", f"{steps} at {rate:g} Hz = {steps / rate / 60:.1f} min")
         table.add_row("content", f"sha256 {dataset.digest()}")
         console.print(table)
         features = Table("feature", "shape", "dtype", "unit", "stored as", box=None, pad_edge=False)

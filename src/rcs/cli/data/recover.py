@@ -1,4 +1,4 @@
-"""`rcs data recover`: bring back what a killed recording left open."""
+"""`rcs data recover`: complete the episodes that a killed recording left open."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rcs.data import recover
 
 @dataclass(kw_only=True)
 class RecoverCommand:
-    """Bring back the episodes that were open when a recording was killed."""
+    """Complete the episodes that a killed recording left open."""
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""

@@ -1,4 +1,4 @@
-"""`rcs data replay`: recorded episodes once more, in simulation: compared, drawn anew, executed again, or followed."""
+"""`rcs data replay`: replay recorded episodes in simulation: compare, draw, execute or follow them."""
 
 from __future__ import annotations
 
@@ -33,42 +33,45 @@ from rcs.rollout.reexecute import Reexecution, ReexecutionResult
 from rcs.rollout.replay import replay
 from rcs.rollout.rerender import Rerendering
 
-Mode = Literal["check", "render", "actions", "states"]
+Kind = Literal["check", "render", "actions", "states"]
 
-JOBS: dict[Mode, type[Derivation]] = {"render": Rerendering, "actions": Reexecution, "states": RealToSim}
-"""What makes a dataset; a mode takes the options that its job has."""
+JOBS: dict[Kind, type[Derivation]] = {"render": Rerendering, "actions": Reexecution, "states": RealToSim}
+"""The kinds that make a dataset, with their jobs; each has the options of its job."""
 PATIENCE = 30.0
-"""Where no bar can be drawn, a line says how far it is, this often [s]."""
+"""Interval of progress lines where no bar can be drawn [s]."""
 WIDTH = 116
-"""What the widest table needs [columns]."""
+"""Width of the widest table [columns]."""
 
 
 @dataclass(kw_only=True)
 class ReplayCommand:
     """Replay every episode in simulation.
 
-    `check` plays the recorded actions and compares all states bit for bit; exit code 1 when one differs. The other
-    modes make a new dataset: `render` restores the recorded states and draws them anew, `actions` executes the recorded
-    actions again, if wanted in another control mode, and measures the divergence, `states` has a simulated robot follow
-    the recorded one, real or not, and keeps what succeeds.
+    `check` plays the recorded actions and compares all states bit for bit; exit code 1 if one differs. The other kinds
+    make a new dataset: `render` restores the recorded states and draws new frames; `actions` executes the recorded
+    actions again, in another control mode if given, and measures the divergence; `states` makes a simulated robot
+    follow the recorded one, real or not, and keeps the successes.
     """
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
-    mode: Mode = "check"
-    """What to do."""
+    kind: Kind = "check"
+    """Kind of replay."""
     out: Path | None = None
-    """Folder of the new dataset; for all modes but `check`."""
+    """Folder of the new dataset; not for `check`."""
     workers: int = 0
     """Processes; 0 for one per CPU core."""
     json: bool = False
     """Print JSON instead of a table."""
+    trust: tuple[str, ...] = ()
+    """Modules that may be imported because the dataset's setup names them, such as `my_tasks`."""
     control: Control | None = None
-    """actions: what they shall say of the arm; None for as recorded."""
+    """actions: control mode of the new actions; None for the recorded one."""
     relative: RelativeTo | None = None
-    """actions: what they shall be added to; None for nothing when `control` is given, and otherwise for as recorded."""
+    """actions: reference of the new actions; None for absolute ones if `control` is given, else for the recorded
+    one."""
     grace: float = 1.0
-    """actions, states: for how long the end is held when the task is not done yet [s]."""
+    """actions, states: how long to hold the end if the task is not done yet [s]."""
     task: str | None = None
     """states: the task that judges; None for that of the dataset's setup."""
     robot: str | None = None
@@ -77,22 +80,22 @@ class ReplayCommand:
     """states: control steps per second of the simulation [Hz]; None for that of the setup."""
     objects: Path | None = None
     """states: JSON file with the objects' poses, {episode: {name: [x, y, z, qx, qy, qz, qw]}} in the base frame; None
-    for those that were recorded in the outcome's `objects`."""
+    for those in the outcome's `objects`."""
     state: str | None = None
-    """states: feature with joints, then gripper or hand, such as `observation/state` in datasets of others; None for a
+    """states: feature with joints, then gripper or hand, such as `observation/state` in foreign datasets; None for one
     feature each."""
     lookahead: float | None = None
-    """states: by how much targets run ahead of the recorded joints [s]; None for as much as simulated servos lag."""
+    """states: lead of targets over the recorded joints [s]; None for the lag of the simulated servos."""
     gripper: GripperFrom | None = None
-    """states: have grippers open and close as the recorded opening does (`trend`), aim at that opening (`opening`), or
-    get the recorded command (`command`)."""
+    """states: what grippers follow: whether the recorded opening grows or shrinks (`trend`), the opening itself
+    (`opening`), or the recorded command (`command`)."""
     keep: Keep = "successes"
-    """states: which episodes the new dataset has."""
+    """states: episodes to keep in the new dataset."""
     look: Look = field(default_factory=Look)
     tolerance: Tolerance = field(default_factory=Tolerance)
 
     def run(self) -> int:
-        """Replay, tell how it went and return the exit code."""
+        """Replay, print the results and return the exit code."""
         self._check_options()
         told = plain_console()
         started = time.perf_counter()
@@ -102,30 +105,30 @@ class ReplayCommand:
             told.out(json.dumps(self._as_json(results, seconds), indent=1))
         else:
             self._tell(results, seconds, told)
-        return 1 if self.mode == "check" and not all(result.is_equal for result in results) else 0
+        return 1 if self.kind == "check" and not all(result.is_equal for result in results) else 0
 
     def _check_options(self) -> None:
-        if self.mode != "check" and self.out is None:
-            raise InvalidSetup(f"--mode {self.mode} makes a dataset; say where with --out.")
-        valid = {mode: {option.name for option in dataclasses.fields(job)} for mode, job in JOBS.items()}
+        if self.kind != "check" and self.out is None:
+            raise InvalidSetup(f"--kind {self.kind} makes a dataset; give its folder with --out.")
+        valid = {kind: {option.name for option in dataclasses.fields(job)} for kind, job in JOBS.items()}
         for option in dataclasses.fields(self):
             given, default = getattr(self, option.name), _default(option)
-            modes = [mode for mode, names in valid.items() if option.name in names]
-            if option.name in ("path", "mode", "json") or self.mode in modes or given == default:
+            kinds = [kind for kind, names in valid.items() if option.name in names]
+            if option.name in ("path", "kind", "json", "trust") or self.kind in kinds or given == default:
                 continue
             changed = [option.name]
             if dataclasses.is_dataclass(given):
                 parts = [part.name for part in dataclasses.fields(given)]
                 changed = [part for part in parts if getattr(given, part) != getattr(default, part)]
             options = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
-            raise InvalidSetup(f"{options} has no meaning for --mode {self.mode}, only for {', '.join(modes)}.")
+            raise InvalidSetup(f"{options} has no meaning for --kind {self.kind}; valid for {', '.join(kinds)}.")
 
     def _replay(self, console: Console) -> list[Any]:
-        """Replay all episodes, and say meanwhile how far that is and how long it will take."""
+        """Replay all episodes, showing progress and the time left."""
         dataset = Dataset.open(self.path)
-        if self.mode == "check":
-            return list(track(replay(self.path), "Replaying", total=len(dataset), console=console))
-        job = JOBS[self.mode]
+        if self.kind == "check":
+            return list(track(replay(self.path, trust=self.trust), "Replaying", total=len(dataset), console=console))
+        job = JOBS[self.kind]
         options = {
             option.name: getattr(self, option.name) for option in dataclasses.fields(job) if option.name != "source"
         }
@@ -135,23 +138,23 @@ class ReplayCommand:
             return list(derive(job(source=self.path, **options), rows))
 
     def _as_json(self, results: list[Any], seconds: float) -> dict[str, Any]:
-        values: dict[str, Any] = {"mode": self.mode, "dataset": str(self.path), "seconds": seconds}
+        values: dict[str, Any] = {"kind": self.kind, "dataset": str(self.path), "seconds": seconds}
         if self.out is not None:
             values["out"] = str(self.out)
         ordered = sorted(results, key=lambda result: result.episode_id)
-        if self.mode == "check":
+        if self.kind == "check":
             values["equal"] = sum(result.is_equal for result in ordered)
-        elif self.mode != "render":
+        elif self.kind != "render":
             values["successes"] = sum(result.success for result in ordered)
-        if self.mode == "actions":
+        if self.kind == "actions":
             return {**values, "episodes": [result.to_json(with_rows=True) for result in ordered]}
-        if self.mode == "states":
+        if self.kind == "states":
             return {**values, "episodes": [result.to_json() for result in ordered]}
         return {**values, "episodes": [dataclasses.asdict(result) for result in ordered]}
 
     def _tell(self, results: list[Any], seconds: float, console: Console) -> None:
         ordered = sorted(results, key=lambda result: result.episode_id)
-        if self.mode == "check":
+        if self.kind == "check":
             for result in ordered:
                 if not result.is_equal:
                     console.print(
@@ -159,10 +162,10 @@ class ReplayCommand:
                     )
             steps, equal = sum(result.steps for result in ordered), sum(result.is_equal for result in ordered)
             told = f"{equal} of {len(ordered)} episodes bit-equal ({steps} steps in {seconds:.1f} s)"
-        elif self.mode == "render":
+        elif self.kind == "render":
             rows = sum(result.rows for result in ordered)
-            told = f"{len(ordered)} episodes drawn anew ({rows} rows in {seconds:.1f} s, {rows / seconds:.0f}/s)"
-        elif self.mode == "actions":
+            told = f"{len(ordered)} episodes drawn ({rows} rows in {seconds:.1f} s, {rows / seconds:.0f}/s)"
+        elif self.kind == "actions":
             _print_wide(divergence_table(ordered), console)
             good = sum(result.success for result in ordered)
             within = sum(result.first_beyond is None for result in ordered)
@@ -177,11 +180,11 @@ class ReplayCommand:
 
 
 class _Progress(Progress):
-    """A bar of the rows that worker processes count; where no bar can be drawn, a line now and then."""
+    """A bar of the rows that worker processes count; a line now and then where no bar can be drawn."""
 
     def __init__(self, rows: Synchronized[int], total: int, console: Console) -> None:
         """Watch a count go up to a total."""
-        # Episodes differ and computers are shared: an estimate goes by the last minutes.
+        # Episodes differ and computers are shared, so the estimate uses the last minutes.
         super().__init__(console=console, refresh_per_second=2, speed_estimate_period=300.0)
         self._rows = rows
         self._task = self.add_task("Replaying", total=total)
@@ -202,7 +205,7 @@ class _Progress(Progress):
         self._thread.start()
 
     def stop(self) -> None:
-        """Watch no more."""
+        """Stop watching."""
         self._is_over.set()
         self._thread.join()
         self.update(self._task, completed=self._rows.value)
@@ -214,7 +217,7 @@ def _default(option: dataclasses.Field[Any]) -> Any:
 
 
 def _print_wide(table: Table, console: Console) -> None:
-    """Print a table in full, also where the terminal is narrow or there is none."""
+    """Print a table in full, even if the terminal is narrow or missing."""
     plain_console(width=max(console.width, WIDTH)).print(table)
 
 
@@ -236,7 +239,7 @@ def divergence_table(results: list[ReexecutionResult]) -> Table:
 
 
 def success_table(results: list[RealToSimResult]) -> Table:
-    """Return a table with how every episode went in simulation."""
+    """Return a table with the result of every episode in simulation."""
     table = Table("episode", "steps", "success", "joints [rad]", "problem", box=None, pad_edge=False)
     for result in results:
         error = "-" if result.joint_error is None else f"{result.joint_error[0]:.2g}/{result.joint_error[1]:.2g}"
@@ -257,7 +260,7 @@ def _count(results: list[RealToSimResult]) -> str:
 
 
 def _largest_and_median(values: NDArray[np.float64]) -> str:
-    """Return largest and median of what is in m or rad, in mm or mrad."""
+    """Return largest and median of values in m or rad, in mm or mrad."""
     return f"{1e3 * values.max():.2f}/{1e3 * np.median(values):.2f}" if len(values) else "-"
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with a dataset: damage, doubtful rows, missing labels; and mending what can be mended."""
+"""Finds damage, doubtful rows and missing labels in a dataset, and repairs what it can."""
 
 from rcs.lazy import load_on_use
 

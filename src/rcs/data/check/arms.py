@@ -1,4 +1,4 @@
-"""Which arm is behind a column of joints, as far as what is installed says."""
+"""Finds the arm of each column of joints among those installed."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ class _Stand(Protocol):
 
 
 class _Lab(Protocol):
-    """What is known of a lab here: its robots."""
+    """The part of a lab that is used here: its robots."""
 
     stands: Sequence[_Stand]
 
 
 def find_arms(info: DatasetInfo) -> tuple[dict[str, ArmDescription], tuple[str, ...]]:
-    """Return the arm behind each column of joints, and notes on those that are not known.
+    """Return the arm of each column of joints, and notes on unknown ones.
 
     Args:
         info: What the dataset's episodes share; its setup names the robot.
@@ -36,11 +36,11 @@ def find_arms(info: DatasetInfo) -> tuple[dict[str, ArmDescription], tuple[str, 
         return {}, ()
     robot: Any = info.setup.get("robot")
     if not isinstance(robot, str):
-        return {}, ("The setup names no robot, so joints are not held against limits.",)
+        return {}, ("Joints are not compared with limits: the setup names no robot.",)
     try:
         by_name = _arms_of(robot)
     except (UnknownName, ImportError) as err:
-        return {}, (f"Joints are not held against limits: {err}",)
+        return {}, (f"Joints are not compared with limits: {err}",)
     arms: dict[str, ArmDescription] = {}
     notes: list[str] = []
     for feature in columns:
@@ -49,7 +49,7 @@ def find_arms(info: DatasetInfo) -> tuple[dict[str, ArmDescription], tuple[str, 
         if arm is None or feature.shape != (arm.dof,):
             known = f"of {arm.dof} joints" if arm is not None else "of no such name"
             notes.append(
-                f"{feature.key!r} {feature.shape} is not held against limits: robot {robot!r} has an arm {known}."
+                f"{feature.key!r} {feature.shape} is not compared with limits: robot {robot!r} has an arm {known}."
             )
         else:
             arms[feature.key] = arm
@@ -57,8 +57,8 @@ def find_arms(info: DatasetInfo) -> tuple[dict[str, ArmDescription], tuple[str, 
 
 
 def _arms_of(robot: str) -> dict[str, ArmDescription]:
-    """Return the arms of a robot by their names in keys; the only one of a robot has the empty name."""
-    from rcs.devices import lookup  # loads the core, which nothing else in a dataset needs
+    """Return the arms of a robot by their names in keys; a single arm has the empty name."""
+    from rcs.devices import lookup  # imports the core, which nothing else in a dataset needs
 
     if robot in lookup.names("arm"):
         return {"": lookup.find("arm", robot)}

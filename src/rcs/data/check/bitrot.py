@@ -1,8 +1,8 @@
-"""Finds the one byte that changed in a file, and puts it back; nothing is guessed, for a hash says when it is right.
+"""Finds and restores a single changed byte of a file; a hash confirms that the result is right.
 
-A page of a Parquet file has a CRC-32. The difference between it and the CRC of what is there depends on which byte
-changed and how, so running the CRC's register backwards over the page gives the place. Parts without one, descriptions
-and the heads of pages and files, are small enough to try every bit.
+A page of a Parquet file has a CRC-32. Its difference from the CRC of the present bytes depends on which byte changed
+and how, so running the CRC's register backwards over the page finds the place. Parts without a CRC, such as
+descriptions and headers, are small enough to try every bit.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ from rcs.data.json_file import MOST_DEPTH
 from rcs.data.page_heads import page_head, thrift_struct
 from rcs.errors import CorruptEpisode
 
-# More than this is not tried bit by bit: each of 8 bits of 8192 bytes is a second or two.
+# Most bytes to try bit by bit: 8192 bytes take a second or two.
 _MOST_BYTES = 8192
-# How many bytes are hashed at most for one file: some seconds.
+# Most bytes to hash for one file: some seconds.
 _MOST_HASHED = 4 << 30
 _MAGIC = 4
 _TAIL = 8
-# Longer than the head of any page here, which has no statistics.
+# Longer than any of our page headers, which have no statistics.
 _PAGE_HEAD = 48
-# Numbers of fields in `parquet.thrift` of Apache Parquet: of the footer, a row group, a column in it, its description.
+# Field numbers in `parquet.thrift` of Apache Parquet: of the footer, a row group, a column in it, its description.
 _GROUPS, _COLUMNS, _META, _SIZE, _START = 4, 1, 3, 7, 9
 
 
 def mended_json(data: bytes, path: Path) -> dict[str, Any] | None:
-    """Return what sealed JSON said before one bit of it changed; None if that is not what happened.
+    """Return the values of sealed JSON before one bit of it changed; None if that does not explain the damage.
 
     Args:
         data: The bytes of the file.
-        path: Where they came from.
+        path: The file.
     """
     if len(data) > _MOST_BYTES or _nesting(data) > 2 * MOST_DEPTH:
         return None
     for at in range(8 * len(data)):
         changed = _changed(data, at // 8, 1 << at % 8)
         try:
-            if not is_sealed(changed):  # which is faster to say no
+            if not is_sealed(changed):  # the faster test
                 continue
             return unsealed(changed, path)
         except CorruptEpisode:
@@ -53,16 +53,16 @@ def mended_json(data: bytes, path: Path) -> dict[str, Any] | None:
 
 
 def _nesting(data: bytes) -> int:
-    """Return how deep brackets are nested, those in texts counted too."""
+    """Return how deep brackets are nested, including those in texts."""
     return max(accumulate((byte in b"[{") - (byte in b"]}") for byte in data), default=0)
 
 
 def mended_parquet(data: bytes, sha256: str) -> bytes | None:
-    """Return a Parquet file as it was before one byte of a page, or one bit elsewhere, changed; None if it was more.
+    """Return a Parquet file before one byte of a page, or one bit elsewhere, changed; None if more is damaged.
 
     Args:
         data: The bytes of the file.
-        sha256: What they should hash to.
+        sha256: Their original hash.
     """
 
     def is_right(candidate: bytes) -> bool:
@@ -79,19 +79,19 @@ def mended_parquet(data: bytes, sha256: str) -> bytes | None:
                 if is_right(candidate):
                     return candidate
         read = pages[-1].end if pages else start
-        if read != end:  # the head that comes next is damaged
+        if read != end:  # the next header is damaged
             for candidate in _with_right_head(data, read, end):
                 if is_right(candidate):
                     return candidate
     tail = max(len(data) - _TAIL, 0)
-    # The length of the footer first: where it is wrong, the footer is not where it says.
+    # The length of the footer first, since it locates the footer.
     places = [*range(tail, len(data)), *range(min(footer, tail), tail)]
     return _try_bits(data, sha256, [*places, *sorted({*range(min(_MAGIC, len(data))), *heads}, reverse=True)])
 
 
 @dataclass(frozen=True)
 class _Page:
-    """Where a page's head, its data and what follows begin, and the CRC of the data."""
+    """Where a page's header and data begin, where the data end, and their CRC."""
 
     head: int
     start: int
@@ -100,9 +100,9 @@ class _Page:
 
 
 def _chunks(data: bytes) -> list[tuple[int, int]]:
-    """Return where the columns of each row group start and end, as far as the footer says so; nothing if it does not.
+    """Return where the columns of each row group start and end according to the footer; nothing if it is damaged.
 
-    The footer is read here and not by Arrow, which ends the process where some of its fields contradict each other.
+    Arrow is not used, since it ends the process if some fields of the footer contradict each other.
     """
     try:
         footer, _ = thrift_struct(data, len(data) - _TAIL - int.from_bytes(data[-_TAIL:-_MAGIC], "little"))
@@ -114,7 +114,7 @@ def _chunks(data: bytes) -> list[tuple[int, int]]:
 
 
 def _pages(data: bytes | bytearray, start: int, end: int) -> Iterator[_Page]:
-    """Yield the pages between two places, up to the first whose head does not read."""
+    """Yield the pages between two places, up to the first unreadable header."""
     while start < end:
         try:
             head = page_head(data, start)
@@ -128,9 +128,9 @@ def _pages(data: bytes | bytearray, start: int, end: int) -> Iterator[_Page]:
 
 
 def _with_right_page(data: bytes, page: _Page) -> Iterator[bytes]:
-    """Yield the file with one byte of a page changed so that its CRC is right, for each byte that could be."""
+    """Yield the file with one byte of a page changed so that its CRC is right, for each candidate."""
     register = zlib.crc32(data[page.start : page.end]) ^ page.crc
-    # What one byte makes of an empty register: zlib's CRC without its first and last inversion.
+    # The effect of one byte on an empty register: zlib's CRC without its first and last inversion.
     table = [zlib.crc32(bytes([byte])) ^ zlib.crc32(b"\0") for byte in range(256)]
     of_last_byte = {value: byte for byte, value in enumerate(table) if byte}
     by_top = {value >> 24: byte for byte, value in enumerate(table)}
@@ -142,7 +142,7 @@ def _with_right_page(data: bytes, page: _Page) -> Iterator[bytes]:
 
 
 def _with_right_head(data: bytes, start: int, end: int) -> Iterator[bytes]:
-    """Yield the file with one bit of the page head at `start` changed so that pages follow each other up to `end`."""
+    """Yield the file with one bit of the page header at `start` changed so that pages fill it up to `end`."""
     tried = bytearray(data)
     for at in range(start, min(start + _PAGE_HEAD, end)):
         for bit in range(8):
@@ -154,7 +154,7 @@ def _with_right_head(data: bytes, start: int, end: int) -> Iterator[bytes]:
 
 
 def _footer_start(data: bytes) -> int:
-    """Return where the footer begins, as far as its length says something sensible."""
+    """Return where the footer begins according to its length, within bounds."""
     length = int.from_bytes(data[-_TAIL:-_MAGIC], "little")
     return max(len(data) - _TAIL - min(length, 8 * _MOST_BYTES), 0)
 

@@ -1,4 +1,4 @@
-"""The files of an episode: whether they are what was written, to the last byte, and whether every image decodes."""
+"""Checks that an episode's files are what was written, byte for byte, and that every image decodes."""
 
 from __future__ import annotations
 
@@ -22,40 +22,39 @@ from rcs.data.info import DatasetInfo
 from rcs.data.json_file import read_bytes
 from rcs.data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
 from rcs.data.parquet import UNREADABLE, ParquetSource
-from rcs.data.quality import QualityMeter
 from rcs.data.rows import sim_state_schema, steps_schema
+from rcs.data.timing import TimingMeter
 from rcs.errors import CorruptEpisode, DatasetError
 
-# An image none of whose values is above this shows nothing; JPEG turns 0 into up to 2.
+# An image without a value above this is black; JPEG turns 0 into up to 2.
 _BLACK = 8
 
 
 class EpisodeBytes:
-    """Checks the files of one episode and keeps what the other checks need of its rows.
+    """Checks the files of one episode and keeps the rows that the other checks need.
 
-    The files are read, not mapped: a sector that does not read is then an error that can be told, and not a signal that
-    ends the process.
+    The files are read, not mapped, so that an unreadable sector raises an error instead of ending the process.
     """
 
     def __init__(self, place: EpisodePlace, info: DatasetInfo, *, decode_frames: bool) -> None:
-        """Look at nothing yet.
+        """Prepare the check.
 
         Args:
             place: Where the episode is.
             info: What the dataset's episodes share.
-            decode_frames: Whether each image is decoded.
+            decode_frames: Whether to decode each image.
         """
         self._place = place
         self._info = info
         self._decode_frames = decode_frames
         self.rows = EpisodeRows(info)
         self.frames = 0
-        """Images that were decoded."""
-        self.quality: dict[str, Any] = {}
-        """What the quality report would be today."""
+        """Number of decoded images."""
+        self.timing: dict[str, Any] = {}
+        """The timing report computed from the rows."""
 
     def findings(self) -> Iterator[Finding]:
-        """Yield all damage; and numbers that are not finite, as warnings."""
+        """Yield all damage, and numbers that are not finite as warnings."""
         try:
             about = read_about(self._place.folder)
         except DatasetError as err:
@@ -66,7 +65,7 @@ class EpisodeBytes:
             return
         path = self._place.folder / EPISODE_FILE
         if not is_as_written(read_bytes(path), about):
-            yield self._damage("altered", "reads, but its bytes are not those that were written", EPISODE_FILE)
+            yield self._damage("altered", "is readable, but its bytes are not those that were written", EPISODE_FILE)
         self.rows.about = about
         for name, schema in schemas_of(self._info).items():
             yield from self._check_file(name, schema)
@@ -79,17 +78,17 @@ class EpisodeBytes:
         try:
             is_altered = sha256_of(path) != self.rows.about["sha256"].get(name)
         except OSError as err:
-            yield self._damage("unreadable", f"does not read: {err.strerror or err}", name)
+            yield self._damage("unreadable", f"cannot be read: {err.strerror or err}", name)
             return
         if not is_altered:
             yield from self._check_parquet(name, schema)
             return
         try:
             found = list(self._check_parquet(name, schema))
-        except (ValueError, IndexError) as err:  # a footer that contradicts the rest
-            found = [self._damage("unreadable", f"does not read: {err}", name)]
+        except (ValueError, IndexError) as err:  # a contradictory footer
+            found = [self._damage("unreadable", f"cannot be read: {err}", name)]
         if not any(finding.severity == "damage" for finding in found):
-            found.append(self._damage("altered", "its SHA-256 is not the one that was written", name))
+            found.append(self._damage("altered", "its SHA-256 differs from the one that was written", name))
         yield from found
 
     def _check_parquet(self, name: str, schema: pa.Schema) -> Iterator[Finding]:
@@ -97,19 +96,19 @@ class EpisodeBytes:
         try:
             with parquet.opened(path) as source:
                 if not source.file.schema_arrow.equals(schema):
-                    yield self._damage("schema", "has other columns than dataset.json says", name)
+                    yield self._damage("schema", "its columns differ from those in dataset.json", name)
                     return
                 length = self.rows.about["length"]
                 if source.rows != length:
-                    yield self._damage("row_count", f"has {source.rows} rows, and episode.json says {length}", name)
-                source.require(is_damaged=True)  # of all columns, for what the checks need of them is kept
+                    yield self._damage("row_count", f"has {source.rows} rows, but episode.json says {length}", name)
+                source.require(is_damaged=True)  # of all columns, since the checks need them
                 yield from self._check_groups(source, name, schema)
         except (*UNREADABLE, CorruptEpisode) as err:
-            yield self._damage("unreadable", f"its footer does not read: {err}", name)
+            yield self._damage("unreadable", f"its footer cannot be read: {err}", name)
 
     def _check_groups(self, source: ParquetSource, name: str, schema: pa.Schema) -> Iterator[Finding]:
         file = source.file
-        content, meter = (ContentHash(self._info), QualityMeter(self._info)) if name == STEPS_FILE else (None, None)
+        content, meter = (ContentHash(self._info), TimingMeter(self._info)) if name == STEPS_FILE else (None, None)
         not_finite = _NotFinite()
         is_whole = True
         first = 0
@@ -123,7 +122,7 @@ class EpisodeBytes:
                     is_whole = False
                     start, end = self._locate(name, key, group) or (0, rows - 1)
                     place = (first + start, first + end)
-                    yield self._damage("unreadable", f"{key!r} does not read: {err}", name, place)
+                    yield self._damage("unreadable", f"{key!r} cannot be read: {err}", name, place)
                     continue
                 columns.append(column)
                 if pa.types.is_binary(column.type):
@@ -140,7 +139,7 @@ class EpisodeBytes:
             message = f"{key!r} is not finite in {counted(number, 'row')}"
             yield self._place.finding("warning", "not_finite", message, file=name, rows=(start, end))
         if is_whole and content is not None and meter is not None:
-            self.quality = meter.report()
+            self.timing = meter.report()
             if content.hexdigest() != self.rows.about["content_hash"]:
                 yield self._damage("content", "its values are not those that were written", name)
 
@@ -162,7 +161,7 @@ class EpisodeBytes:
             log.last = data or log.last
 
     def _locate(self, name: str, key: str, group: int) -> tuple[int, int] | None:
-        """Return the first and last row of a group whose image is broken, if reading past the checksum shows them."""
+        """Return the first and last row of a group with a broken image, if they can be read despite the checksum."""
         try:
             with parquet.opened(self._place.folder / name, verify=False) as source:
                 column = source.table([key], [group]).column(0)
@@ -186,15 +185,15 @@ class EpisodeBytes:
 
 
 class _NotFinite:
-    """Counts the rows of each column with a NaN or an infinity."""
+    """Counts the rows of each column with NaN or infinity."""
 
     def __init__(self) -> None:
         self.found: dict[str, tuple[int, int, int]] = {}
 
     def add(self, key: str, column: pa.ChunkedArray, first: int) -> None:
-        """Take the next rows of a column; `first` is the number of the first of them."""
+        """Take the next rows of a column, starting at row `first`."""
         if not len(column):
-            return  # without rows, numpy cannot tell how many numbers one has
+            return  # without rows, numpy cannot infer the size of one
         numbers = flat_numbers(column).reshape(len(column), -1)
         if numbers.dtype.kind != "f":
             return
@@ -218,7 +217,7 @@ def sha256_of(path: Path) -> str:
     Raises:
         OSError: It cannot be read.
     """
-    if not path.is_file():  # a pipe would never end
-        raise FileNotFoundError(errno.ENOENT, "it is missing or no file", str(path))
+    if not path.is_file():  # reading a pipe would never end
+        raise FileNotFoundError(errno.ENOENT, "it is missing or not a file", str(path))
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

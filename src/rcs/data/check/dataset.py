@@ -1,9 +1,9 @@
-"""Checks a whole dataset: its description, every episode, and what lies beside them."""
+"""Checks a whole dataset: its description, every episode, and other files in its folder."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,17 +18,15 @@ from rcs.data.check.images import check_images
 from rcs.data.check.labels import check_labels, check_verdicts
 from rcs.data.check.motion import check_motion
 from rcs.data.check.report import CheckReport, Finding, counted
-from rcs.data.check.stored_quality import check_quality
+from rcs.data.check.stored_timing import check_timing
 from rcs.data.check.times import check_times
 from rcs.data.head import Head
 from rcs.data.info import MERGED, DatasetInfo
 from rcs.data.layout import complete_ids, episode_folder, generation_folder
+from rcs.data.output import OnProgress
 
 if TYPE_CHECKING:
     from rcs.robots.description import ArmDescription
-
-OnProgress = Callable[[int, int], object]
-"""Called with the number of episodes done and of all."""
 
 
 def check(
@@ -38,13 +36,13 @@ def check(
     workers: int | None = None,
     on_progress: OnProgress | None = None,
 ) -> CheckReport:
-    """Check every episode of a dataset: against what was written, and for what makes doubtful training data.
+    """Check every episode of a dataset for damage and for doubtful training data.
 
     Args:
         path: The dataset's folder.
-        decode_frames: Whether each image is decoded too, which takes most of the time.
-        workers: Threads; None for one per core. Decoding and hashing do not hold the interpreter.
-        on_progress: Called with the number of episodes done and of all.
+        decode_frames: Whether to decode each image too, which takes most of the time.
+        workers: Threads; None for one per core. Decoding and hashing release the GIL.
+        on_progress: Called with the number of episodes done and in all.
 
     Raises:
         DatasetError: There is no dataset, or its layout is newer than this code.
@@ -81,7 +79,7 @@ def check(
 
 @dataclass(frozen=True, kw_only=True)
 class _How:
-    """What the check of every episode is given."""
+    """Arguments of the check of every episode."""
 
     info: DatasetInfo
     arms: Mapping[str, ArmDescription]
@@ -91,7 +89,7 @@ class _How:
 
 @dataclass(frozen=True, kw_only=True)
 class _Checked:
-    """What the check of one episode gives."""
+    """Result of the check of one episode."""
 
     rows: int
     frames: int
@@ -104,13 +102,13 @@ def _check_episode(place: EpisodePlace, how: _How) -> _Checked:
     bytes_ = EpisodeBytes(place, how.info, decode_frames=how.decode_frames)
     findings = list(bytes_.findings())
     about: dict[str, Any] = bytes_.rows.about
-    if not any(finding.severity == "damage" for finding in findings):  # of damaged rows nothing else is asked
+    if not any(finding.severity == "damage" for finding in findings):  # damaged rows are not checked further
         rows = bytes_.rows
         findings += check_labels(place, about)
         findings += check_times(place, rows, is_resampled=how.is_resampled)
         findings += check_images(place, rows)
         findings += check_motion(place, rows, how.arms)
-        findings += check_quality(place, about, bytes_.quality)
+        findings += check_timing(place, about, bytes_.timing)
     return _Checked(
         rows=int(about.get("length", 0)),
         frames=bytes_.frames,
@@ -130,6 +128,6 @@ def _known(root: Path, head: Head) -> Iterator[str]:
     count = len(folders & known_damage(head))
     if count:
         yield (
-            f"{counted(count, 'damaged folder')} of former generations known from a repair: an undo can bring the "
-            "damage back, and rcs data prune removes it."
+            f"{counted(count, 'damaged folder')} of former generations, known from a repair: an undo can bring the "
+            "damage back; `rcs data prune` removes it."
         )

@@ -1,4 +1,4 @@
-"""`dataset.json`, its copy and `episode.json`: whether they are, byte for byte, what was written."""
+"""Checks that `dataset.json`, its copy and `episode.json` are what was written, byte for byte."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from rcs.data.layout import COPY_FILE, DATASET_FILE
 from rcs.data.lock import is_locked
 from rcs.errors import CorruptEpisode, DatasetError
 
-# From this layout on there is a copy of `dataset.json`.
+# `dataset.json` has a copy from this layout on.
 _FIRST_WITH_COPY = 2
 
 
 def is_as_written(data: bytes, values: dict[str, Any]) -> bool:
-    """Return whether sealed JSON has the very bytes that its values are written as.
+    """Return whether the bytes of sealed JSON are exactly those that its values are written as.
 
-    A changed space or the E of an exponent leaves the values, and so their checksum, as they are.
+    A changed space, or E instead of e in a number, does not change the values nor their checksum.
     """
     return sealed(values) == data
 
 
 def check_head(root: Path) -> tuple[Head | None, list[Finding]]:
-    """Check `dataset.json` and its copy; return what they say, or None if neither can be read.
+    """Check `dataset.json` and its copy; return their contents, or None if neither can be read.
 
     Args:
         root: The dataset's folder.
@@ -41,7 +41,7 @@ def check_head(root: Path) -> tuple[Head | None, list[Finding]]:
     for name in (DATASET_FILE, COPY_FILE):
         if not (root / name).exists():
             has_copy = name == DATASET_FILE or _is_copy_expected(heads.get(DATASET_FILE))
-            findings += [_finding(name, "missing", "missing; check with --repair makes it anew")] if has_copy else []
+            findings += [_finding(name, "missing", "missing; rcs data check --repair restores it")] if has_copy else []
             continue
         try:
             heads[name] = read_head_file(root / name)
@@ -50,9 +50,9 @@ def check_head(root: Path) -> tuple[Head | None, list[Finding]]:
             continue
         data = read_bytes(root / name)
         if not is_as_written(data, unsealed(data, root / name)):
-            findings.append(_finding(name, "altered", "reads, but its bytes are not those that were written"))
+            findings.append(_finding(name, "altered", "is readable, but its bytes are not those that were written"))
     if len(heads) == 2 and heads[DATASET_FILE] != heads[COPY_FILE] and not is_locked(root):
-        message = f"older than {DATASET_FILE}: what wrote them was killed between the two; recover makes it anew"
+        message = f"older than {DATASET_FILE}: the writer was killed between the two; `rcs data recover` updates it"
         findings.append(Finding(severity="warning", kind="stale_copy", episode=None, file=COPY_FILE, message=message))
     return next(iter(heads.values()), None), findings
 

@@ -1,4 +1,4 @@
-"""What is kept of an episode's rows while its files are read, for the checks that come after the bytes."""
+"""Keeps the parts of an episode's rows that later checks need while its files are read."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIMULATED_TIME = "simulated_time"
 
 @dataclass(frozen=True)
 class EpisodePlace:
-    """Where an episode is: names it in findings."""
+    """The place of an episode, for findings."""
 
     root: Path
     """The dataset's folder."""
@@ -43,32 +43,32 @@ class EpisodePlace:
         file: str = STEPS_FILE,
         rows: tuple[int, int] | None = None,
     ) -> Finding:
-        """Return a finding in this episode; `file` is a name in its folder, and rows come as first and last."""
+        """Return a finding in this episode; `file` is a name in its folder, `rows` the first and last."""
         path = str((self.folder / file).relative_to(self.root))
         return Finding(severity=severity, kind=kind, episode=self.id, file=path, message=message, rows=rows)
 
     def warning(self, kind: str, message: str, rows: NDArray[np.intp] | None = None) -> Finding:
-        """Return a warning about the steps, from the first to the last of some rows."""
+        """Return a warning about steps, from the first to the last of some rows."""
         place = None if rows is None or not len(rows) else (int(rows[0]), int(rows[-1]))
         return self.finding("warning", kind, message, rows=place)
 
 
 @dataclass
 class FrameLog:
-    """What each row says of one image feature."""
+    """The state of one image feature in each row."""
 
     is_new: list[bool] = field(default_factory=list[bool])
-    """Whether the row has an image of its own."""
+    """Whether the row has a new image."""
     is_same: list[bool] = field(default_factory=list[bool])
-    """Whether it has one, and that is byte for byte the last one before it."""
+    """Whether the new image equals the one before it byte for byte."""
     is_black: list[bool] = field(default_factory=list[bool])
-    """Whether it has one that shows nothing; False where images were not decoded."""
+    """Whether the new image is black; False where images were not decoded."""
     last: bytes | None = None
-    """The last image so far."""
+    """The latest image."""
 
 
 class EpisodeRows:
-    """The columns that say when, how and whether the robot moved, and a line per row for each camera."""
+    """The columns of times, joints and motion, and the state of each camera per row."""
 
     def __init__(self, info: DatasetInfo) -> None:
         """Start with no rows."""
@@ -84,13 +84,13 @@ class EpisodeRows:
         for key, parts in self._parts.items():
             column = rows.column(key)
             feature = self.info.feature(key)
-            # Where a time was not measured there is NaN.
+            # Times that were not measured are NaN.
             parts.append(
                 column.to_numpy() if feature.is_time else flat_numbers(column).reshape(-1, *feature.shape).copy()
             )
 
     def column(self, key: str) -> NDArray[Any] | None:
-        """Return a column, shape (length, *feature.shape); None if the dataset has none of that key."""
+        """Return a column, shape (length, *feature.shape); None if the dataset has no such key."""
         parts = self._parts.get(key)
         return np.concatenate(parts) if parts else None
 
@@ -113,19 +113,19 @@ class EpisodeRows:
         return None if name is None else self.column(name)
 
     def seconds_per_step(self) -> NDArray[np.float64]:
-        """Return how long each step took [s], shape (length - 1,), and never less than the rate says."""
-        nominal = np.full(max(self.length - 1, 0), 1 / self.info.fps)
+        """Return how long each step took [s], shape (length - 1,), at least the nominal period."""
+        nominal = np.full(max(self.length - 1, 0), 1 / self.info.frequency)
         clock = self.column(self.clock) if self.clock is not None else None
         if clock is None:
             return nominal
         measured = np.diff(clock)
-        return np.where(measured > nominal, measured, nominal)  # where one is NaN the rate holds
+        return np.where(measured > nominal, measured, nominal)  # the nominal period where NaN
 
     @property
     def clock(self) -> str | None:
-        """The column that says how much time passed for the robot; None if there is none.
+        """The column of the robot's time; None if there is none.
 
-        A simulation that does not run in real time has its own; there the wall clock says only how fast it computed.
+        Simulated time, unless the simulation runs in real time: the wall clock only says how fast it computed.
         """
         is_realtime = self.info.setup.get("mode") == "realtime"
         for key in ("time/monotonic",) if is_realtime else (SIMULATED_TIME, "time/monotonic"):

@@ -1,4 +1,4 @@
-"""What is in a dataset's folder beside the current episodes: former ones that undo brings back, and leftovers."""
+"""Checks a dataset's folder for damaged former generations, which undo restores, and for leftovers."""
 
 from __future__ import annotations
 
@@ -34,36 +34,34 @@ from rcs.errors import CorruptEpisode, DatasetError
 _UNPRINTABLE = dict.fromkeys(range(32), "�")
 
 REPAIR = "repair"
-"""The command of a repair in the history; its arguments name the damaged folders of former generations."""
+"""The history's command of a repair; its arguments name the damaged folders of former generations."""
 DAMAGED = "damaged"
 
 
 def check_leftovers(root: Path, head: Head) -> Iterator[Finding]:
-    """Yield what a killed writer or edit left, and what is missing as a whole.
+    """Yield what a killed writer or edit left, and whole files that are missing.
 
     Args:
         root: The dataset's folder.
-        head: What `dataset.json` says.
+        head: The contents of `dataset.json`.
     """
     base = generation_folder(root, head.generation)
     if not episodes_folder(base).is_dir():
         yield _finding(root, "damage", "missing", None, episodes_folder(base), "missing, with all episodes in it")
     for episode_id in incomplete_ids(base):
         file = episode_folder(base, episode_id) / EPISODE_FILE
-        message = "missing, so the episode is not read; --repair makes it anew from the rows"
+        message = "missing, so the episode is not read; --repair restores it from the rows"
         yield _finding(root, "damage", "missing", episode_id, file, message)
     if is_locked(root):
-        return  # open episodes are what a living writer is at
+        return  # a living writer has open episodes
     for episode_id in open_ids(base):
         folder = open_folder(base, episode_id)
         yield _finding(root, "warning", "left_open", episode_id, folder, "open, and its writer is gone; run recover")
     for name in strange_names(base):
         file = episodes_folder(base) / mended_text(name).translate(_UNPRINTABLE)
-        yield _finding(
-            root, "warning", "stranger", None, file, "cannot be an episode by its name, and nothing reads it"
-        )
+        yield _finding(root, "warning", "stranger", None, file, "its name cannot be an episode's; nothing reads it")
     for folder in links_out(root):
-        message = f"a link to {folder.readlink()}, out of the dataset; it is read, and nothing is written through it"
+        message = f"a link out of the dataset to {folder.readlink()}; it is read, but never written through"
         yield _finding(root, "warning", "link", None, folder, message)
     for folder in trash_folders(base):
         yield _finding(root, "warning", "left_over", None, folder, "left of a discard; run recover")
@@ -72,13 +70,13 @@ def check_leftovers(root: Path, head: Head) -> Iterator[Finding]:
 
 
 def check_former(root: Path, head: Head) -> Iterator[Finding]:
-    """Yield damage of episodes that are not current; what a repair has already listed is known and left out.
+    """Yield damage of episodes that are not current, except what a repair has already listed.
 
-    Files that a current episode has too, by a link, are checked there.
+    Files that a current episode links to are checked there.
 
     Args:
         root: The dataset's folder.
-        head: What `dataset.json` says.
+        head: The contents of `dataset.json`.
     """
     known = known_damage(head)
     base = generation_folder(root, head.generation)
@@ -87,12 +85,12 @@ def check_former(root: Path, head: Head) -> Iterator[Finding]:
         if str(folder.relative_to(root)) in known:
             continue
         for file, message in _damage(folder, skip=current):
-            text = f"{message}; an undo back to it would bring back a damaged episode"
+            text = f"{message}; undo would bring back a damaged episode"
             yield _finding(root, "damage", "former", folder.name, file, text)
 
 
 def damaged_former(root: Path, head: Head) -> list[str]:
-    """Return the damaged episode folders of former generations, relative to the dataset's; known ones too."""
+    """Return all damaged episode folders of former generations, relative to the dataset's folder."""
     folders = former_folders(root, head)
     return [str(folder.relative_to(root)) for folder in folders if any(_damage(folder, skip=set()))]
 
@@ -117,28 +115,28 @@ def former_folders(root: Path, head: Head) -> list[Path]:
 
 
 def _damage(folder: Path, skip: set[int]) -> Iterator[tuple[Path, str]]:
-    """Yield the files of an episode that are not what was written, each with what is wrong with it."""
+    """Yield the damaged files of an episode, each with what is wrong."""
     path = folder / EPISODE_FILE
-    is_shared = _number(path) in skip  # then it is told where it is current
+    is_shared = _number(path) in skip  # reported for the current episode
     try:
         about: dict[str, Any] = read_about(folder)
         if not is_shared and not is_as_written(read_bytes(path), about):
             yield path, "its bytes are not those that were written"
     except (CorruptEpisode, DatasetError) as err:
         if not is_shared:
-            yield path, f"does not read: {err}"
+            yield path, f"cannot be read: {err}"
         return
     for name, expected in about["sha256"].items():
         file = folder / name
         try:
             if _number(file) not in skip and sha256_of(file) != expected:
-                yield file, "its SHA-256 is not the one that was written"
+                yield file, "its SHA-256 differs from the one that was written"
         except OSError as err:
-            yield file, f"does not read: {err.strerror or err}"
+            yield file, f"cannot be read: {err.strerror or err}"
 
 
 def _number(file: Path) -> int | None:
-    """Return the number of a file on the disk, which all its names share; None of what leads nowhere."""
+    """Return the inode of a file; None for a dangling link."""
     try:
         return file.stat().st_ino
     except OSError:

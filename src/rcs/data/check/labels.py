@@ -1,4 +1,4 @@
-"""Labels: whether somebody said how each episode went and what the robot was asked to do."""
+"""Checks the labels of episodes: verdicts and instructions."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from rcs.data.check.episode_rows import EpisodePlace
 from rcs.data.check.report import Finding, listed
 from rcs.data.layout import EPISODE_FILE, EPISODES_FOLDER
 
-# Fewer episodes than this can all have failed by chance.
+# Fewer episodes than this may all fail by chance.
 _FEW = 3
 
 
 def check_labels(place: EpisodePlace, about: dict[str, Any]) -> Iterator[Finding]:
-    """Yield what is wrong with the labels of one episode.
+    """Yield findings about the labels of one episode.
 
     Args:
-        place: Where it is.
-        about: What its `episode.json` says.
+        place: The episode.
+        about: The contents of its `episode.json`.
     """
 
     def warning(kind: str, message: str) -> Finding:
@@ -27,20 +27,20 @@ def check_labels(place: EpisodePlace, about: dict[str, Any]) -> Iterator[Finding
     outcome: Any = about.get("outcome")
     failure = outcome.get("failure") if isinstance(outcome, dict) else None
     if about.get("success") is True and failure:
-        yield warning("contradiction", f"counts as a success, and its outcome says it failed: {failure!r}")
+        yield warning("contradiction", f"is marked as a success, but its outcome says that it failed: {failure!r}")
     if not str(about.get("instruction") or "").strip():
-        yield warning("no_instruction", "nobody says what the robot was asked to do; rcs data relabel does")
+        yield warning("no_instruction", "no instruction; set one with `rcs data relabel`")
     if about.get("length") == 1:
-        yield warning("no_action", "has one row, so nothing was done in it")
+        yield warning("no_action", "has one row, and so no steps")
     if about.get("id", place.id) != place.id:
-        yield warning("wrong_id", f"calls itself {about['id']!r}, and its folder {place.id!r}")
+        yield warning("wrong_id", f"has the id {about['id']!r}, but its folder is {place.id!r}")
 
 
 def check_verdicts(verdicts: dict[str, bool | None]) -> Iterator[Finding]:
-    """Yield what is wrong with the verdicts of all episodes together.
+    """Yield findings about the verdicts of all episodes together.
 
     Args:
-        verdicts: `success` of each episode by its id.
+        verdicts: `success` of each episode, by id.
     """
 
     def warning(kind: str, message: str) -> Finding:
@@ -48,7 +48,7 @@ def check_verdicts(verdicts: dict[str, bool | None]) -> Iterator[Finding]:
 
     unknown = [name for name, success in verdicts.items() if success is None]
     if unknown and len(unknown) == len(verdicts):
-        yield warning("no_verdict", "no episode has a verdict, success or not; a filter by success takes none")
+        yield warning("no_verdict", "no episode has a verdict; a filter by success keeps none")
     elif unknown:
         yield warning("no_verdict", f"{len(unknown)} of {len(verdicts)} episodes have no verdict: {listed(unknown)}")
     if len(verdicts) >= _FEW and all(success is False for success in verdicts.values()):

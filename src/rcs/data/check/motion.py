@@ -1,4 +1,4 @@
-"""Motion of an episode: joints beyond their limits, and jumps that no arm makes."""
+"""Checks the motion of an episode: joints beyond their limits, and impossible jumps."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from rcs.data.check.report import Finding, counted
 if TYPE_CHECKING:
     from rcs.robots.description import ArmDescription
 
-# What a joint may be beyond its limit [rad]: limits of a simulation are springs, and encoders are calibrated.
+# Tolerance of joint limits [rad]: simulated limits are springs, and encoders have offsets.
 _BEYOND = 0.02
-# What a step may exceed the velocity limit by, and a rest [rad] for the noise of encoders and time stamps.
+# Factor by which a step may exceed the velocity limit, and an allowance [rad] for noise of encoders and time stamps.
 _FASTER = 1.25
 _NOISE = 0.02
-# Of an arm whose limits are not known: a step this many times those around it, and faster than any arm [rad/s].
+# A jump of an unknown arm is this many times the steps around it, and faster than any arm [rad/s].
 _OUTLIER = 8.0
 _FASTEST = 6.5
 
 
 def check_motion(place: EpisodePlace, rows: EpisodeRows, arms: Mapping[str, ArmDescription]) -> Iterator[Finding]:
-    """Yield what is wrong with the motion of an episode.
+    """Yield findings about the motion of an episode.
 
     Args:
-        place: Where it is.
+        place: The episode.
         rows: Its rows.
-        arms: The arm behind each column of joints, where it is known.
+        arms: The arm of each column of joints, where known.
     """
     for key in rows.joints:
         joints = rows.column(key)
         if joints is None or joints.ndim != 2 or len(joints) < 2:
             continue
-        joints = np.where(np.isfinite(joints), joints, np.nan)  # what is not finite has a finding of its own
+        joints = np.where(np.isfinite(joints), joints, np.nan)  # values that are not finite are reported elsewhere
         arm = arms.get(key)
         if arm is not None:
             lower, upper = np.array(arm.joint_lower), np.array(arm.joint_upper)
@@ -50,7 +50,7 @@ def check_motion(place: EpisodePlace, rows: EpisodeRows, arms: Mapping[str, ArmD
         touched = np.flatnonzero(jumps.any(axis=1)) + 1
         if len(touched):
             steps = _steps(joints)
-            by = f"faster than {arm.label} can" if arm is not None else "out of all proportion to the steps around it"
+            by = f"faster than {arm.label} can move" if arm is not None else "out of proportion to the steps around it"
             times = counted(len(touched), "step")
             message = f"{key!r} jumps by up to {steps[jumps].max():.2f} rad in a step, {by}, in {times}"
             yield place.warning("joint_jump", message, touched)
@@ -61,8 +61,8 @@ def _jumps(joints: NDArray[np.float64], seconds: NDArray[np.float64], arm: ArmDe
     steps = _steps(joints)
     if arm is not None:
         return steps > _FASTER * np.array(arm.velocity_limit) * seconds[:, None] + _NOISE
-    # The median of the two steps before and after: a spike, there and back, does not hide itself.
-    # One that is not known counts as long, so that it makes no other one stand out.
+    # The median of the two steps before and after, so that a spike does not hide itself. Unknown steps count as long,
+    # so that no other one stands out because of them.
     known = np.where(np.isfinite(np.diff(joints, axis=0)), steps, np.inf)
     padded = np.pad(known, ((2, 2), (0, 0)), mode="edge")
     around = np.median([padded[i : i + len(steps)] for i in (0, 1, 3, 4)], axis=0)

@@ -1,8 +1,8 @@
-"""Mends what can be mended in a dataset. Nothing is lost: what was damaged is in `quarantine/`, and undo is possible.
+"""Repairs what can be repaired in a dataset. Damaged files are kept in `quarantine/`, and undo is possible.
 
-First what is beside the episodes: `dataset.json` from its copy or the copy from it, what a killed writer or edit left.
-Then the episodes, all in one edit with a line in the history. One changed byte is put back; of a larger damage the rows
-before it are kept, without a verdict; an `episode.json` that is gone is made anew from the rows.
+First the rest of the folder: `dataset.json` and its copy are restored from each other, and leftovers of a killed writer
+or edit are recovered. Then the episodes, all in one edit: a single changed byte is restored; of larger damage the rows
+before it are kept, without a verdict; a missing `episode.json` is restored from the rows.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from rcs.data.check.bitrot import mended_json
-from rcs.data.check.dataset import OnProgress, check
+from rcs.data.check.dataset import check
 from rcs.data.check.descriptions import check_head
 from rcs.data.check.episode_rows import EpisodeRows
 from rcs.data.check.generations import DAMAGED, REPAIR, damaged_former, former_folders
@@ -42,21 +42,22 @@ from rcs.data.layout import (
     open_folder,
 )
 from rcs.data.lock import DatasetLock
+from rcs.data.output import OnProgress
 from rcs.data.reader import EpisodeRecord
 from rcs.data.recover import recover
 from rcs.errors import CorruptEpisode, InvalidSetup
 
 What = Literal["restored", "recovered", "removed", "rewritten", "recomputed", "quarantined", "noted", "failed"]
-_REWRITTEN = ("quality", "flags", "wrong_id")
+_REWRITTEN = ("timing", "flags", "wrong_id")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mending:
-    """One thing that was done."""
+    """One repair."""
 
     what: What
-    """restored: whole again, bit for bit. rewritten: with what reads. quarantined: nothing of it reads. noted: in the
-    history, and left as it is. failed: left as it is."""
+    """restored: bit for bit. rewritten: with the readable part. quarantined: nothing is readable. noted: listed in the
+    history, not changed. failed: not changed."""
     episode: str | None
     """The episode's id; None for the dataset as a whole."""
     message: str
@@ -70,13 +71,13 @@ class Mending:
 
 @dataclass(frozen=True, kw_only=True)
 class RepairReport:
-    """What `repair` did."""
+    """The result of `repair`."""
 
     mendings: tuple[Mending, ...]
-    """All that was done, in this order; none if there was nothing to do."""
+    """The repairs, in order; none if nothing was damaged."""
 
     def __str__(self) -> str:
-        """Return one line per thing."""
+        """Return one line per repair."""
         return "\n".join(map(str, self.mendings)) or "nothing to repair"
 
     def to_json(self) -> list[dict[str, Any]]:
@@ -91,16 +92,17 @@ def repair(
     workers: int | None = None,
     on_progress: OnProgress | None = None,
 ) -> RepairReport:
-    """Mend what can be mended. Called again, it finds nothing to do.
+    """Repair what can be repaired; a second call does nothing.
 
     Args:
         path: The dataset's folder.
         decode_frames: Whether each image is decoded to find damage.
         workers: Threads of the check; None for one per core.
-        on_progress: Called with the number of episodes checked and of all.
+        on_progress: Called with the number of episodes checked and in all.
 
     Raises:
-        DatasetError: There is no dataset, its layout is newer than this code, somebody writes to it, or the disk fails.
+        DatasetError: There is no dataset, its layout is newer than this code, another process writes to it, or the disk
+            fails.
     """
     root = Path(path)
     mendings = _mend_head(root)
@@ -119,8 +121,8 @@ def repair(
 
 
 def _mend_head(root: Path) -> list[Mending]:
-    """Make `dataset.json` and its copy what one of them still says."""
-    check_head(root)  # before a lock is made where there is no dataset
+    """Restore `dataset.json` and its copy from whichever is whole."""
+    check_head(root)  # before a lock is created
     lock = DatasetLock.writer(root)
     try:
         head, findings = check_head(root)
@@ -153,7 +155,7 @@ def _healed_head(root: Path) -> Head | None:
 
 
 def _settle(root: Path) -> list[Mending]:
-    """Do what `recover` does; what that leaves alone goes to quarantine, for it would be in the way of every edit."""
+    """Recover the dataset; what cannot be recovered goes to quarantine, since it would block every edit."""
     report = recover(root)
     mendings = [Mending(what="recovered", episode=name, message="its writer was gone") for name in report.recovered]
     mendings += [Mending(what="recovered", episode=name, message="it was finished") for name in report.published]
@@ -178,7 +180,7 @@ def _settle(root: Path) -> list[Mending]:
 def _mend_episodes(
     root: Path, damaged: list[str], rewritten: list[str], findings: tuple[Finding, ...]
 ) -> list[Mending]:
-    """Make a generation in which what is damaged is mended, and all else is as it was."""
+    """Make a generation with the damaged episodes repaired and all others unchanged."""
     head = read_head(root)
     base = generation_folder(root, head.generation)
     listed = [str(episode_folder(base, name).relative_to(root)) for name in damaged]
@@ -203,7 +205,7 @@ def _mend_episodes(
                 made.append(place)
                 mendings.append(_mend(edit, episode_folder(base, name), place.relative_to(root), contents))
     except BaseException:
-        for place in made:  # links to what is still in its place
+        for place in made:  # links to files that stay in place
             shutil.rmtree(place, ignore_errors=True)
         raise
     former = len(arguments[DAMAGED]) - len(listed)
@@ -214,10 +216,10 @@ def _mend_episodes(
 
 
 def _rewrite(edit: Transaction, episode: EpisodeRecord) -> Mending:
-    """Write an episode with flags that go with its images, and the quality report that its rows give."""
+    """Write an episode with flags and timing report recomputed from its rows."""
     rows = rows_of(episode)
     edit.write(episode, _with_right_flags(rows, episode.info))
-    return Mending(what="recomputed", episode=episode.id, message="flags and quality report, from its rows")
+    return Mending(what="recomputed", episode=episode.id, message="flags and timing report, from its rows")
 
 
 def _with_right_flags(table: pa.Table, info: DatasetInfo) -> pa.Table:
@@ -235,16 +237,16 @@ def _with_right_flags(table: pa.Table, info: DatasetInfo) -> pa.Table:
 
 
 def _mend(edit: Transaction, folder: Path, quarantine: Path, contents: dict[str, str]) -> Mending:
-    """Write what is left of an episode into the new generation."""
+    """Write the salvaged part of an episode into the new generation."""
     former = former_folders(edit.dataset.path, edit.dataset.head)
     others = [other for other in reversed(former) if other.name == folder.name]  # the newest first
     found = salvage(folder, edit.info, others=others)
     episode = EpisodeRecord(folder, edit.info)
-    vars(episode)["about"] = {"quality": {}, **found.about}  # in the place of what the file says
-    where = f"What was there is in {quarantine}."
+    vars(episode)["about"] = {"timing": {}, **found.about}  # instead of the file
+    where = f"The former files are in {quarantine}."
     twin = None if found.is_exact else contents.get(found.content_hash)
     if found.rows.num_rows == 0 or twin is not None:
-        why = "no row can be read" if twin is None else f"the rows in its place are those of episode {twin}"
+        why = "no row can be read" if twin is None else f"its rows are those of episode {twin}"
         return Mending(what="quarantined", episode=folder.name, message=f"{why}. {where}")
     edit.write(episode, found.rows)
     what: What = "restored" if found.is_whole else "rewritten"
@@ -252,7 +254,7 @@ def _mend(edit: Transaction, folder: Path, quarantine: Path, contents: dict[str,
 
 
 def _quarantine(root: Path, folder: Path, findings: Iterable[Finding]) -> Path:
-    """Give a damaged episode's files a second name where no edit and no prune takes them away, with what was found."""
+    """Link a damaged episode's files, with the findings, to where no edit or prune removes them."""
     target = _new_quarantine(root, folder.name)
     target.mkdir()
     for file in sorted(folder.iterdir()):

@@ -1,4 +1,4 @@
-"""What a check found: findings with a severity and a stable kind, and the report of them all."""
+"""Findings of a check, each with a severity and a stable kind, and the report."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 Severity = Literal["damage", "warning"]
-"""`damage`: not as it was written, or not readable. `warning`: as it was written, and doubtful as training data."""
+"""`damage`: not as written, or not readable. `warning`: intact, but doubtful as training data."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,17 +16,17 @@ class Finding:
     """One thing that is wrong."""
 
     severity: Severity
-    """How bad it is."""
+    """Its severity."""
     kind: str
-    """What it is, in a word that stays the same between versions: `altered`, `frozen`, `joint_jump` and so on."""
+    """Its kind, a word that is stable across versions: `altered`, `frozen`, `joint_jump` and so on."""
     episode: str | None
     """The episode's id; None for the dataset as a whole."""
     file: str
     """The file, relative to the dataset's folder."""
     message: str
-    """What is wrong, and what to do if anything can be done."""
+    """What is wrong, and what to do about it."""
     rows: tuple[int, int] | None = None
-    """The first and the last row that are touched, if that is known."""
+    """The first and last row concerned, if known."""
 
     @property
     def place(self) -> str:
@@ -47,29 +47,29 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckReport:
-    """What `check` looked at and found."""
+    """The result of `check`."""
 
     path: Path
     """The dataset's folder."""
     episodes: int
-    """Complete episodes that were checked."""
+    """Number of complete episodes checked."""
     rows: int
-    """Rows in them."""
+    """Number of rows in them."""
     frames: int
-    """Images that were decoded."""
+    """Number of decoded images."""
     findings: tuple[Finding, ...]
-    """All that is wrong: of the dataset first, then episode by episode."""
+    """The findings: of the dataset first, then by episode."""
     notes: tuple[str, ...] = ()
     """What could not be checked, and why."""
 
     @property
     def damage(self) -> tuple[Finding, ...]:
-        """What is not as it was written."""
+        """Findings of damage."""
         return tuple(finding for finding in self.findings if finding.severity == "damage")
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
-        """What is as it was written, and doubtful."""
+        """Findings of doubtful data."""
         return tuple(finding for finding in self.findings if finding.severity == "warning")
 
     @property
@@ -79,12 +79,12 @@ class CheckReport:
 
     @property
     def summary(self) -> str:
-        """One line: how much was checked and how much is wrong."""
+        """One line with what was checked and what is wrong."""
         checked = (
             f"{counted(self.episodes, 'episode')}, {counted(self.rows, 'row')}, {counted(self.frames, 'image')} checked"
         )
         if self.is_ok:
-            verdict = "all as it was written"
+            verdict = "no damage"
         else:
             touched = len({finding.episode for finding in self.damage if finding.episode is not None})
             verdict = f"damage in {counted(len(self.damage), 'place')} of {counted(touched, 'episode')}"
@@ -110,12 +110,12 @@ class CheckReport:
 
 
 def counted(number: int, word: str) -> str:
-    """Return a number of things in words, such as "1 row" and "2 rows"."""
+    """Return a count with its noun, such as "1 row" and "2 rows"."""
     return f"{number} {word}" if number == 1 else f"{number} {word}s"
 
 
 def listed(ids: Iterable[str], most: int = 5) -> str:
-    """Return some ids in a line of text, and how many there are beyond them."""
+    """Return the first few ids in one line, and how many more there are."""
     names = list(ids)
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more

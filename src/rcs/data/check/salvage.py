@@ -1,4 +1,4 @@
-"""What can still be read of a damaged episode: its rows up to the damage, and what its description said."""
+"""Salvages a damaged episode: its rows up to the damage, and its description."""
 
 from __future__ import annotations
 
@@ -30,32 +30,32 @@ from rcs.errors import CorruptEpisode
 
 @dataclass(frozen=True, kw_only=True)
 class Salvage:
-    """What is left of an episode."""
+    """The readable part of an episode."""
 
     about: dict[str, Any]
-    """What its `episode.json` is to say, but for what is found in the rows."""
+    """Fields for its `episode.json`, other than those computed from the rows."""
     rows: pa.Table
-    """Its rows up to the damage, with the columns of `stream_schema`; none if nothing reads."""
+    """Its rows up to the damage, with the columns of `stream_schema`; none if nothing is readable."""
     content_hash: str
-    """The hash of what these rows hold."""
+    """The content hash of these rows."""
     is_exact: bool
     """Whether these are all its rows, bit for bit; simulation states may be lost."""
     is_whole: bool
-    """Whether not a bit of the episode is lost."""
+    """Whether nothing of the episode is lost."""
     said: str
     """What was done, in words."""
 
 
 def salvage(folder: Path, info: DatasetInfo, *, others: Sequence[Path] = ()) -> Salvage:
-    """Read what can be read of an episode.
+    """Read what is readable of an episode.
 
     Args:
         folder: The episode's folder.
         info: What the dataset's episodes share.
-        others: Folders of the same episode in other generations, which may have a file as it was.
+        others: Folders of the same episode in other generations, which may have intact files.
 
     Raises:
-        DatasetError: It is no damage: its layout is newer than this code.
+        DatasetError: Its layout is newer than this code, which is not damage.
     """
     about, is_certain, said = _description(folder, others)
     hashes: Any = about.get("sha256") if about is not None else None
@@ -66,13 +66,13 @@ def salvage(folder: Path, info: DatasetInfo, *, others: Sequence[Path] = ()) -> 
         said += words
     try:
         rows = _readable_rows(files[STEPS_FILE], info)
-    except (*UNREADABLE, ValueError, IndexError):  # a footer that contradicts the rest
+    except (*UNREADABLE, ValueError, IndexError):  # a contradictory footer
         rows = schemas_of(info)[STEPS_FILE].empty_table()
     content = ContentHash(info)
     content.add(rows)
     is_exact = about is not None and content.hexdigest() == about.get("content_hash")
     if about is None:
-        said.append("episode.json was made anew from the rows, without a verdict")
+        said.append("episode.json was restored from the rows, without a verdict")
         about = _rebuilt(folder, info)
     elif not is_exact:
         said.append(f"{rows.num_rows} of {about.get('length')} rows are kept, without a verdict")
@@ -80,32 +80,32 @@ def salvage(folder: Path, info: DatasetInfo, *, others: Sequence[Path] = ()) -> 
     lost = 0
     if info.sim_state_size is not None:
         rows, lost = _with_states(rows, files[SIM_STATE_FILE], info.sim_state_size)
-        said += [f"{lost} of its simulation states do not read and are NaN"] if lost else []
+        said += [f"{lost} of its simulation states cannot be read and are NaN"] if lost else []
     return Salvage(
         about=about,
         rows=rows,
         content_hash=content.hexdigest(),
         is_exact=is_exact,
         is_whole=is_certain and is_exact and not lost,
-        said="; ".join(said) or "its files were written anew with the same values",
+        said="; ".join(said) or "its files were written again with the same values",
     )
 
 
 def _description(folder: Path, others: Sequence[Path]) -> tuple[dict[str, Any] | None, bool, list[str]]:
-    """Return what `episode.json` said, whether that is certain, and how it is known."""
+    """Return the contents of `episode.json`, whether they are certain, and how they were found."""
     path = folder / EPISODE_FILE
     try:
         return read_about(folder), True, []
     except CorruptEpisode:
         about = _mended_about(path)
         if about is not None:
-            return about, True, [f"the one bit of {EPISODE_FILE} that had changed was put back"]
-        # Or it is gone; another generation may have it.
+            return about, True, [f"the one changed bit of {EPISODE_FILE} was restored"]
+        # Otherwise another generation may have it.
     for other in others:
         try:
             about = read_about(other)
             if all(sha256_of(folder / name) == expected for name, expected in about["sha256"].items()):
-                # An edit in between may have changed the words in it, if not the rows.
+                # An edit in between may have changed its texts, though not the rows.
                 return about, False, [f"{EPISODE_FILE} was taken from another generation"]
         except (CorruptEpisode, OSError):
             continue
@@ -113,7 +113,7 @@ def _description(folder: Path, others: Sequence[Path]) -> tuple[dict[str, Any] |
 
 
 def _mended_about(path: Path) -> dict[str, Any] | None:
-    """Return what an `episode.json` said before one bit of it changed; None if that is not what happened."""
+    """Return an `episode.json` before one bit of it changed; None if that does not explain the damage."""
     try:
         about = mended_json(read_bytes(path), path)
         return None if about is None else checked_about(about, path)
@@ -122,7 +122,7 @@ def _mended_about(path: Path) -> dict[str, Any] | None:
 
 
 def _as_it_was(path: Path, expected: Any, others: Sequence[Path]) -> tuple[Path | pa.Buffer, list[str]]:
-    """Return a file, or what it was if that is known, and how that is known; the file as it is if that is not known."""
+    """Return a file, restored if possible, and how it was restored, if it was."""
     if not isinstance(expected, str) or _hash_or_none(path) == expected:
         return path, []
     for other in others:
@@ -134,7 +134,7 @@ def _as_it_was(path: Path, expected: Any, others: Sequence[Path]) -> tuple[Path 
         return path, []
     if data is None:
         return path, []
-    return pa.py_buffer(data), [f"the one byte of {path.name} that had changed was put back"]
+    return pa.py_buffer(data), [f"the one changed byte of {path.name} was restored"]
 
 
 def _hash_or_none(path: Path) -> str | None:
@@ -145,7 +145,7 @@ def _hash_or_none(path: Path) -> str | None:
 
 
 def _with_states(rows: pa.Table, source: Path | pa.Buffer, size: int) -> tuple[pa.Table, int]:
-    """Return the rows with their simulation states, and of how many these are lost and NaN."""
+    """Return the rows with their simulation states, and how many of these are lost and NaN."""
     try:
         states = _readable_states(source, size)[: rows.num_rows]
     except (*UNREADABLE, ValueError, IndexError):
@@ -157,7 +157,7 @@ def _with_states(rows: pa.Table, source: Path | pa.Buffer, size: int) -> tuple[p
 
 
 def _rebuilt(folder: Path, info: DatasetInfo) -> dict[str, Any]:
-    """Return a description of which only the rows are known, and what the text of the old one still says."""
+    """Return a description made from the rows and from what is readable in the old one's text."""
     try:
         text = read_bytes(folder / EPISODE_FILE).decode(errors="replace")
     except CorruptEpisode:
@@ -176,7 +176,7 @@ def _rebuilt(folder: Path, info: DatasetInfo) -> dict[str, Any]:
         "started": None if started is None else started[1],
         "ended": None,
         "versions": {},
-        "quality": {},
+        "timing": {},
     }
 
 
@@ -193,7 +193,7 @@ def _outcome(about: dict[str, Any], rows: int) -> dict[str, Any]:
 
 
 def _readable_rows(source: Path | pa.Buffer, info: DatasetInfo) -> pa.Table:
-    """Return the rows before the first that does not read, or whose image does not decode."""
+    """Return the rows before the first that cannot be read or whose image does not decode."""
     schema = schemas_of(info)[STEPS_FILE]
     groups: list[pa.Table] = []
     for group in _groups(source, schema):
@@ -219,7 +219,7 @@ def _readable_states(source: Path | pa.Buffer, size: int) -> np.ndarray[Any, np.
 def _groups(source: Path | pa.Buffer, schema: pa.Schema) -> range:
     try:
         with parquet.opened(source) as opened:
-            opened.require(is_damaged=True)  # of a file that claims gigabytes no row is kept
+            opened.require(is_damaged=True)  # nothing is kept of a file that claims gigabytes
             return range(opened.file.num_row_groups if opened.file.schema_arrow.equals(schema) else 0)
     except (*UNREADABLE, CorruptEpisode):
         return range(0)
@@ -238,20 +238,20 @@ def _readable(source: Path | pa.Buffer, group: int, key: str, info: DatasetInfo)
         return column
     whole = len(column) == _length(source, group)
     if not whole:
-        # Past a page's checksum: images before the first that does not decode. Without one that does not, any may be.
+        # Despite a page's checksum: images before the first that does not decode. If all decode, any may be damaged.
         column = _prefix(source, group, key, verify=False)
     for row, image in enumerate(column):
         try:
             if image.is_valid:
                 decode_frame(feature, image.as_py())
         except CorruptEpisode:
-            # What ends just before a broken image may have been touched too.
+            # The image just before a broken one may be damaged too.
             return column.slice(0, row if whole else max(row - 1, 0))
     return column if whole else column.slice(0, 0)
 
 
 def _prefix(source: Path | pa.Buffer, group: int, key: str, *, verify: bool = True) -> pa.ChunkedArray:
-    """Return the values of a column in a row group before the first page that does not read."""
+    """Return the values of a column in a row group before the first unreadable page."""
     batches: list[pa.Array] = []
     with parquet.opened(source, verify=verify) as opened:
         kind = opened.file.schema_arrow.field(key).type
@@ -261,5 +261,5 @@ def _prefix(source: Path | pa.Buffer, group: int, key: str, *, verify: bool = Tr
             opened.require([key], [group], is_damaged=True)
             batches.extend(piece.column(0) for piece in opened.batches([key], [group]))  # up to the error
         except (*UNREADABLE, CorruptEpisode):
-            pass  # what came before it is what is asked for
+            pass  # what precedes the error is the result
     return pa.chunked_array(batches, type=kind)

@@ -1,4 +1,4 @@
-"""Time in an episode: clocks that run backwards, missing steps, a loop that does not keep its rate."""
+"""Checks the times of an episode: clocks that run backwards, missing steps, a loop that misses its rate."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from rcs.data.check.episode_rows import SIMULATED_TIME, EpisodePlace, EpisodeRow
 from rcs.data.check.report import Finding, counted
 from rcs.data.flags import FrameFlag, time_key
 
-# A period this many times the wanted one means that at least one step is missing, as in the quality report.
+# A period this many times the nominal one means that at least one step is missing, as in the timing report.
 _GAP = 1.5
-# A lower rate that is no divisor of the old one leaves steps of up to twice its period.
+# Resampling to a rate that does not divide the old one makes steps of up to twice the period.
 _GAP_OF_RESAMPLED = 2.1
-# One step in a hundred that is off by more than this share of the period: the loop does not keep its rate.
+# The loop misses its rate if one step in a hundred is off by more than this share of the period.
 _JITTER = 0.25
 _FEW_ROWS = 100
 
 _FLAGS = {
     FrameFlag.STALE: ("stale", "the camera stalls: its frame was older than it should be"),
-    FrameFlag.MISSING: ("missing_frames", "the camera gave nothing usable"),
+    FrameFlag.MISSING: ("missing_frames", "the camera gave no usable frame"),
     FrameFlag.DROPPED: (
         "dropped_frames",
         "the recorder had no room for the frame; the disk or the processor is too slow",
@@ -29,17 +29,17 @@ _FLAGS = {
 
 
 def check_times(place: EpisodePlace, rows: EpisodeRows, *, is_resampled: bool) -> Iterator[Finding]:
-    """Yield what is wrong with the times of an episode.
+    """Yield findings about the times of an episode.
 
     Args:
-        place: Where it is.
+        place: The episode.
         rows: Its rows.
-        is_resampled: Whether it was recorded at another rate.
+        is_resampled: Whether it was resampled to another rate.
     """
     yield from _backwards(place, rows)
     yield from _periods(place, rows, is_resampled)
     yield from _camera_flags(place, rows)
-    writer = rows.about.get("quality", {}).get("writer") or {}
+    writer = rows.about.get("timing", {}).get("writer") or {}
     if dropped := writer.get("dropped_rows"):
         message = f"the recorder dropped {counted(dropped, 'whole row')}; the disk or the processor is too slow"
         yield place.warning("dropped_rows", message)
@@ -51,13 +51,13 @@ def _backwards(place: EpisodePlace, rows: EpisodeRows) -> Iterator[Finding]:
         bad = np.flatnonzero(np.diff(clock) <= 0) if clock is not None else []
         if len(bad):
             yield place.warning(
-                "time_backwards", f"{key!r} does not go forward in {counted(len(bad), 'step')}", np.asarray(bad) + 1
+                "time_backwards", f"{key!r} does not increase in {counted(len(bad), 'step')}", np.asarray(bad) + 1
             )
     for feature in rows.info.features:
         capture = rows.column(feature.key) if feature.key.startswith(time_key("")) else None
         bad = np.flatnonzero(np.diff(capture) < 0) if capture is not None else []
         if len(bad):
-            message = f"{feature.key!r} goes backwards in {counted(len(bad), 'row')}: frames came in the wrong order"
+            message = f"{feature.key!r} decreases in {counted(len(bad), 'row')}: frames arrived in the wrong order"
             yield place.warning("time_backwards", message, np.asarray(bad) + 1)
 
 
@@ -66,7 +66,7 @@ def _periods(place: EpisodePlace, rows: EpisodeRows, is_resampled: bool) -> Iter
     clock = rows.column(key) if key is not None else None
     if clock is None:
         return
-    wanted = 1 / rows.info.fps
+    wanted = 1 / rows.info.frequency
     periods = np.diff(clock)
     is_gap = periods > (_GAP_OF_RESAMPLED if is_resampled else _GAP) * wanted
     if is_gap.any():
@@ -78,7 +78,7 @@ def _periods(place: EpisodePlace, rows: EpisodeRows, is_resampled: bool) -> Iter
     if key != SIMULATED_TIME and not is_resampled and len(steady) >= _FEW_ROWS:
         late = float(np.percentile(np.abs(steady - wanted), 99))
         if late > _JITTER * wanted:
-            message = f"the loop does not keep its {rows.info.fps:g} Hz: 1 step in 100 is off by {1e3 * late:.1f} ms"
+            message = f"the loop misses its {rows.info.frequency:g} Hz: 1 step in 100 is off by {1e3 * late:.1f} ms"
             yield place.warning("time_jitter", message)
 
 

@@ -1,4 +1,4 @@
-"""Datasets as other programs have them: export to their layouts, and import from them."""
+"""Exports datasets to the formats of other programs, and imports them."""
 
 from rcs.lazy import load_on_use
 

@@ -1,8 +1,8 @@
-"""Camera matrices beside an export: formats for training have no place for them.
+"""Stores camera matrices beside an export, since formats for training have no place for them.
 
 `meta/calibration.json` has per episode and camera `intrinsics` (3, 3) [px] and `extrinsics` (4, 4), the camera's pose
-in the robot's base in OpenCV axes (x right, y down, z forward) [m]. What changes within an episode, as of a camera on
-a gripper, is null there, and `per_frame` names a Parquet file with a row per frame, matrices row by row.
+in the robot's base in OpenCV axes (x right, y down, z forward) [m]. A matrix that changes within an episode, as that of
+a camera on a gripper, is null there, and `per_frame` names a Parquet file with a row per frame, matrices row-major.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def calibration_features(info: DatasetInfo, cameras: list[str]) -> dict[str, dic
 def write_episode_calibration(
     root: Path, episode: EpisodeRecord, index: int, features: dict[str, dict[str, Feature]]
 ) -> dict[str, Any]:
-    """Return an episode's entry of `calibration.json`, and write a file of what changes within it.
+    """Return an episode's entry of `calibration.json`, and write a file of the matrices that change within it.
 
     Args:
         root: The folder of the export.
@@ -83,7 +83,7 @@ def read_episode_calibration(
         root: The folder of the export.
         entry: The episode's entry of `calibration.json`.
         features: The matrices, as `calibration_features` returned them.
-        steps: How many rows.
+        steps: Number of rows.
 
     Raises:
         CorruptEpisode: The entry or its file is damaged.

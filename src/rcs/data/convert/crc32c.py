@@ -1,9 +1,9 @@
-"""CRC-32C, the checksum of TFRecord files, of many stripes of the data at once.
+"""CRC-32C, the checksum of TFRecord files, computed over many stripes of the data at once.
 
-CRC-32C (Castagnoli) is in RFC 3720, appendix B.4. The register after a message is linear in register and message over
-the field of two elements, so stripes of equal length are taken through the register side by side, each from zero, and
-joined at the end: the register of a stripe followed by another is that of the first, carried over as many zero bytes as
-the other has, plus that of the other.
+CRC-32C (Castagnoli) is defined in RFC 3720, appendix B.4. Over the field of two elements, the register is linear in its
+start and the message. So stripes of equal length are processed side by side, each from zero, and then joined: the
+register after two stripes is that of the first, advanced by as many zero bytes as the second has, plus that of the
+second.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-_POLYNOMIAL = 0x82F63B78  # of 0x1EDC6F41, with its bits in reverse
+_POLYNOMIAL = 0x82F63B78  # 0x1EDC6F41 with its bits reversed
 _ALL_ONES = 0xFFFFFFFF
 _WORD = 4
 
-# Below this, one byte after the other is as fast.
+# Below this size [B], going byte by byte is as fast.
 _SHORT = 8192
 
 # A linear map of a register: column i is where bit i goes.
@@ -33,10 +33,10 @@ def crc32c(data: bytes) -> int:
             register = (register >> 8) ^ table[(register ^ byte) & 0xFF]
         return register ^ _ALL_ONES
     words = -(-len(data) // _WORD)
-    # As many stripes as words in each: what a stripe costs and what a word costs are then balanced.
+    # As many stripes as words in each, which balances the cost per stripe and per word.
     stripes = 1 << (words.bit_length() + 2) // 2
     length = -(-words // stripes)
-    # Zeros in front change nothing, for the register starts at zero there.
+    # Leading zeros change nothing, since the register starts at zero.
     padded = np.zeros(stripes * length * _WORD, np.uint8)
     start = len(padded) - len(data)
     padded[start:] = np.frombuffer(data, np.uint8)
@@ -61,7 +61,7 @@ def _apply(linear: _Map, registers: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def _over_words(count: int) -> _Map:
-    """Return what so many words of zeros do to a register."""
+    """Return the linear map that a number of zero words applies to a register."""
     total, power = np.array([1 << bit for bit in range(32)], np.uint32), _over_one_word()
     while count:
         if count & 1:
@@ -93,6 +93,6 @@ def _over_one_word() -> _Map:
 
 @lru_cache(maxsize=1)
 def _word_tables() -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Return where a word of zeros takes each lower and each upper half of a register."""
+    """Return the images of all lower and upper halves of a register under a word of zeros."""
     halves = np.arange(1 << 16, dtype=np.uint32)
     return _apply(_over_one_word(), halves), _apply(_over_one_word(), halves << np.uint32(16))

@@ -1,4 +1,4 @@
-"""Every format by name: what writes it, what reads it, and what it looks like."""
+"""All formats by name: how to write, read and recognise them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ImportFormat:
     """A format that can be read."""
 
     recognise: Callable[[Path], bool]
-    """Whether a file or folder looks like this format; reads no more than a few bytes."""
+    """Whether a file or folder looks like this format; reads only a few bytes."""
     read: Import
     """Makes a dataset of it."""
 
@@ -47,7 +47,7 @@ IMPORTS: dict[str, ImportFormat] = {
 
 
 def export_format(name: str) -> Export:
-    """Return what writes a format.
+    """Return the function that exports to a format.
 
     Raises:
         UnknownName: There is no such format.
@@ -58,11 +58,11 @@ def export_format(name: str) -> Export:
 
 
 def import_format(name: str, source: Path) -> Import:
-    """Return what reads a format.
+    """Return the function that imports a format.
 
     Args:
         name: The format, or "auto" to look at the source.
-        source: What is to be imported.
+        source: The file or folder to import.
 
     Raises:
         UnknownName: There is no such format.
@@ -72,7 +72,7 @@ def import_format(name: str, source: Path) -> Import:
         for format_ in IMPORTS.values():
             if format_.recognise(source):
                 return format_.read
-        raise InvalidSetup(f"{source} looks like none of the formats that can be imported: {', '.join(IMPORTS)}.")
+        raise InvalidSetup(f"Cannot recognise the format of {source}; valid: {', '.join(IMPORTS)}.")
     if name not in IMPORTS:
         raise UnknownName("format to import from", name, [*IMPORTS, "auto"])
     return IMPORTS[name].read

@@ -1,4 +1,4 @@
-"""What GR00T wants beside a LeRobot v2 dataset: which numbers of the vectors mean what."""
+"""The file that GR00T needs beside a LeRobot v2 dataset: the meaning of the vectors' numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MODALITY_FILE = "meta/modality.json"
 def modality(layout: LeRobotLayout) -> dict[str, Any]:
     """Return `modality.json`: parts of state and action by name, cameras, and the instruction.
 
-    The layout is the one of the "Robot Data Preparation Guide" of NVIDIA's Isaac-GR00T.
+    Layout: the "Robot Data Preparation Guide" of NVIDIA's Isaac-GR00T.
 
     Args:
         layout: The columns and videos.
@@ -28,7 +28,7 @@ def modality(layout: LeRobotLayout) -> dict[str, Any]:
 
 
 def _parts(vector: VectorLayout) -> dict[str, dict[str, int]]:
-    # "left_joints" for "observation/left/joints", as the vector's own names have it.
+    # "left_joints" for "observation/left/joints", as in the names of the vector's numbers.
     return {
         "_".join(key.split("/")[1:]): {"start": part.start, "end": part.stop} for key, part in vector.slices.items()
     }

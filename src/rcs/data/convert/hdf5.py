@@ -1,4 +1,4 @@
-"""HDF5 files: the package that reads and writes them, loaded when it is needed."""
+"""HDF5 files, with h5py imported when it is needed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def load_h5py() -> Any:
 
 
 def is_hdf5(path: Path) -> bool:
-    """Return whether a file begins as HDF5 does."""
+    """Return whether a file begins with the HDF5 signature."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -35,23 +35,23 @@ def is_hdf5(path: Path) -> bool:
 
 @contextlib.contextmanager
 def reading_hdf5(path: Path) -> Generator[Any]:
-    """Open a file to read; whatever the package says of damage in it, this says as one error.
+    """Open a file for reading; h5py's errors about damage become one error.
 
     Args:
         path: The file.
 
     Raises:
         MissingDependency: h5py is not installed.
-        CorruptEpisode: It is no such file, or something in it does not read.
+        CorruptEpisode: It is not an HDF5 file, or is damaged.
     """
     h5py = load_h5py()
-    if not path.is_file():  # a pipe would never end
-        raise CorruptEpisode(f"{path} is missing or no file.")
+    if not path.is_file():  # reading a pipe would never end
+        raise CorruptEpisode(f"{path} is missing or not a file.")
     try:
         with h5py.File(path, "r") as file:
             yield file
     except RcsError:
         raise
-    # h5py has no error of its own: of the HDF5 library's it makes these, by what was being done.
+    # h5py has no errors of its own, and turns the HDF5 library's into these.
     except (OSError, RuntimeError, KeyError) as err:
-        raise CorruptEpisode(f"{path} does not read: {err}.") from err
+        raise CorruptEpisode(f"Cannot read {path}: {err}.") from err

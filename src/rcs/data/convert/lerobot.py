@@ -1,9 +1,9 @@
-"""Exports a dataset as a LeRobotDataset, v3.0 or v2.1, that LeRobot's own reader takes.
+"""Exports a dataset as a LeRobotDataset, v3.0 or v2.1, for LeRobot's own reader.
 
-Of an episode's T + 1 rows LeRobot has a place for T frames. The last observation goes to `rcs/last_rows.parquet`, so
-that an import gives back every row. Depth images stay lossless, as a video per episode in `rcs/depth`;
-`meta/calibration.json` has the camera matrices, `meta/rcs_provenance.jsonl` where each episode came from,
-`meta/rcs.json` the original features. LeRobot's reader leaves all of them alone.
+LeRobot stores T frames of an episode's T + 1 rows. The last observation goes to `rcs/last_rows.parquet`, so that an
+import restores every row. Depth images stay lossless, as a video per episode in `rcs/depth`; `meta/calibration.json`
+has the camera matrices, `meta/rcs_provenance.jsonl` each episode's origin, `meta/rcs.json` the original features.
+LeRobot's reader ignores all of them.
 """
 
 from __future__ import annotations
@@ -62,18 +62,18 @@ def export_lerobot(
     version: Version = "3.0",
     gr00t: bool = False,
 ) -> ExportReport:
-    """Write a dataset as a LeRobotDataset; it is there whole or not at all.
+    """Write a dataset as a LeRobotDataset, whole or not at all.
 
     Args:
         dataset: The dataset.
         out: The folder to make.
-        options: Which episodes and features, and how videos are compressed.
+        options: Episodes and features to export, and compression of videos.
         version: The layout: "3.0" for lerobot 0.4 and newer, "2.1" for openpi, lerobot 0.3 and GR00T.
-        gr00t: Whether to add `meta/modality.json`, which GR00T wants beside v2.1.
+        gr00t: Whether to add `meta/modality.json`, which GR00T needs beside v2.1.
 
     Raises:
-        InvalidSetup: An option does not fit the dataset or the format.
-        DatasetError: Something is at `out`, a video came out wrong, or the disk fails.
+        InvalidSetup: An option does not suit the dataset or the format.
+        DatasetError: `out` exists, a video was encoded wrongly, or the disk fails.
         CorruptEpisode: An episode is damaged.
     """
     options = options or ExportOptions()
@@ -118,7 +118,7 @@ _TEMPORARY = "encoding"
 
 @dataclass(frozen=True, kw_only=True)
 class _Job:
-    """Encodes episodes, each by itself, so that several threads can."""
+    """Encodes episodes independently, so that several threads can share the work."""
 
     root: Path
     layout: LeRobotLayout
@@ -162,14 +162,14 @@ class _Job:
         )
 
     def kept(self) -> list[Feature]:
-        """Return the features that the export has, each once."""
+        """Return the exported features, each once."""
         features = [f for column in self.layout.columns for f in column.parts.features]
         features += [*self.layout.cameras.values(), *self.layout.depths.values()]
         return list({feature.key: feature for feature in features}.values())
 
 
 def depth_path(camera: str, index: int) -> str:
-    """Return where the depth images of a camera and an episode are."""
+    """Return the path of the depth images of a camera and an episode."""
     return f"rcs/depth/{camera.replace('/', '.')}/chunk-{index // 1000:03d}/episode_{index:06d}.mkv"
 
 
@@ -189,7 +189,7 @@ def _write_beside(root: Path, dataset: Dataset, episodes: Sequence[EpisodeRecord
     about = {
         "schema_version": 1,
         "dataset": digest,
-        "fps": info.fps,
+        "frequency": info.frequency,
         "instruction": info.instruction,
         "robot_type": robot,
         "setup": info.setup,
@@ -223,15 +223,15 @@ def _last(episode: EpisodeRecord, feature: Feature) -> pa.Array:
 
 def _notes(dataset: Dataset, layout: LeRobotLayout) -> Iterator[str]:
     if not layout.has_success:
-        yield f"Nobody said of every episode whether it succeeded, so there is no column {SUCCESS}."
+        yield f"Not every episode has a verdict, so there is no column {SUCCESS}."
     if layout.depths:
         yield "LeRobot has no place for lossless depth; it is in rcs/depth, a video per episode (FFV1, 16 bits, mm)."
-    if layout.fps != dataset.info.fps:
-        yield f"The data claims {layout.fps} frames per second; it was recorded at {dataset.info.fps:g}."
+    if layout.fps != dataset.info.frequency:
+        yield f"The export claims {layout.fps} frames/s; the dataset was recorded at {dataset.info.frequency:g}."
     used = {f.key for column in layout.columns for f in column.parts.features}
     left = [f.key for f in dataset.info.features if not f.is_image and "/frames/" not in f.key and f.key not in used]
     if left:
-        yield f"Left out, for want of an option that names them: {', '.join(left)}."
+        yield f"Not exported: {', '.join(left)}; add with --extra."
 
 
 def _camera(feature: Feature) -> str:
@@ -245,7 +245,7 @@ def _counted(frames: Iterable[NDArray[Any]], histogram: ImageHistogram) -> Itera
 
 
 def _in_order(work: Callable[[_Given], _Made], given: Iterable[_Given], workers: int) -> Iterator[_Made]:
-    """Yield results in the order of what was given, while threads are at work on the next few."""
+    """Yield results in order, while threads work on the next few."""
     pool = ThreadPoolExecutor(workers, thread_name_prefix="encode")
     waiting: deque[Future[_Made]] = deque()
     try:

@@ -1,4 +1,4 @@
-"""Small files of a LeRobot dataset, and Parquet files that start anew when they are full."""
+"""Small files of a LeRobot dataset, and Parquet files of limited size."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from rcs.data.convert.lerobot_layout import LeRobotLayout
 from rcs.data.convert.lerobot_stats import ImageHistogram, Moments, Stats, column_quantiles
 
 CHUNK = 1000
-"""Files in a folder, before the next is begun."""
+"""Most files per folder."""
 MEGABYTE = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True)
 class EncodedEpisode:
-    """An episode that is ready to be put where a version of the format wants it."""
+    """An encoded episode, ready to be put in place by a version of the format."""
 
     index: int
     """Its number among the exported ones."""
     first: int
-    """The number of its first frame among all."""
+    """The number of its first frame in the dataset."""
     instruction: str
     """What the robot was asked to do."""
     table: pa.Table
     """Its columns."""
     videos: dict[str, Path]
-    """Its videos by column; each is to be moved or joined, and then removed."""
+    """Its videos by column; each must be moved, or joined and removed."""
     stats: dict[str, Stats]
     """Its statistics by column."""
     moments: dict[str, Moments]
-    """What the dataset's statistics of numbers are merged from."""
+    """Moments of its numbers, to merge into the dataset's statistics."""
     histograms: dict[str, ImageHistogram]
-    """What the dataset's statistics of images are merged from."""
+    """Histograms of its images, to merge into the dataset's statistics."""
 
 
 @dataclass
@@ -49,17 +49,17 @@ class DatasetStats:
     histograms: dict[str, ImageHistogram] = field(default_factory=dict[str, ImageHistogram])
 
     def add(self, episode: EncodedEpisode) -> None:
-        """Take in the next episode."""
+        """Add the next episode."""
         for name, moments in episode.moments.items():
             self.moments[name] = self.moments[name].merged(moments) if name in self.moments else moments
         for name, histogram in episode.histograms.items():
             self.histograms.setdefault(name, ImageHistogram()).merge(histogram)
 
     def to_json(self, files: list[Path]) -> dict[str, Stats]:
-        """Return the statistics by column, as `stats.json` has them.
+        """Return the statistics by column, as in `stats.json`.
 
         Args:
-            files: The Parquet files with all columns; quantiles cannot be merged and are taken from there.
+            files: The Parquet files with all columns; quantiles cannot be merged and are computed from these.
         """
         found = {name: moments.stats(column_quantiles(files, name)) for name, moments in self.moments.items()}
         known = {name: stats for name, stats in found.items() if stats is not None}
@@ -74,7 +74,7 @@ class GrowingParquet:
 
         Args:
             root: The folder of the chunks.
-            limit: Bytes after which a new file is begun.
+            limit: Size at which a new file begins [B].
         """
         self.files: list[Path] = []
         self._root = root
@@ -82,13 +82,13 @@ class GrowingParquet:
         self._writer: pq.ParquetWriter | None = None
 
     def place(self, size: int) -> tuple[int, int]:
-        """Return the numbers of the chunk and file that the next table goes to, if it has this many bytes."""
+        """Return the chunk and file number for the next table, given its size [B]."""
         if self._writer is not None and self.files[-1].stat().st_size + size > self._limit:
             self.close()
         return divmod(len(self.files) - (self._writer is not None), CHUNK)
 
     def add(self, table: pa.Table) -> tuple[int, int]:
-        """Write a table and return the numbers of its chunk and file."""
+        """Write a table and return its chunk and file number."""
         place = self.place(table.nbytes)
         self.write(table)
         return place
@@ -103,7 +103,7 @@ class GrowingParquet:
         self._writer.write_table(table)
 
     def close(self) -> None:
-        """Write the footer, without which nothing can be read; twice is harmless."""
+        """Write the footer, without which nothing can be read; calling it twice is harmless."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None
@@ -116,7 +116,7 @@ def numbered(count: int, suffix: str) -> str:
 
 
 def write_json(path: Path, values: Any) -> None:
-    """Write a JSON file, ASCII only: readers open it in whatever encoding the machine has."""
+    """Write a JSON file in ASCII, since readers open it in the machine's encoding."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(values, indent=2, allow_nan=False) + "\n", encoding="ascii")
 
@@ -128,14 +128,14 @@ def write_json_lines(path: Path, rows: Iterable[Any]) -> None:
 
 
 def common_info(layout: LeRobotLayout, robot: str, *, episodes: int, frames: int, tasks: int) -> dict[str, Any]:
-    """Return what `info.json` has in every version.
+    """Return the fields of `info.json` that all versions share.
 
     Args:
         layout: The columns and videos.
-        robot: What the robot is called.
-        episodes: How many episodes.
-        frames: How many frames.
-        tasks: How many instructions.
+        robot: Name of the robot.
+        episodes: Number of episodes.
+        frames: Number of frames.
+        tasks: Number of instructions.
     """
     return {
         "robot_type": robot,

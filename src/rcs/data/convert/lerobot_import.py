@@ -1,9 +1,8 @@
-"""Makes a dataset of a LeRobotDataset, ours or anyone's, v2.0, v2.1 or v3.0.
+"""Imports a LeRobotDataset, v2.0, v2.1 or v3.0, whether exported by RCS or not.
 
-T frames become T + 1 rows: row i has what was seen in frame i, row i + 1 what was done in it. What was seen after the
-last frame LeRobot does not keep. An export of ours has it beside the frames, and every row comes back. Of other
-datasets row T repeats the observation of row T - 1, and the episode's outcome says so: `imported.last_observation` is
-"repeated".
+T frames become T + 1 rows: row i has the observation of frame i, row i + 1 its action. LeRobot does not keep the
+observation after the last frame. Our exports have it beside the frames, which restores every row. In other datasets,
+row T repeats the observation of row T - 1, and `imported.last_observation` in the episode's outcome is "repeated".
 """
 
 from __future__ import annotations
@@ -49,10 +48,10 @@ def is_lerobot(source: Path) -> bool:
 
 
 def import_lerobot(source: str | Path, out: str | Path, options: ImportOptions | None = None) -> Dataset:
-    """Make a dataset of a LeRobotDataset; it is there whole or not at all.
+    """Import a LeRobotDataset, whole or not at all.
 
-    Numbers come back as they are in the source, which are float32 for vectors of ours. Images are compressed once more.
-    Success is known only where the source has `next.success`, or is an export of ours.
+    Numbers keep the source's dtype, which is float32 for vectors of our exports. Images are compressed again. Success
+    is known only if the source has `next.success` or is our export.
 
     Args:
         source: The folder of the LeRobotDataset.
@@ -60,9 +59,9 @@ def import_lerobot(source: str | Path, out: str | Path, options: ImportOptions |
         options: How images are stored.
 
     Raises:
-        DatasetError: There is no such dataset, something is at `out`, or the disk fails.
+        DatasetError: There is no such dataset, `out` exists, or the disk fails.
         CorruptEpisode: The source is damaged.
-        InvalidSetup: The source has nothing that could be imported.
+        InvalidSetup: The source has nothing to import.
     """
     options = options or ImportOptions()
     given = LeRobotSource(Path(source))
@@ -87,7 +86,7 @@ def import_lerobot(source: str | Path, out: str | Path, options: ImportOptions |
 
 @dataclass(frozen=True, kw_only=True)
 class _Beside:
-    """What an export of ours has beside LeRobot's own files; empty for other datasets."""
+    """The files that our exports have beside LeRobot's; empty for other datasets."""
 
     root: Path
     provenance: dict[int, dict[str, Any]]
@@ -102,12 +101,12 @@ class _Beside:
         if ours is not None and path.is_file():
             rows = [checked_provenance(row, path) for row in read_json_lines(path)]
             provenance = by_episode(rows, path)
-        # Someone may have taken episodes out or put some in since; then nothing beside them can be trusted.
+        # If episodes were added or removed since, these files no longer fit.
         if {index: row["rows"] - 1 for index, row in provenance.items()} != source.lengths:
             if mapping.depths or mapping.matrices:
                 raise CorruptEpisode(
-                    f"{source.root} was exported by this library and changed since: {PROVENANCE_FILE} has other "
-                    f"episodes than LeRobot's files. Remove {RCS_FILE} to import it as any other LeRobot dataset."
+                    f"{source.root} was exported by RCS and changed since: {PROVENANCE_FILE} lists other "
+                    f"episodes than LeRobot's files. Remove {RCS_FILE} to import it like any other LeRobot dataset."
                 )
             return cls(root=source.root, provenance={}, calibration={}, has_last_rows=False)
         if mapping.matrices:
@@ -117,13 +116,13 @@ class _Beside:
         return cls(root=source.root, provenance=provenance, calibration=calibration, has_last_rows=has_last_rows)
 
     def last_row(self, index: int, features: tuple[Feature, ...]) -> dict[str, Any]:
-        """Return the last observation of an episode by key; empty where it was not kept."""
+        """Return the last observation of an episode by key; empty if it was not stored."""
         if not self.has_last_rows:
             return {}
         path = self.root / LAST_ROWS_FILE
         with opened_of_others(path) as source:
             if not 0 <= index < source.file.num_row_groups:
-                raise CorruptEpisode(f"{path} has {source.file.num_row_groups} groups, and none for episode {index}.")
+                raise CorruptEpisode(f"{path} has {source.file.num_row_groups} groups, but none for episode {index}.")
             table = source.table(groups=[index])
         row: dict[str, Any] = {}
         for feature in features:
@@ -171,7 +170,7 @@ def _import(
                 current |= {key: _next(frames, key, episode) for key, frames in images.items()}
                 taken.add(_timed(values | current))
             else:
-                # A time that was not measured is not stamped.
+                # Unmeasured times are not set.
                 repeated = {key: None if key.startswith("time/") else value for key, value in current.items()}
                 taken.add(_timed(values | repeated | last))
         about = {
@@ -184,7 +183,7 @@ def _import(
 
 
 def _numbers(episode: SourceEpisode, mapping: FeatureMapping) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the columns of numbers by feature: of what was seen, and of what was done then."""
+    """Return the columns of numbers by feature: of observations, and of what each step did."""
     seen: dict[str, Any] = {}
     done: dict[str, Any] = {}
     for column in mapping.columns:
@@ -227,7 +226,7 @@ def _info(
     source: LeRobotSource, ours: Mapping[str, Any] | None, mapping: FeatureMapping, options: ImportOptions
 ) -> DatasetInfo:
     if not mapping.features:
-        raise InvalidSetup(f"{source.root} has no column that could be imported: {mapping.left_out}.")
+        raise InvalidSetup(f"{source.root} has no column to import: {mapping.left_out}.")
     imported: dict[str, Any] = {
         "format": f"LeRobot {source.version}",
         "robot_type": source.info.get("robot_type"),
@@ -239,7 +238,7 @@ def _info(
         imported |= {"dataset": own.get("dataset"), "setup": own.get("setup")}
     words = chain([own.get("instruction"), options.instruction], source.tasks.values())
     return DatasetInfo(
-        fps=own.get("fps", source.fps),
+        frequency=own.get("frequency", source.fps),
         features=tuple(stored_as(feature, options) for feature in mapping.features),
         setup={"imported": imported},
         instruction=next((text for text in words if isinstance(text, str) and text), ""),
@@ -248,16 +247,16 @@ def _info(
 
 
 def _is_on_grid(source: LeRobotSource) -> bool:
-    """Return whether all stamps are the number of the frame by the rate, and so say nothing."""
+    """Return whether all stamps equal frame number over rate, and so carry no information."""
     if "timestamp" not in source.features or "frame_index" not in source.features:
         return True
     for path in sorted((source.root / "data").glob("*/*.parquet")):
         with opened_of_others(path) as opened:
             table = opened.table(["timestamp", "frame_index"])
         if table.num_columns < 2:
-            raise CorruptEpisode(f"{path} lacks a column timestamp or frame_index, which info.json has.")
+            raise CorruptEpisode(f"{path} lacks the column timestamp or frame_index listed in info.json.")
         if not all(pa.types.is_integer(kind) or pa.types.is_floating(kind) for kind in table.schema.types):
-            raise CorruptEpisode(f"{path} has {table.schema.types} as timestamp and frame_index; valid are numbers.")
+            raise CorruptEpisode(f"{path} has {table.schema.types} as timestamp and frame_index; expected numbers.")
         off = table.column("timestamp").to_numpy() - table.column("frame_index").to_numpy() / source.fps
         if len(off) and float(np.abs(off).max()) > _ON_GRID_S:
             return False

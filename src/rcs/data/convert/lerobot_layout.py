@@ -1,9 +1,9 @@
-"""How the features of a dataset become the columns of a LeRobot dataset, and back: what both versions share.
+"""Maps the features of a dataset to the columns of a LeRobot dataset, for both versions.
 
-A frame of LeRobot is a step: what was seen, and what was done then. Beside the columns that LeRobot knows, each
-measured time and each camera's flags are a column, such as "time.monotonic": `timestamp` is by definition frame / fps,
-whatever the clock said. Columns that begin with "observation" become inputs of LeRobot's policies, so of those only the
-state and the images are there by default.
+A frame of LeRobot is a step: an observation and the action that followed. Besides LeRobot's own columns, there is one
+for each measured time and each camera's flags, such as "time.monotonic", since `timestamp` is by definition frame /
+fps. Columns that begin with "observation" become inputs of LeRobot's policies, so only the state and the images are
+exported by default.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from rcs.data.convert.options import Codec, ExportOptions, selected_cameras
+from rcs.data.convert.options import ExportOptions, VideoCodec, selected_cameras
 from rcs.data.convert.video import pixel_format
 from rcs.data.feature import Feature
 from rcs.data.info import DatasetInfo
@@ -39,12 +39,12 @@ INDICES = {
     "index": "int64",
     "task_index": "int64",
 }
-"""What LeRobot itself adds to each frame."""
+"""Columns that LeRobot adds to each frame."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """A column of numbers and the features that it is made of."""
+    """A column of numbers and the features that make it up."""
 
     name: str
     """Its name in LeRobot."""
@@ -55,36 +55,36 @@ class Column:
 
     @property
     def is_after(self) -> bool:
-        """Whether it tells what a step did, not what was seen before."""
+        """Whether it describes what a step did, not the observation before."""
         return all(
             feature.is_unknown_at_reset or feature.key in ("terminated", "truncated") for feature in self.parts.features
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return what an import needs to know."""
+        """Return what an import needs, as JSON values."""
         return {"name": self.name, "features": [feature.to_json() for feature in self.parts.features]}
 
 
 @dataclass(frozen=True, kw_only=True)
 class LeRobotLayout:
-    """Which columns and videos there are."""
+    """The columns and videos of an export."""
 
     fps: int
     """Frames per second."""
-    codec: Codec
+    codec: VideoCodec
     """How videos are compressed."""
     columns: tuple[Column, ...]
-    """Columns that are made of features, the state first and the action second."""
+    """Columns made of features, the state first and the action second."""
     cameras: dict[str, Feature]
-    """Colour images by the name of their column."""
+    """Colour images by column."""
     depths: dict[str, Feature]
-    """Depth images by the name of their camera."""
+    """Depth images by camera."""
     has_success: bool
-    """Whether it is known of every episode if it succeeded."""
+    """Whether every episode has a verdict."""
 
     @property
     def numbers(self) -> dict[str, tuple[str, int]]:
-        """Dtype and size of every column in the Parquet files, in their order."""
+        """Dtype and size of every column in the Parquet files, in order."""
         sizes = {column.name: (column.dtype, column.parts.size) for column in self.columns}
         flags = [DONE, SUCCESS] if self.has_success else [DONE]
         return {
@@ -94,7 +94,7 @@ class LeRobotLayout:
         }
 
     def features(self) -> dict[str, Any]:
-        """Return the features as `info.json` has them."""
+        """Return the features as in `info.json`."""
         names = {column.name: list(column.parts.names) for column in self.columns if column.name in (STATE, ACTION)}
         found: dict[str, Any] = {
             name: {"dtype": dtype, "shape": [size], "names": names.get(name)}
@@ -119,7 +119,7 @@ class LeRobotLayout:
 
     @property
     def schema(self) -> pa.Schema:
-        """The schema of the Parquet files, with the features as the `datasets` package keeps them."""
+        """The schema of the Parquet files, with the features in the metadata of the `datasets` package."""
         fields: list[pa.Field] = []
         described: dict[str, Any] = {}
         for name, (dtype, size) in self.numbers.items():
@@ -136,7 +136,7 @@ class LeRobotLayout:
         Args:
             episode: The episode.
             index: Its number among the exported ones.
-            first: The number of its first frame among all frames.
+            first: The number of its first frame in the dataset.
             task: The number of its instruction.
 
         Raises:
@@ -145,7 +145,7 @@ class LeRobotLayout:
         steps = episode.length - 1
         arrays = {c.name: _values(c, episode) for c in self.columns}
         ends = [arrays[name].reshape(steps) for name in (TERMINATED, TRUNCATED) if name in arrays]
-        # The recording ends with its last step, whoever stopped it.
+        # The recording ends with its last step, for whatever reason.
         arrays[DONE] = np.any([np.arange(steps) == steps - 1, *ends], axis=0)
         if self.has_success:
             arrays[SUCCESS] = np.arange(steps) == (steps - 1 if episode.success else steps)
@@ -177,11 +177,12 @@ def lerobot_layout(info: DatasetInfo, episodes: Sequence[EpisodeRecord], options
 
     Args:
         info: What the dataset's episodes share.
-        episodes: Those that are to be exported.
-        options: What of them.
+        episodes: Those to export.
+        options: Features and cameras to export.
 
     Raises:
-        InvalidSetup: The rate is no whole number, a feature or camera is unknown, or a codec cannot take its images.
+        InvalidSetup: The rate is not a whole number, a feature or camera is unknown, or the codec does not support its
+            images.
         CorruptEpisode: An episode's description is damaged.
     """
     cameras, depths = camera_features(info), camera_features(info, "depth")
@@ -215,7 +216,7 @@ def _columns(info: DatasetInfo, options: ExportOptions) -> tuple[Column, ...]:
     extra += [f for f in info.features if f.is_circumstance and f not in extra]
     for feature in extra:
         if feature.is_image or feature.key in singles:
-            raise InvalidSetup(f"{feature.key!r} cannot be a column of its own: give features of numbers.")
+            raise InvalidSetup(f"{feature.key!r} cannot be a column: choose features of numbers.")
         columns.append(
             Column(name=feature.key.replace("/", "."), dtype=feature.dtype, parts=VectorLayout(features=(feature,)))
         )
@@ -228,17 +229,17 @@ def _columns(info: DatasetInfo, options: ExportOptions) -> tuple[Column, ...]:
 
 def _values(column: Column, episode: EpisodeRecord) -> NDArray[Any]:
     features = column.parts.features
-    # A single feature keeps its own dtype: joined ones become float64, which not every 64 bit integer survives.
+    # A single feature keeps its dtype; joined ones become float64, which cannot hold every 64-bit integer.
     rows = column.parts.rows(episode) if len(features) > 1 else episode.column(next(f.key for f in features))
     return rows[1:] if column.is_after else rows[:-1]
 
 
 def _whole_rate(info: DatasetInfo, options: ExportOptions) -> int:
-    rate = options.fps or info.fps
+    rate = options.fps or info.frequency
     if rate == round(rate):
         return round(rate)
     near = max(1, round(rate))
     raise InvalidSetup(
-        f"LeRobot wants a whole number of frames per second, and this dataset has {rate:g}. Resample it, or claim "
-        f"fps={near}: then its times are off by {abs(rate / near - 1):.2%}, and {RCS_FILE} keeps the true rate."
+        f"LeRobot needs a whole number of frames per second; this dataset has {rate:g}. Resample it, or claim "
+        f"fps={near}: times are then off by {abs(rate / near - 1):.2%}, and {RCS_FILE} keeps the true rate."
     )

@@ -1,13 +1,13 @@
-"""Which features the columns of a LeRobotDataset become.
+"""Maps the columns of a LeRobotDataset to features.
 
-An export of ours says so itself in `meta/rcs.json`, and its features come back under their names. Of other datasets
+Our exports list their features in `meta/rcs.json`, which restores their names. In other datasets
 
-- `observation.state` becomes `observation/state`, and so on for all that begins with "observation";
-- `action` becomes `action/action`, and so on for all that begins with "action";
+- `observation.state` becomes `observation/state`, and so on for all columns that begin with "observation";
+- `action` becomes `action/action`, and so on for all columns that begin with "action";
 - `next.reward` becomes `reward`;
 - a video or image becomes `observation/frames/<camera>/rgb`, where <camera> is its name without "observation.images.";
-- all other columns of numbers become `extra/<name>`: `next.done` too, for it does not tell a task that ended from a
-  recording that was stopped.
+- all other columns of numbers become `extra/<name>`: `next.done` too, since it does not distinguish the end of a task
+from that of a recording.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ Matrices = dict[str, dict[str, Feature]]
 
 @dataclass(frozen=True, kw_only=True)
 class FeatureMapping:
-    """What becomes of which column."""
+    """The features of a LeRobot dataset's columns."""
 
     columns: tuple[Column, ...]
     """Columns of numbers."""
     cameras: dict[str, Feature]
     """Columns of images."""
     depths: dict[str, Feature]
-    """Cameras whose depth images are beside the export, which is one of ours."""
+    """Cameras with depth images beside the export, if it is ours."""
     matrices: Matrices
-    """Camera matrices beside the export, which is one of ours."""
+    """Camera matrices beside the export, if it is ours."""
     features: tuple[Feature, ...]
-    """All features, in the order of the dataset that is made."""
+    """All features, in the order of the new dataset."""
     left_out: dict[str, str]
-    """Columns that become nothing, and why."""
+    """Columns that are left out, with the reason."""
 
 
 def feature_mapping(source: LeRobotSource, ours: Mapping[str, Any] | None, *, keeps_timestamp: bool) -> FeatureMapping:
@@ -49,8 +49,8 @@ def feature_mapping(source: LeRobotSource, ours: Mapping[str, Any] | None, *, ke
 
     Args:
         source: The LeRobot dataset.
-        ours: What `meta/rcs.json` says; None if there is no such file.
-        keeps_timestamp: Whether `timestamp` is not just the number of the frame by the rate.
+        ours: The contents of `meta/rcs.json`; None if there is no such file.
+        keeps_timestamp: Whether `timestamp` carries more than frame number over rate.
     """
     columns, cameras, depths, matrices = _own(source, ours or {})
     known = {*(column.name for column in columns), *cameras, *({DONE, SUCCESS} if ours else ())}
@@ -68,14 +68,14 @@ def feature_mapping(source: LeRobotSource, ours: Mapping[str, Any] | None, *, ke
                 continue
             height, width, channels = _sizes(shape, about.get("names"))
             if info.get("video.is_depth_map") or info.get("is_depth_map") or channels != 3:
-                left_out[name] = "its images are not in colour"
+                left_out[name] = "its images are not RGB"
                 continue
             key = f"observation/frames/{camera_name(name)}/rgb"
             cameras[name] = Feature(key=key, shape=(height, width, 3), dtype="uint8", encoding="jpeg")
         elif name == "timestamp":
             columns.append(_single(name, Feature(key="time/timestamp", shape=(), dtype="float64", unit="s")))
         elif dtype not in DTYPES and dtype != "float16":
-            left_out[name] = f"{dtype} is no number"
+            left_out[name] = f"{dtype} is not numeric"
         else:
             columns.append(_single(name, _feature(name, shape, "float32" if dtype == "float16" else dtype)))
     parts = [f for column in columns for f in column.parts.features]
@@ -130,14 +130,14 @@ def _own(
 def _check_own(
     source: LeRobotSource, columns: list[Column], cameras: dict[str, Feature], depths: dict[str, Feature]
 ) -> None:
-    """Refuse a description of ours that does not go with LeRobot's own, or whose names would lead elsewhere."""
+    """Refuse our description if it disagrees with LeRobot's, or if its names lead out of the folder."""
     wrong = [column.name for column in columns if not column.parts.features or column.dtype not in (*DTYPES, "float16")]
     wrong += [f.key for column in columns for f in column.parts.features if f.is_image]
     wrong += [name for name, feature in cameras.items() if feature.encoding not in ("jpeg", "lossless")]
     wrong += [name for name, feature in depths.items() if feature.encoding != "depth"]
     wrong += [name for name in depths if not all(is_name(word) for word in name.split("/"))]
     if wrong:
-        raise CorruptEpisode(f"{source.root / RCS_FILE} is damaged: what it says of {', '.join(wrong)} cannot be.")
+        raise CorruptEpisode(f"{source.root / RCS_FILE} is damaged: its entries {', '.join(wrong)} are impossible.")
 
 
 def _feature(name: str, shape: tuple[int, ...], dtype: str) -> Feature:

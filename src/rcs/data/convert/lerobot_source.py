@@ -24,13 +24,13 @@ from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
 
 _VERSIONS = ("v2.0", "v2.1", "v3.0")
 _HIGHEST_FPS = 1e6
-# A name in a pattern of paths, and with how many digits a number is written.
+# A name in a path pattern, and the number of digits.
 _FIELD = re.compile(r"\{(?P<name>[a-z_]+)(?::0(?P<digits>\d)d)?\}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class VideoPlace:
-    """Where the frames of an episode are."""
+    """The place of an episode's frames."""
 
     path: Path
     """The video."""
@@ -40,14 +40,14 @@ class VideoPlace:
 
 @dataclass(frozen=True, kw_only=True)
 class SourceEpisode:
-    """One episode as the files have it."""
+    """One episode as stored."""
 
     index: int
     """Its number."""
     tasks: tuple[str, ...]
-    """What the robot was asked to do, in the order in which it comes up."""
+    """What the robot was asked to do, in order of appearance."""
     table: pa.Table
-    """Its frames, without videos."""
+    """Its frames without videos."""
     videos: dict[str, VideoPlace]
     """Its videos by column."""
 
@@ -62,7 +62,7 @@ class SourceEpisode:
             column = column.flatten()
         kind = column.type.value_type if pa.types.is_fixed_size_list(column.type) else column.type
         if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
-            raise CorruptEpisode(f"Column {name!r} of episode {self.index} has {column.type} and not numbers.")
+            raise CorruptEpisode(f"Column {name!r} of episode {self.index} has {column.type} instead of numbers.")
         numbers = flat_numbers(column)
         if numbers.size != len(self.table) * int(np.prod(shape)):
             rows = len(self.table)
@@ -77,7 +77,7 @@ class SourceEpisode:
         Args:
             name: The column.
             shape: The shape of each.
-            readers: Videos that are open, by column; kept between calls, for the next episode may go on in the same.
+            readers: Open videos by column, kept between calls, since the next episode may continue in the same one.
             fps: Frames per second.
 
         Raises:
@@ -85,7 +85,7 @@ class SourceEpisode:
         """
         for image in self._stored(name, shape) if name not in self.videos else self._decoded(name, readers, fps):
             if image.shape != shape:
-                raise CorruptEpisode(f"An image of {name!r} in episode {self.index} is {image.shape}, not {shape}.")
+                raise CorruptEpisode(f"Image of {name!r} in episode {self.index}: expected {shape}; got {image.shape}.")
             yield image
 
     def _column(self, name: str) -> pa.ChunkedArray:
@@ -116,14 +116,14 @@ class LeRobotSource:
     """A LeRobotDataset on disk."""
 
     def __init__(self, root: Path) -> None:
-        """Read what describes it.
+        """Read its description.
 
         Args:
             root: The folder.
 
         Raises:
-            DatasetError: There is none, or it is of another version.
-            CorruptEpisode: A file that describes it is damaged.
+            DatasetError: There is no such dataset, or its version is not supported.
+            CorruptEpisode: Its description is damaged.
         """
         self.root = root
         path = root / "meta" / "info.json"
@@ -132,7 +132,7 @@ class LeRobotSource:
         self.info = read_json(path)
         self.version = str(self.info.get("codebase_version"))
         if self.version not in _VERSIONS:
-            raise DatasetError(f"{root} is a LeRobot dataset {self.version}; readable are {', '.join(_VERSIONS)}.")
+            raise DatasetError(f"{root} is a LeRobot dataset {self.version}; supported: {', '.join(_VERSIONS)}.")
         self.fps = self._rate()
         self.features = self._features()
         frames, chunks = self.info.get("total_frames", 0), self.info.get("chunks_size", 1000)
@@ -145,7 +145,7 @@ class LeRobotSource:
         except DatasetError:
             raise
         except (KeyError, TypeError, OSError, pa.ArrowException) as err:
-            raise CorruptEpisode(f"What describes the LeRobot dataset in {root} is damaged: {err!r}.") from err
+            raise CorruptEpisode(f"The description of the LeRobot dataset in {root} is damaged: {err!r}.") from err
         if not self._lengths:
             raise InvalidSetup(f"The LeRobot dataset in {root} has no episodes.")
 
@@ -155,7 +155,7 @@ class LeRobotSource:
         return dict(self._lengths)
 
     def episodes(self) -> Iterator[SourceEpisode]:
-        """Yield the episodes in the order of the files; the numbers of one at a time are in memory.
+        """Yield the episodes in the order of the files, with the numbers of one at a time in memory.
 
         Raises:
             CorruptEpisode: Rows are missing or damaged.
@@ -164,7 +164,7 @@ class LeRobotSource:
         for index, table in self._tables():
             if left.pop(index, None) != len(table):
                 told = self._lengths.get(index, 0)
-                raise CorruptEpisode(f"Episode {index} of {self.root} has {len(table)} rows, and should have {told}.")
+                raise CorruptEpisode(f"Episode {index} of {self.root} has {len(table)} rows; expected {told}.")
             used = dict.fromkeys(table.column("task_index").to_pylist()) if "task_index" in table.column_names else {}
             yield SourceEpisode(
                 index=index,
@@ -176,7 +176,7 @@ class LeRobotSource:
             raise CorruptEpisode(f"Episodes {sorted(left)[:10]} of {self.root} are described but have no rows.")
 
     def _tables(self) -> Iterator[tuple[int, pa.Table]]:
-        """Yield the rows of one episode after the other, wherever files and pieces of files end."""
+        """Yield the rows of episode after episode, wherever files and row groups end."""
         parts: list[pa.Table] = []
         current: int | None = None
         for path in sorted((self.root / "data").glob("*/*.parquet")):
@@ -212,10 +212,10 @@ class LeRobotSource:
         return float(fps)
 
     def _features(self) -> dict[str, Any]:
-        """Return what `info.json` says of each column, of which dtype and shape can be trusted."""
+        """Return the entries of `info.json` for each column, with dtype and shape checked."""
         features = self.info.get("features")
         if not isinstance(features, dict):
-            raise CorruptEpisode(f"The LeRobot dataset in {self.root} has no features but {features!r:.80}.")
+            raise CorruptEpisode(f"The LeRobot dataset in {self.root} has {features!r:.80} instead of features.")
         for name, about in features.items():
             shape = about.get("shape") if isinstance(about, dict) else None
             is_shape = isinstance(shape, list) and all(type(n) is int and 0 < n < 1 << 31 for n in shape)
@@ -249,7 +249,7 @@ class LeRobotSource:
         path = self.root / "meta" / "tasks.parquet"
         with opened_of_others(path) as source:
             table = source.table()
-        # The instruction is the index of a pandas frame, whose column has whatever name.
+        # The instruction is the index of a pandas frame, whose column may have any name.
         words = [name for name in table.column_names if name != "task_index"]
         if "task_index" not in table.column_names or not words:
             raise CorruptEpisode(f"{path} has columns {table.column_names}; it must have task_index and the words.")
@@ -258,16 +258,16 @@ class LeRobotSource:
 
 
 def filled(pattern: object, values: Mapping[str, object]) -> Path:
-    """Return the path that a pattern such as "videos/{video_key}/episode_{episode_index:06d}.mp4" stands for.
+    """Return the path of a pattern such as "videos/{video_key}/episode_{episode_index:06d}.mp4".
 
-    Not by `str.format`, which would follow attributes and make texts of any length for whoever wrote the pattern.
+    Not with `str.format`, since an untrusted pattern could access attributes and make texts of any length.
 
     Args:
         pattern: The pattern, from a file.
-        values: What its names stand for.
+        values: Values of its names.
 
     Raises:
-        CorruptEpisode: It is no pattern, or leads out of its folder.
+        CorruptEpisode: It is not a pattern, or leads out of its folder.
     """
 
     def value(match: re.Match[str]) -> str:
@@ -277,22 +277,22 @@ def filled(pattern: object, values: Mapping[str, object]) -> Path:
             return str(given)
         if digits is not None and type(given) is int and given >= 0:
             return f"{given:0{int(digits)}d}"
-        raise CorruptEpisode(f"The pattern {pattern!r:.200} needs a {name}, and that is {given!r:.80}.")
+        raise CorruptEpisode(f"The pattern {pattern!r:.200} needs a {name}; got {given!r:.80}.")
 
     if not isinstance(pattern, str):
         raise CorruptEpisode(f"A pattern of paths must be text, not {pattern!r:.80}.")
     if {"{", "}"} & set(_FIELD.sub("", pattern)):
-        raise CorruptEpisode(f"The pattern {pattern!r:.200} has more in braces than a name and a number of digits.")
+        raise CorruptEpisode(f"The pattern {pattern!r:.200} may have only a name and a number of digits in braces.")
     path = _FIELD.sub(value, pattern)
     words = path.split("/")
     if not all(word and word not in (".", "..") and word.isprintable() and "\\" not in word for word in words):
-        raise CorruptEpisode(f"The pattern {pattern!r:.200} stands for {path!r:.200}, which is no path in its folder.")
+        raise CorruptEpisode(f"The pattern {pattern!r:.200} makes {path!r:.200}, which is not a path in its folder.")
     return Path(path)
 
 
 def _by_episode(table: pa.Table, path: Path) -> Iterator[tuple[int, pa.Table]]:
     if "episode_index" not in table.column_names or not pa.types.is_integer(table.schema.field("episode_index").type):
-        raise CorruptEpisode(f"{path} has no column of whole numbers episode_index.")
+        raise CorruptEpisode(f"{path} has no column episode_index of whole numbers.")
     numbers = table.column("episode_index").fill_null(-1).to_numpy()
     edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
     for start, stop in pairwise(edges):

@@ -1,7 +1,7 @@
-"""Statistics as LeRobot keeps them per episode and per dataset, for normalising: exact, and cheap to merge.
+"""LeRobot's statistics per episode and dataset, for normalisation: exact, and cheap to merge.
 
 Numbers: moments merge exactly (T. F. Chan et al., "Updating formulae and a pairwise algorithm for computing sample
-variances", 1979). Images: each channel is a histogram of its 256 values, from which everything follows.
+variances", 1979). Images: each channel has a histogram of its 256 values, which gives everything else.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 Stats = dict[str, Any]
 """min, max, mean, std, count and quantiles of one column, as JSON values."""
 
-# As many as LeRobot samples of an episode of up to 500 frames, and about as many pixels of each.
+# As many frames as LeRobot samples of an episode of up to 500, and about as many pixels of each.
 _SAMPLED_FRAMES = 100
 _SAMPLED_EDGE = 150
 
@@ -71,7 +71,7 @@ class Moments:
         )
 
     def stats(self, quantiles: dict[str, NDArray[np.float64]]) -> Stats | None:
-        """Return the statistics; None where a number was never measured, for then there are none.
+        """Return the statistics; None where a number was never measured.
 
         Args:
             quantiles: Under each name of `QUANTILES`, shape (size,).
@@ -98,7 +98,7 @@ def quantiles(values: NDArray[Any]) -> dict[str, NDArray[np.float64]]:
 
 
 def column_quantiles(files: Sequence[Path], name: str) -> dict[str, NDArray[np.float64]]:
-    """Return the quantiles of one column of many files; only that column is in memory.
+    """Return the quantiles of one column of many files, with only that column in memory.
 
     Args:
         files: Parquet files.
@@ -113,13 +113,13 @@ def column_quantiles(files: Sequence[Path], name: str) -> dict[str, NDArray[np.f
 
 
 class ImageHistogram:
-    """How often each channel of images has each of 256 values, in a sample of frames and pixels."""
+    """A histogram of each channel's 256 values, over a sample of frames and pixels."""
 
     def __init__(self, frames: int = 0) -> None:
         """Start empty.
 
         Args:
-            frames: How many frames will be shown to `add`; 100 of them, evenly spaced, are counted.
+            frames: Number of frames that will be given to `add`; 100 of them, evenly spaced, are counted.
         """
         self.sampled = 0
         self.counts = np.zeros((3, 256), np.int64)
@@ -127,7 +127,7 @@ class ImageHistogram:
         self._seen = 0
 
     def add(self, image: NDArray[Any]) -> None:
-        """Show the next frame, (H, W, 3) uint8."""
+        """Add the next frame, (H, W, 3) uint8."""
         if self._seen % self._stride == 0:
             step = max(1, max(image.shape[:2]) // _SAMPLED_EDGE)
             sample = image[::step, ::step]
@@ -137,7 +137,7 @@ class ImageHistogram:
         self._seen += 1
 
     def merge(self, other: ImageHistogram) -> None:
-        """Take in another histogram."""
+        """Add another histogram."""
         self.counts += other.counts
         self.sampled += other.sampled
 
@@ -154,7 +154,7 @@ class ImageHistogram:
 
     @staticmethod
     def _value(summed: NDArray[np.int64], share: float) -> NDArray[np.float64]:
-        """Return a quantile of each channel, between two values in proportion, as numpy's `quantile` does."""
+        """Return a quantile of each channel, interpolated linearly as by numpy's `quantile`."""
         place = share * (summed[:, -1] - 1)
         low = [np.searchsorted(row, math.floor(p), side="right") for row, p in zip(summed, place, strict=True)]
         high = [np.searchsorted(row, math.ceil(p), side="right") for row, p in zip(summed, place, strict=True)]

@@ -22,7 +22,7 @@ VIDEO_PATH = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_inde
 
 
 class V21Writer:
-    """Puts encoded episodes in place, one after the other."""
+    """Writes encoded episodes one after the other."""
 
     def __init__(self, root: Path, layout: LeRobotLayout, robot: str, tasks: list[str]) -> None:
         """Start a dataset.
@@ -30,7 +30,7 @@ class V21Writer:
         Args:
             root: Its folder.
             layout: The columns and videos.
-            robot: What the robot is called.
+            robot: Name of the robot.
             tasks: All instructions.
         """
         self._root = root
@@ -43,7 +43,7 @@ class V21Writer:
         self._files: list[Path] = []
 
     def add(self, episode: EncodedEpisode) -> None:
-        """Put the next episode in place."""
+        """Write the next episode."""
         where = {"episode_chunk": episode.index // CHUNK, "episode_index": episode.index}
         path = self._root / DATA_PATH.format(**where)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -59,7 +59,7 @@ class V21Writer:
         self._stats.append({"episode_index": episode.index, "stats": episode.stats})
 
     def finish(self) -> None:
-        """Write what is known only at the end."""
+        """Write the files that need all episodes."""
         meta = self._root / "meta"
         frames = sum(episode["length"] for episode in self._episodes)
         count = len(self._episodes)
@@ -73,11 +73,11 @@ class V21Writer:
             "video_path": VIDEO_PATH if self._layout.cameras else None,
         }
         write_json(meta / "info.json", info)
-        # v2.0 had this instead of statistics per episode, and some readers of v2.1 still look for it.
+        # v2.0 has this instead of statistics per episode, and some readers of v2.1 still need it.
         write_json(meta / "stats.json", self._total.to_json(self._files))
         write_json_lines(meta / "tasks.jsonl", ({"task_index": i, "task": t} for i, t in enumerate(self._tasks)))
         write_json_lines(meta / "episodes.jsonl", self._episodes)
         write_json_lines(meta / "episodes_stats.jsonl", self._stats)
 
     def abort(self) -> None:
-        """Do nothing: no file stays open."""
+        """Do nothing, since no file stays open."""

@@ -30,7 +30,7 @@ _EPISODES_AT_A_TIME = 100
 
 
 class V3Writer:
-    """Puts encoded episodes in place, one after the other."""
+    """Writes encoded episodes one after the other."""
 
     def __init__(
         self,
@@ -47,10 +47,10 @@ class V3Writer:
         Args:
             root: Its folder.
             layout: The columns and videos.
-            robot: What the robot is called.
+            robot: Name of the robot.
             tasks: All instructions.
-            data_limit: Bytes after which a new Parquet file is begun.
-            video_limit: Bytes after which a new video is begun.
+            data_limit: Size at which a new Parquet file begins [B].
+            video_limit: Size at which a new video begins [B].
         """
         self._root = root
         self._layout = layout
@@ -65,7 +65,7 @@ class V3Writer:
         self._frames = 0
 
     def add(self, episode: EncodedEpisode) -> None:
-        """Put the next episode in place."""
+        """Write the next episode."""
         length = episode.table.num_rows
         chunk, file = self._data.add(episode.table)
         row: dict[str, Any] = {
@@ -92,10 +92,10 @@ class V3Writer:
             self._flush()
 
     def finish(self) -> None:
-        """Close all files and write what is known only at the end.
+        """Close all files and write those that need all episodes.
 
         Raises:
-            DatasetError: A video does not have the frames that it should.
+            DatasetError: A video has wrong frames.
         """
         self._flush()
         self._data.close()
@@ -119,7 +119,7 @@ class V3Writer:
         pq.write_table(_task_table(self._tasks), meta / "tasks.parquet")
 
     def abort(self) -> None:
-        """Close all files as they are."""
+        """Close all files without completing them."""
         self._data.close()
         self._about.close()
         for video in self._videos.values():
@@ -137,7 +137,7 @@ class V3Writer:
 
 
 class _GrowingVideo:
-    """Videos of episodes joined to files of limited size."""
+    """Joins videos of episodes to files of limited size."""
 
     def __init__(self, root: Path, fps: int, limit: int) -> None:
         self._root = root
@@ -147,7 +147,7 @@ class _GrowingVideo:
         self._joiner: VideoJoiner | None = None
 
     def add(self, path: Path) -> tuple[int, int, int]:
-        """Join a video and return the numbers of its chunk, file and first frame."""
+        """Append a video and return its chunk number, file number and first frame."""
         if self._joiner is not None:
             is_full = self._joiner.size + path.stat().st_size > self._limit
             if is_full or not self._joiner.takes(path):
@@ -161,13 +161,13 @@ class _GrowingVideo:
         return *divmod(self._files - 1, CHUNK), first
 
     def close(self) -> None:
-        """Finish the file that is open."""
+        """Complete the open file."""
         if self._joiner is not None:
             self._joiner.close()
             self._joiner = None
 
     def abort(self) -> None:
-        """Leave the file that is open as it is."""
+        """Close the open file without completing it."""
         if self._joiner is not None:
             self._joiner.abort()
             self._joiner = None
@@ -184,7 +184,7 @@ def _episode_schema(layout: LeRobotLayout) -> pa.Schema:
     for name in layout.cameras:
         fields |= {f"videos/{name}/chunk_index": pa.int64(), f"videos/{name}/file_index": pa.int64()}
         fields |= {f"videos/{name}/from_timestamp": pa.float64(), f"videos/{name}/to_timestamp": pa.float64()}
-    # What was never measured in an episode has no statistics there: null.
+    # Statistics of values never measured in an episode are null.
     for name in (*layout.numbers, *layout.cameras):
         values = pa.list_(pa.float64())
         kept = pa.list_(pa.list_(values)) if name in layout.cameras else values
@@ -194,7 +194,7 @@ def _episode_schema(layout: LeRobotLayout) -> pa.Schema:
 
 
 def _task_table(tasks: list[str]) -> pa.Table:
-    # As pandas stores a frame with the instruction as its index, which is how LeRobot looks it up.
+    # As pandas stores a frame indexed by instruction, which LeRobot expects.
     index = "__index_level_0__"
     word = {"pandas_type": "unicode", "numpy_type": "object"}
     about = {

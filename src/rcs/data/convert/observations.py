@@ -1,4 +1,4 @@
-"""What an export takes of the observations, and the names that it has there: what formats with a key per part share."""
+"""Selects and names observations for export formats with a key per part."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from rcs.errors import InvalidSetup
 
 @dataclass(frozen=True)
 class FrameKey:
-    """The camera and the kind that are in a key such as "observation/frames/wrist/rgb"."""
+    """The camera and kind of a key such as "observation/frames/wrist/rgb"."""
 
     camera: str
-    """Its name; of two robots it may have a "/"."""
+    """Its name; with several robots it may contain a "/"."""
     kind: str
     """Such as "rgb", "depth" or "intrinsics"."""
 
     @classmethod
     def of(cls, key: str) -> FrameKey | None:
-        """Return what is in a key, or None where it is of no camera."""
+        """Return the camera and kind of a key; None if it belongs to no camera."""
         words = key.split("/")
         if words[:2] != [OBSERVATION, FRAMES] or len(words) < 4:
             return None
@@ -36,11 +36,11 @@ class FrameKey:
 
 
 def kept_info(info: DatasetInfo, options: ExportOptions) -> DatasetInfo:
-    """Return the info without all that belongs to a camera that is not exported.
+    """Return the info without the features of cameras that are not exported.
 
     Args:
         info: What the dataset's episodes share.
-        options: Which cameras.
+        options: Cameras to export.
 
     Raises:
         InvalidSetup: A camera is unknown.
@@ -48,7 +48,7 @@ def kept_info(info: DatasetInfo, options: ExportOptions) -> DatasetInfo:
     frame_keys = {feature.key: FrameKey.of(feature.key) for feature in info.features}
     known = list(dict.fromkeys(key.camera for key in frame_keys.values() if key is not None))
     dropped = set(known) - set(selected_cameras(known, options))
-    suffixes = tuple(f"/frames/{camera}" for camera in dropped)  # of its times and flags
+    suffixes = tuple(f"/frames/{camera}" for camera in dropped)  # its times and flags
     features = tuple(
         feature
         for feature in info.features
@@ -58,33 +58,33 @@ def kept_info(info: DatasetInfo, options: ExportOptions) -> DatasetInfo:
 
 
 def observed(info: DatasetInfo) -> tuple[Feature, ...]:
-    """Return the features that were seen, numbers and images."""
+    """Return the observed features, numbers and images."""
     return tuple(feature for feature in info.features if feature.key.startswith(f"{OBSERVATION}/"))
 
 
 def named(features: Sequence[Feature], name: Callable[[Feature], str], taken: Sequence[str] = ()) -> dict[str, Feature]:
-    """Return the features by the name that they have in a format.
+    """Return the features by their name in a format.
 
     Args:
         features: The features.
-        name: The name of one of them.
-        taken: Names that the format uses itself.
+        name: Returns the name of a feature.
+        taken: Names reserved by the format.
 
     Raises:
-        InvalidSetup: Two would have one name.
+        InvalidSetup: Two would share a name.
     """
     found: dict[str, Feature] = {}
     for feature in features:
         short = name(feature)
         if short in found or short in taken:
             other = found[short].key if short in found else "the format itself"
-            raise InvalidSetup(f"{feature.key!r} would be named {short!r}, and so is {other!r}; leave one of them out.")
+            raise InvalidSetup(f"{feature.key!r} and {other!r} would both be named {short!r}; leave one of them out.")
         found[short] = feature
     return found
 
 
 def step_values(episode: EpisodeRecord, feature: Feature) -> NDArray[Any]:
-    """Return a column of numbers step by step: what was seen before each, or what it did; shape (steps, *shape).
+    """Return a column of numbers by step: the observation before it, or what it did; shape (steps, *shape).
 
     Raises:
         CorruptEpisode: The episode is damaged.
@@ -95,7 +95,7 @@ def step_values(episode: EpisodeRecord, feature: Feature) -> NDArray[Any]:
 
 
 def describe_layout(layout: VectorLayout) -> list[dict[str, Any]]:
-    """Return as JSON values which numbers of a vector are what, in which unit."""
+    """Return names and units of a vector's numbers, as JSON values."""
     return [
         {"key": feature.key, "start": place.start, "end": place.stop, "unit": feature.unit}
         for feature, place in zip(layout.features, layout.slices.values(), strict=True)
@@ -103,5 +103,5 @@ def describe_layout(layout: VectorLayout) -> list[dict[str, Any]]:
 
 
 def as_float32(values: NDArray[Any]) -> NDArray[np.float32]:
-    """Return numbers as most trainers keep them."""
+    """Return numbers as float32, as most trainers keep them."""
     return np.ascontiguousarray(values, np.float32)

@@ -1,60 +1,58 @@
-"""What is exported and imported, and how: options that all formats share."""
+"""Options of exports and imports that all formats share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
 from rcs.data.feature import Feature
+from rcs.data.output import OnProgress
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.errors import InvalidSetup
 
-Codec = Literal["h264", "av1"]
-OnProgress = Callable[[int, int], None]
-"""Called with the steps done and the steps in all; of an import the second may be 0, where it is not known before."""
+VideoCodec = Literal["h264", "av1"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """What of a dataset is exported, and how.
+    """How to export a dataset.
 
     Raises:
         InvalidSetup: An option does not make sense.
     """
 
     episodes: tuple[str, ...] | None = None
-    """Ids of the episodes, in this order; None for all."""
+    """Ids of episodes to export, in order; None for all."""
     success_only: bool = False
-    """Whether episodes that did not succeed, or of which nobody said so, are left out."""
+    """Whether to leave out episodes that failed or have no verdict."""
     state: tuple[str, ...] | None = None
-    """Features that make up the state, in this order; None for joints, then gripper or hand, robot by robot."""
+    """Features that make up the state, in order; None for joints, then gripper or hand, robot by robot."""
     action: tuple[str, ...] | None = None
-    """Features that make up the action, in this order; None for the arm's part, then gripper or hand."""
+    """Features that make up the action, in order; None for the arm's part, then gripper or hand."""
     extra: tuple[str, ...] = ()
-    """More features of numbers, each kept as a column of its own."""
+    """More features of numbers to export, each as its own column."""
     cameras: tuple[str, ...] | None = None
-    """Cameras; None for all. An empty tuple leaves all images out, as does "none" on the command line."""
+    """Cameras to export; None for all, an empty tuple (`none` on the command line) for none."""
     robot_type: str | None = None
-    """What the format calls the robot; None for the name in the setup."""
+    """Name of the robot in the export; None for that in the setup."""
     fps: int | None = None
-    """The rate to claim [Hz], where a format wants a whole number and the dataset has none; None for the true one."""
-    codec: Codec = "h264"
-    """How videos are compressed, in formats that have videos."""
+    """Frame rate to claim [Hz], if the format needs a whole number; None for the true one."""
+    codec: VideoCodec = "h264"
+    """Compression of videos, in formats that have them."""
     compress: bool = True
-    """Whether images are compressed without loss where the format leaves the choice: smaller, and slower to read."""
+    """Whether to compress images without loss, if the format leaves the choice: smaller, but slower to read."""
     name: str | None = None
-    """What the export is called, in formats that have a name inside; None for the name of the dataset's folder."""
+    """Name of the export, in formats that store one; None for that of the dataset's folder."""
     workers: int = 1
-    """Threads that encode; each is one core."""
+    """Threads that encode, one core each."""
     on_progress: OnProgress | None = None
     """Called now and then while the export runs."""
 
     def __post_init__(self) -> None:
-        """Refuse what no format could do."""
-        if self.codec not in get_args(Codec):
-            raise InvalidSetup(f"The codec is {self.codec!r}; valid are {', '.join(get_args(Codec))}.")
+        """Check the values."""
+        if self.codec not in get_args(VideoCodec):
+            raise InvalidSetup(f"The codec is {self.codec!r}; valid are {', '.join(get_args(VideoCodec))}.")
         if self.fps is not None and self.fps < 1:
             raise InvalidSetup(f"fps is {self.fps}; it must be at least 1.")
         if self.workers < 1:
@@ -63,49 +61,49 @@ class ExportOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
-    """How a foreign dataset becomes one of ours."""
+    """How to import a dataset of another format."""
 
     jpeg_quality: int = 95
-    """1 to 100; images are compressed once more, so lower than the default shows."""
+    """1 to 100; images are compressed again, so a value below the default is visible."""
     lossless: bool = False
-    """Whether colour images are kept without loss instead."""
+    """Whether to store colour images without loss instead."""
     instruction: str | None = None
-    """What the robot was asked to do, where the source does not say so."""
-    fps: float | None = None
-    """Steps per second [Hz], where the source does not say so."""
+    """What the robot was asked to do, if the source does not say."""
+    frequency: float | None = None
+    """Control steps per second [Hz], if the source does not say."""
     on_progress: OnProgress | None = None
     """Called now and then while the import runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportReport:
-    """What an export wrote."""
+    """The result of an export."""
 
     path: Path
     """The file or folder."""
     episodes: int
     """Episodes in it."""
     steps: int
-    """Steps in all of them; an episode of T + 1 rows has T."""
+    """Steps in all of them."""
     frames: int
     """Images, all cameras together."""
     bytes_written: int
     """Size on disk."""
     notes: tuple[str, ...] = ()
-    """What the format could not take, or was changed; one sentence each."""
+    """What was left out or changed, one sentence each."""
 
 
 def stored_as(feature: Feature, options: ImportOptions) -> Feature:
-    """Return a feature of an imported dataset with its images stored as the options say."""
+    """Return a feature of an imported dataset, its images encoded according to the options."""
     return replace(feature, encoding="lossless") if options.lossless and feature.encoding == "jpeg" else feature
 
 
 def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[EpisodeRecord, ...]:
-    """Return the episodes that are to be exported; each has at least one step.
+    """Return the episodes to export; each has at least one step.
 
     Args:
         dataset: The dataset.
-        options: Which episodes.
+        options: Episodes to export.
 
     Raises:
         InvalidSetup: An id is unknown or given twice, or nothing is left.
@@ -125,17 +123,17 @@ def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[Episode
     if not kept:
         wanted = "that succeeded and has" if options.success_only else "with"
         raise InvalidSetup(
-            f"Of {len(chosen)} chosen episodes of {dataset.path} there is none {wanted} a step to export."
+            f"None of the {len(chosen)} chosen episodes of {dataset.path} is one {wanted} a step to export."
         )
     return tuple(kept)
 
 
 def selected_cameras(names: dict[str, object] | list[str], options: ExportOptions) -> tuple[str, ...]:
-    """Return the names of the cameras that are to be exported.
+    """Return the names of the cameras to export.
 
     Args:
-        names: The cameras that there are.
-        options: Which of them.
+        names: All cameras.
+        options: Cameras to export.
 
     Raises:
         InvalidSetup: A name is unknown.

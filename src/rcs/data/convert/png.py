@@ -1,4 +1,4 @@
-"""PNG files, for formats that have no other way to keep an image without loss."""
+"""PNG files, for formats without another lossless encoding."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY, _COLOUR = 0, 2
-_FILTER_SUB = 1  # each byte less the one of the pixel before
+_FILTER_SUB = 1  # each byte minus that of the pixel before
 
 
 def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:

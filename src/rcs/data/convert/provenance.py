@@ -1,4 +1,4 @@
-"""Where exported episodes came from, kept beside them in every format."""
+"""The origin of exported episodes, stored beside them in every format."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rcs.data.reader import EpisodeRecord
 from rcs.errors import CorruptEpisode
 
 FIELDS = ("episode", "seed", "success", "outcome", "instruction", "rows")
-"""What an import relies on."""
+"""Fields that an import needs."""
 
 
 def episode_provenance(episode: EpisodeRecord, digest: str) -> dict[str, Any]:
-    """Return as JSON values where an exported episode came from, and what its format has no place for.
+    """Return the origin of an exported episode, and what its format has no place for, as JSON values.
 
     Args:
         episode: The episode.
@@ -35,26 +35,26 @@ def episode_provenance(episode: EpisodeRecord, digest: str) -> dict[str, Any]:
         "instruction": episode.instruction,
         "rows": episode.length,
         "recorded": about.get("started"),
-        "quality": episode.quality,
+        "timing": episode.timing,
         "source": about.get("source"),
     }
 
 
 def checked_provenance(values: Any, path: Path | str) -> dict[str, Any]:
-    """Return what `episode_provenance` returned and a format kept, if it can be true.
+    """Return checked values of `episode_provenance` that a format stored.
 
     Args:
-        values: What was kept.
-        path: Where it is, for the message.
+        values: The stored values.
+        path: The file, for the message.
 
     Raises:
-        CorruptEpisode: A field is missing or not what it must be.
+        CorruptEpisode: A field is missing or not valid.
     """
     if not isinstance(values, dict):
-        raise CorruptEpisode(f"{path} is damaged: of an episode it has {values!r:.80}.")
+        raise CorruptEpisode(f"{path} is damaged: it has {values!r:.80} for an episode.")
     given: dict[str, Any] = values
     if missing := [field for field in FIELDS if field not in given]:
-        raise CorruptEpisode(f"{path} is damaged: of an episode it does not say {', '.join(missing)}.")
+        raise CorruptEpisode(f"{path} is damaged: an episode lacks {', '.join(missing)}.")
     seed, rows, name = given["seed"], given["rows"], given["episode"]
     is_right = {
         "episode": isinstance(name, str) and is_name(name),
@@ -71,13 +71,13 @@ def checked_provenance(values: Any, path: Path | str) -> dict[str, Any]:
 
 
 def by_episode(rows: Any, path: Path) -> dict[int, dict[str, Any]]:
-    """Return rows of a file beside an export by the number of their episode.
+    """Return the rows of a file beside an export, by episode number.
 
     Raises:
-        CorruptEpisode: A row has no such number.
+        CorruptEpisode: A row has no episode number.
     """
     if not isinstance(rows, list):
-        raise CorruptEpisode(f"{path} is damaged: it has {rows!r:.80} in the place of its episodes.")
+        raise CorruptEpisode(f"{path} is damaged: it has {rows!r:.80} instead of episodes.")
     found: dict[int, dict[str, Any]] = {}
     for row in rows:
         index = row.get("episode_index") if isinstance(row, dict) else None

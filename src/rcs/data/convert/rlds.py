@@ -1,4 +1,4 @@
-"""Export to RLDS, as a folder that TensorFlow Datasets reads: what Octo and OpenVLA train on.
+"""Exports to RLDS, as a folder for TensorFlow Datasets; Octo and OpenVLA train on it.
 
 `<out>/<name>/1.0.0` has `dataset_info.json`, `features.json` and the episodes in TFRecord files, so that
 `tfds.builder_from_directory` or, with `data_dir=<out>`, `tfds.builder(<name>)` opens it. A step has
@@ -8,9 +8,9 @@
 - `action` (float32), `reward` (float32), `discount` (0 where the step ended the task, else 1), `is_first`, `is_last`,
   `is_terminal`, `language_instruction`.
 
-As in the datasets of Open X-Embodiment the last step has an action, and what was seen after it is left out. Colour is
-in the bytes that were recorded, not compressed once more; images that were recorded without loss are PNG. `rcs.json`
-beside the episodes says which number of state and action is what, in which unit, at which rate.
+As in the datasets of Open X-Embodiment, the last step has an action, and the observation after it is left out. JPEGs
+are copied without compressing them again; losslessly recorded images become PNG. `rcs.json` beside the episodes has
+names and units of the numbers of state and action, and the rate.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ _STEP_NAMES = (
 
 @dataclass(frozen=True)
 class _Source:
-    """An episode, as the columns read it."""
+    """An episode, for the columns to read."""
 
     episode: EpisodeRecord
     steps: Trajectory
@@ -86,13 +86,14 @@ def export_rlds(dataset: Dataset, out: str | Path, options: ExportOptions | None
 
     Args:
         dataset: The dataset.
-        out: The folder that gets a folder of the export's name; others may be in it already.
-        options: Which episodes, cameras and features; `extra` adds those that were not seen, such as "executed/joints".
+        out: The folder for a folder of the export's name; it may have others already.
+        options: Episodes, cameras and features; `extra` adds features that are not observations, such as
+            "executed/joints".
 
     Raises:
-        InvalidSetup: An option does not fit the dataset, nothing is left to export, or an episode is 2 GiB or more.
+        InvalidSetup: An option does not suit the dataset, nothing is left to export, or an episode is 2 GiB or more.
         CorruptEpisode: An episode is damaged.
-        DatasetError: There is an export of that name, or the disk fails.
+        DatasetError: An export of that name exists, or the disk fails.
     """
     options = options or ExportOptions()
     episodes = selected_episodes(dataset, options)
@@ -133,7 +134,7 @@ def export_rlds(dataset: Dataset, out: str | Path, options: ExportOptions | None
         steps=total,
         frames=images * total,
         bytes_written=size_on_disk(target),
-        notes=("Numbers of 64 bits became float32, the only kind that the format has.",) if narrowed else (),
+        notes=("64-bit numbers became float32, the only float type of the format.",) if narrowed else (),
     )
 
 
@@ -142,12 +143,12 @@ def _columns(
 ) -> dict[str, _Column]:
     seen = observed(info)
     if [feature.key for feature in state.features] == ["observation/state"]:
-        seen = tuple(feature for feature in seen if feature.key != "observation/state")  # it is the state already
+        seen = tuple(feature for feature in seen if feature.key != "observation/state")  # already the state
     extra = [info.feature(key) for key in options.extra]
     images = [feature.key for feature in extra if feature.is_image]
     if images:
         raise InvalidSetup(
-            f"{', '.join(images)} cannot be extra, for extra features are numbers; choose cameras instead."
+            f"{', '.join(images)} cannot be extra features, which must be numbers; choose cameras instead."
         )
     observations = named(seen, _observation_name, taken=("state",))
     others = named([f for f in extra if f not in seen], lambda f: f.key.replace("/", "_"), taken=_STEP_NAMES)
@@ -203,7 +204,7 @@ def _encoded(episode: EpisodeRecord, feature: Feature) -> Iterator[bytes]:
 def _numbers(values: NDArray[Any]) -> Values:
     if values.dtype.kind == "f":
         return as_float32(values)
-    # TensorFlow Datasets too keeps the upper half of uint64 as negative numbers.
+    # As in TensorFlow Datasets, the upper half of uint64 becomes negative.
     return values.view(np.int64) if values.dtype == np.uint64 else values.astype(np.int64)
 
 
@@ -212,7 +213,7 @@ def _only(index: int, length: int) -> NDArray[np.int64]:
 
 
 def _integer(value: int | None) -> NDArray[np.int64]:
-    """Return one number; -1 where it is not known, or too large: `provenance` has it as it is."""
+    """Return one number; -1 if unknown or too large (`provenance` has the original)."""
     return np.array([value if value is not None and abs(value) < 1 << 63 else -1], np.int64)
 
 
@@ -222,7 +223,7 @@ def _name(dataset: Dataset, options: ExportOptions) -> str:
         name = re.sub(r"\W+", "_", dataset.path.resolve().name, flags=re.ASCII).strip("_").lower()
         return name if name[:1].isalpha() else f"rcs_{name}".rstrip("_")
     if not re.fullmatch(r"[A-Za-z]\w*", given, re.ASCII):
-        raise InvalidSetup(f"{given!r} is no name for an RLDS dataset; use letters, digits and '_', a letter first.")
+        raise InvalidSetup(f"{given!r} cannot name an RLDS dataset; use letters, digits and '_', first a letter.")
     return given
 
 

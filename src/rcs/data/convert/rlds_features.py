@@ -1,4 +1,4 @@
-"""What an RLDS dataset has in each step, as TensorFlow Datasets describes it in `features.json`."""
+"""The features of an RLDS dataset, as described in `features.json` of TensorFlow Datasets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Spec = dict[str, Any]
 
 
 def tensor(shape: tuple[int, ...], dtype: str) -> Spec:
-    """Describe an array, or with shape () a single number."""
+    """Describe an array, or a single number with shape ()."""
     where = "tensor_feature.Tensor" if shape else "scalar.Scalar"
     return {"pythonClassName": _CLASSES + where, "tensor": {"dtype": dtype, "encoding": "none", "shape": _shape(shape)}}
 
@@ -33,15 +33,15 @@ def image(feature: Feature) -> Spec:
 
 
 def numbers(feature: Feature) -> Spec:
-    """Describe a column of numbers; a `tf.train.Example` has no floats but those of 32 bits."""
+    """Describe a column of numbers; a `tf.train.Example` has only 32-bit floats."""
     return tensor(feature.shape, "float32" if feature.dtype.startswith("float") else feature.dtype)
 
 
 def features_json(specs: Mapping[str, Spec]) -> Spec:
-    """Return the whole of `features.json`.
+    """Return the contents of `features.json`.
 
     Args:
-        specs: Each feature by its path, such as "steps/observation/state"; what is under "steps" is there per step.
+        specs: Each feature by its path, such as "steps/observation/state"; those under "steps" are per step.
     """
     tree: dict[str, Any] = {}
     for path, spec in specs.items():

@@ -1,16 +1,16 @@
-"""Export to the HDF5 file that robomimic reads.
+"""Exports to an HDF5 file for robomimic.
 
 `data/demo_<i>` is the i-th episode of `num_samples` steps:
 
 - `obs/<name>`, `next_obs/<name>`: every part of the observation under its own name (`joints`, `left_gripper`), in its
   own dtype; `<camera>_image` (H, W, 3) uint8; `<camera>_depth` (H, W, 1) uint16 [mm]; `<camera>_intrinsics` and so on;
-- `actions` float64, `rewards` float64, `dones` (1 where a step ended the episode), `states`: the simulation's state,
-  without columns where there was none;
-- `rcs/<key>`: the other columns of the dataset (what was executed, times, flags), with one row more: the reset.
-  robomimic does not look there; an import has all columns back from it.
+- `actions` float64, `rewards` float64, `dones` (1 where a step ended the episode), `states`: the simulation state,
+without columns if there is none;
+- `rcs/<key>`: the other columns of the dataset (executed actions, times, flags), with one more row for the reset.
+robomimic ignores them; an import restores all columns from them.
 
-`data` says in `env_args` what the robot was, and in `rcs` what an import needs. `mask/train` and `mask/valid` split the
-episodes nine to one, `mask/success` has those that succeeded.
+Attributes of `data`: `env_args` describes the robot, and `rcs` has what an import needs. `mask/train` and `mask/valid`
+split the episodes nine to one, `mask/success` lists the successful ones.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.trajectory import VectorLayout, action_layout, state_layout, trajectory
 
 RCS = "rcs"
-"""The attribute of `data` and the group of each episode that are ours."""
+"""Name of our attribute of `data` and of our group in each episode."""
 PROVENANCE = "provenance"
-"""The attribute of an episode that says where it came from."""
+"""The attribute of an episode with its origin."""
 LAST_STATE = "last_state"
-"""The dataset in that group with the simulation's state after the last step."""
+"""The dataset in that group with the simulation state after the last step."""
 
-# robomimic numbers the kinds of environments that it can make; 2 is Gym.
+# robomimic numbers its kinds of environments; 2 is Gym.
 _GYM_ENVIRONMENT = 2
-# One episode of so many is for validation, as in robomimic's own script.
+# One episode in this many is for validation, as in robomimic's own script.
 _VALIDATION = 10
 # On noisy images level 6 takes twice as long and saves little.
 _ZLIB_LEVEL = 1
@@ -56,20 +56,20 @@ def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions |
     Args:
         dataset: The dataset.
         out: The file.
-        options: Which episodes, cameras and features. `state` says which parts of the observation are in `obs`, each
-            under its own name; without it all are. `compress` is for images.
+        options: Episodes, cameras and features. `state` selects the parts of the observation in `obs`, each under its
+            own name; None for all. `compress` is for images.
 
     Raises:
         MissingDependency: h5py is not installed.
-        InvalidSetup: An option does not fit the dataset, or nothing is left to export.
+        InvalidSetup: An option does not suit the dataset, or nothing is left to export.
         CorruptEpisode: An episode is damaged.
-        DatasetError: The file is there already, or the disk fails.
+        DatasetError: The file exists already, or the disk fails.
     """
     h5py = load_h5py()
     options = options or ExportOptions()
     episodes = selected_episodes(dataset, options)
     info = kept_info(dataset.info, options)
-    # Images are seen; one that is not has no place.
+    # Only observed images have a place.
     info = replace(info, features=tuple(f for f in info.features if f in observed(info) or not f.is_image))
     action = action_layout(info, options.action)
     parts = observed(info)
@@ -170,7 +170,7 @@ def _write_images(demo: Any, name: str, episode: EpisodeRecord, feature: Feature
 
 
 def _chunk(image: NDArray[Any], compress: bool) -> bytes:
-    """Return an image as HDF5 keeps it: with `compress`, the first bytes of all numbers, then the second, by zlib."""
+    """Return an image as stored in HDF5: with `compress`, byte-shuffled and compressed by zlib."""
     little_endian = np.ascontiguousarray(image, image.dtype.newbyteorder("<"))
     if not compress:
         return little_endian.tobytes()
@@ -190,13 +190,13 @@ def _environment(info: DatasetInfo) -> dict[str, Any]:
     return {
         "env_name": str(info.setup.get("task") or info.instruction),
         "type": _GYM_ENVIRONMENT,
-        "env_kwargs": {**info.setup, "control_freq": info.fps, "instruction": info.instruction},
+        "env_kwargs": {**info.setup, "control_freq": info.frequency, "instruction": info.instruction},
     }
 
 
 def _masks(episodes: tuple[EpisodeRecord, ...]) -> dict[str, list[int]]:
     everyone = range(len(episodes))
-    # Every tenth, or the last of fewer; a single one is for training.
+    # Every tenth, or the last of fewer; a single episode is for training.
     valid = list(everyone[_VALIDATION - 1 :: _VALIDATION]) or list(everyone[1:][-1:])
     masks = {
         "train": [i for i in everyone if i not in valid],
@@ -209,6 +209,6 @@ def _masks(episodes: tuple[EpisodeRecord, ...]) -> dict[str, list[int]]:
 
 def _range_note(low: float, high: float) -> str:
     return (
-        f"Actions are as recorded, from {low:.3g} to {high:.3g}; policies of robomimic that end in tanh need them "
+        f"Actions range from {low:.3g} to {high:.3g} as recorded; robomimic's policies with tanh outputs need them "
         "from -1 to 1."
     )

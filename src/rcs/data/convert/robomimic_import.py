@@ -1,8 +1,8 @@
-"""Import of HDF5 files for robomimic: our own, which give back every column, and those of others, such as LIBERO's.
+"""Imports HDF5 files for robomimic: our own, which restore every column, and others, such as LIBERO's.
 
-A step of robomimic is a row of ours, and an episode has a row more: what was seen after the last step, from `next_obs`.
-What has no value there, as all that was seen where a file has no `next_obs`, is repeated from the row before, and the
-episode's outcome says so: `imported.last_observation` is "repeated", and `imported.repeated` has the features.
+A step of robomimic becomes a row, and an episode gets one more: the observation after the last step, from `next_obs`.
+Values that are missing there, such as all observations of a file without `next_obs`, are repeated from the row before;
+then the episode's outcome has "repeated" as `imported.last_observation` and the features as `imported.repeated`.
 """
 
 from __future__ import annotations
@@ -37,18 +37,19 @@ _PROGRESS_ROWS = 32
 
 
 def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions | None = None) -> Dataset:
-    """Make a dataset of an HDF5 file for robomimic; it is there whole or not at all.
+    """Import an HDF5 file for robomimic, whole or not at all.
 
     Args:
         source: The file.
         out: The folder of the new dataset.
-        options: How images are stored, and what the file may not say.
+        options: How to store images, and what the file does not say.
 
     Raises:
         MissingDependency: h5py is not installed.
-        InvalidSetup: It is no such file, its episodes differ in form, or its rate is unknown and not in the options.
-        CorruptEpisode: The file does not read, an episode has no steps, or its columns are not of one length.
-        DatasetError: Something is at `out`, or the disk fails.
+        InvalidSetup: It is not such a file, its episodes differ in form, or its rate is neither in it nor in the
+            options.
+        CorruptEpisode: The file cannot be read, an episode has no steps, or its columns differ in length.
+        DatasetError: `out` exists, or the disk fails.
     """
     options = options or ImportOptions()
     with reading_hdf5(Path(source)) as file:
@@ -67,7 +68,7 @@ def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions
 
 
 def _record(writer: DatasetWriter, demo: Any, steps: int, plan: SourcePlan, about: DemoAbout) -> Iterator[int]:
-    """Record an episode, and yield the number of each row that was written."""
+    """Record an episode, and yield the number of each written row."""
     columns = [(column.feature, _rows(demo, column, steps)) for column in plan.columns]
     states = None
     if plan.states is not None:
@@ -96,22 +97,22 @@ def _states(demo: Any, plan: SourcePlan, steps: int) -> NDArray[np.float64]:
     size = plan.info.sim_state_size or 0
     given, last = (_dataset(demo, path) for path in (plan.states or "", f"{RCS}/{LAST_STATE}"))
     if given.shape != (steps, size) or last.shape != (size,):
-        raise CorruptEpisode(f"{demo.name} has states of {given.shape} and {last.shape}; expected are {(steps, size)}.")
+        raise CorruptEpisode(f"{demo.name} has states of {given.shape} and {last.shape}; expected {(steps, size)}.")
     return np.concatenate([np.asarray(given[()], np.float64), np.asarray(last[()], np.float64)[None]])
 
 
 def _dataset(demo: Any, path: str) -> Any:
-    """Return an array of numbers, of no more bytes than its file may become."""
+    """Return an array of numbers within the size limit of its file."""
     values: Any = demo.get(path)
     if not is_numeric(values):
         raise CorruptEpisode(f"{demo.name} has no array of numbers {path!r}.")
     if values.ndim < 3 and values.size * values.dtype.itemsize > bound_of(values.file.id.get_filesize()):
-        raise CorruptEpisode(f"{values.name} claims {values.shape}, which is more than its file can have.")
+        raise CorruptEpisode(f"{values.name} claims {values.shape}, which is more than its file can hold.")
     return values
 
 
 def _rows(demo: Any, column: Column, steps: int) -> Iterator[NDArray[Any]]:
-    """Yield the value of each row of an episode, images one by one from the file."""
+    """Yield the value of each row of an episode, reading images one by one."""
     feature = column.feature
 
     def value(given: Any) -> NDArray[Any]:
@@ -130,11 +131,11 @@ def _rows(demo: Any, column: Column, steps: int) -> Iterator[NDArray[Any]]:
 
 def _array(demo: Any, path: str, column: Column, steps: int) -> Any:
     if path not in demo:
-        raise InvalidSetup(f"{demo.name} has no {path!r}, which other episodes have.")
+        raise InvalidSetup(f"{demo.name} lacks {path!r}, which other episodes have.")
     values = _dataset(demo, path)
     expected = steps + 1 if column.is_whole else steps
     if len(values) != expected:
-        raise CorruptEpisode(f"{values.name} has {len(values)} rows; expected are {expected}.")
+        raise CorruptEpisode(f"{values.name} has {len(values)} rows; expected {expected}.")
     if values.size != expected * column.feature.size:
         raise InvalidSetup(f"{values.name} has shape {values.shape[1:]}; other episodes have {column.feature.shape}.")
     return values
@@ -148,5 +149,5 @@ def _steps(demo: Any) -> int:
     if count < 1:
         raise CorruptEpisode(f"{demo.name} has no actions.")
     if np.ndim(told) or told != count:
-        raise CorruptEpisode(f"{demo.name} has {count} actions, and num_samples says {told!r:.80}.")
+        raise CorruptEpisode(f"{demo.name} has {count} actions, but num_samples is {told!r:.80}.")
     return count

@@ -1,9 +1,9 @@
-"""What is in an HDF5 file for robomimic, and which features it becomes.
+"""Maps the contents of an HDF5 file for robomimic to features.
 
-An export of ours says so itself. Of others' files `obs/<name>` becomes `observation/<name>`, images
+Our exports list their features. In other files, `obs/<name>` becomes `observation/<name>`, images
 `observation/frames/<camera>/rgb` or, of uint16, `.../depth`; `actions` become `action/action`, `rewards` `reward`,
-`dones` `terminated`, `states` `simulation/states`; what else is there per step is kept as `imported/<name>`. Whether an
-episode succeeded is known only where the file has a mask "success" or "failure".
+`dones` `terminated`, `states` `simulation/states`; other data per step become `imported/<name>`. An episode's success
+is known only if the file has a mask "success" or "failure".
 """
 
 from __future__ import annotations
@@ -30,43 +30,43 @@ _KNOWN = ("obs", "next_obs", "rewards", "dones", "states", RCS)
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """Where in an episode of the file a feature is."""
+    """The place of a feature in an episode of the file."""
 
     feature: Feature
     """The feature that it becomes."""
     path: str
     """The array with its rows."""
     after: str | None = None
-    """The one with what was seen after each step, if there is one."""
+    """The array of observations after each step, if any."""
     is_whole: bool = False
-    """Whether there is a row for the reset and one after each step, as we write them."""
+    """Whether there is a row for the reset and one after each step, as in our exports."""
 
     @property
     def is_done(self) -> bool:
-        """Whether a row tells what a step did, not what was seen before."""
+        """Whether a row describes what a step did, not the observation before."""
         return self.feature.is_unknown_at_reset or self.feature.key == "terminated"
 
     @property
     def is_repeated(self) -> bool:
-        """Whether nothing in the file is for the last row."""
+        """Whether the file has no value for the last row."""
         return not (self.is_whole or self.is_done or self.after)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SourcePlan:
-    """How a file becomes a dataset."""
+    """How to import a file."""
 
     info: DatasetInfo
-    """What the episodes share."""
+    """The info of the dataset."""
     columns: tuple[Column, ...]
-    """A column per feature, in their order."""
+    """A column per feature, in order."""
     states: str | None = None
-    """The array with the simulation's state, where it is of ours."""
+    """The array of simulation states, if it is from RCS."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DemoAbout:
-    """What of an episode is not in its rows."""
+    """The fields of an episode other than its rows."""
 
     id: str
     """Its id in the dataset."""
@@ -77,45 +77,45 @@ class DemoAbout:
     success: bool | None = None
     """Whether it succeeded."""
     outcome: dict[str, Any] = field(default_factory=dict[str, Any])
-    """What else is known of how it went."""
+    """What else is known about how it went."""
     provenance: dict[str, Any] | None = None
-    """Where it came from, if it was exported by us."""
+    """Its origin, if RCS exported it."""
 
 
 def demo_names(file: Any) -> list[str]:
-    """Return the episodes of a file, "demo_10" behind "demo_9".
+    """Return the episodes of a file, "demo_10" after "demo_9".
 
     Raises:
         InvalidSetup: There are none.
     """
     names = list(file["data"]) if "data" in file and hasattr(file["data"], "keys") else []
     if not names:
-        raise InvalidSetup(f"{file.filename} is no file for robomimic: it has no episodes in a group 'data'.")
+        raise InvalidSetup(f"{file.filename} is not a file for robomimic: it has no episodes in a group 'data'.")
     return sorted(names, key=lambda name: (int((re.findall(r"\d+$", name) or ["0"])[0]), name))
 
 
 def source_plan(file: Any, options: ImportOptions) -> SourcePlan:
-    """Return how a file becomes a dataset.
+    """Return how to import a file.
 
     Args:
         file: The open file.
-        options: How images are stored, and what the file may not say.
+        options: How to store images, and what the file does not say.
 
     Raises:
-        InvalidSetup: It is no file for robomimic, or does not say its rate, and the options do not either.
+        InvalidSetup: It is not a file for robomimic, or its rate is neither in it nor in the options.
     """
     first = file["data"][demo_names(file)[0]]
     return _own_plan(file, options) if RCS in file["data"].attrs else _foreign_plan(file, first, options)
 
 
 def demo_about(file: Any, name: str, index: int, plan: SourcePlan) -> DemoAbout:
-    """Return what of an episode is not in its rows.
+    """Return the fields of an episode other than its rows.
 
     Args:
         file: The open file.
         name: The episode's name there.
         index: Its number, for an id if it has none.
-        plan: For the instruction, if it has none.
+        plan: Has the instruction, if the episode has none.
     """
     demo = file["data"][name]
     words = plan.info.instruction
@@ -140,7 +140,7 @@ def _own_plan(file: Any, options: ImportOptions) -> SourcePlan:
     about = _own_attribute(file, file["data"], RCS)
     described, observations = about.get("info"), about.get("observations")
     if not isinstance(described, dict) or not isinstance(observations, dict):
-        raise CorruptEpisode(f"{file.filename} is damaged: it does not say what its episodes share.")
+        raise CorruptEpisode(f"{file.filename} is damaged: the description of its episodes is missing.")
     info = DatasetInfo.from_json(described)
     features = tuple(stored_as(feature, options) for feature in info.features)
     info = replace(info, features=features, jpeg_quality=options.jpeg_quality)
@@ -158,13 +158,13 @@ def _foreign_plan(file: Any, demo: Any, options: ImportOptions) -> SourcePlan:
     data = file["data"]
     environment = _json_attribute(data, "env_args")
     kwargs = environment.get("env_kwargs")
-    fps = (kwargs.get("control_freq") if isinstance(kwargs, dict) else None) or options.fps
-    if not isinstance(fps, int | float) or not fps:
-        raise InvalidSetup(f"{file.filename} does not say how many steps a second has; give fps.")
+    frequency = (kwargs.get("control_freq") if isinstance(kwargs, dict) else None) or options.frequency
+    if not isinstance(frequency, int | float) or not frequency:
+        raise InvalidSetup(f"{file.filename} does not state its control rate; give frequency.")
     seen = demo.get("obs", {})
     arrays = {f"obs/{name}": values for name, values in seen.items()} if hasattr(seen, "items") else {}
     arrays |= {name: values for name, values in demo.items() if name not in _KNOWN}
-    left_out = {path: "it is no array of numbers" for path, values in arrays.items() if not is_numeric(values)}
+    left_out = {path: "it is not an array of numbers" for path, values in arrays.items() if not is_numeric(values)}
     columns: list[Column] = []
     for path, values in arrays.items():
         if path in left_out:
@@ -186,7 +186,7 @@ def _foreign_plan(file: Any, demo: Any, options: ImportOptions) -> SourcePlan:
     if "states" in demo and is_numeric(demo["states"]) and demo["states"].size:
         columns.append(Column(feature=_feature("simulation/states", demo["states"]), path="states"))
     info = DatasetInfo(
-        fps=float(fps),
+        frequency=float(frequency),
         features=tuple(column.feature for column in columns),
         setup={"imported": {"format": "robomimic", "env_args": environment, "left_out": left_out}},
         instruction=_instruction(data, demo) or options.instruction or str(environment.get("env_name", "")),
@@ -212,7 +212,7 @@ def _feature(key: str, values: Any) -> Feature:
 
 
 def is_numeric(values: Any) -> bool:
-    """Return whether this is an array of numbers, not a group, a text, or a single number."""
+    """Return whether this is an array of numbers, not a group, text, or single number."""
     return getattr(values, "shape", None) is not None and values.ndim > 0 and values.dtype.kind in "fiub"
 
 
@@ -222,15 +222,15 @@ def _names_in(file: Any, path: str) -> list[Any]:
 
 
 def _own_attribute(file: Any, group: Any, name: str) -> dict[str, Any]:
-    """Return what this library wrote beside a group."""
+    """Return the JSON that RCS stored as an attribute of a group."""
     text = group.attrs[name]
     if not isinstance(text, str | bytes):
-        raise CorruptEpisode(f"{file.filename} is damaged: {group.name} says {text!r:.80} as {name!r}.")
+        raise CorruptEpisode(f"{file.filename} is damaged: {group.name} has {text!r:.80} as {name!r}.")
     return parsed_json(text, f"{file.filename}, {group.name}, {name!r}")
 
 
 def _instruction(data: Any, demo: Any) -> str | None:
-    """Return what the robot was asked to do: RoboCasa and LIBERO say so, each in its own place."""
+    """Return what the robot was asked to do, from where RoboCasa or LIBERO store it."""
     words = _json_attribute(demo, "ep_meta").get("lang")
     words = words or _json_attribute(data, "problem_info").get("language_instruction")
     return mended_text(str(words)) if words else None

@@ -1,6 +1,6 @@
-"""TFRecord files and the `tf.train.Example` in each record, as bytes: what TensorFlow reads, written without it.
+"""Writes TFRecord files of `tf.train.Example` records without TensorFlow.
 
-A record is its length (8 bytes, little-endian), the masked CRC-32C of those, the data and the masked CRC-32C of that.
+A record is its length (8 bytes, little-endian), the masked CRC-32C of these, the data and its masked CRC-32C.
 An Example is a Protocol Buffers message: a map from names to lists of bytes, floats or integers.
 """
 
@@ -18,7 +18,7 @@ from rcs.data.convert.crc32c import crc32c
 from rcs.errors import InvalidSetup
 
 Values = Sequence[bytes] | NDArray[np.float32] | NDArray[np.int64]
-"""What a name in an Example may have: byte strings, floats or integers."""
+"""A value in an Example: byte strings, floats or integers."""
 
 # TensorFlow refuses messages of 2 GiB and more.
 _MESSAGE_BYTES = (1 << 31) - 1
@@ -33,8 +33,8 @@ class ShardWriter:
 
         Args:
             folder: Where the files go.
-            stem: What comes before the number of a file.
-            shard_bytes: A record that would make a file longer than this starts a new one.
+            stem: The file name before the number.
+            shard_bytes: Largest size of a file of several records [B].
         """
         self._folder = folder
         self._stem = stem
@@ -57,7 +57,7 @@ class ShardWriter:
         self.data_bytes += len(data)
 
     def close(self) -> None:
-        """Finish the last file, and name all of them now that their number is known.
+        """Complete the last file, and name all files now that their number is known.
 
         Raises:
             OSError: The disk fails.
@@ -93,7 +93,7 @@ def encode_example(features: Mapping[str, Values]) -> bytes:
         features: Byte strings, float32 numbers or int64 numbers by name; arrays are taken row by row.
 
     Raises:
-        InvalidSetup: It is longer than TensorFlow reads.
+        InvalidSetup: It is larger than TensorFlow can read.
     """
     entries: list[bytes] = []
     for name in sorted(features):
@@ -115,7 +115,7 @@ def encode_example(features: Mapping[str, Values]) -> bytes:
 
 
 def _masked(data: bytes) -> bytes:
-    # Rotated and shifted by a constant, so that the checksum of data with checksums in it is no special case.
+    # Rotated and shifted by a constant, so that data containing checksums are not a special case.
     crc = crc32c(data)
     return struct.pack("<I", (((crc >> 15) | (crc << 17)) + 0xA282EAD8) & 0xFFFFFFFF)
 
@@ -132,7 +132,7 @@ def _varints(values: NDArray[Any]) -> bytes:
 
 
 def _varint(value: int) -> bytes:
-    """Return seven bits at a time, the lowest first; the highest bit of a byte says that more follow."""
+    """Return a varint: seven bits per byte, the lowest first; the highest bit means that more follow."""
     parts = bytearray()
     while value > 127:
         parts.append(value & 127 | 128)

@@ -1,12 +1,12 @@
-"""Videos that have exactly the frames they were given, at exactly the times that their place says.
+"""Writes and reads videos with exact frames at exact times.
 
-Frame n is stamped n / fps, never with a time of the wall clock: trainers look frames up by time. Every video is opened
-again after it was written, and its frames and stamps are counted. Key frames are two apart and no frame refers to a
-later one, so a reader gets at any frame by decoding two, and videos join without encoding anew.
+Frame n is stamped n / fps, never with the wall clock, since trainers look frames up by time. After writing, every video
+is opened again, and its frames and stamps are checked. Key frames are two apart and no frame refers to a later one, so
+a reader reaches any frame by decoding two, and videos can be joined without encoding again.
 
 Measured on 224 x 224 pixel frames of a simulated lab, one core: H.264 ("superfast", CRF 18) 1650 to 2000 frames/s,
 1.5 to 3.2 kB a frame, 38 to 40 dB PSNR; AV1 (preset 12, CRF 30, as LeRobot's own) 460 to 690 frames/s, 0.9 to 2.0 kB,
-37 to 38 dB. Half of the resolution of colour is lost in both (4:2:0), which is most of the error.
+37 to 38 dB. Both halve the resolution of colour (4:2:0), which is most of the error.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ from av.error import FFmpegError
 from av.video.reformatter import Interpolation
 from numpy.typing import NDArray
 
-from rcs.data.convert.options import Codec
+from rcs.data.convert.options import VideoCodec
 from rcs.errors import CorruptEpisode, DatasetError, InvalidSetup
 
 _ENCODERS = {"h264": "libx264", "av1": "libsvtav1"}
-# One thread each: episodes are encoded side by side, and the result does not depend on the number of cores.
+# One thread each, since episodes are encoded in parallel, and the result must not depend on the number of cores.
 _OPTIONS: dict[str, dict[str, str]] = {
     "h264": {"preset": "superfast", "crf": "18", "g": "2", "bf": "0"},
     "av1": {"preset": "12", "crf": "30", "g": "2", "svtav1-params": "lp=1"},
 }
-# Without it Matroska files get a random number each.
+# Without it, every Matroska file gets a random number.
 _REPRODUCIBLE = {"fflags": "+bitexact"}
 # SVT-AV1 refuses anything smaller.
 _SMALLEST_AV1 = 64
-# ITU-R BT.601 in limited range: what FFmpeg makes of RGB by default, and so what readers expect.
+# ITU-R BT.601 in limited range, FFmpeg's default for RGB and so what readers expect.
 _BT601, _LIMITED = 5, 1
 # FFmpeg's SWS_BILINEAR | SWS_ACCURATE_RND | SWS_FULL_CHR_H_INT: without the last two, colours come back 1.6 of 255 too
 # dark on average.
 _ACCURATE = 0x2 | 0x40000 | 0x2000
 
 
-def pixel_format(height: int, width: int, codec: Codec) -> str:
-    """Return how pixels are stored: with half the resolution of colour, or all of it where a size is odd.
+def pixel_format(height: int, width: int, codec: VideoCodec) -> str:
+    """Return the pixel format: colour at half resolution, or at full resolution if a size is odd.
 
     Raises:
-        InvalidSetup: The codec cannot take images of this size.
+        InvalidSetup: The codec does not support this image size.
     """
     is_odd = bool(height % 2 or width % 2)
     if codec == "av1" and (is_odd or min(height, width) < _SMALLEST_AV1):
@@ -59,7 +59,9 @@ def pixel_format(height: int, width: int, codec: Codec) -> str:
     return "yuv444p" if is_odd else "yuv420p"
 
 
-def encode_video(path: Path, frames: Iterable[NDArray[Any]], shape: tuple[int, ...], fps: int, codec: Codec) -> int:
+def encode_video(
+    path: Path, frames: Iterable[NDArray[Any]], shape: tuple[int, ...], fps: int, codec: VideoCodec
+) -> int:
     """Write a video and return the number of its frames.
 
     Args:
@@ -70,13 +72,13 @@ def encode_video(path: Path, frames: Iterable[NDArray[Any]], shape: tuple[int, .
         codec: How it is compressed.
 
     Raises:
-        InvalidSetup: The codec cannot take images of this size.
-        DatasetError: The video does not have the frames that it was given, or the disk fails.
+        InvalidSetup: The codec does not support this image size.
+        DatasetError: The video has wrong frames, or the disk fails.
     """
     height, width = shape[:2]
     format_ = pixel_format(height, width, codec)
     if codec == "av1":
-        os.environ.setdefault("SVT_LOG", "1")  # it has no other way to be told not to print thirty lines per video
+        os.environ.setdefault("SVT_LOG", "1")  # otherwise it prints thirty lines per video
     count = 0
     with av.open(str(path), "w", options=_REPRODUCIBLE) as output:
         stream: Any = output.add_stream(_ENCODERS[codec], rate=fps, options=_OPTIONS[codec])
@@ -94,27 +96,27 @@ def encode_video(path: Path, frames: Iterable[NDArray[Any]], shape: tuple[int, .
 
 
 def check_video(path: Path, frames: int, fps: int) -> None:
-    """Count the frames of a video and compare their stamps with the grid of n / fps.
+    """Check the number of frames of a video, and their stamps against n / fps.
 
     Args:
         path: The file.
-        frames: How many there must be.
+        frames: The expected number.
         fps: Frames per second.
 
     Raises:
-        DatasetError: One is missing, too many, or stamped otherwise.
+        DatasetError: A frame is missing, superfluous, or has a wrong stamp.
     """
     with av.open(str(path)) as source:
         stamps = sorted(p.pts * p.time_base for p in source.demux(video=0) if p.pts is not None and p.time_base)
     if stamps != [Fraction(n, fps) for n in range(frames)]:
         raise DatasetError(
             f"The video {path} should have {frames} frames at {fps} Hz and has {len(stamps)}, "
-            "or has them at other times. It was not encoded right; nothing was exported."
+            "or has them at wrong times. Encoding failed; nothing was exported."
         )
 
 
 class VideoJoiner:
-    """Joins videos that `encode_video` made into one, without encoding anew."""
+    """Joins videos of `encode_video` without encoding again."""
 
     def __init__(self, path: Path, fps: int) -> None:
         """Start a file.
@@ -132,15 +134,15 @@ class VideoJoiner:
         self._parameters: Any = None
 
     def takes(self, path: Path) -> bool:
-        """Return whether a video can be joined: whether its decoder needs the same parameters as what is there."""
+        """Return whether a video can be joined: whether its decoder parameters equal those so far."""
         with av.open(str(path)) as source:
             return self._stream is None or _parameters(source) == self._parameters
 
     def append(self, path: Path) -> int:
-        """Add a video to the end, and return the place of its first frame.
+        """Append a video, and return the number of its first frame.
 
         Args:
-            path: The video; `takes` is true of it.
+            path: The video; `takes` returned True for it.
         """
         first = self.frames
         with av.open(str(path)) as source:
@@ -161,10 +163,10 @@ class VideoJoiner:
         return first
 
     def close(self) -> None:
-        """Finish the file and check it; twice is harmless.
+        """Complete the file and check it; calling it twice is harmless.
 
         Raises:
-            DatasetError: A frame is missing, or stamped otherwise than its place says.
+            DatasetError: A frame is missing or has a wrong stamp.
         """
         if self._output is not None:
             self._output.close()
@@ -172,14 +174,14 @@ class VideoJoiner:
             check_video(self.path, self.frames, self._fps)
 
     def abort(self) -> None:
-        """Leave the file as it is."""
+        """Close the file without completing it."""
         if self._output is not None:
             self._output.close()
             self._output = None
 
 
 class VideoReader:
-    """Reads frames of one video by their time, best in order: then each is decoded once and none is kept."""
+    """Reads frames of one video by time; in order, each is decoded once and none is kept."""
 
     def __init__(self, path: Path) -> None:
         """Open a video.
@@ -188,30 +190,30 @@ class VideoReader:
             path: The file.
 
         Raises:
-            CorruptEpisode: It is missing, or is no video.
+            CorruptEpisode: It is missing or not a video.
         """
         self.path = path
-        if not path.is_file():  # a pipe would never end
-            raise CorruptEpisode(f"{path} is missing or no video.")
+        if not path.is_file():  # reading a pipe would never end
+            raise CorruptEpisode(f"{path} is missing or not a video.")
         try:
             self._source = av.open(str(path))
             self._stream = self._source.streams.video[0]
         except (FFmpegError, IndexError) as err:
-            raise CorruptEpisode(f"{path} is missing or no video: {err}.") from err
+            raise CorruptEpisode(f"{path} is missing or not a video: {err}.") from err
         self._frames = self._source.decode(self._stream)
         self._next: av.VideoFrame | None = None
         self._step()
 
     def frames(self, start: float, count: int, fps: float) -> Iterator[NDArray[np.uint8]]:
-        """Yield frames of a constant rate, (H, W, 3) uint8 RGB.
+        """Yield frames at a constant rate, (H, W, 3) uint8 RGB.
 
         Args:
             start: The time of the first [s].
-            count: How many.
+            count: Number of frames.
             fps: Frames per second.
 
         Raises:
-            CorruptEpisode: There is no frame within half a period of a time.
+            CorruptEpisode: No frame is within half a period of a time.
         """
         if self._next is None or _time(self._next) > start + 0.5 / fps:
             self._seek(start)
@@ -225,14 +227,14 @@ class VideoReader:
             yield np.asarray(rgb.to_ndarray(), np.uint8)
 
     def close(self) -> None:
-        """Close the file; twice is harmless."""
+        """Close the file; calling it twice is harmless."""
         self._source.close()
 
     def _step(self) -> None:
         try:
             self._next = next(self._frames, None)
         except FFmpegError as err:
-            raise CorruptEpisode(f"The video {self.path} does not decode: {err}.") from err
+            raise CorruptEpisode(f"Cannot decode the video {self.path}: {err}.") from err
 
     def _seek(self, time: float) -> None:
         base = self._stream.time_base or Fraction(1, 1000)
@@ -242,21 +244,21 @@ class VideoReader:
 
 
 def decode_image(data: bytes) -> NDArray[np.uint8]:
-    """Return the image in the bytes of a file such as a PNG or JPEG, (H, W, 3) uint8 RGB.
+    """Return the image in the bytes of a PNG, JPEG or similar file, (H, W, 3) uint8 RGB.
 
     Raises:
-        CorruptEpisode: The bytes are no image.
+        CorruptEpisode: The bytes are not an image.
     """
     try:
         with av.open(io.BytesIO(data), "r") as source:
             frame = next(source.decode(video=0))
             return np.asarray(frame.reformat(format="rgb24", interpolation=_ACCURATE).to_ndarray(), np.uint8)
     except (FFmpegError, StopIteration, IndexError) as err:
-        raise CorruptEpisode(f"The {len(data)} bytes are no image: {err!r}.") from err
+        raise CorruptEpisode(f"The {len(data)} bytes are not an image: {err!r}.") from err
 
 
 def encode_depth_video(path: Path, frames: Iterable[NDArray[Any]], shape: tuple[int, ...], fps: int) -> int:
-    """Write depth images as a video without loss (FFV1, 16 bits), and return their number.
+    """Write depth images as a lossless video (FFV1, 16 bits), and return their number.
 
     Args:
         path: The file, ending in ".mkv".
@@ -279,19 +281,19 @@ def encode_depth_video(path: Path, frames: Iterable[NDArray[Any]], shape: tuple[
 
 
 def decode_depth_video(path: Path) -> Iterator[NDArray[np.uint16]]:
-    """Yield the depth images that `encode_depth_video` was given.
+    """Yield the depth images that `encode_depth_video` encoded.
 
     Raises:
         CorruptEpisode: The file is missing or damaged.
     """
     if not path.is_file():
-        raise CorruptEpisode(f"{path} is missing or no video.")
+        raise CorruptEpisode(f"{path} is missing or not a video.")
     try:
         with av.open(str(path)) as source:
             for frame in source.decode(video=0):
                 yield np.asarray(frame.to_ndarray(), np.uint16)
-    except (FFmpegError, IndexError) as err:  # the second where there is no video in it
-        raise CorruptEpisode(f"{path} is missing or does not decode: {err}.") from err
+    except (FFmpegError, IndexError) as err:  # the second if it has no video stream
+        raise CorruptEpisode(f"{path} is missing or cannot be decoded: {err}.") from err
 
 
 def _parameters(source: Any) -> tuple[Any, ...]:

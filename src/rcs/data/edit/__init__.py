@@ -1,4 +1,4 @@
-"""Changes of recorded datasets: each takes effect in one step, leaves a line in the history, and can be undone."""
+"""Edits of recorded datasets: each takes effect in one step, is listed in the history, and can be undone."""
 
 from rcs.lazy import load_on_use
 

@@ -1,4 +1,4 @@
-"""One dataset of several, and several of one. Each is the other's inverse."""
+"""Merges several datasets into one and splits one into several; each inverts the other."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ from typing import Any
 import numpy as np
 
 from rcs.data.edit.episodes import require_ids
-from rcs.data.edit.transaction import OnProgress, making
+from rcs.data.edit.transaction import making
 from rcs.data.info import MERGED, DatasetInfo, differences, feature_differences, shared_setup
 from rcs.data.layout import check_name, name_of
+from rcs.data.output import OnProgress
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.errors import DatasetError, InvalidSetup
 
-# What may differ between datasets that are merged.
+# Fields that may differ between merged datasets.
 _OWN = ("setup", "instruction", "jpeg_quality", "jpeg_subsampling", "origin")
 
 
 def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProgress | None = None) -> Dataset:
-    """Make one dataset of the episodes of several with the same features and rate, and return it.
+    """Merge datasets of the same features and rate into a new one, and return it.
 
-    Each episode keeps where it came from (`EpisodeRecord.source`). Ids stay, unless two sources share one: then every
-    id has its source's name before it.
+    Each episode records its origin (`EpisodeRecord.source`). Ids stay the same unless two sources share one; then every
+    id is prefixed with its source's name.
 
     Args:
         sources: The datasets.
@@ -33,7 +34,7 @@ def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProg
 
     Raises:
         InvalidSetup: No sources are given.
-        DatasetError: The sources do not fit each other, and the message says in what; or `out` is not empty.
+        DatasetError: The sources do not fit each other (the message lists how), or `out` is not empty.
         CorruptEpisode: A source is damaged.
     """
     if not sources:
@@ -66,15 +67,15 @@ def split(
     seed: int = 0,
     episodes: Mapping[str, Sequence[str]] | None = None,
 ) -> dict[str, Dataset]:
-    """Make several datasets of one, in `out/<part>`, and return them by name.
+    """Split a dataset into several, in `out/<part>`, and return them by name.
 
     Args:
-        path: The dataset; it stays.
+        path: The dataset, which is not changed.
         out: Where the parts go.
         parts: The share of each part, such as {"train": 0.9, "val": 0.1}; episodes are drawn by the seed.
         seed: Of the draw.
-        episodes: The ids of each part. With neither shares nor ids, a merged dataset is taken apart into its sources,
-            whose episodes have their former ids again.
+        episodes: The ids of each part. With neither shares nor ids, a merged dataset is split into its sources, and
+            episodes get their former ids back.
 
     Raises:
         InvalidSetup: The shares do not sum up to 1, there is no such episode, or the dataset was not merged.
@@ -101,7 +102,7 @@ def split(
 
 
 def provenance(name: str, digest: str, episode: EpisodeRecord) -> dict[str, Any]:
-    """Return where an episode comes from, as its copy elsewhere keeps it.
+    """Return the source to store with a copy of an episode.
 
     Args:
         name: The name of its dataset.
@@ -118,7 +119,7 @@ def provenance(name: str, digest: str, episode: EpisodeRecord) -> dict[str, Any]
 
 
 def source_names(datasets: Sequence[Dataset]) -> list[str]:
-    """Return a name for each dataset: that of its folder, with a number where two are alike."""
+    """Return a name for each dataset: that of its folder, numbered where two are equal."""
     names: list[str] = []
     for dataset in datasets:
         stem = name = name_of(dataset.path)
@@ -133,7 +134,7 @@ def source_names(datasets: Sequence[Dataset]) -> list[str]:
 def _require_fit(name: str, first: Dataset, other_name: str, other: Dataset) -> None:
     if lines := feature_differences(first.info, other.info, names=(name, other_name)):
         text = "\n  ".join(lines)
-        raise DatasetError(f"{name} and {other_name} do not fit each other; mix can map them. What differs:\n  {text}")
+        raise DatasetError(f"{name} and {other_name} do not fit each other; `mix` can map them. Differences:\n  {text}")
 
 
 def _merged_info(names: Sequence[str], datasets: Sequence[Dataset]) -> DatasetInfo:
@@ -145,14 +146,14 @@ def _merged_info(names: Sequence[str], datasets: Sequence[Dataset]) -> DatasetIn
 
 
 def own_parts(names: Sequence[str], datasets: Sequence[Dataset]) -> dict[str, dict[str, Any]]:
-    """Return by its name what each dataset has for itself, where it is merged with others."""
+    """Return for each dataset, by name, what it does not share with the others it is merged with."""
     infos = zip(names, (dataset.info for dataset in datasets), strict=True)
     return {name: {field: getattr(info, field) for field in _OWN} for name, info in infos}
 
 
 def _drawn(dataset: Dataset, parts: Mapping[str, float], seed: int) -> dict[str, list[str]]:
     total = sum(parts.values())
-    if not parts or min(parts.values()) < 0 or not abs(total - 1) <= 1e-6:  # of NaN nothing is true
+    if not parts or min(parts.values()) < 0 or not abs(total - 1) <= 1e-6:  # NaN compares false
         raise InvalidSetup(f"The shares {dict(parts)} sum up to {total:g}; they must not be negative and sum up to 1.")
     ids = [episode.id for episode in dataset.episodes]
     order = np.random.default_rng(seed).permutation(len(ids))

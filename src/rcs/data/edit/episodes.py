@@ -13,7 +13,7 @@ from rcs.errors import InvalidSetup
 
 
 def delete(path: str | Path, episodes: Iterable[str]) -> None:
-    """Take episodes out of a dataset.
+    """Delete episodes of a dataset.
 
     Args:
         path: The dataset.
@@ -21,7 +21,7 @@ def delete(path: str | Path, episodes: Iterable[str]) -> None:
 
     Raises:
         InvalidSetup: There is no such episode; nothing is deleted.
-        DatasetError: Somebody writes to the dataset, or the disk fails; nothing is deleted.
+        DatasetError: Another process writes to the dataset, or the disk fails; nothing is deleted.
     """
     ids = sorted(set(episodes))
     with editing(path, "delete", {"episodes": ids}) as edit:
@@ -32,7 +32,7 @@ def delete(path: str | Path, episodes: Iterable[str]) -> None:
 
 
 def keep(path: str | Path, episodes: Iterable[str]) -> None:
-    """Take all episodes but some out of a dataset.
+    """Delete all episodes but some.
 
     Args:
         path: The dataset.
@@ -40,7 +40,7 @@ def keep(path: str | Path, episodes: Iterable[str]) -> None:
 
     Raises:
         InvalidSetup: There is no such episode; nothing changes.
-        DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
+        DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
     """
     ids = sorted(set(episodes))
     with editing(path, "keep", {"episodes": ids}) as edit:
@@ -50,18 +50,18 @@ def keep(path: str | Path, episodes: Iterable[str]) -> None:
 
 
 def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> None:
-    """Cut rows off the start and the end of an episode; its success stays what it was.
+    """Cut rows off the start and end of an episode; its verdict stays the same.
 
     Args:
         path: The dataset.
         episode: The id.
-        first: The row that becomes the first; what is seen there is the new reset observation.
-        last: The row that becomes the last; -1 for the last there is, -2 for the one before, and so on.
+        first: The row that becomes the first; its observation is the new reset observation.
+        last: The row that becomes the last; negative numbers count from the end, -1 being the last.
 
     Raises:
         InvalidSetup: There is no such episode, or no row would stay; nothing changes.
         CorruptEpisode: The episode is damaged; nothing changes.
-        DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
+        DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
     """
     with editing(path, "trim", {"episode": episode, "first": first, "last": last}) as edit:
         require_ids(edit.dataset, [episode])
@@ -72,8 +72,8 @@ def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> N
             end = record.length + last if last < 0 else last
             if not 0 <= first <= end < record.length:
                 raise InvalidSetup(
-                    f"Rows {first} to {last} of episode {episode!r} are asked for, and it has rows 0 to "
-                    f"{record.length - 1}; the first must not be after the last."
+                    f"Expected rows of episode {episode!r} between 0 and "
+                    f"{record.length - 1}, the first not after the last; got {first} to {last}."
                 )
             edit.write(record, take_rows(rows_of(record), record.info, range(first, end + 1)))
 
@@ -84,11 +84,11 @@ def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | Non
     Args:
         path: The dataset.
         instruction: The new words.
-        episodes: The ids; None for all, and for those to come.
+        episodes: The ids; None for all, and for those recorded later.
 
     Raises:
         InvalidSetup: There is no such episode; nothing changes.
-        DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
+        DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
     """
     ids = None if episodes is None else sorted(set(episodes))
     arguments = {"instruction": instruction, "episodes": ids}
@@ -104,10 +104,10 @@ def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | Non
 
 
 def require_ids(dataset: Dataset, ids: Iterable[str]) -> None:
-    """Refuse ids that no episode has.
+    """Refuse unknown ids.
 
     Raises:
-        InvalidSetup: There is no such episode; the message lists some that there are.
+        InvalidSetup: There is no such episode; the message lists some that exist.
     """
     known = [episode.id for episode in dataset.episodes]
     if missing := sorted(set(ids) - set(known)):

@@ -1,4 +1,4 @@
-"""Edits of cameras: another name, another size."""
+"""Edits of cameras: rename them, resize their frames."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from rcs.data.codec import decode_frame, encode_frame
 from rcs.data.edit.rows import rows_of
-from rcs.data.edit.transaction import OnProgress, editing
+from rcs.data.edit.transaction import editing
 from rcs.data.feature import Feature
 from rcs.data.flags import camera_of
 from rcs.data.info import DatasetInfo
+from rcs.data.output import OnProgress
 from rcs.errors import InvalidSetup
 
 _SINGLE = ("time/frames/", "flags/frames/")
@@ -29,18 +30,18 @@ def cameras_of(info: DatasetInfo) -> list[str]:
 
 
 def rename_camera(path: str | Path, name: str, to: str, *, on_progress: OnProgress | None = None) -> None:
-    """Give a camera another name, in all its features.
+    """Rename a camera in all its features.
 
     Args:
         path: The dataset.
         name: The camera.
-        to: Its name from now on.
+        to: Its new name.
         on_progress: Called with the number of episodes done and of all.
 
     Raises:
-        InvalidSetup: There is no such camera, or already one of the new name; nothing changes.
+        InvalidSetup: There is no such camera, or the new name is taken; nothing changes.
         CorruptEpisode: An episode is damaged; nothing changes.
-        DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
+        DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
     """
     arguments = {"name": name, "to": to}
     with editing(path, "rename-camera", arguments, new_info=lambda info: renamed(info, {name: to})) as edit:
@@ -53,22 +54,22 @@ def rename_camera(path: str | Path, name: str, to: str, *, on_progress: OnProgre
 
 
 def renamed(info: DatasetInfo, names: Mapping[str, str]) -> DatasetInfo:
-    """Return the info with other names of cameras.
+    """Return the info with renamed cameras.
 
     Raises:
-        InvalidSetup: There is no such camera, two would have one name, or the new name cannot be one.
+        InvalidSetup: There is no such camera, two would share a name, or a new name is not valid.
     """
     known = cameras_of(info)
     if unknown := sorted(set(names) - set(known)):
         raise InvalidSetup(f"There is no camera {', '.join(unknown)}; there are {', '.join(known) or 'none'}.")
     after = [names.get(camera, camera) for camera in known]
     if len(set(after)) < len(after):
-        raise InvalidSetup(f"Cameras {known} cannot be renamed to {after}: two would have one name.")
+        raise InvalidSetup(f"Cameras {known} cannot be renamed to {after}: two would share a name.")
     return replace(info, features=tuple(replace(f, key=_renamed_key(f.key, names)) for f in info.features))
 
 
 def with_names(rows: pa.Table, info: DatasetInfo) -> pa.Table:
-    """Return the rows with the names of other features, in the same order."""
+    """Return the rows with renamed columns, in the same order."""
     fields = [*(feature.arrow_field for feature in info.features), *list(rows.schema)[len(info.features) :]]
     return pa.Table.from_arrays([column.combine_chunks() for column in rows.columns], schema=pa.schema(fields))
 
@@ -76,8 +77,8 @@ def with_names(rows: pa.Table, info: DatasetInfo) -> pa.Table:
 def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress | None = None) -> None:
     """Scale all camera frames to another size; intrinsics are scaled with them.
 
-    Colour is averaged over the area of a pixel, depth takes the nearest reading. Colour that is stored as JPEG is
-    encoded anew, at the dataset's quality.
+    Colour is averaged over the area of a pixel, depth takes the nearest reading. JPEGs are encoded again, with the
+    dataset's quality.
 
     Args:
         path: The dataset.
@@ -85,9 +86,9 @@ def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress |
         on_progress: Called with the number of episodes done and of all.
 
     Raises:
-        InvalidSetup: The size makes no sense, or there is no camera; nothing changes.
+        InvalidSetup: The size is not valid, or there is no camera; nothing changes.
         CorruptEpisode: An episode is damaged; nothing changes.
-        DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
+        DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
     """
     with editing(path, "resize", {"size": list(size)}, new_info=lambda info: resized(info, size)) as edit:
         episodes = edit.dataset.episodes
@@ -98,10 +99,10 @@ def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress |
 
 
 def resized(info: DatasetInfo, size: tuple[int, int]) -> DatasetInfo:
-    """Return the info with frames of another size.
+    """Return the info with resized frames.
 
     Raises:
-        InvalidSetup: The size makes no sense, or there is no camera.
+        InvalidSetup: The size is not valid, or there is no camera.
     """
     width, height = size
     if min(size) < 1 or max(size) > 16384:
@@ -115,7 +116,7 @@ def resized(info: DatasetInfo, size: tuple[int, int]) -> DatasetInfo:
 
 
 def with_size(rows: pa.Table, before: DatasetInfo, info: DatasetInfo) -> pa.Table:
-    """Return the rows with all frames scaled from the sizes in one info to those in another."""
+    """Return the rows with all frames scaled from their sizes in one info to those in another."""
     columns: list[pa.Array] = []
     for field in rows.schema:
         column = rows.column(field.name).combine_chunks()
@@ -138,7 +139,7 @@ def with_size(rows: pa.Table, before: DatasetInfo, info: DatasetInfo) -> pa.Tabl
 
 
 def scaled(image: NDArray[Any], feature: Feature) -> NDArray[Any]:
-    """Return an image in the size of a feature: colour averaged, depth by the nearest reading.
+    """Return an image scaled to the size of a feature: colour averaged, depth by the nearest reading.
 
     Args:
         image: Shape (h, w, 3) uint8, or (h, w) uint16.

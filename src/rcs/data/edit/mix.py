@@ -1,4 +1,4 @@
-"""A dataset mixed of others, by numbers of episodes or by shares, with their features brought together."""
+"""Mixes datasets into a new one, by numbers of episodes or by shares, and harmonises their features."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from rcs.data.edit.combine import own_parts, provenance, source_names
 from rcs.data.edit.images import cameras_of, renamed, resized, with_names, with_size
 from rcs.data.edit.rate import at_rate, resampled
 from rcs.data.edit.rows import rows_of
-from rcs.data.edit.transaction import OnProgress, making
+from rcs.data.edit.transaction import making
 from rcs.data.info import MERGED, DatasetInfo, feature_differences, shared_setup
+from rcs.data.output import OnProgress
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.rows import stream_schema
 from rcs.errors import DatasetError, InvalidSetup
@@ -24,37 +25,37 @@ from rcs.errors import DatasetError, InvalidSetup
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """What a mix takes from one dataset."""
+    """The part that a mix takes from one dataset."""
 
     path: Path
     """The dataset."""
     episodes: int | None = None
-    """How many episodes, drawn by the seed; None for all, or for the share."""
+    """Number of episodes, drawn by the seed; None for all, or for the share."""
     share: float | None = None
-    """The weight against the other parts; the mix then has a total."""
+    """Weight relative to the other parts; requires a total."""
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Check the values."""
         if self.episodes is not None and self.share is not None:
             raise InvalidSetup(f"{self.path}: give a number of episodes or a share, not both.")
         if (self.episodes is not None and self.episodes < 0) or (self.share is not None and not self.share > 0):
-            raise InvalidSetup(f"{self.path}: a number of episodes must not be negative, and a share be more than 0.")
+            raise InvalidSetup(f"{self.path}: expected 0 or more episodes, or a share above 0.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Harmonise:
-    """How the features of different datasets are brought together; by default they must be the same."""
+    """How to harmonise the features of different datasets; by default they must be the same."""
 
     common: bool = False
-    """Whether features that are not in every dataset are left out, instead of refused."""
+    """Whether to leave out features that are not in every dataset instead of refusing."""
     drop: tuple[str, ...] = ()
-    """Features to leave out: their keys, or the start of them, such as "observation/frames/side"."""
+    """Features to leave out: their keys, or prefixes of keys, such as "observation/frames/side"."""
     rename: Mapping[str, Mapping[str, str]] = field(default_factory=dict[str, Mapping[str, str]])
-    """Other names of cameras, by the name of the dataset: {"real": {"front": "side"}}."""
+    """New names of cameras, by dataset: {"real": {"front": "side"}}."""
     size: tuple[int, int] | None = None
-    """Width and height of all frames [px]; None for what they are."""
-    fps: float | None = None
-    """The rate of all episodes [Hz]; None for what it is."""
+    """Width and height of all frames [px]; None to keep them."""
+    frequency: float | None = None
+    """Control rate of all episodes [Hz]; None to keep it."""
 
 
 def mix(
@@ -66,19 +67,19 @@ def mix(
     mapping: Harmonise | None = None,
     on_progress: OnProgress | None = None,
 ) -> Dataset:
-    """Make a dataset of episodes of others and return it. Every episode keeps where it came from.
+    """Mix datasets into a new one and return it. Every episode records its origin.
 
     Args:
-        parts: What is taken of which dataset.
+        parts: The parts to take.
         out: The new dataset.
         seed: Of the draw of episodes.
         total: Episodes in all, if the parts have shares.
-        mapping: How different features are brought together; None if they must be the same.
+        mapping: How to harmonise features; None if they must be the same.
         on_progress: Called with the number of episodes done and of all.
 
     Raises:
         InvalidSetup: A part has too few episodes, numbers and shares do not go together, or a name is unknown.
-        DatasetError: The features still differ, and the message says in what; or `out` is not empty.
+        DatasetError: The features still differ (the message lists how), or `out` is not empty.
         CorruptEpisode: A dataset is damaged.
     """
     if not parts:
@@ -123,7 +124,7 @@ def parse_part(text: str) -> Part:
     """Read "real:143" (episodes), "sim:0.7" (a share) or "sim" (all episodes).
 
     Raises:
-        InvalidSetup: What comes after the colon is no number.
+        InvalidSetup: The text after the colon is not a number.
     """
     path, colon, number = text.rpartition(":")
     if not colon:
@@ -136,7 +137,7 @@ def parse_part(text: str) -> Part:
         if Path(text).exists():
             return Part(path=Path(text))
         raise InvalidSetup(
-            f"{text!r} is no part of a mix: give DATASET, DATASET:143 for 143 episodes, or DATASET:0.7 for a share."
+            f"Expected DATASET, DATASET:143 for 143 episodes, or DATASET:0.7 for a share; got {text!r}."
         ) from err
 
 
@@ -146,7 +147,7 @@ def _numbers(parts: Sequence[Part], datasets: Sequence[Dataset], total: int | No
     if has_shares and (total is None or any(share is None for share in shares)):
         raise InvalidSetup("With shares, every part needs one, and the mix a total number of episodes.")
     if total is not None and not has_shares:
-        raise InvalidSetup(f"A total of {total} episodes is given, and no shares; give a share to each part.")
+        raise InvalidSetup(f"A total of {total} episodes needs a share for each part.")
     if total is not None:
         weights = np.array(shares, np.float64)
         ends = np.rint(np.cumsum(weights / weights.sum()) * total).astype(int)
@@ -155,7 +156,7 @@ def _numbers(parts: Sequence[Part], datasets: Sequence[Dataset], total: int | No
         numbers = [len(d) if part.episodes is None else part.episodes for part, d in zip(parts, datasets, strict=True)]
     for number, dataset in zip(numbers, datasets, strict=True):
         if number > len(dataset):
-            raise InvalidSetup(f"{number} episodes of {dataset.path} are asked for, and it has {len(dataset)}.")
+            raise InvalidSetup(f"Expected at most {len(dataset)} episodes of {dataset.path}; got {number}.")
     return numbers
 
 
@@ -165,12 +166,12 @@ def _drawn(dataset: Dataset, number: int, rng: np.random.Generator) -> list[Epis
 
 
 def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Harmonise) -> list[DatasetInfo]:
-    """Return what each dataset's episodes are after the mapping; but for their sources' setups these are the same."""
+    """Return the info of each dataset's episodes after the mapping; only the setups differ."""
     infos: list[DatasetInfo] = []
     for name, dataset in zip(names, datasets, strict=True):
         info = renamed(dataset.info, how.rename.get(name, {}))
-        if how.fps is not None and info.fps != how.fps:
-            info = at_rate(info, how.fps)
+        if how.frequency is not None and info.frequency != how.frequency:
+            info = at_rate(info, how.frequency)
         if how.size is not None and cameras_of(info):
             info = resized(info, how.size)
         kept = [f for f in info.features if not any(f.key == key or f.key.startswith(f"{key}/") for key in how.drop)]
@@ -189,14 +190,14 @@ def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Ha
         if lines := feature_differences(first, replace(info, features=tuple(ordered)), names=(names[0], name)):
             text = "\n  ".join(lines)
             raise DatasetError(
-                f"{names[0]} and {name} do not fit each other. Leave out what differs (drop, common), rename cameras, "
-                f"or give one size and rate (size, fps). What differs:\n  {text}"
+                f"{names[0]} and {name} do not fit each other. Leave out features (drop, common), rename cameras, "
+                f"or give one size and rate (size, frequency). Differences:\n  {text}"
             )
     return [replace(info, features=first.features) for info in infos]
 
 
 def _rows_stay(before: DatasetInfo, after: DatasetInfo) -> bool:
-    return before.features == after.features and before.fps == after.fps
+    return before.features == after.features and before.frequency == after.frequency
 
 
 def _mapped(rows: pa.Table, before: DatasetInfo, after: DatasetInfo, rename: Mapping[str, str]) -> pa.Table:
@@ -204,8 +205,8 @@ def _mapped(rows: pa.Table, before: DatasetInfo, after: DatasetInfo, rename: Map
     if rename:
         info = renamed(info, rename)
         rows = with_names(rows, info)
-    if info.fps != after.fps:
-        rows = resampled(rows, info, after.fps)
+    if info.frequency != after.frequency:
+        rows = resampled(rows, info, after.frequency)
     sizes = {feature.key: feature for feature in after.features}
     target = replace(info, features=tuple(sizes.get(f.key, f) if f.is_image else f for f in info.features))
     if target.features != info.features:

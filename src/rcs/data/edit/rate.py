@@ -1,4 +1,4 @@
-"""Another rate: fewer steps per second, each of which does what several did."""
+"""Resamples episodes to fewer steps per second, each of which replaces several."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from numpy.typing import NDArray
 
 from rcs.data.content import flat_numbers
 from rcs.data.edit.rows import last_valid, rows_of, take_rows
-from rcs.data.edit.transaction import OnProgress, editing
+from rcs.data.edit.transaction import editing
 from rcs.data.feature import Feature
 from rcs.data.flags import FrameFlag, camera_of
 from rcs.data.info import DatasetInfo
+from rcs.data.output import OnProgress
 from rcs.errors import InvalidSetup
 from rcs.spatial import compose, normalize, tquat_to_xyzrpy, xyzrpy_to_tquat
 
 
-def resample(path: str | Path, fps: float, *, on_progress: OnProgress | None = None) -> None:
-    """Lower the rate, as from 30 to 5 Hz for policies that predict the next of few steps.
+def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | None = None) -> None:
+    """Lower the control rate, for example from 30 to 5 Hz for policies that predict coarse steps.
 
-    A step of the new rate ends where the nearest row of the old one is; the last row always stays. Its action is what
-    the steps it stands for did together: the last of absolute targets; of targets relative to the step before, their
-    sum, rotations composed. Rewards are summed, and a flag is set if it was set in any of them.
+    A new step ends at the nearest old row; the last row always stays. Its action combines those of the steps it
+    replaces: the last one if targets are absolute; if they are relative to the step before, their sum, with rotations
+        composed. Rewards are summed, and flags are combined by or.
 
     Args:
         path: The dataset.
-        fps: The new rate [Hz], at most that of the dataset.
+        frequency: The new rate [Hz], at most that of the dataset.
         on_progress: Called with the number of episodes done and of all.
 
     Raises:
@@ -38,34 +39,36 @@ def resample(path: str | Path, fps: float, *, on_progress: OnProgress | None = N
         CorruptEpisode: An episode is damaged; nothing changes.
         DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
     """
-    with editing(path, "resample", {"fps": fps}, new_info=lambda info: at_rate(info, fps)) as edit:
+    with editing(path, "resample", {"frequency": frequency}, new_info=lambda info: at_rate(info, frequency)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
-            edit.write(episode, resampled(rows_of(episode), episode.info, fps))
+            edit.write(episode, resampled(rows_of(episode), episode.info, frequency))
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 
 
-def at_rate(info: DatasetInfo, fps: float) -> DatasetInfo:
+def at_rate(info: DatasetInfo, frequency: float) -> DatasetInfo:
     """Return the info at a lower rate.
 
     Raises:
         InvalidSetup: The rate is not lower than the dataset's.
     """
-    if not 0 < fps < info.fps:
-        raise InvalidSetup(f"fps is {fps:g}; a dataset of {info.fps:g} Hz can be resampled to less, and more than 0.")
-    return replace(info, fps=fps)
+    if not 0 < frequency < info.frequency:
+        raise InvalidSetup(
+            f"frequency is {frequency:g}; valid is above 0 and below the dataset's {info.frequency:g} Hz."
+        )
+    return replace(info, frequency=frequency)
 
 
-def resampled(rows: pa.Table, info: DatasetInfo, fps: float) -> pa.Table:
+def resampled(rows: pa.Table, info: DatasetInfo, frequency: float) -> pa.Table:
     """Return the rows of an episode at a lower rate.
 
     Args:
         rows: All its rows.
-        info: What its columns are, and their rate.
-        fps: The new rate [Hz].
+        info: Its features and rate.
+        frequency: The new rate [Hz].
     """
-    kept = kept_rows(rows.num_rows, info.fps / fps)
+    kept = kept_rows(rows.num_rows, info.frequency / frequency)
     taken = take_rows(rows, info, kept)
     columns = {field.name: taken.column(field.name).combine_chunks() for field in taken.schema}
     is_relative = info.setup.get("relative") == "last_step"
@@ -83,7 +86,7 @@ def resampled(rows: pa.Table, info: DatasetInfo, fps: float) -> pa.Table:
 
 
 def kept_rows(length: int, ratio: float) -> NDArray[np.int64]:
-    """Return the rows of an episode that stay: nearest to the new rate's grid, the first and the last among them.
+    """Return the rows of an episode to keep: those nearest to the new rate's grid, with the first and the last.
 
     Args:
         length: Rows of the episode.
@@ -93,7 +96,7 @@ def kept_rows(length: int, ratio: float) -> NDArray[np.int64]:
         return np.arange(length)
     grid = np.rint(np.arange(0, length + ratio) * ratio).astype(np.int64)
     grid = grid[grid < length]
-    # What is left after the last row of the grid belongs to it, or is a step of its own, whichever is nearer.
+    # The rest after the last row of the grid joins it or is a step of its own, whichever is nearer.
     rest = length - 1 - grid[-1]
     if len(grid) > 1 and rest < ratio / 2:
         grid[-1] = length - 1
@@ -103,7 +106,7 @@ def kept_rows(length: int, ratio: float) -> NDArray[np.int64]:
 
 
 def _groups(kept: NDArray[np.int64]) -> list[slice]:
-    """Return for each kept row but the first the rows that it stands for."""
+    """Return for each kept row but the first the rows that it replaces."""
     return [slice(int(a) + 1, int(b) + 1) for a, b in itertools.pairwise(kept)]
 
 
@@ -134,7 +137,7 @@ def _joints(steps: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _tquat(steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    # A relative step turns about the axes of the base, so a later one comes from the left.
+    # A relative step turns about the axes of the base, so a later one is multiplied from the left.
     turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     for step in normalize(steps):
         turn = compose(np.concatenate([np.zeros(3), step[3:]]), turn)
@@ -146,7 +149,7 @@ def _xyzrpy(steps: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 _TOGETHER: dict[str, Any] = {"joints": _joints, "tquat": _tquat, "xyzrpy": _xyzrpy}
-"""What several relative actions do together, by the last word of their key."""
+"""How to combine several relative actions, by the last word of their key."""
 
 
 def _together(column: pa.Array, feature: Feature, kept: NDArray[np.int64]) -> pa.Array:

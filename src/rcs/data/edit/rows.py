@@ -1,4 +1,4 @@
-"""The rows of an episode as one table, and what it takes to cut pieces out of them."""
+"""The rows of an episode as one table, and how to cut pieces out of it."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def rows_of(episode: EpisodeRecord) -> pa.Table:
 
 
 def take_rows(table: pa.Table, info: DatasetInfo, rows: Sequence[int] | NDArray[np.intp]) -> pa.Table:
-    """Return some rows as an episode of their own: what a row has from the one before it, it still has.
+    """Return some rows as an episode of their own; values that a row repeats from an earlier one are filled in.
 
-    Action and reward of the new first row are taken away, for what led to it is no part of the episode.
+    The new first row loses action and reward, since the step before it is not part of the episode.
 
     Args:
         table: All rows of an episode.
-        info: What its columns are.
+        info: Its features.
         rows: The rows, ascending.
     """
     chosen = np.asarray(rows, np.int64)
@@ -53,13 +53,13 @@ def take_rows(table: pa.Table, info: DatasetInfo, rows: Sequence[int] | NDArray[
 
 
 def last_valid(column: pa.Array) -> NDArray[np.int64]:
-    """Return for each row the last one up to it that has a value, or -1."""
+    """Return for each row the last row up to it that has a value, or -1."""
     rows = np.where(column.is_valid().to_numpy(zero_copy_only=False), np.arange(len(column)), -1)
     return np.maximum.accumulate(rows) if len(rows) else rows
 
 
 def _take_held(column: pa.Array, rows: NDArray[np.int64]) -> pa.Array:
     origin = last_valid(column)[rows]
-    # Stored once: where it comes from the same row as the one before, and where there was nothing yet.
+    # Null where the value repeats the row before, and where there is none yet.
     is_null = (np.diff(origin, prepend=-1) == 0) | (origin < 0)
     return column.take(pa.array(np.where(is_null, 0, origin), mask=is_null))

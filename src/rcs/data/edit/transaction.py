@@ -1,7 +1,7 @@
-"""An edit under way: a new generation of a dataset's episodes, or a new dataset, that counts only when it is complete.
+"""Transactions: a new generation of a dataset's episodes, or a new dataset, takes effect only when complete.
 
-Episodes are never changed. In a new generation an unchanged one is a folder of links to the same files. Until
-`dataset.json` names the generation nobody reads it, and what a kill leaves of it is removed by the next edit.
+Episodes are never changed. In a new generation, an unchanged one is a folder of links to the same files. Nothing reads
+a generation before `dataset.json` names it, and the next edit removes what a kill left of it.
 """
 
 from __future__ import annotations
@@ -38,32 +38,29 @@ from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.recover import unreachable_generations
 from rcs.errors import DatasetError, InvalidSetup
 
-OnProgress = Callable[[int, int], object]
-"""Called with the number of episodes done and of all."""
-
 
 class EpisodeFolder:
     """A folder that is being filled with complete episodes."""
 
     def __init__(self, base: Path, info: DatasetInfo, place: Callable[[Path, Path], object]) -> None:
-        """Start with no episode.
+        """Start with no episodes.
 
         Args:
             base: Its episodes go to `base/episodes`.
             info: What they share.
-            place: Puts a file of another episode there, by a link or as a copy.
+            place: Links or copies a file of another episode.
         """
         self.info = info
         self._base = base
         self._place = place
 
     def keep(self, episode: EpisodeRecord, *, episode_id: str | None = None, **about: Any) -> None:
-        """Take over an episode with all its rows.
+        """Add an episode with all its rows unchanged.
 
         Args:
             episode: The episode.
-            episode_id: Its id from now on; None for the same.
-            about: What `episode.json` says otherwise from now on.
+            episode_id: Its new id; None for the same.
+            about: Fields of `episode.json` to change.
 
         Raises:
             CorruptEpisode: Its `episode.json` is damaged.
@@ -82,15 +79,15 @@ class EpisodeFolder:
         sync_folder(folder)
 
     def write(self, episode: EpisodeRecord, rows: pa.Table, *, episode_id: str | None = None, **about: Any) -> None:
-        """Write other rows of an episode.
+        """Add an episode with new rows.
 
         Args:
-            episode: Where the rest of `episode.json` comes from.
+            episode: Source of the other fields of `episode.json`.
             rows: The rows, with the columns of `stream_schema`.
-            episode_id: Its id from now on; None for the same.
-            about: What `episode.json` says otherwise from now on.
+            episode_id: Its new id; None for the same.
+            about: Fields of `episode.json` to change.
         """
-        found = ("length", "content_hash", "sha256", "quality", "schema_version")
+        found = ("length", "content_hash", "sha256", "timing", "schema_version")
         kept = {key: value for key, value in episode.about.items() if key not in found}
         name = episode_id or episode.id
         seal(
@@ -98,21 +95,21 @@ class EpisodeFolder:
             self.info,
             cut(rows, self.info),
             {**kept, "id": name, **about},
-            quality=_same_writer(episode),
+            timing=_same_writer(episode),
         )
 
     def _new(self, episode_id: str) -> Path:
         check_episode_id(episode_id)
         folder = episode_folder(self._base, episode_id)
         if folder.exists():
-            raise InvalidSetup(f"There would be two episodes {episode_id!r}; choose other ids.")
+            raise InvalidSetup(f"The id {episode_id!r} is given to two episodes; choose different ids.")
         folder.mkdir()
         return folder
 
 
 def _same_writer(episode: EpisodeRecord) -> Callable[[], Mapping[str, Any]]:
-    """Keep what the quality report says of the recording and cannot be found in the rows."""
-    kept = {key: value for key, value in episode.quality.items() if key in ("writer", "is_torn")}
+    """Return the entries of the timing report that cannot be computed from the rows."""
+    kept = {key: value for key, value in episode.timing.items() if key in ("writer", "is_torn")}
     return lambda: kept
 
 
@@ -120,7 +117,7 @@ class Transaction(EpisodeFolder):
     """A new generation of a dataset; made by `editing`."""
 
     def __init__(self, dataset: Dataset, info: DatasetInfo, generation: int) -> None:
-        """Start with no episode; use `editing`."""
+        """Start with no episodes; use `editing`."""
         super().__init__(generation_folder(dataset.path, generation), info, link_file)
         self.dataset = dataset
         self.generation = generation
@@ -134,21 +131,21 @@ def editing(
     *,
     new_info: Callable[[DatasetInfo], DatasetInfo] = lambda info: info,
 ) -> Generator[Transaction]:
-    """Edit a dataset: inside the block its new generation is filled; at the end of the block it becomes current.
+    """Edit a dataset: the block fills a new generation, which becomes current at its end.
 
     Args:
         path: The dataset's folder.
-        command: What is done, for the history.
-        arguments: With what, for the history, as JSON values.
-        new_info: What the episodes share after the edit, by what they shared before.
+        command: The edit, for the history.
+        arguments: Its arguments, for the history, as JSON values.
+        new_info: Returns the info after the edit, given that before.
 
     Raises:
-        DatasetError: There is no dataset, somebody writes to it, an episode of a killed recording is still open, or the
-            disk fails. After any error the dataset is as it was.
+        DatasetError: There is no dataset, another process writes to it, an episode of a killed recording is still open,
+            or the disk fails. An error leaves the dataset unchanged.
         CorruptEpisode: The dataset is damaged.
     """
     root = Path(path)
-    read_head(root)  # before a lock is made where there is no dataset
+    read_head(root)  # before a lock is created
     with DatasetLock.writer(root):
         dataset = Dataset.open(root)
         head = dataset.head
@@ -190,14 +187,14 @@ def _commit(transaction: Transaction, head: Head, command: str, arguments: dict[
 
 @contextlib.contextmanager
 def making(out: str | Path, info: DatasetInfo) -> Generator[EpisodeFolder]:
-    """Make a dataset of episodes of others: it is filled in the block, and at the end of the block it is there.
+    """Make a dataset of episodes of others: the block fills it, and it appears at its end.
 
     Args:
         out: Its folder; nothing may be there.
         info: What its episodes share.
 
     Raises:
-        DatasetError: There is something in the folder, or the disk fails; then nothing is left.
+        DatasetError: The folder is not empty, or the disk fails; then nothing is left behind.
     """
     with new_output(out) as partial:
         episodes_folder(partial).mkdir(parents=True)
@@ -208,5 +205,5 @@ def making(out: str | Path, info: DatasetInfo) -> Generator[EpisodeFolder]:
 
 
 def now() -> str:
-    """Return the wall clock as the history has it."""
+    """Return the wall clock in the format of the history."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")

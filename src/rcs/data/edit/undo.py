@@ -1,4 +1,4 @@
-"""Undo, and giving up the possibility of it."""
+"""Undoes edits, or prunes what undo needs."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ UNDO = "undo"
 
 
 def undo(path: str | Path) -> Edit:
-    """Take back the last edit that was not taken back yet, and return it.
+    """Undo the last edit that is not undone yet, and return it.
 
     Args:
         path: The dataset.
 
     Raises:
         DatasetError: There is nothing to undo, the former episodes were pruned, episodes were recorded since, or
-            somebody writes to the dataset; nothing changes.
+            another process writes to the dataset; nothing changes.
         CorruptEpisode: The dataset is damaged.
     """
     root = Path(path)
@@ -37,7 +37,7 @@ def undo(path: str | Path) -> Edit:
             raise DatasetError(f"There is nothing to undo in {root}: its episodes are as they were recorded.")
         base, former = (generation_folder(root, n) for n in (head.generation, edit.before))
         if not episodes_folder(former).exists():
-            raise DatasetError(f"The episodes from before {edit.command!r} of {edit.at} were pruned from {root}.")
+            raise DatasetError(f"Cannot undo {edit.command!r} of {edit.at}: the former episodes of {root} were pruned.")
         if since := sorted({*complete_ids(base), *open_ids(base)} - set(edit.episodes)):
             raise DatasetError(
                 f"Episodes {', '.join(since[:5])} were recorded into {root} since {edit.command!r}; undo would lose "
@@ -60,15 +60,15 @@ def undo(path: str | Path) -> Edit:
 
 
 def prune(path: str | Path) -> int:
-    """Remove the episodes of former generations for good, and return how many bytes became free.
+    """Remove the episodes of former generations for good, and return the bytes freed.
 
-    The history keeps its lines; undo of what is in it is no longer possible.
+    The history stays, but the edits in it can no longer be undone.
 
     Args:
         path: The dataset.
 
     Raises:
-        DatasetError: Somebody writes to the dataset, or the disk fails.
+        DatasetError: Another process writes to the dataset, or the disk fails.
         CorruptEpisode: The dataset is damaged.
     """
     root = Path(path)
@@ -86,7 +86,7 @@ def prune(path: str | Path) -> int:
 
 
 def _files(bases: list[Path]) -> dict[int, int]:
-    """Return the size of each file of the episodes by its number on the disk, which all its names share."""
+    """Return the size of each file of the episodes by inode."""
     paths = [path for base in bases for path in episodes_folder(base).rglob("*") if path.is_file()]
     return {about.st_ino: about.st_size for about in (path.stat() for path in paths)}
 

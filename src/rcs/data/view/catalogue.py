@@ -42,7 +42,7 @@ def catalogue(
     return {
         "name": dataset.path.resolve().name,
         "instruction": info.instruction,
-        "fps": info.fps,
+        "fps": info.frequency,
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "isFasterThanLife": is_faster_than_life(info),
         "setup": simple + [[name, version] for name, version in sorted(info.versions.items())],
@@ -77,7 +77,7 @@ def _summary(dataset: Dataset, whole: Sequence[EpisodeRecord], wall_time: float 
     low, high = verdicts.interval
     rows = sum(record.length for record in whole)
     failed = Counter(str(r.outcome.get("failure") or "not classified") for r in whole if r.success is False)
-    periods = [period for record in whole if (period := record.quality.get("period"))]
+    periods = [period for record in whole if (period := record.timing.get("period"))]
     recording: list[list[str]] = []
     if periods:
         mean = sum(period["mean"] for period in periods) / len(periods)

@@ -94,7 +94,7 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
     limits = None if feature.shape[-1:] == (3,) and len(feature.shape) == 3 else _limits(episode, feature)
     encoder, fixed = _ENCODERS[options.codec]
     settings = {**fixed, "crf": str(options.quality), "g": str(options.whole_frame_every)}
-    rate = Fraction(episode.info.fps).limit_denominator(1000)
+    rate = Fraction(episode.info.frequency).limit_denominator(1000)
     rows, columns = _size(feature, options.height)
     frames = 0
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
@@ -164,7 +164,7 @@ def _limits(episode: EpisodeRecord, feature: Feature) -> _Limits:
                 last = data
             else:
                 spans.append(spans[-1])
-        reach = max(1, round(_WINDOW * episode.info.fps))
+        reach = max(1, round(_WINDOW * episode.info.frequency))
         return _apart(_smooth(np.array(spans[1:], np.float64).reshape(-1, 2), reach))
     shown = np.unique(np.linspace(0, episode.length - 1, _SAMPLES).astype(int))
     samples = episode.column(feature.key)[shown].astype(np.float64)

@@ -143,7 +143,7 @@ def _marks(episode: EpisodeRecord) -> Iterator[tuple[str, str, NDArray[np.intp]]
         yield from ((camera, flaw, np.flatnonzero(rows)) for flaw, rows in named.items() if rows.any())
     if is_faster_than_life(episode.info):
         return
-    wanted = 1 / episode.info.fps
+    wanted = 1 / episode.info.frequency
     with np.errstate(invalid="ignore"):  # a period that was not measured is no flaw
         periods = _periods(episode)
         gap, backwards = periods > _GAP * wanted, periods <= 0

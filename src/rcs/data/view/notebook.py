@@ -44,14 +44,14 @@ def dataset_html(dataset: Dataset) -> str:
     more = len(dataset) - len(shown)
     rest = f"<p>and {more} more; <code>rcs data view</code> shows all.</p>" if more > 0 else ""
     head = "<tr><th>episode</th><th>outcome</th><th>steps</th><th>first frames</th></tr>"
-    facts = f"{len(dataset)} episodes at {dataset.info.fps:g} Hz"
+    facts = f"{len(dataset)} episodes at {dataset.info.frequency:g} Hz"
     return f"<p><b>{name}</b>: {task}<br>{facts}</p><table>{head}{rows}</table>{rest}"
 
 
 def episode_html(record: EpisodeRecord) -> str:
     """Return the facts of an episode, with the first, a middle and the last frame of each camera."""
     try:
-        facts = f"{_verdict(record)}, {record.length} steps at {record.info.fps:g} Hz, seed {record.seed}"
+        facts = f"{_verdict(record)}, {record.length} steps at {record.info.frequency:g} Hz, seed {record.seed}"
         steps = sorted({0, record.length // 2, record.length - 1})
         lines = [f"<div>{''.join(_tags(record, feature, steps))}</div>" for feature in _cameras(record)]
         text = f"{html.escape(record.instruction)}<br>{facts}"

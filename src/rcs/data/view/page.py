@@ -196,9 +196,9 @@ def _key(record: EpisodeRecord, options: ClipOptions) -> str:
     about: dict[str, Any] = {
         "format": _FORMAT,
         "content": record.content_hash,
-        "quality": record.quality,  # the content is without times and flags
+        "quality": record.timing,  # the content is without times and flags
         "length": record.length,
-        "fps": info.fps,
+        "fps": info.frequency,
         "mode": [info.setup.get("mode"), info.sim_state_size],
         "features": [feature.to_json() for feature in info.features],
         "curves": [curve.to_json() for curve in curves(info)],

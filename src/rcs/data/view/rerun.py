@@ -56,7 +56,7 @@ def write_rerun(
         for done, episode in enumerate(chosen):
             _Episode(rr, recording, episode, first_row, start).send()
             first_row += episode.length
-            start += episode.length / dataset.info.fps + _PAUSE
+            start += episode.length / dataset.info.frequency + _PAUSE
             if on_progress is not None:
                 on_progress(done + 1, len(chosen))
         recording.flush()
@@ -82,7 +82,7 @@ class _Episode:
         self._recording = recording
         self._episode = episode
         self._rows = first_row + np.arange(episode.length)
-        self._times = start + np.arange(episode.length) / episode.info.fps
+        self._times = start + np.arange(episode.length) / episode.info.frequency
 
     def send(self) -> None:
         if not self._episode.length:

@@ -8,11 +8,11 @@ from rcs.envs.layers.layer import Layer
 from rcs.envs.spaces import GRIPPER, Action
 
 THRESHOLD = 0.5
-"""An action of at least this opens."""
+"""Actions of at least this open the gripper."""
 
 
 class BinaryGripper(Layer):
-    """Open the gripper fully for an action of 0.5 and more, close it fully for less."""
+    """Open the gripper fully for actions of at least 0.5, close it fully for others."""
 
     def map_action(self, action: Action) -> Action:
         """Round the gripper's action to 0 or 1."""

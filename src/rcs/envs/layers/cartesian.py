@@ -1,4 +1,4 @@
-"""Actions that say where the TCP shall be instead of where the joints shall be."""
+"""Actions that are TCP poses instead of joint positions."""
 
 from __future__ import annotations
 
@@ -8,20 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
-from rcs.envs.spaces import JOINTS, TQUAT, Action, Observation, tquat_space
+from rcs.envs.spaces import JOINTS, MINIMAL_NORM, TQUAT, Action, Observation, tquat_space
 from rcs.errors import InvalidAction
 from rcs.kinematics import DampedLeastSquares, IkOptions, IkStatus
 from rcs.spatial import normalize
-
-MINIMAL_NORM = 0.1
-"""A quaternion shorter than this has no direction that anybody meant."""
 
 
 class CartesianControl(Layer):
     """Take `tquat` actions (TCP in the robot's base frame) and pass them on as `joints` by inverse kinematics.
 
-    The solve starts at the last joint target and stays on its branch. A pose that cannot be reached leaves the target
-    where it is; `info["ik_status"]` says so (values of `IkStatus`).
+    The solver starts at the last joint target and stays on its branch. An unreachable pose keeps the last target;
+    `info["ik_status"]` reports it (values of `IkStatus`).
     """
 
     def __init__(self, kinematics: DampedLeastSquares, *, max_step: float = np.inf) -> None:
@@ -29,7 +26,7 @@ class CartesianControl(Layer):
 
         Args:
             kinematics: Of the arm with its gripper.
-            max_step: Largest change of any joint per action [rad]; solutions farther away are clamped towards.
+            max_step: Largest change of any joint per action [rad]; targets farther away are clamped.
         """
         self._kinematics = kinematics
         self._options = IkOptions(max_step=max_step, restarts=0, iterations=50)
@@ -79,7 +76,7 @@ class CartesianControl(Layer):
         return mapped
 
     def map_executed(self, executed: Action) -> Action:
-        """Start the next solve where the arm was really sent, and say which pose that is."""
+        """Start the next solve at the executed target, and return its pose."""
         if self._solved is None:
             raise RuntimeError("CartesianControl.map_executed was called before map_action")
         joints = executed[JOINTS]
@@ -88,7 +85,7 @@ class CartesianControl(Layer):
         if joints is not solved:
             is_elsewhere = is_elsewhere | (joints != solved).any(axis=-1)
         if is_elsewhere.any():
-            # Copy by copy: the pose of one must not depend on what happened to another.
+            # Copy by copy, since the pose of one must not depend on another's.
             pose = pose.copy()
             pose[is_elsewhere] = self._kinematics.forward_batch(joints[is_elsewhere])
         self._joints = joints
@@ -101,5 +98,5 @@ class CartesianControl(Layer):
         return {"ik_status": self._status}
 
     def __str__(self) -> str:
-        """Return the layer as the printed stack shows it."""
+        """Return the layer for the printed stack."""
         return f"CartesianControl(tquat -> joints, {IkStatus.__name__} in info)"

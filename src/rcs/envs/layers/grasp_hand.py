@@ -16,7 +16,7 @@ from rcs.envs.spaces import GRIPPER, HAND, Action, Observation, normalised_space
 class GraspHand(Layer):
     """Take `gripper` actions, 0.5 and more for the open hand, less for the grasp, and pass on `hand` targets.
 
-    The observation gets `gripper` too: how far the joints are on the way from the grasp (0) to the open hand (1).
+    The observation also gets `gripper`: the progress of the joints from the grasp (0) to the open hand (1).
     """
 
     def __init__(self, open_pose: Sequence[float], grasp: Sequence[float]) -> None:
@@ -29,7 +29,7 @@ class GraspHand(Layer):
         self._open = np.array(open_pose, np.float32)
         self._grasp = np.array(grasp, np.float32)
         way = self._open - self._grasp
-        # By hand: a BLAS product may differ in the last bit from one array in memory to the next.
+        # Not by BLAS, whose last bit may depend on the array's place in memory.
         self._along = way / np.float32(max(sum(float(part) ** 2 for part in way), 1e-12))
 
     def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
@@ -51,14 +51,14 @@ class GraspHand(Layer):
         return mapped
 
     def map_executed(self, executed: Action) -> Action:
-        """Say which of the two it was."""
+        """Return which of the two poses was executed."""
         is_open = (executed[HAND] == self._open).all(axis=-1, keepdims=True).astype(np.float32)
         mapped = {key: value for key, value in executed.items() if key != HAND}
         mapped[GRIPPER] = is_open
         return mapped
 
     def map_observation(self, observation: Observation) -> Observation:
-        """Add how far the hand is open."""
-        # In a fixed order, which neither a product nor a sum has: copies must have the bits of a single environment.
+        """Add the opening of the hand."""
+        # In a fixed order, unlike a matrix product or sum: copies must have the bits of a single environment.
         along = np.add.accumulate((observation[HAND] - self._grasp) * self._along, axis=-1)[..., -1]
         return {**observation, GRIPPER: np.clip(along, 0.0, 1.0)[..., None].astype(np.float32)}

@@ -1,11 +1,10 @@
 """The interface of a layer, the f and g of the paper's wrapper W = <f, g, P', R'>.
 
-A layer maps actions down (g, `map_action`) and observations up (f, `map_observation`). It touches no device, reads no
-clock and moves no time; arrays are indexed from the right, so that one layer serves one environment and a batch of any
-size.
+A layer maps actions down (g, `map_action`) and observations up (f, `map_observation`). It uses no device and no clock;
+arrays are indexed from the right, so that one layer serves one environment and a batch of any size.
 
 A layer that remembers targets changes them in `map_executed`, `reset` and `rebase` only: `map_action` is also called
-for actions that are refused further down, and these must leave no trace.
+for actions that a lower layer refuses, which must leave no trace.
 """
 
 from __future__ import annotations
@@ -50,10 +49,10 @@ class Layer:
         """
 
     def rebase(self, observation: Observation) -> None:
-        """Make what follows count from the measured state; the episode goes on.
+        """Make following actions count from the measured state; the episode goes on.
 
-        Called after the devices were held, recovered or moved by somebody else. A layer that remembers targets takes
-        the measured state in their place.
+        Called after the devices were held, recovered or moved by somebody else. A layer that remembers targets replaces
+        them by the measured state.
 
         Args:
             observation: Present observation, as the level below gives it.
@@ -64,10 +63,10 @@ class Layer:
         return action
 
     def map_executed(self, executed: Action) -> Action:
-        """Return what this level's action came to, given what the level below made of it.
+        """Return the executed action of this level, given that of the level below.
 
         Called when all devices have taken the action of the last `map_action`, from the lowest layer up: a layer that
-        keeps a reference goes on from here, and learns that a target was cut.
+        keeps a reference continues from here, and learns whether a target was limited.
         """
         return executed
 
@@ -76,16 +75,16 @@ class Layer:
         return observation
 
     def info(self) -> dict[str, NDArray[Any]]:
-        """Return what the last action led to, one array per key with the batch's leading shape."""
+        """Return the layer's info on the last action, one array per key with the batch's leading shape."""
         return {}
 
     def __str__(self) -> str:
-        """Return the layer as the printed stack shows it."""
+        """Return the layer for the printed stack."""
         return type(self).__name__
 
 
 def renew(old: NDArray[Any] | None, new: NDArray[Any], where: Where) -> NDArray[Any]:
-    """Return `old` with the rows `where` taken from `new`; all of it when there is no old one."""
+    """Return `old` with the rows `where` taken from `new`; `new` if there is no old one."""
     if old is None or where is ...:
         return new.copy()
     kept = old.copy()

@@ -1,4 +1,4 @@
-"""Bound how far a joint target may run ahead, whatever asked for it."""
+"""Bounds how far a joint target may run ahead, whatever its source."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from rcs.envs.layers.layer import Layer, Where, everywhere, renew
 from rcs.envs.spaces import JOINTS, Action, Observation
 
 ROUNDING = 1e-9
-"""A target cut by less than this [rad] counts as not cut."""
+"""A target reduced by less than this [rad] counts as unlimited."""
 
 
 class LimitStep(Layer):
     """Bound every joint target against the last target and against the measured joints.
 
     The first bound is the joint velocity limit times the control period. The second keeps the target from running away
-    while the arm is blocked. A target farther away is cut joint by joint; `info["is_limited"]` says so.
+    while the arm is blocked. A target farther away is clipped joint by joint; `info["is_limited"]` reports it.
     """
 
     def __init__(self, max_step: NDArray[np.float64], *, max_lead: float = 0.6) -> None:
@@ -27,7 +27,7 @@ class LimitStep(Layer):
 
         Args:
             max_step: Largest change of the target per action [rad], shape (dof,).
-            max_lead: Largest distance of the target from the measured joint [rad]; above the lag of the servo at full
+            max_lead: Largest distance of the target from the measured joint [rad]; must exceed the servo's lag at full
                 speed.
         """
         self.max_step = np.asarray(max_step, np.float64)
@@ -50,18 +50,18 @@ class LimitStep(Layer):
         self._measured = self._target = observation[JOINTS].copy()
 
     def map_observation(self, observation: Observation) -> Observation:
-        """Remember the measured joints; the observation itself is the caller's own."""
+        """Remember the measured joints; the observation belongs to the caller."""
         self._measured = observation[JOINTS].copy()
         return observation
 
     def map_action(self, action: Action) -> Action:
-        """Cut the joint targets."""
+        """Clip the joint targets."""
         if self._target is None or self._measured is None:
             raise RuntimeError("LimitStep.map_action was called before reset")
         asked = action[JOINTS]
         cut = limit_rows(asked, self._target, self._measured, self.max_step, self._max_lead, ROUNDING)
         if cut is None:
-            # The very array that was asked for tells the layers above that nothing was cut.
+            # Returning the same array tells the layers above that nothing was clipped.
             self._is_cut = np.zeros_like(self._is_limited)
             return action
         target, self._is_cut = cut
@@ -74,5 +74,5 @@ class LimitStep(Layer):
         return executed
 
     def info(self) -> dict[str, NDArray[Any]]:
-        """Return whether the last action was cut."""
+        """Return whether the last action was clipped."""
         return {"is_limited": self._is_limited}

@@ -1,4 +1,4 @@
-"""Actions that say how far to move instead of where to."""
+"""Actions that are differences instead of absolute targets."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, Action, Control, Observation,
 from rcs.spatial import compose, distance, interpolate, normalize, xyzrpy_to_tquat
 
 Reference = Literal["last_step", "origin"]
-"""What a relative action is added to: the target of the last step, or an origin that the user sets."""
+"""The reference of a relative action: the target of the last step, or an origin set by the user."""
 
 
 class Relative(Layer):
     """Take differences and pass on absolute targets.
 
     Joints add up. A pose difference moves the TCP by its translation along the axes of the base frame and turns it by
-    its rotation about those axes. Relative to the last step, the reference is the last *target*, so that servo lag does
-    not add up.
+    its rotation about those axes. The reference of `last_step` is the last *target*, so that servo lag does not
+    accumulate.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class Relative(Layer):
 
         Args:
             control: Key of the arm's action: `joints`, `tquat` or `xyzrpy`.
-            to: What the difference is relative to.
+            to: The reference of differences.
             max_joint_step: Largest joint difference [rad], a number or shape (dof,).
             max_translation: Largest translation along each axis [m].
             max_rotation: Largest rotation [rad].
@@ -57,7 +57,7 @@ class Relative(Layer):
         box = inner[self._key]
         self._lower, self._upper = box.low, box.high
         if self._to == "origin":
-            # Differences to an origin grow over an episode: they may span the range of the absolute target.
+            # Differences from an origin grow over an episode and may span the range of the absolute target.
             bound = {JOINTS: box.high - box.low, TQUAT: box.high, XYZRPY: xyzrpy_space().high}[self._control]
         elif self._control == JOINTS:
             bound = np.broadcast_to(self._max_joint_step, box.shape).astype(np.float64)
@@ -77,7 +77,7 @@ class Relative(Layer):
         self._last = renew(self._last, observation[self._key], where)
 
     def rebase(self, observation: Observation) -> None:
-        """Add the next differences to the measured joints or pose, those to an origin too."""
+        """Use the measured joints or pose as reference and origin."""
         self._reference = self._last = observation[self._key].copy()
 
     def set_origin(self) -> None:
@@ -87,7 +87,7 @@ class Relative(Layer):
         self._reference = self._last.copy()
 
     def map_action(self, action: Action) -> Action:
-        """Add the difference to the reference, inside the bounds of the level below."""
+        """Add the difference to the reference, within the bounds of the level below."""
         if self._reference is None:
             raise RuntimeError("Relative.map_action was called before reset")
         difference = action[self._control]
@@ -96,12 +96,12 @@ class Relative(Layer):
         else:
             target = self._move(self._reference, difference)
         mapped: Action = {key: value for key, value in action.items() if key != self._control}
-        # Poses leave as tquat: this layer stands in for the conversion of xyzrpy too.
+        # Poses are returned as tquat, since this layer also converts xyzrpy.
         mapped[self._key] = target
         return mapped
 
     def map_executed(self, executed: Action) -> Action:
-        """Continue from where the level below really went, not from what was asked."""
+        """Continue from the executed target of the level below, not from the requested one."""
         self._last = executed[self._key]
         if self._to == "last_step":
             self._reference = self._last
@@ -112,7 +112,7 @@ class Relative(Layer):
         return shift(start, step, self._max_rotation if self._to == "last_step" else np.inf)
 
     def __str__(self) -> str:
-        """Return the layer as the printed stack shows it."""
+        """Return the layer for the printed stack."""
         return f"Relative({self._control} to the {self._to.replace('_', ' ')})"
 
 
@@ -122,7 +122,7 @@ def shift(start: NDArray[np.float64], step: NDArray[np.float64], max_rotation: f
     Args:
         start: Poses (..., 7).
         step: Differences (..., 7): translation [m], rotation xyzw (normalised here).
-        max_rotation: Larger rotations are cut to this [rad].
+        max_rotation: Limit to which larger rotations are clipped [rad].
 
     Returns:
         Poses (..., 7) with translation `start + step` and rotation `step * start`.

@@ -1,4 +1,4 @@
-"""Any layer as an ordinary Gymnasium wrapper, for environments that are not from here."""
+"""Any layer as an ordinary Gymnasium wrapper, for other environments."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ class LayerWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Check and map the action, step, map the observation."""
-        # A step that raises leaves the layer as it was.
+        # A step that raises does not change the layer.
         mapped = self._layer.map_action(self._check(action))
         observation, reward, terminated, truncated, info = self.env.step(mapped)
-        # What a foreign environment makes of an action is not known; it counts as executed.
+        # A foreign environment does not report executed actions; they count as given.
         self._layer.map_executed(mapped)
         told = {key: np.asarray(value).item() for key, value in self._layer.info().items()}
         return self._layer.map_observation(observation), reward, terminated, truncated, {**info, **told}

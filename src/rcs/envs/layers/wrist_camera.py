@@ -1,4 +1,4 @@
-"""Where a camera on a gripper is, from where the arm is."""
+"""The pose of a camera on a gripper, from the pose of the arm."""
 
 from __future__ import annotations
 
@@ -43,5 +43,5 @@ class WristCamera(Layer):
         return {**observation, FRAMES: {**frames, self._camera: {**frames[self._camera], EXTRINSICS: extrinsics}}}
 
     def __str__(self) -> str:
-        """Return the layer as the printed stack shows it."""
+        """Return the layer for the printed stack."""
         return f"WristCamera({self._camera})"

@@ -33,10 +33,10 @@ class Transition:
     sim_state: NDArray[np.float64] | None = None
     """The simulation's whole state, (state_size,); None on hardware."""
     objects: dict[str, NDArray[np.float64]] = field(default_factory=dict[str, NDArray[np.float64]])
-    """Where the task's objects are by name, (7,): translation [m] and quaternion xyzw in the base frame (of several
+    """Poses of the task's objects by name, (7,): translation [m] and quaternion xyzw in the base frame (with several
     robots: in the scene); empty on hardware."""
     notes: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """What was told with `env.note` since the last step."""
+    """Values passed to `env.note` since the last step."""
 
 
 class Observer(ABC):
@@ -44,14 +44,14 @@ class Observer(ABC):
 
     @abstractmethod
     def on_reset(self, first: Transition, seed: int | None) -> None:
-        """Take note of a new episode."""
+        """Handle a new episode."""
 
     @abstractmethod
     def on_step(self, transition: Transition) -> None:
-        """Take note of a step."""
+        """Handle a step."""
 
     def on_end(self, end: str, reasons: Mapping[str, str]) -> None:  # noqa: B027  most observers do not mind
-        """Take note that an episode was broken off; all devices hold. What comes next is a reset, or `close`.
+        """Handle the abort of an episode; all devices hold. A reset or `close` follows.
 
         Args:
             end: `fault` when a device entered its fault state, `exception` when a step raised an error.
@@ -59,4 +59,4 @@ class Observer(ABC):
         """
 
     def close(self) -> None:  # noqa: B027  most observers hold nothing
-        """Let go of everything; closing twice is harmless."""
+        """Release all resources; closing twice is harmless."""

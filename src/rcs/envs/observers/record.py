@@ -23,13 +23,13 @@ def record(
 
     Args:
         env: The environment; in real time, a thread encodes so that its loop never waits.
-        out: The dataset's folder; one that is there is gone on with.
-        colour: How colour frames are stored.
-        jpeg_quality: Of colour frames as JPEG, 1 to 100.
-        notes: Names of numbers that `env.note` gives, to be recorded.
+        out: The dataset's folder; an existing one is continued.
+        colour: Encoding of colour frames.
+        jpeg_quality: JPEG quality of colour frames, 1 to 100.
+        notes: Names of numbers from `env.note` to record.
 
     Yields:
-        The takes. A take that is open in the end is kept without a verdict.
+        The takes. A take that is open at the end is kept without a verdict.
 
     Example:
         >>> import rcs
@@ -54,15 +54,15 @@ def record(
 def record_all(
     env: Env | VecEnv, out: str | Path, *, colour: Colour = "jpeg", jpeg_quality: int = 95, notes: Sequence[str] = ()
 ) -> Generator[None]:
-    """Record every episode from reset to end, of a batch those of all copies at once, judged by the task.
+    """Record every episode from reset to end, judged by the task; for a batch, those of all copies at once.
 
     An episode that a reset cuts short is not kept; one that is open in the end is, without a verdict.
 
     Args:
         env: The environment, or a batch of copies.
-        out: The dataset's folder; one that is there is gone on with.
-        colour: How colour frames are stored.
-        jpeg_quality: Of colour frames as JPEG, 1 to 100.
+        out: The dataset's folder; an existing one is continued.
+        colour: Encoding of colour frames.
+        jpeg_quality: JPEG quality of colour frames, 1 to 100.
         notes: As in `record`; a batch has none.
 
     Example:

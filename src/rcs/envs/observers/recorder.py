@@ -47,13 +47,13 @@ def dataset_info(
     jpeg_quality: int = 95,
     notes: Sequence[str] = (),
 ) -> DatasetInfo:
-    """Return what a dataset of an environment's episodes has in common.
+    """Return the info of a dataset of an environment's episodes.
 
     Args:
         env: The environment, or a batch of copies of one.
-        instruction: What the robot is asked to do; None for what the environment says.
-        colour: How colour frames are stored; without loss they take some four times the space.
-        jpeg_quality: Of colour frames as JPEG, 1 to 100.
+        instruction: What the robot is asked to do; None for the environment's instruction.
+        colour: Encoding of colour frames; `lossless` takes about four times the space.
+        jpeg_quality: JPEG quality of colour frames, 1 to 100.
         notes: Names of numbers that `env.note` may give beside a step, recorded as `notes/name`; NaN where it did not.
 
     Raises:
@@ -80,7 +80,7 @@ def dataset_info(
     features += [Feature(key=flags_key(name), shape=(), dtype="uint8") for name in sensors]
     features += [Feature(key=f"{NOTES}/{name}", shape=(), dtype="float64") for name in notes]
     return DatasetInfo(
-        fps=env.frequency,
+        frequency=env.frequency,
         features=tuple(features),
         setup={} if setup is None else setup.to_json(),
         instruction=env.instruction if instruction is None else instruction,
@@ -92,7 +92,7 @@ def dataset_info(
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what makes the data."""
+    """Return the versions of the software that makes the data."""
     packages = ("robot-control-stack", "mujoco-core", "numpy", "gymnasium", "pyarrow", "simplejpeg")
     return {"python": platform.python_version(), **{name: importlib.metadata.version(name) for name in packages}}
 
@@ -125,7 +125,7 @@ def _features(prefix: str, entries: Mapping[str, spaces.Space[Any]], colour: Col
 class Recorder(Observer):
     """Writes the episodes of one environment. An episode is kept by `finish` and dropped by `discard`.
 
-    A new reset while an episode is open discards it: it is done again. An episode that was broken off, by a fault or an
+    A new reset discards an open episode, which is then repeated. An episode that was broken off, by a fault or an
     error, is different: its outcome says `end` and `reasons`, and unless it is discarded on purpose it is kept, by the
     next reset or by `close`, without a verdict. `close` keeps an episode that is still open in the same way. A frame
     with the capture time of the row before is stored once and flagged as repeated.
@@ -180,7 +180,7 @@ class Recorder(Observer):
 
     @property
     def rows(self) -> int:
-        """How many rows the open episode has; 0 if none is open."""
+        """Rows of the open episode; 0 if none is open."""
         return 0 if self._episode is None else self._episode.rows
 
     def name_next(self, episode_id: str, *, instruction: str | None = None, at_reset: bool = True) -> None:
@@ -327,7 +327,7 @@ class Recorder(Observer):
             episode.discard()
 
     def on_end(self, end: str, reasons: Mapping[str, str]) -> None:
-        """Note in the open episode why it was broken off; it takes no more rows."""
+        """Store in the open episode why it was aborted; it takes no more rows."""
         if self._episode is not None:
             self._broken_off = {END: end, REASONS: dict(reasons)}
 

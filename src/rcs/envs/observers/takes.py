@@ -1,4 +1,4 @@
-"""Takes: what a person does who records demonstrations — start, stop, judge, discard, do again."""
+"""Takes of a person who records demonstrations: start, stop, judge, discard, repeat."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from rcs.errors import WrongOrder
 
 
 class Takes:
-    """Numbers the episodes of a recorder and keeps, drops or redoes them one at a time.
+    """Numbers the episodes of a recorder and keeps, drops or repeats them one at a time.
 
-    A take begins with the first observation after `start`: a reset, or a step of a loop that is running. Nothing of a
-    discarded take is left, in memory or on disk.
+    A take begins with the first observation after `start`, of a reset or of a step in a running loop. A discarded take
+    leaves nothing in memory or on disk.
     """
 
     def __init__(self, recorder: Recorder, writer: DatasetWriter) -> None:
-        """Go on after the last episode of the dataset.
+        """Continue after the last episode of the dataset.
 
         Args:
-            recorder: What records, as an observer of the environment.
+            recorder: The recorder, an observer of the environment.
             writer: The dataset that it records into.
         """
         self._recorder = recorder
@@ -58,11 +58,11 @@ class Takes:
         """End the take and keep it.
 
         Args:
-            success: Whether the task was done; None if nobody says.
-            outcome: What else is to be kept of how it went, as JSON values.
+            success: Whether the task was done; None for no verdict.
+            outcome: What else to keep about how it went, as JSON values.
 
         Raises:
-            WrongOrder: No take is under way, or nothing was seen since it began.
+            WrongOrder: No take is under way, or it has no observation yet.
         """
         take = self._require_take("stop")
         if not self._recorder.is_recording:
@@ -85,7 +85,7 @@ class Takes:
             self._next -= 1
 
     def retake(self, *, at_reset: bool = False) -> str:
-        """Do the take under way again, or else the last one that was kept, under the same id and instruction.
+        """Repeat the take under way, or else the last one kept, under the same id and instruction.
 
         Args:
             at_reset: As in `start`.
@@ -100,7 +100,7 @@ class Takes:
             self._writer.remove_episode(self._last[0])
             again, self._last = self._last, None
         else:
-            raise WrongOrder("There is no take to do again; start one first.")
+            raise WrongOrder("There is no take to repeat; start one first.")
         self._begin(*again, at_reset)
         return again[0]
 

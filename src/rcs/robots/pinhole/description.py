@@ -1,4 +1,4 @@
-"""A camera of which only the field of view is known, such as one in the model file of a robot."""
+"""A camera with only a known field of view, such as one in a robot's model file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PINHOLE: Final = CameraDescription(
     base_body="optical",
     camera="camera",
     mount_hole_in_optical=Mount(),
-    # No device: as large, as wide and as near as the renderer draws.
+    # Not a device: limited only by the renderer.
     modes=(ResolutionMode(4096, 4096, RATES),),
     fovy=pi / 4,
     native_aspect=4096.0,
@@ -27,4 +27,4 @@ PINHOLE: Final = CameraDescription(
     min_depth=(),
     sources=("MuJoCo's default field of view, 45 degrees",),
 )
-"""An ideal camera; `dataclasses.replace` gives it the field of view and the format of another one."""
+"""An ideal camera; set field of view and format with `dataclasses.replace`."""

@@ -1,8 +1,8 @@
 """LeRobot's units for the SO101: degrees, or -100 .. 100 over a joint's range; 0 .. 100 for the gripper.
 
-LeRobot counts degrees from the middle of the range that was recorded in its calibration, which is 0 rad here. Its
-normalised positions need that range. Without one, the functions take this arm's limits, and a full turn for the wrist
-roll, which LeRobot does not record (so101_follower: full_turn_motor). Signs are those of the published description.
+LeRobot counts degrees from the middle of the range in its calibration, which is 0 rad here. Its normalised positions
+need that range; by default the functions use this arm's limits, and a full turn for the wrist roll, which LeRobot does
+not record (so101_follower: full_turn_motor). Signs are those of the published description.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def degrees_to_joints(degrees: ArrayLike) -> NDArray[np.float64]:
 def joints_to_normalised(
     joints: ArrayLike, lower: ArrayLike = RANGE_LOWER, upper: ArrayLike = RANGE_UPPER
 ) -> NDArray[np.float64]:
-    """Convert joints to -100 .. 100; what is outside of the range is cut to it, as LeRobot does.
+    """Convert joints to -100 .. 100, clipped to the range as in LeRobot.
 
     Args:
         joints: Joint positions [rad], shape (..., 5).
@@ -49,7 +49,7 @@ def joints_to_normalised(
 def normalised_to_joints(
     normalised: ArrayLike, lower: ArrayLike = RANGE_LOWER, upper: ArrayLike = RANGE_UPPER
 ) -> NDArray[np.float64]:
-    """Convert -100 .. 100, cut to that range, to joints.
+    """Convert -100 .. 100, clipped to that range, to joints.
 
     Args:
         normalised: Normalised positions, shape (..., 5).

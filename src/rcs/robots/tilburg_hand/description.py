@@ -33,7 +33,7 @@ def _normalised(*, thumb: _Four, index: _Four, middle: _Four, ring: _Four) -> tu
 
 
 _BENT: _Four = (45.0, 80.0, 10.0, 0.0)
-"""A finger that arches over what is to be grasped."""
+"""A finger that arches over the object to grasp."""
 _CLOSED: _Four = (41.0, 60.0, 78.0, 0.0)
 _CURLED: _Four = (40.0, 60.0, 90.0, 0.0)
 
@@ -56,8 +56,8 @@ TILBURG_HAND: Final = HandDescription(
     actuators=_JOINTS,
     joint_lower=tuple(radians(low) for low, _ in _RANGES),
     joint_upper=tuple(radians(high) for _, high in _RANGES),
-    # The package defines no grasps; these are ours, found by simulation. A hand whose TCP is 25 mm above a table or
-    # higher opens and closes without touching it.
+    # The package defines no grasps; these are ours, found by simulation. With the TCP at least 25 mm above a table, the
+    # hand opens and closes without touching it.
     open_pose=_normalised(thumb=(75.0, 25.0, 0.0, 50.0), index=_BENT, middle=_BENT, ring=_BENT),
     grasps={
         "power": _normalised(thumb=(48.0, 48.0, 29.0, 54.0), index=_CLOSED, middle=_CLOSED, ring=_CLOSED),

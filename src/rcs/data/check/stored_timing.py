@@ -1,4 +1,4 @@
-"""The quality report of an episode: whether `episode.json` says what its rows say."""
+"""Checks that the timing report of an episode agrees with its rows."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from rcs.data.check.report import Finding, listed
 from rcs.data.layout import EPISODE_FILE
 
 
-def check_quality(place: EpisodePlace, about: dict[str, Any], found: dict[str, Any]) -> Iterator[Finding]:
-    """Yield a warning where the stored report says something else than the rows.
+def check_timing(place: EpisodePlace, about: dict[str, Any], found: dict[str, Any]) -> Iterator[Finding]:
+    """Yield a warning if the stored report disagrees with the rows.
 
-    Entries that only one of them has are left out: other versions report other things.
+    Entries that only one of them has are ignored, since versions report different things.
 
     Args:
         place: Where the episode is.
-        about: What its `episode.json` says.
-        found: The report that its rows give.
+        about: The contents of its `episode.json`.
+        found: The report computed from its rows.
     """
-    wrong = list(_differences("", about.get("quality"), found))
+    wrong = list(_differences("", about.get("timing"), found))
     if wrong:
-        message = f"the quality report does not go with the rows in {listed(wrong)}; --repair computes it anew"
-        yield place.finding("warning", "quality", message, file=EPISODE_FILE)
+        message = f"the timing report disagrees with the rows in {listed(wrong)}; --repair recomputes it"
+        yield place.finding("warning", "timing", message, file=EPISODE_FILE)
 
 
 def _differences(name: str, stored: Any, found: Any) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""How well an episode was recorded: its measured rate, gaps, and images that came twice, late or not at all."""
+"""The timing report of an episode: measured rate, gaps, and images that were repeated, late or missing."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from rcs.data.flags import FrameFlag, companion
 from rcs.data.info import DatasetInfo
 
-# A period this many times the wanted one means that at least one step is missing.
+# A period this many times the nominal one means that at least one step is missing.
 _GAP = 1.5
 
 
-class QualityMeter:
-    """Takes the rows of one episode, in order, and says how well they were recorded."""
+class TimingMeter:
+    """Makes the timing report of one episode from its rows, in order."""
 
     def __init__(self, info: DatasetInfo) -> None:
         """Start with no rows."""
-        self._fps = info.fps
+        self._frequency = info.frequency
         self._times: dict[str, list[NDArray[np.float64]]] = {f.key: [] for f in info.features if f.is_time}
         self._flags: dict[str, list[NDArray[np.uint8]]] = {f.key: [] for f in info.features if f.is_flags}
         self._images = {f.key: _Repeats() for f in info.features if f.is_image}
@@ -32,14 +32,14 @@ class QualityMeter:
         """Take the next rows."""
         self._rows += table.num_rows
         for key, parts in self._times.items():
-            parts.append(table.column(key).to_numpy())  # a time that was not measured is NaN
+            parts.append(table.column(key).to_numpy())  # times that were not measured are NaN
         for key, parts in self._flags.items():
             parts.append(table.column(key).to_numpy())
         for key, repeats in self._images.items():
             repeats.add(table.column(key))
 
     def report(self) -> dict[str, Any]:
-        """Return the report as JSON values; what was not measured is None."""
+        """Return the report as JSON values; None for what was not measured."""
         times = {key: np.concatenate([np.empty(0), *parts]) for key, parts in self._times.items()}
         cameras: dict[str, Any] = {}
         for key, repeats in self._images.items():
@@ -63,7 +63,7 @@ class QualityMeter:
             return None
         if not len(periods):
             return None
-        wanted = 1 / self._fps
+        wanted = 1 / self._frequency
         jitter = np.abs(periods - wanted)
         gaps = periods[periods > _GAP * wanted]
         return {
@@ -82,7 +82,7 @@ class QualityMeter:
 
 
 class _Repeats:
-    """Counts images that came as new and are byte for byte the one before."""
+    """Counts new images that equal the one before byte for byte."""
 
     def __init__(self) -> None:
         self.new = 0

@@ -1,4 +1,4 @@
-"""The quality report names gaps, freezes and repeats, and invents no time."""
+"""The timing report names gaps, freezes and repeats, and invents no time."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
 STATE = 5  # the sim_state_size of make_info
 
 
-def quality_of(path: Path, info: Any, rows: list[dict[str, Any]]) -> dict[str, Any]:
+def timing_of(path: Path, info: Any, rows: list[dict[str, Any]]) -> dict[str, Any]:
     with DatasetWriter.open(path, info) as writer, writer.episode("a", seed=0) as episode:
         for row in rows:
             episode.add(row, np.zeros(STATE))
-        return episode.finish(None).quality
+        return episode.finish(None).timing
 
 
 def test_a_steady_recording_has_no_gap(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> None:
-    quality = quality_of(tmp_path, make_info(images=True), make_rows(31, images=True))
-    period = quality["period"]
-    assert quality["rows"] == 31
+    timing = timing_of(tmp_path, make_info(images=True), make_rows(31, images=True))
+    period = timing["period"]
+    assert timing["rows"] == 31
     assert period["mean"] == pytest.approx(1 / 30)
     assert period["jitter_max"] < 1e-9
     assert (period["gaps"], period["missed_steps"], period["backwards"]) == (0, 0, 0)
-    assert quality["cameras"]["observation/frames/wrist/rgb"] == {
+    assert timing["cameras"]["observation/frames/wrist/rgb"] == {
         "new_images": 31,
         "repeated_images": 0,
         "repeated_captures": 0,
@@ -44,7 +44,7 @@ def test_a_pause_of_four_periods_is_one_gap_with_three_missed_steps(
     rows = make_rows(10)
     for row in rows[5:]:
         row["time/monotonic"] += 3 / 30
-    period = quality_of(tmp_path, make_info(), rows)["period"]
+    period = timing_of(tmp_path, make_info(), rows)["period"]
     assert (period["gaps"], period["missed_steps"]) == (1, 3)
     assert period["max"] == pytest.approx(4 / 30)
 
@@ -52,7 +52,7 @@ def test_a_pause_of_four_periods_is_one_gap_with_three_missed_steps(
 def test_a_clock_that_runs_backwards_is_counted(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> None:
     rows = make_rows(4)
     rows[2]["time/monotonic"] = 0.0
-    assert quality_of(tmp_path, make_info(), rows)["period"]["backwards"] == 1
+    assert timing_of(tmp_path, make_info(), rows)["period"]["backwards"] == 1
 
 
 def test_a_frozen_camera_is_counted_by_image_and_by_capture_time(
@@ -62,7 +62,7 @@ def test_a_frozen_camera_is_counted_by_image_and_by_capture_time(
     for row in rows[3:6]:
         row["observation/frames/wrist/rgb"] = rows[2]["observation/frames/wrist/rgb"]
         row["time/frames/wrist"] = rows[2]["time/frames/wrist"]
-    cameras = quality_of(tmp_path, make_info(images=True), rows)["cameras"]
+    cameras = timing_of(tmp_path, make_info(images=True), rows)["cameras"]
     assert cameras["observation/frames/wrist/rgb"] == {
         "new_images": 9,
         "repeated_images": 3,
@@ -76,4 +76,4 @@ def test_times_that_were_not_measured_are_left_out(tmp_path: Path, make_info: Ma
     rows = make_rows(5)
     for row in rows:
         row["time/monotonic"] = None
-    assert quality_of(tmp_path, make_info(), rows)["period"] is None
+    assert timing_of(tmp_path, make_info(), rows)["period"] is None
