@@ -5,6 +5,6 @@ Example:
     >>> env = gymnasium.make("rcs.installed:rcs/PickCuboid-FR3-v0")
 """
 
-from rcs.setups import ids
+from rcs.setups.ids import ids, register
 
-ids.register(ids.ids())
+register(ids())

@@ -63,7 +63,7 @@ def test_the_first_program_of_the_readme_runs_and_moves_the_arm(tmp_path: Path) 
 @pytest.mark.extras
 @pytest.mark.gl
 def test_the_program_of_the_documents_that_trains_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    section = (ROOT / "docs" / "data.md").read_text().partition("## Train on it")[2]
+    section = (ROOT / "docs" / "data.md").read_text().partition("## Train\n")[2]
     program = re.findall(r"```python\n(.*?)```", section, re.DOTALL)[0]
     setup = rcs.Setup(task="PickCuboid", robot="fr3", cameras=("wrist", "side"))
     for _ in collect(Collection(setup=setup, out=tmp_path / "datasets" / "pick", episodes=1), Progress()):
