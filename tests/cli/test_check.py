@@ -84,7 +84,7 @@ def test_a_repair_is_told_and_what_is_left_is_checked(capsys: pytest.CaptureFixt
     flip(dataset, "a")
     code, told = call(capsys, str(dataset), "--repair")
     assert code == 0
-    assert told.startswith("restored episode a: the one byte of steps.parquet that had changed was put back.")
+    assert told.startswith("restored episode a: the one changed byte of steps.parquet was restored.")
     assert Dataset.open(dataset).digest() == digest
     flip(dataset, "a")
     code, told = call(capsys, str(dataset), "--repair", "--json")

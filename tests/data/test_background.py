@@ -138,7 +138,7 @@ def test_even_the_rows_that_wait_are_bounded(
         record = episode.finish(True)
     assert record.timing["writer"]["dropped_rows"] == 20 - record.length
     assert 8 <= record.length <= 9  # one may be in the thread's hands
-    assert "rows are left out" in caplog.text
+    assert "rows are dropped" in caplog.text
 
 
 def test_encoded_images_that_wait_for_a_disk_are_bounded_as_well(

@@ -199,7 +199,7 @@ def test_other_robots_hands_and_two_arms_follow(tmp_path: Path, robot: str, grip
 
 def test_a_task_with_an_object_of_unknown_place_is_refused(other_world: Path, tmp_path: Path) -> None:
     real = measure(other_world, tmp_path / "real", has_objects=False)
-    with pytest.raises(InvalidSetup, match="where the objects were"):
+    with pytest.raises(InvalidSetup, match="has poses of the objects"):
         run(source=real, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

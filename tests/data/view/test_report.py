@@ -108,7 +108,7 @@ def test_damaged_episodes_are_listed_as_such(tmp_path: Path) -> None:
     text = write_report(tmp_path).read_text("utf-8")
     first, second, third = facts(text)["episodes"]
     assert first["damaged"]
-    assert second["why"].startswith("is damaged: steps.parquet does not read")
+    assert second["why"].startswith("is damaged: Cannot read steps.parquet")
     assert not third["why"]
     assert len(clips(text)) == 2
 
