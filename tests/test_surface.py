@@ -100,5 +100,5 @@ def test_the_signature_of_make_shows_every_option_with_its_default_and_type(make
 
 
 def test_a_mistyped_option_gets_the_nearest_one() -> None:
-    with pytest.raises(rcs.errors.UnknownName, match=r"no option named 'contrl'. Did you mean 'control'"):
+    with pytest.raises(rcs.errors.InvalidSetup, match=r"no option named 'contrl'. Did you mean 'control'"):
         rcs.make(contrl="joints")  # pyright: ignore[reportCallIssue]

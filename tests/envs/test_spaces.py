@@ -19,8 +19,8 @@ GOOD: dict[str, Any] = {"joints": np.array([0.5, -1.5]), "gripper": np.ones(1, n
 @pytest.mark.parametrize(
     ("action", "texts"),
     [
-        (None, ["mapping", "'joints' (2,) float64", "'gripper' (1,) float32", "NoneType came"]),
-        (np.zeros(3), ["ndarray came"]),
+        (None, ["mapping", "'joints' (2,) float64", "'gripper' (1,) float32", "got NoneType"]),
+        (np.zeros(3), ["got ndarray"]),
         ({}, ["missing ['joints', 'gripper']"]),
         ({"joints": np.zeros(2)}, ["missing ['gripper']"]),
         ({**GOOD, "hand": np.zeros(2)}, ["unknown ['hand']"]),

@@ -132,7 +132,7 @@ import gymnasium
 import rcs
 from rcs.agents import agent_for
 from rcs.rollout.episode import run_episode
-env = gymnasium.make("rcs/PushToLine-MyRobot-v0")
+env = gymnasium.make("rcs.installed:rcs/PushToLine-MyRobot-v0")
 print(env.reset(seed=0)[1].keys())
 env = rcs.make("PushToLine", robot="my_robot", hardware="my_driver:192.0.2.7", layers=["HalfSpeed"])
 print(env.platform)

@@ -99,7 +99,8 @@ def test_nothing_is_connected_before_reset_and_nothing_moves_in_it() -> None:
 
 def test_an_arm_moves_as_told_and_its_body_in_the_world_follows() -> None:
     env = rcs.make("Free", robot="dual_fr3", hardware={"left": "fake"}, frequency=100)
-    assert env.platform == {"left": "fake", "left/franka_hand": "fake", "right": "simulation"}
+    right = {"right": "simulation", "right/franka_hand": "simulation"}
+    assert env.platform == {"left": "fake", "left/franka_hand": "fake", **right}
     start, _ = env.reset(seed=0)
     step = {"joints": np.full(7, 0.005), "gripper": np.zeros(1, np.float32)}
     for _ in range(20):

@@ -148,8 +148,8 @@ def test_the_cameras_of_the_lab_are_mounted(robot: str) -> None:
 
 
 def test_gymnasium_makes_it_by_its_id() -> None:
-    """The name before the colon is the package to import."""
-    env = gymnasium.make("my_robot:rcs/PickCuboid-MyRobot-v0")
+    """Importing `rcs.installed` registers the ids of all packages."""
+    env = gymnasium.make("rcs.installed:rcs/PickCuboid-MyRobot-v0")
     observation, _ = env.reset(seed=0)
     assert observation["joints"].shape == (6,)
     env.close()
