@@ -88,7 +88,7 @@ class BlockingCamera final : public rcs::Camera {
 }  // namespace
 
 NB_MODULE(blocking_devices, m) {
-  nb::module_::import_("rcs.devices").attr("Arm");  // loads the types that this module shares
+  nb::module_::import_("rcs.devices");  // registers the types that this module shares
   nb::set_leak_warnings(false);         // as in ramp_arm
   nb::class_<Gate>(m, "Gate")
       .def("shut", &Gate::shut)

@@ -68,7 +68,7 @@ class RampArm final : public rcs::Arm {
 
 NB_MODULE(ramp_arm, m) {
   rcs::require_interface();
-  nb::module_::import_("rcs.devices").attr("Arm");  // loads the types that this module shares
+  nb::module_::import_("rcs.devices");  // registers the types that this module shares
   // pytest's fixtures hold this module and its arms to the very end of the process, which nanobind takes for a leak.
   nb::set_leak_warnings(false);
   nb::class_<RampArm, rcs::Arm>(m, "RampArm")

@@ -92,7 +92,7 @@ class ThreadedArm final : public rcs::Arm {
 
 NB_MODULE(threaded_arm, m) {
   rcs::require_interface();
-  nb::module_::import_("rcs.devices").attr("Arm");
+  nb::module_::import_("rcs.devices");
   nb::set_leak_warnings(false);  // as in ramp_arm
   nb::class_<ThreadedArm, rcs::Arm>(m, "ThreadedArm")
       .def(nb::init<rcs::ArmLimits>(), "limits"_a)
