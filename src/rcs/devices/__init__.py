@@ -1,6 +1,7 @@
 """Devices behind one interface each, implementable in C++ or in Python, and how to find them by name."""
 
-from rcs import _core  # noqa: F401  a module with devices in C++ shares its types, which must be there before it
+# A module with devices in C++ shares its types, which must be there before it.
+from rcs import _core  # noqa: F401  # pyright: ignore[reportUnusedImport]
 from rcs.lazy import load_on_use
 
 load_on_use(__name__)
