@@ -101,7 +101,8 @@ PLANTED: dict[str, Callable[[], Any]] = {"end": os.abort, "hang": lambda: time.s
 
 def child(seed: int, first: int, last: int, progress: Path, planted: str) -> None:
     """Run rounds; a line of JSON for each finding, the names of what was called at the end."""
-    from tests.fuzz.stage import Shared, Target, targets_of_core, targets_of_python
+    from tests.fuzz.stage import Shared
+    from tests.fuzz.targets import Target, targets_of_core, targets_of_python
 
     warnings.simplefilter("ignore")
     faulthandler.enable()
@@ -233,7 +234,8 @@ def main() -> int:
     if options.child:
         child(options.seed, int(options.child[0]), int(options.child[1]), Path(options.child[2]), options.child[3])
     if options.round is not None:
-        from tests.fuzz.stage import Shared, targets_of_core, targets_of_python
+        from tests.fuzz.stage import Shared
+        from tests.fuzz.targets import targets_of_core, targets_of_python
 
         faulthandler.enable()
         targets = targets_of_core() + targets_of_python()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.fuzz.fuzz_core import CALLS_PER_ROUND, PLANTED, fuzz
-from tests.fuzz.stage import targets_of_core
+from tests.fuzz.targets import targets_of_core
 
 RARE = ("Render", "probe_gl")
 """What takes milliseconds, and is called only in long runs."""
