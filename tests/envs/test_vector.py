@@ -333,3 +333,20 @@ def test_two_threads_in_one_batch_are_told_apart() -> None:
     envs.scenario.task.evaluate = step_in_another_thread
     envs.step(envs.action_space.sample())
     assert len(refused) == 1
+
+
+def test_an_error_while_a_copy_starts_anew_breaks_all_episodes_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    envs = rcs.make_vec("Free", copies=2, max_episode_steps=1, autoreset="SameStep")
+    envs.reset(seed=0)
+    with monkeypatch.context() as broken:
+
+        def fail(*_: Any) -> None:
+            raise OSError("no answer")
+
+        broken.setattr(envs.scenario, "begin", fail)
+        with pytest.raises(OSError, match="no answer"):
+            envs.step(envs.action_space.sample())
+    with pytest.raises(WrongOrder, match="OSError broke the episode off"):
+        envs.step(envs.action_space.sample())
+    envs.reset()
+    envs.step(envs.action_space.sample())

@@ -116,11 +116,15 @@ class Engine:
 
     def restart(self, copies: NDArray[np.int32]) -> Observation:
         """Start the next episode of some copies right after their last step."""
-        self._begin(copies)
-        observation = self.observe_start(copies)
-        if self.scenario is not None:
-            info = {**self.scenario.describe(), "time": self._time()}
-            self.audience.tell_starts(observation, info, self._seeds_of(copies))
+        try:
+            self._begin(copies)
+            observation = self.observe_start(copies)
+            if self.scenario is not None:
+                info = {**self.scenario.describe(), "time": self._time()}
+                self.audience.tell_starts(observation, info, self._seeds_of(copies))
+        except BaseException as err:
+            self._break_off(err)
+            raise
         return observation
 
     def _begin(self, copies: Copies) -> None:
