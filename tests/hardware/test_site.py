@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.devices.fakes import FakeArm
+from rcs.devices.fakes import FakeArm, FakeGripper
 from rcs.errors import DeviceFault, InvalidSetup, UnknownName
 from rcs.hardware import DeviceAddress, Driver, FakeDriver, Site
 from rcs.hardware.fake import limits_of
@@ -69,6 +69,8 @@ def test_a_device_itself_goes_into_no_file(tmp_path: Path) -> None:
         (Site(arms={"left": "fake"}), UnknownName, "left"),
         ({"fr3": FakeArm(limits_of(FR3).__class__([-1.0], [1.0], [1.0]))}, InvalidSetup, "1 joints"),
         ("nowhere.json", InvalidSetup, "cannot be read"),
+        ({"fr3": FakeGripper()}, InvalidSetup, "Expected a device of rcs.devices.Arm"),
+        ({"fr3": {"driver": "rcs.errors:WrongOrder"}}, InvalidSetup, "subclass of rcs.hardware.Driver"),
     ],
 )
 def test_hardware_that_makes_no_sense_is_refused(hardware: Any, error: type[Exception], match: str) -> None:

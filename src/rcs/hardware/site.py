@@ -26,6 +26,7 @@ OnStale = Literal["flag", "hold", "fault"]
 """What a camera without new frames leads to: a flag in recordings, devices that hold, or the end of the episode."""
 
 KINDS = ("arms", "grippers", "hands", "cameras")
+_CLASSES = {"arm": Arm, "gripper": Gripper, "hand": Hand, "camera": Camera}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,12 +247,18 @@ class Site:
 
 
 def _made(given: AnyDevice, kind: str, *about: Any) -> Any:
-    if not isinstance(given, DeviceAddress):
-        return given
-    driver = lookup.find("driver", given.driver)
-    driver = driver() if isinstance(driver, type) else driver
-    assert isinstance(driver, Driver), "lookup gives drivers"
-    return getattr(driver, kind)(given.address, *about, given.options)
+    device: Any = given
+    if isinstance(given, DeviceAddress):
+        driver = lookup.find("driver", given.driver)
+        driver = driver() if isinstance(driver, type) else driver
+        if not isinstance(driver, Driver):
+            raise InvalidSetup(
+                f"The driver {given.driver!r} is {driver!r}; valid is a subclass of rcs.hardware.Driver."
+            )
+        device = getattr(driver, kind)(given.address, *about, given.options)
+    if not isinstance(device, _CLASSES[kind]):
+        raise InvalidSetup(f"Expected a device of rcs.devices.{_CLASSES[kind].__name__}; got {device!r}.")
+    return device
 
 
 def _platform(given: AnyDevice) -> str:
