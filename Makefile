@@ -28,7 +28,7 @@ PIP := $(BIN)/python -m pip -qq --disable-pip-version-check
 JOBS := $(shell nproc 2>/dev/null || echo 2)
 
 # What builds the extension. Build isolation is off: an isolated build would fetch these anew each time and compile from nothing.
-BUILD_TOOLS := scikit-build-core nanobind mujoco-core cmake ninja
+BUILD_TOOLS := scikit-build-core nanobind mujoco-core ruckig cmake ninja
 # Folders too: a file that is gone changes nothing but its folder's time.
 CORE := CMakeLists.txt $(shell find cmake core -not -path '*/tests*' -not -path '*/examples*')
 CXX_FILES = $(shell find core tests -name '*.cpp' -o -name '*.hpp')

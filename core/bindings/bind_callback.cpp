@@ -7,6 +7,7 @@
 #include "mujoco_objects.hpp"
 #include "overrides.hpp"
 #include "rcs/callback.hpp"
+#include "rcs/motion.hpp"
 #include "rcs/result.hpp"
 
 using namespace nb::literals;
@@ -107,4 +108,23 @@ void bind_callback(nb::module_& m) {
           },
           "first"_a, "second"_a, "force"_a,
           "One uint8 flag per geom of the model, then one per flex, for each set; force in N.");
+  nb::class_<rcs::MotionLimits>(m, "MotionLimits", "Limits of a motion, one value per joint.")
+      .def(nb::init<std::vector<double>, std::vector<double>, std::vector<double>, std::vector<double>,
+                    std::vector<double>>(),
+           "lower"_a, "upper"_a, "velocity"_a, "acceleration"_a, "jerk"_a,
+           "Positions in rad, then rad/s, rad/s^2 and rad/s^3.");
+  nb::class_<rcs::Motion, rcs::StepCallback>(
+      m, "Motion",
+      "Moves position servos of some joints to a target in `mjData.userdata`, within limits of velocity, acceleration "
+      "and jerk. As a callback, it is true when the joints stand at their target.")
+      .def(nb::init<std::vector<int>, std::vector<int>, int, rcs::MotionLimits, int>(), "joints"_a, "actuators"_a,
+           "address"_a, "limits"_a, "copies"_a,
+           "Joint and actuator ids, base to tip, and the first of the numbers in the user data.")
+      .def_static("size", &rcs::Motion::size, "dof"_a, "Numbers of user data that so many joints take.")
+      .def_prop_ro_static(
+          "POSITION_ROWS", [](nb::handle) { return rcs::Motion::position_rows(); },
+          "Rows of `dof` numbers that are joint positions; where the arm stands still, all are equal and the rest is "
+          "0.")
+      .def_prop_ro("dof", &rcs::Motion::dof)
+      .def_prop_ro("address", &rcs::Motion::address);
 }

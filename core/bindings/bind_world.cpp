@@ -170,6 +170,8 @@ void bind_world(nb::module_& m) {
       .def_prop_ro("copies", &rcs::World::copies)
       .def_prop_ro("threads", &rcs::World::threads)
       .def_prop_ro("is_batch", &rcs::World::is_batch, "False for a world on the user's own data.")
+      .def("add_motion", &rcs::World::add_motion, "motion"_a,
+           "Have a motion lead its joints in every step. Where there is one with the same user data, that is returned.")
       .def("on_period", &rcs::World::on_period, "callback"_a, "period"_a,
            "Call every `period` seconds of simulated time.")
       .def("converge_when", &rcs::World::converge_when, "callback"_a,

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <string>
 #include <utility>
 
 namespace rcs {
@@ -31,49 +32,46 @@ void check_ids(const World& world, const std::string& name, int copy, const std:
 
 }  // namespace
 
-SimArm::SimArm(std::string name, ArmLimits limits, std::shared_ptr<World> world, int copy, std::vector<int> joints,
-               std::vector<int> actuators)
-    : Arm(std::move(name), std::move(limits)),
-      world_(std::move(world)),
-      copy_(copy),
-      joints_(std::move(joints)),
-      actuators_(std::move(actuators)) {
-  check_ids(*world_, this->name(), copy_, joints_, actuators_);
-  if (static_cast<int>(joints_.size()) != dof() || joints_.size() != actuators_.size())
-    throw InvalidSetup(this->name() + ": limits, joints and actuators differ in number");
+SimArm::SimArm(std::string name, ArmLimits limits, std::shared_ptr<World> world, int copy,
+               std::shared_ptr<Motion> motion)
+    : Arm(std::move(name), std::move(limits)), world_(std::move(world)), copy_(copy) {
+  if (!motion || motion->dof() != dof())
+    throw InvalidSetup(this->name() + ": its motion needs one joint per joint of the limits, " + std::to_string(dof()));
+  check_ids(*world_, this->name(), copy_, motion->joints(), {});
+  motion_ = world_->add_motion(std::move(motion));
 }
+
+double* SimArm::target() const { return row(*world_, mjSTATE_USERDATA, copy_) + motion_->address(); }
 
 ArmState SimArm::do_state() {
   const double* qpos = row(*world_, mjSTATE_QPOS, copy_);
   const double* qvel = row(*world_, mjSTATE_QVEL, copy_);
   ArmState state;
-  for (const int joint : joints_) {
+  for (const int joint : motion_->joints()) {
     state.joints.push_back(qpos[world_->model()->jnt_qposadr[joint]]);
     state.joint_velocities.push_back(qvel[world_->model()->jnt_dofadr[joint]]);
   }
-  const double* ctrl = row(*world_, mjSTATE_CTRL, copy_);
-  for (const int actuator : actuators_) state.commanded_joints.push_back(ctrl[actuator]);
+  state.commanded_joints.assign(target(), target() + dof());
   state.device_time = *row(*world_, mjSTATE_TIME, copy_);
   return state;
 }
 
 void SimArm::do_command_joints(std::span<const double> joints) {
-  double* ctrl = row(*world_, mjSTATE_CTRL, copy_);
-  for (std::size_t i = 0; i < actuators_.size(); ++i)
-    ctrl[actuators_[i]] = std::clamp(joints[i], limits().joint_lower[i], limits().joint_upper[i]);
+  for (std::size_t i = 0; i < joints.size(); ++i)
+    target()[i] = std::clamp(joints[i], limits().joint_lower[i], limits().joint_upper[i]);
 }
 
 bool SimArm::do_has_arrived() {
   const ArmState state = do_state();
-  const double* ctrl = row(*world_, mjSTATE_CTRL, copy_);
-  for (std::size_t i = 0; i < actuators_.size(); ++i)
-    if (std::abs(state.joints[i] - ctrl[actuators_[i]]) > kPositionTolerance ||
+  for (std::size_t i = 0; i < state.joints.size(); ++i)
+    // Written so that NaN, the target of an arm that is to stop, counts as not arrived.
+    if (!(std::abs(state.joints[i] - state.commanded_joints[i]) <= kPositionTolerance) ||
         std::abs(state.joint_velocities[i]) > kVelocityTolerance)
       return false;
   return true;
 }
 
-void SimArm::do_hold() { do_command_joints(do_state().joints); }
+void SimArm::do_hold() { std::fill_n(target(), dof(), kNaN); }
 
 SimGripper::SimGripper(std::string name, double max_width, double max_force, std::shared_ptr<World> world, int copy,
                        std::vector<int> joints, int actuator, GripperMap map)

@@ -173,6 +173,19 @@ void World::check_callback(const StepCallback* callback) const {
   callback->check(model_, copies_);
 }
 
+std::shared_ptr<Motion> World::add_motion(std::shared_ptr<Motion> motion) {
+  const Taken taken(*this, "add_motion");
+  check_callback(motion.get());
+  for (const auto& other : motions_) {
+    if (other->address() == motion->address() && other->dof() == motion->dof()) return other;
+    if (other->address() < motion->address() + Motion::size(motion->dof()) &&
+        motion->address() < other->address() + Motion::size(other->dof()))
+      throw InvalidSetup("world: the user data of a motion overlap those of another");
+  }
+  motions_.push_back(motion);
+  return motion;
+}
+
 void World::on_period(std::shared_ptr<StepCallback> callback, double period) {
   const Taken taken(*this, "on_period");
   check_callback(callback.get());
@@ -345,6 +358,8 @@ double* World::component(int which, int* size) {
       return data_->qfrc_applied;
     case mjSTATE_XFRC_APPLIED:
       return data_->xfrc_applied;
+    case mjSTATE_USERDATA:
+      return data_->userdata;
     default:
       throw InvalidSetup("world: that state component has no array");
   }

@@ -158,6 +158,14 @@ std::int64_t World::period_of(std::int64_t step) const {
   return static_cast<std::int64_t>(((k + 1) * n) / d - (k * n) / d);
 }
 
+Motion::Step World::motion_step(std::int64_t step, double physics_step) const {
+  __extension__ using Wide = __int128;
+  const Wide n = timing_.period_numerator, d = timing_.period_denominator;
+  const double rest = static_cast<double>((Wide{step} + 1) * n % d) / static_cast<double>(d);
+  return {static_cast<double>(n) / static_cast<double>(d) * physics_step,
+          static_cast<double>(period_of(step)) * physics_step, rest * physics_step, timing_.is_synchronous};
+}
+
 void World::refresh_copy(const mjModel* model, mjData* data, int copy) {
   mj_kinematics(model, data);
   read_out(model, data, copy, false);
@@ -168,18 +176,30 @@ void World::refresh_copy(const mjModel* model, mjData* data, int copy) {
 void World::step_copy(const mjModel* model, mjData* data, int copy) {
   const auto index = static_cast<std::size_t>(copy);
   const bool is_synchronous = timing_.is_synchronous;
-  const std::int64_t most = is_synchronous ? timing_.max_substeps : period_of(out_->steps[index]);
+  const std::int64_t period = period_of(out_->steps[index]);
+  std::int64_t most = is_synchronous ? timing_.max_substeps : period;
+  const std::int64_t least = std::min(period, most);
   StepEnd end = is_synchronous ? StepEnd::limit : StepEnd::period;
   const std::int64_t before = physics_steps_[index];
   std::int64_t done = 0;
   clear_warnings(data);
   const StepView view{model, data, copy, &memory_};
   try {
+    if (!motions_.empty()) {
+      const Motion::Step step = motion_step(out_->steps[index], model->opt.timestep);
+      double longest = 0.0;
+      for (const auto& motion : motions_) {
+        motion->begin(model, data, copy, step);
+        if (is_synchronous) longest = std::max(longest, motion->remaining(data, copy));
+      }
+      most += static_cast<std::int64_t>(std::ceil(longest / model->opt.timestep));
+    }
     while (done < most) {
       if (done % kSubstepsPerPoll == 0 && (done == 0 ? is_stopping_.load(std::memory_order_relaxed) : is_stopped())) {
         end = StepEnd::failed;
         break;
       }
+      for (const auto& motion : motions_) motion->advance(model, data, copy);
       mj_step(model, data);
       ++done;
       for (const auto& entry : periodic_)
@@ -194,7 +214,7 @@ void World::step_copy(const mjModel* model, mjData* data, int copy) {
       // Every callback is asked at every physics step, so that those which remember see all of it.
       bool is_converged = !converge_.empty();
       for (const auto& entry : converge_) is_converged = entry->call(view) && is_converged;
-      if (is_converged) {
+      if (is_converged && done >= least) {
         end = StepEnd::converged;
         break;
       }

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence, Set
 import enum
-from typing import Annotated, Any, Self, overload
+from typing import Annotated, Any, Final, Self, overload
 
 import mujoco
 import numpy
@@ -766,6 +766,37 @@ class Collision(StepCallback):
         One uint8 flag per geom of the model, then one per flex, for each set; force in N.
         """
 
+class MotionLimits:
+    """Limits of a motion, one value per joint."""
+
+    def __init__(self, lower: Sequence[float], upper: Sequence[float], velocity: Sequence[float], acceleration: Sequence[float], jerk: Sequence[float]) -> None:
+        """Positions in rad, then rad/s, rad/s^2 and rad/s^3."""
+
+class Motion(StepCallback):
+    """
+    Moves position servos of some joints to a target in `mjData.userdata`, within limits of velocity, acceleration and jerk. As a callback, it is true when the joints stand at their target.
+    """
+
+    def __init__(self, joints: Sequence[int], actuators: Sequence[int], address: int, limits: MotionLimits, copies: int) -> None:
+        """
+        Joint and actuator ids, base to tip, and the first of the numbers in the user data.
+        """
+
+    @staticmethod
+    def size(dof: int) -> int:
+        """Numbers of user data that so many joints take."""
+
+    POSITION_ROWS: Final[list[int]] = ...
+    """
+    Rows of `dof` numbers that are joint positions; where the arm stands still, all are equal and the rest is 0.
+    """
+
+    @property
+    def dof(self) -> int: ...
+
+    @property
+    def address(self) -> int: ...
+
 class StepEnd(enum.Enum):
     """Why a control step of a simulation ended."""
 
@@ -818,6 +849,11 @@ class World:
     @property
     def is_batch(self) -> bool:
         """False for a world on the user's own data."""
+
+    def add_motion(self, motion: Motion) -> Motion:
+        """
+        Have a motion lead its joints in every step. Where there is one with the same user data, that is returned.
+        """
 
     def on_period(self, callback: StepCallback, period: float) -> None:
         """Call every `period` seconds of simulated time."""
@@ -963,10 +999,8 @@ class World:
 class SimArm(Arm):
     """The arm of one copy of a world. Time passes only in `World.advance`."""
 
-    def __init__(self, name: str, limits: ArmLimits, world: World, copy: int, joints: Sequence[int], actuators: Sequence[int]) -> None:
-        """
-        Joint and actuator (position servo) ids are of the world's model, base to tip.
-        """
+    def __init__(self, name: str, limits: ArmLimits, world: World, copy: int, motion: Motion) -> None:
+        """The motion leads the joints to their target; it is added to the world."""
 
 class GripperMap:
     """How the opening of a gripper relates to its model."""

@@ -15,9 +15,8 @@ namespace rcs {
 /// The arm of one copy of a world. Commands set targets; time passes only in `World::advance`.
 class SimArm final : public Arm {
  public:
-  /// `joints` and `actuators` (position servos) are ids in the world's model, base to tip.
-  SimArm(std::string name, ArmLimits limits, std::shared_ptr<World> world, int copy, std::vector<int> joints,
-         std::vector<int> actuators);
+  /// `motion` leads the joints to their target; it is added to the world.
+  SimArm(std::string name, ArmLimits limits, std::shared_ptr<World> world, int copy, std::shared_ptr<Motion> motion);
 
  protected:
   ArmState do_state() override;
@@ -26,10 +25,11 @@ class SimArm final : public Arm {
   void do_hold() override;
 
  private:
+  double* target() const;
+
   std::shared_ptr<World> world_;
   int copy_;
-  std::vector<int> joints_;
-  std::vector<int> actuators_;
+  std::shared_ptr<Motion> motion_;
 };
 
 /// How the opening of a gripper relates to its model.

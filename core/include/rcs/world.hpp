@@ -24,6 +24,7 @@
 #include <vector>
 
 #include "rcs/callback.hpp"
+#include "rcs/motion.hpp"
 #include "rcs/result.hpp"
 
 namespace rcs {
@@ -33,7 +34,7 @@ struct StepTiming {
   std::int64_t period_numerator = 50;   ///< control period in physics steps, numerator of the ratio …
   std::int64_t period_denominator = 3;  ///< … and its denominator
   bool is_synchronous = false;          ///< step until converged instead of for one control period
-  int max_substeps = 500;               ///< of a synchronous step
+  int max_substeps = 500;               ///< of a synchronous step, from when its motions are to end
 };
 
 /// A field of the model with values per copy: copies × size.
@@ -66,6 +67,9 @@ class World {
   const StepTiming& timing() const { return timing_; }
   void set_timing(const StepTiming& timing);
 
+  /// Have a motion lead its joints in every step. One that takes the user data of another is not added: that is
+  /// returned.
+  std::shared_ptr<Motion> add_motion(std::shared_ptr<Motion> motion);
   /// Call every `period` seconds of simulated time.
   void on_period(std::shared_ptr<StepCallback> callback, double period);
   /// A synchronous step ends when all of these are true.
@@ -217,6 +221,7 @@ class World {
   void refresh_copy(const mjModel* model, mjData* data, int copy);
   void read_out(const mjModel* model, const mjData* data, int copy, bool has_forces);
   std::int64_t period_of(std::int64_t step) const;
+  Motion::Step motion_step(std::int64_t step, double physics_step) const;
 
   const mjModel* model_;
   mjData* data_ = nullptr;
@@ -230,6 +235,7 @@ class World {
   unsigned forks_;
   int state_size_;
   StepTiming timing_;
+  std::vector<std::shared_ptr<Motion>> motions_;
   std::vector<Periodic> periodic_;
   std::vector<std::shared_ptr<StepCallback>> converge_;
   std::vector<std::shared_ptr<StepCallback>> interrupt_;

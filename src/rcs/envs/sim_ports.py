@@ -34,8 +34,8 @@ class SimArmPort(Port):
         self._robot.command_joints(action[keys.JOINTS])
 
     def hold(self) -> None:
-        """Set the measured joints as the target."""
-        self._robot.command_joints(self._robot.joints)
+        """Stop as fast as the arm's limits allow."""
+        self._robot.stop()
 
     def observe(self) -> Observation:
         """Read joints, velocities and the TCP pose."""

@@ -23,7 +23,8 @@ class RobotLayout:
     actuator_ids: list[int]
     qpos: Index
     qvel: Index
-    ctrl: Index
+    motion: int
+    """First number of the arm's motion in the user data."""
     base_body: int
     tcp_site: int
     finger_joint_ids: list[int]
@@ -58,6 +59,7 @@ class RobotLayout:
                 hand_actuators = [model.actuator(robot.gripper_prefix + name).id for name in robot.hand.actuators]
             base = model.body(robot.base_body).id
             tcp = model.site(robot.tcp_site).id
+            motion = int(model.numeric(robot.motion).data[0])
         except KeyError as err:
             raise InvalidSetup(f"Robot {robot.name!r} is not in this model: {err}") from err
         return RobotLayout(
@@ -65,7 +67,7 @@ class RobotLayout:
             actuator_ids=actuators,
             qpos=_index(model.jnt_qposadr[joints]),
             qvel=_index(model.jnt_dofadr[joints]),
-            ctrl=_index(np.array(actuators)),
+            motion=motion,
             base_body=base,
             tcp_site=tcp,
             finger_joint_ids=fingers,

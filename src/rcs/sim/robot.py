@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs._core import ArmLimits, GripperMap, JointsArrived, JointsAtRest, SimArm, SimGripper
+from rcs._core import ArmLimits, GripperMap, JointsAtRest, Motion, MotionLimits, SimArm, SimGripper
 from rcs.errors import InvalidSetup
 from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.layout import RobotLayout
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.world import World
 
-ARRIVED_TOLERANCE = 1e-3
-"""A joint has arrived when it is this close to its target [rad] …"""
 STILL_TOLERANCE = 1e-2
-"""… and slower than this [rad/s, m/s]."""
+"""Fingers that are slower than this are at rest [rad/s, m/s]."""
 REST_TIME = 0.05
 """Time without motion after which fingers are at rest [s]; less would include a gripper that is about to start."""
 
@@ -33,6 +31,15 @@ class SimRobot:
         self.world = world
         self.placement = robot
         self.layout = RobotLayout.of(robot, world.model)
+        arm = robot.arm
+        rates = list(arm.velocity_limit), list(arm.acceleration_limit), list(arm.jerk_limit)
+        limits = MotionLimits(list(arm.joint_lower), list(arm.joint_upper), *rates)
+        ids, first = self.layout, self.layout.motion
+        self.motion = world.core.add_motion(Motion(ids.joint_ids, ids.actuator_ids, first, limits, world.copies))
+        """Leads the arm to its targets."""
+        assert world.userdata is not None, "the scene has given every arm its user data"
+        self._target = world.userdata[..., first : first + arm.dof]
+        self._memory = world.userdata[..., first : first + Motion.size(arm.dof)]
         self.tcp_readout = world.core.read_pose(self.layout.tcp_site, self.layout.base_body)
         """Index of the TCP's pose in `world.poses`."""
         self._opening: int | None = None
@@ -108,8 +115,27 @@ class SimRobot:
         self.world.ctrl[..., self.layout.hand_ctrl] = lower + joints * (upper - lower)
 
     def command_joints(self, joints: NDArray[np.float64]) -> None:
-        """Set the joint targets [rad], (*leading, dof)."""
-        self.world.ctrl[..., self.layout.ctrl] = joints
+        """Set the joint targets [rad], (*leading, dof); the arm moves there within its limits."""
+        self._target[...] = joints
+
+    @property
+    def joint_targets(self) -> NDArray[np.float64]:
+        """Joint targets [rad], (*leading, dof), a fresh array; NaN where the arm is told to stop."""
+        return self._target.copy()
+
+    def stop(self) -> None:
+        """Stop the arm of every copy as fast as its limits allow."""
+        self._target[...] = np.nan
+
+    def _place(self, joints: NDArray[np.float64]) -> None:
+        """Write joints at rest, with their targets there."""
+        world, dof = self.world, self.placement.arm.dof
+        world.qpos[..., self.layout.qpos] = joints
+        world.qvel[..., self.layout.qvel] = 0.0
+        world.ctrl[..., self.layout.actuator_ids] = joints
+        self._memory[...] = 0.0
+        for row in Motion.POSITION_ROWS:
+            self._memory[..., row * dof : (row + 1) * dof] = joints
 
     def command_opening(self, opening: NDArray[np.floating]) -> None:
         """Set the gripper's opening, 0 closed … 1 open, (*leading, 1)."""
@@ -119,10 +145,7 @@ class SimRobot:
 
     def go_home(self) -> None:
         """Put every copy at the home pose with an open gripper, at rest, by writing the state (no motion)."""
-        home = np.array(self.placement.arm.home)
-        self.world.qpos[..., self.layout.qpos] = home
-        self.world.qvel[..., self.layout.qvel] = 0.0
-        self.command_joints(np.broadcast_to(home, (*self.world.leading, len(home))))
+        self._place(np.array(self.placement.arm.home))
         if self.placement.gripper is not None:
             self.world.qpos[..., self.layout.finger_qpos] = np.array(self.placement.gripper.joint_open)
             self.world.qvel[..., self.layout.finger_qvel] = 0.0
@@ -147,9 +170,7 @@ class SimRobot:
         Raises:
             InvalidSetup: There is an opening but no gripper, or joints of a hand but no hand.
         """
-        self.world.qpos[..., self.layout.qpos] = joints
-        self.world.qvel[..., self.layout.qvel] = 0.0
-        self.command_joints(joints)
+        self._place(joints)
         if opening is not None:
             closed, opened = np.array(self.gripper.joint_closed), np.array(self.gripper.joint_open)
             self.world.qpos[..., self.layout.finger_qpos] = closed + opening * (opened - closed)
@@ -162,28 +183,16 @@ class SimRobot:
     def wait_for_arrival(self) -> None:
         """Make synchronous steps of the world wait until the arm has arrived and the fingers are at rest."""
         core = self.world.core
-        arrived = JointsArrived(self.layout.joint_ids, self.layout.actuator_ids, ARRIVED_TOLERANCE, STILL_TOLERANCE)
-        core.converge_when(arrived)
+        core.converge_when(self.motion)
         fingers = self.layout.finger_joint_ids or self.layout.hand_joint_ids
         if fingers:
             core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, REST_TIME, self.world.copies))
-
-    @property
-    def servo_lag(self) -> NDArray[np.float64]:
-        """Lag of each joint behind a target at constant speed [s], (dof,).
-
-        A servo's force `gain * target - stiffness * q - damping * v` then balances the joint's own damping.
-        """
-        model, ids = self.world.model, self.layout
-        damping = model.dof_damping[model.jnt_dofadr[ids.joint_ids]] - model.actuator_biasprm[ids.actuator_ids, 2]
-        return damping / -model.actuator_biasprm[ids.actuator_ids, 1]
 
     def arm(self, copy: int = 0) -> SimArm:
         """Return the arm of one copy as a device, closed."""
         arm = self.placement.arm
         limits = ArmLimits(list(arm.joint_lower), list(arm.joint_upper), list(arm.velocity_limit))
-        ids = self.layout
-        return SimArm(self.placement.name, limits, self.world.core, copy, ids.joint_ids, ids.actuator_ids)
+        return SimArm(self.placement.name, limits, self.world.core, copy, self.motion)
 
     def gripper_device(self, copy: int = 0) -> SimGripper:
         """Return the gripper of one copy as a device, closed.

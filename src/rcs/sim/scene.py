@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
+from rcs._core import Motion
 from rcs.errors import InvalidSetup
 from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, load, mount_frame
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
@@ -62,6 +63,11 @@ class RobotPlacement:
     def prefix(self) -> str:
         """Prefix of the arm's element names."""
         return f"{self.name}/"
+
+    @property
+    def motion(self) -> str:
+        """Name of the number that says where the model's user data have the motion of the arm."""
+        return f"{self.prefix}motion"
 
     @property
     def gripper_prefix(self) -> str:
@@ -237,6 +243,11 @@ class Scene:
                 parts.append((GRIPPER_PREFIX, robot.gripper.menagerie))
             self._lacks_details = not exchange_visuals(arm, parts)
         self.spec.attach(arm, frame=mount_frame(self.spec.worldbody, robot.base_in_scene), prefix=robot.prefix)
+        for actuator in robot.arm.actuators:
+            # The control of a servo in motion leads its target, also where that is a limit; the motion keeps the limits.
+            self.spec.actuator(robot.prefix + actuator).ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        self.spec.add_numeric(name=robot.motion, data=[self.spec.nuserdata])
+        self.spec.nuserdata += Motion.size(robot.arm.dof)
         self.robots.append(robot)
 
     def add_camera(self, camera: CameraPlacement) -> None:

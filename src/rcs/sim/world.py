@@ -66,7 +66,7 @@ class World:
             threads: Threads for copies, 0 for one per CPU that this process may use.
             frequency: Control steps per second of simulated time [Hz].
             stepping: How long a step lasts.
-            max_substeps: Limit of physics steps in a synchronous step.
+            max_substeps: Limit of physics steps in a synchronous step, counted from when its motions are to end.
 
         Raises:
             InvalidSetup: A number is not valid, both `data` and `copies` are given, or the data are of another model.
@@ -96,6 +96,8 @@ class World:
         """Live velocities of all joints, (*leading, nv)."""
         self.ctrl = self.core.component(state.mjSTATE_CTRL.value)
         """Live controls, (*leading, nu)."""
+        self.userdata = self.core.component(state.mjSTATE_USERDATA.value) if model.nuserdata else None
+        """Live user data, (*leading, nuserdata), with the motions of arms; None without any."""
         self.time = self.core.component(state.mjSTATE_TIME.value)[..., 0]
         """Live simulated time [s], (*leading,)."""
         self._is_read_out = False

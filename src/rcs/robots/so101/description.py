@@ -23,11 +23,11 @@ SO101: Final = ArmDescription(
     joint_lower=(-1.91986, -1.7453293, -1.69, -1.658063, -2.7438473),
     joint_upper=(1.91986, 1.7453293, 1.69, 1.658063, 2.7438473),
     # Servo's data sheet, STS3215 at 12 V: 45 rpm without load, 30 kg cm stall torque.
-    velocity_limit=(1.5 * pi,) * 5,
+    velocity_limit=(2.8,) * 5,
     effort_limit=(2.94,) * 5,
     # Not published. Ours: a fifth of what the torque does to the servo's own armature, reached within 20 ms.
-    acceleration_limit=(20.0,) * 5,
-    jerk_limit=(1000.0,) * 5,
+    acceleration_limit=(15.0,) * 5,
+    jerk_limit=(750.0,) * 5,
     # From the shoulder lift to the flange with the arm stretched out: 0.116 + 0.135 + 0.061 m.
     workspace_reach=0.312,
     # Its wrist ends in a servo horn made for its own gripper, and lifts a few hundred grams.
