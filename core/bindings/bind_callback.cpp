@@ -126,5 +126,13 @@ void bind_callback(nb::module_& m) {
           "Rows of `dof` numbers that are joint positions; where the arm stands still, all are equal and the rest is "
           "0.")
       .def_prop_ro("dof", &rcs::Motion::dof)
-      .def_prop_ro("address", &rcs::Motion::address);
+      .def_prop_ro("address", &rcs::Motion::address)
+      .def(
+          "state",
+          [](rcs::Motion& motion, const PyStepView& view) {
+            motion.check(view.get().model, view.get().copy + 1);
+            const std::vector<double> all = motion.state(view.get().data, view.get().copy);
+            return to_array(all, {3, static_cast<std::size_t>(motion.dof())});
+          },
+          "view"_a, "Position, velocity and acceleration that the joints are led to at present, (3, dof).");
 }

@@ -15,8 +15,8 @@ namespace {
 
 // Rows of `dof` numbers in the user data of a copy. What is planned follows from the last five and the numbers behind.
 enum Row { kTarget, kLast, kStream, kPosition, kVelocity, kAcceleration, kAim, kEnd, kRows };
-// After the rows: time since the plan's start, its least duration, and whether it only stops.
-enum Number { kElapsed, kLeast, kIsStop };
+// After the rows: time since the plan's start, and its least duration.
+enum Number { kElapsed, kLeast };
 
 // As libfranka, which stays that much below the limits that its robot checks (rate_limiting.h, kLimitEps).
 constexpr double kMargin = 1e-3;
@@ -24,8 +24,6 @@ constexpr double kMargin = 1e-3;
 // it.
 constexpr double kOvershoot = 0.03;
 constexpr double kSlow = 0.3;
-// A joint that is farther from where it was led was pushed away or blocked [rad]: it is stopped where it is.
-constexpr double kBlocked = 0.05;
 // What rounding makes of the end of a trajectory [rad].
 constexpr double kRounding = 1e-6;
 // At rest, for arrival: ten times below what a person sees, ten times above what a servo jitters.
@@ -128,6 +126,11 @@ Motion::Motion(std::vector<int> joints, std::vector<int> actuators, int address,
 
 Motion::~Motion() = default;
 
+void Motion::stand(std::span<double> user, std::span<const double> joints) {
+  std::ranges::fill(user, 0.0);
+  for (const int row : position_rows()) std::ranges::copy(joints, user.begin() + row * std::ssize(joints));
+}
+
 std::vector<int> Motion::position_rows() { return {kTarget, kLast, kPosition, kAim}; }
 
 void Motion::check(const mjModel* model, int copies) const {
@@ -155,13 +158,12 @@ Motion::Plan& Motion::plan(const double* user, int copy) {
   const std::size_t n = joints_.size();
   const double* first = user + kPosition * n;
   const std::size_t count = (kRows - kPosition) * n;
-  const double* numbers = user + kRows * n;
-  const double more[2] = {numbers[kLeast], numbers[kIsStop]};
-  if (plan.source.size() == count + 2 && std::equal(first, first + count, plan.source.begin()) &&
-      std::equal(more, more + 2, plan.source.end() - 2))
+  const double least = user[kRows * n + kLeast];
+  if (plan.source.size() == count + 1 && std::equal(first, first + count, plan.source.begin()) &&
+      plan.source.back() == least)
     return plan;
   plan.source.assign(first, first + count);
-  plan.source.insert(plan.source.end(), more, more + 2);
+  plan.source.push_back(least);
   auto& input = plan.input;
   plan.is_still = true;
   for (std::size_t i = 0; i < n; ++i) {
@@ -174,9 +176,9 @@ Motion::Plan& Motion::plan(const double* user, int copy) {
                     input.target_velocity[i] == 0.0 && input.target_position[i] == input.current_position[i];
   }
   if (plan.is_still) return plan;
-  input.control_interface = more[1] != 0.0 ? ruckig::ControlInterface::Velocity : ruckig::ControlInterface::Position;
-  if (more[0] > 0.0)
-    input.minimum_duration = more[0];
+  input.control_interface = ruckig::ControlInterface::Position;
+  if (least > 0.0)
+    input.minimum_duration = least;
   else
     input.minimum_duration.reset();
   if (plan.compute()) return plan;
@@ -196,21 +198,7 @@ void Motion::start(double* user, const Plan& plan) const {
   std::ranges::copy(plan.position, user + kPosition * n);
   std::ranges::copy(plan.velocity, user + kVelocity * n);
   std::ranges::copy(plan.acceleration, user + kAcceleration * n);
-  user[kRows * n + kElapsed] = user[kRows * n + kLeast] = user[kRows * n + kIsStop] = 0.0;
-}
-
-void Motion::stop(const mjModel* model, const mjData* data, double* user, Plan& plan) {
-  const std::size_t n = joints_.size();
-  const double* qpos = data->qpos;
-  bool is_blocked = false;
-  for (std::size_t i = 0; i < n; ++i)
-    is_blocked = is_blocked || std::abs(qpos[model->jnt_qposadr[joints_[i]]] - plan.position[i]) > kBlocked;
-  start(user, plan);
-  for (std::size_t i = 0; i < n; ++i) {
-    user[kAim * n + i] = is_blocked ? qpos[model->jnt_qposadr[joints_[i]]] : plan.position[i];
-    user[kEnd * n + i] = user[kStream * n + i] = 0.0;
-  }
-  user[kRows * n + kIsStop] = is_blocked ? 0.0 : 1.0;
+  user[kRows * n + kElapsed] = user[kRows * n + kLeast] = 0.0;
 }
 
 void Motion::follow(double* user, const Step& step, Plan& plan) {
@@ -243,7 +231,7 @@ void Motion::follow(double* user, const Step& step, Plan& plan) {
     plan.aim[i] = target[i] - plan.end[i] * (behind + lag);
     is_same = is_same && plan.aim[i] == user[kAim * n + i] && plan.end[i] == user[kEnd * n + i];
   }
-  if (is_same && user[kRows * n + kIsStop] == 0.0) return;
+  if (is_same) return;
   start(user, plan);
   std::ranges::copy(plan.aim, user + kAim * n);
   std::ranges::copy(plan.end, user + kEnd * n);
@@ -253,25 +241,16 @@ void Motion::follow(double* user, const Step& step, Plan& plan) {
 void Motion::begin(const mjModel* model, mjData* data, int copy, const Step& step) {
   double* user = data->userdata + address_;
   const std::size_t n = joints_.size();
-  bool is_stop = false, is_new = false;
-  for (std::size_t i = 0; i < n; ++i) {
-    is_stop = is_stop || std::isnan(user[kTarget * n + i]);
+  bool is_new = false;
+  for (std::size_t i = 0; i < n; ++i)
     is_new = is_new || user[kTarget * n + i] != user[kLast * n + i] || user[kStream * n + i] != 0.0;
-  }
   Plan& now = plan(user, copy);
   // A plan that could not be made has ended elsewhere.
   for (std::size_t i = 0; i < n && now.is_still; ++i) is_new = is_new || user[kAim * n + i] != user[kTarget * n + i];
-  if (is_stop || is_new) {
+  if (is_new) {
     now.at(user[kRows * n + kElapsed]);
-    if (is_stop)
-      stop(model, data, user, now);
-    else
-      follow(user, step, now);
-    Plan& next = plan(user, copy);
-    if (is_stop) {
-      next.at(next.duration());
-      for (std::size_t i = 0; i < n; ++i) user[kTarget * n + i] = user[kLast * n + i] = next.position[i];
-    }
+    follow(user, step, now);
+    plan(user, copy);
   }
   for (std::size_t i = 0; i < n; ++i) {
     const int actuator = actuators_[i];
@@ -316,8 +295,18 @@ void Motion::advance(const mjModel* model, mjData* data, int copy) {
     user[kPosition * n + i] = user[kAim * n + i] = position;
     user[kVelocity * n + i] = user[kAcceleration * n + i] = user[kEnd * n + i] = 0.0;
   }
-  user[kRows * n + kElapsed] = user[kRows * n + kLeast] = user[kRows * n + kIsStop] = 0.0;
+  user[kRows * n + kElapsed] = user[kRows * n + kLeast] = 0.0;
   plan(user, copy);
+}
+
+std::vector<double> Motion::state(const mjData* data, int copy) {
+  const double* user = data->userdata + address_;
+  Plan& now = plan(user, copy);
+  now.at(user[kRows * joints_.size() + kElapsed]);
+  std::vector<double> all = now.position;
+  all.insert(all.end(), now.velocity.begin(), now.velocity.end());
+  all.insert(all.end(), now.acceleration.begin(), now.acceleration.end());
+  return all;
 }
 
 double Motion::remaining(const mjData* data, int copy) {

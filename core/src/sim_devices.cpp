@@ -64,14 +64,13 @@ void SimArm::do_command_joints(std::span<const double> joints) {
 bool SimArm::do_has_arrived() {
   const ArmState state = do_state();
   for (std::size_t i = 0; i < state.joints.size(); ++i)
-    // Written so that NaN, the target of an arm that is to stop, counts as not arrived.
-    if (!(std::abs(state.joints[i] - state.commanded_joints[i]) <= kPositionTolerance) ||
+    if (std::abs(state.joints[i] - state.commanded_joints[i]) > kPositionTolerance ||
         std::abs(state.joint_velocities[i]) > kVelocityTolerance)
       return false;
   return true;
 }
 
-void SimArm::do_hold() { std::fill_n(target(), dof(), kNaN); }
+void SimArm::do_hold() { Motion::stand({target(), static_cast<std::size_t>(Motion::size(dof()))}, do_state().joints); }
 
 SimGripper::SimGripper(std::string name, double max_width, double max_force, std::shared_ptr<World> world, int copy,
                        std::vector<int> joints, int actuator, GripperMap map)

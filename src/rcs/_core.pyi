@@ -797,6 +797,11 @@ class Motion(StepCallback):
     @property
     def address(self) -> int: ...
 
+    def state(self, view: StepView) -> NDArray[numpy.float64]:
+        """
+        Position, velocity and acceleration that the joints are led to at present, (3, dof).
+        """
+
 class StepEnd(enum.Enum):
     """Why a control step of a simulation ended."""
 

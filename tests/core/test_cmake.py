@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 
 import mujoco
@@ -15,7 +16,8 @@ ROOT = Path(__file__).parents[2]
 CONSUMER = ROOT / "tests" / "cpp_consumer"
 MUJOCO = Path(mujoco.__file__).parent
 ANSWER = f"2 copies, 1.5 m, MuJoCo {mujoco.mj_version()}\n"
-WITHOUT_PYTHON = ["-DCMAKE_DISABLE_FIND_PACKAGE_Python=ON", f"-DMUJOCO_DIR={MUJOCO}"]
+LIBRARIES = [f"-DMUJOCO_DIR={MUJOCO}", f"-DRUCKIG_DIR={sysconfig.get_path('platlib')}"]
+WITHOUT_PYTHON = ["-DCMAKE_DISABLE_FIND_PACKAGE_Python=ON", *LIBRARIES]
 
 pytestmark = pytest.mark.slow
 
@@ -26,7 +28,7 @@ def tool(name: str) -> str | None:
 
 
 def run(*command: str | Path) -> str:
-    environment = {k: v for k, v in os.environ.items() if k != "MUJOCO_DIR"}
+    environment = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_DIR", "RUCKIG_DIR")}
     done = subprocess.run(
         [str(c) for c in command], capture_output=True, text=True, timeout=600, check=False, env=environment
     )

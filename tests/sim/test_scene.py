@@ -10,6 +10,7 @@ from rcs.robots.fr3.description import FR3
 from rcs.robots.realsense_d405.description import REALSENSE_D405
 from rcs.sim import CameraPlacement, RobotPlacement, Scene, World
 from rcs.sim.layout import RobotLayout
+from rcs.sim.robot import SimRobot
 
 
 def test_an_empty_scene_has_a_floor_lights_and_an_overview() -> None:
@@ -76,12 +77,11 @@ def test_a_robot_at_home_stays_at_home(placement: RobotPlacement) -> None:
     scene.add_table()
     scene.add_robot(placement)
     model = scene.compile()
-    layout = RobotLayout.of(placement, model)
-    world = World(model)
-    world.qpos[layout.qpos] = world.ctrl[layout.ctrl] = placement.arm.home
+    robot = SimRobot(World(model), placement)
+    robot.go_home()
     for _ in range(30):
-        world.advance()
-    np.testing.assert_allclose(world.qpos[layout.qpos], placement.arm.home, atol=1e-3)
+        robot.world.advance()
+    np.testing.assert_allclose(robot.joints, placement.arm.home, atol=1e-3)
 
 
 def test_joints_that_are_not_neighbours_are_still_found(placement: RobotPlacement) -> None:

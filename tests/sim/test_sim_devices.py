@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from rcs._core import ArmLimits, GripperMap, SimArm, SimGripper
+from rcs._core import ArmLimits, GripperMap, Motion, MotionLimits, SimArm, SimGripper
 from rcs.devices import Arm, Gripper
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
@@ -118,12 +118,19 @@ def test_an_opening_is_the_share_of_the_full_width(lab: mujoco.MjModel, placemen
 def test_ids_that_are_not_in_the_world_are_refused(robot: SimRobot) -> None:
     ids, core = robot.layout, robot.world.core
     limits = ArmLimits(list(FR3.joint_lower), list(FR3.joint_upper), list(FR3.velocity_limit))
+    rates = [[1.0] * 7] * 3
+    bounds = MotionLimits(list(FR3.joint_lower), list(FR3.joint_upper), *rates)
+    motion = Motion(ids.joint_ids, ids.actuator_ids, ids.motion, bounds, 1)
+    no_joint = Motion([99, *ids.joint_ids[1:]], ids.actuator_ids, ids.motion, bounds, 1)
+    no_servo = Motion(ids.joint_ids, [99, *ids.actuator_ids[1:]], ids.motion, bounds, 1)
+    elsewhere = Motion(ids.joint_ids, ids.actuator_ids, ids.motion + 1, bounds, 1)
     short = ArmLimits([-1.0], [1.0], [1.0])
     for arguments in (
-        (limits, core, 1, ids.joint_ids, ids.actuator_ids),
-        (limits, core, 0, [99, *ids.joint_ids[1:]], ids.actuator_ids),
-        (limits, core, 0, ids.joint_ids, [99, *ids.actuator_ids[1:]]),
-        (short, core, 0, ids.joint_ids, ids.actuator_ids),
+        (limits, core, 1, motion),
+        (limits, core, 0, no_joint),
+        (limits, core, 0, no_servo),
+        (limits, core, 0, elsewhere),
+        (short, core, 0, motion),
     ):
         with pytest.raises(InvalidSetup):
             SimArm("arm", *arguments)

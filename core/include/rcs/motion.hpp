@@ -4,6 +4,7 @@
 #include <mujoco/mujoco.h>
 
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "rcs/callback.hpp"
@@ -45,10 +46,12 @@ class Motion final : public StepCallback {
   };
 
   /// Numbers of user data that `dof` joints take.
-  static constexpr int size(int dof) { return 8 * dof + 3; }
+  static constexpr int size(int dof) { return 8 * dof + 2; }
 
   /// Rows of `dof` numbers that are positions; where the joints stand still, all are equal and every other number is 0.
   static std::vector<int> position_rows();
+  /// Write that, of `size(joints.size())` numbers: the joints stop there at once, whatever their speed.
+  static void stand(std::span<double> user, std::span<const double> joints);
 
   /// `joints` are hinge or slide joint ids, base to tip, `actuators` their position servos, `address` the first of the
   /// numbers in `mjData.userdata`. Throws `InvalidSetup` if they do not fit each other.
@@ -61,11 +64,12 @@ class Motion final : public StepCallback {
   int address() const { return address_; }
   const std::vector<int>& joints() const { return joints_; }
 
-  /// Plan the motion of a step. The target is what was written into the first `dof` numbers; NaN stops the joints as
-  /// fast as they can.
+  /// Plan the motion of a step. The target is what was written into the first `dof` numbers.
   void begin(const mjModel* model, mjData* data, int copy, const Step& step);
   /// Write the controls of the next physics step.
   void advance(const mjModel* model, mjData* data, int copy);
+  /// Where the joints are led to at present: positions, velocities and accelerations, `dof` numbers each.
+  std::vector<double> state(const mjData* data, int copy);
   /// Time until the joints are to stand still [s].
   double remaining(const mjData* data, int copy);
 
@@ -77,7 +81,6 @@ class Motion final : public StepCallback {
 
   Plan& plan(const double* user, int copy);
   void follow(double* user, const Step& step, Plan& plan);
-  void stop(const mjModel* model, const mjData* data, double* user, Plan& plan);
   void start(double* user, const Plan& plan) const;
 
   std::vector<int> joints_;

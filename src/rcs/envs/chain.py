@@ -106,7 +106,9 @@ class Chain:
         return observation
 
     def rebase(self) -> None:
-        """Make all layers count from the measured state."""
+        """Make all devices and layers go on from the measured state."""
+        for port in self.ports:
+            port.rebase()
         observation = self.measure_devices()
         for layer in self.layers:
             layer.rebase(observation)

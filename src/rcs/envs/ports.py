@@ -68,6 +68,9 @@ class Port(ABC):
             if not self.device.fault:
                 raise
 
+    def rebase(self) -> None:
+        """Make the device go on from where it is measured, if it still has a target elsewhere. A real one has none."""
+
     @property
     def can_fail(self) -> bool:
         """Whether `faults` can ever have an entry."""

@@ -34,7 +34,11 @@ class SimArmPort(Port):
         self._robot.command_joints(action[keys.JOINTS])
 
     def hold(self) -> None:
-        """Stop as fast as the arm's limits allow."""
+        """Stop the arm where it is."""
+        self._robot.stop()
+
+    def rebase(self) -> None:
+        """Go on from the measured joints, also where they were pushed to."""
         self._robot.stop()
 
     def observe(self) -> Observation:

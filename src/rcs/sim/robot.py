@@ -120,22 +120,25 @@ class SimRobot:
 
     @property
     def joint_targets(self) -> NDArray[np.float64]:
-        """Joint targets [rad], (*leading, dof), a fresh array; NaN where the arm is told to stop."""
+        """Joint targets [rad], (*leading, dof), a fresh array."""
         return self._target.copy()
 
     def stop(self) -> None:
-        """Stop the arm of every copy as fast as its limits allow."""
-        self._target[...] = np.nan
+        """Stop the arm of every copy where it is, with all the torque that its servos have."""
+        self._stand(self.joints)
 
-    def _place(self, joints: NDArray[np.float64]) -> None:
-        """Write joints at rest, with their targets there."""
-        world, dof = self.world, self.placement.arm.dof
-        world.qpos[..., self.layout.qpos] = joints
-        world.qvel[..., self.layout.qvel] = 0.0
-        world.ctrl[..., self.layout.actuator_ids] = joints
+    def _stand(self, joints: NDArray[np.float64]) -> None:
+        dof = self.placement.arm.dof
         self._memory[...] = 0.0
         for row in Motion.POSITION_ROWS:
             self._memory[..., row * dof : (row + 1) * dof] = joints
+
+    def _place(self, joints: NDArray[np.float64]) -> None:
+        world = self.world
+        world.qpos[..., self.layout.qpos] = joints
+        world.qvel[..., self.layout.qvel] = 0.0
+        world.ctrl[..., self.layout.actuator_ids] = joints
+        self._stand(joints)
 
     def command_opening(self, opening: NDArray[np.floating]) -> None:
         """Set the gripper's opening, 0 closed … 1 open, (*leading, 1)."""

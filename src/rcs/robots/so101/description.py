@@ -22,11 +22,12 @@ SO101: Final = ArmDescription(
     # mujoco_menagerie robotstudio_so101: 0 is the middle of the range ("new" calibration of SO-ARM100).
     joint_lower=(-1.91986, -1.7453293, -1.69, -1.658063, -2.7438473),
     joint_upper=(1.91986, 1.7453293, 1.69, 1.658063, 2.7438473),
-    # Servo's data sheet, STS3215 at 12 V: 45 rpm without load, 30 kg cm stall torque.
+    # Servo's data sheet, STS3215 at 12 V: 30 kg cm stall torque, 45 rpm (4.7 rad/s) without load. No torque is left at
+    # that speed. Ours: 60 % of it, and the acceleration that the torque then left gives the arm stretched out.
     velocity_limit=(2.8,) * 5,
     effort_limit=(2.94,) * 5,
-    # Not published. Ours: a fifth of what the torque does to the servo's own armature, reached within 20 ms.
     acceleration_limit=(15.0,) * 5,
+    # Not published. Ours: full acceleration after 20 ms.
     jerk_limit=(750.0,) * 5,
     # From the shoulder lift to the flange with the arm stretched out: 0.116 + 0.135 + 0.061 m.
     workspace_reach=0.312,

@@ -54,9 +54,9 @@ UR5E: Final = ArmDescription(
     velocity_limit=(pi,) * 6,
     effort_limit=(150.0, 150.0, 150.0, 28.0, 28.0, 28.0),
     # The vendor limits torques and publishes no accelerations. 5 rad/s^2 is what its own ur_moveit_config plans with,
-    # "chosen conservatively"; the jerk is ours: full acceleration after 50 ms.
+    # "chosen conservatively"; the jerk is ours: full acceleration after 10 ms.
     acceleration_limit=(5.0,) * 6,
-    jerk_limit=(100.0,) * 6,
+    jerk_limit=(500.0,) * 6,
     # Vendor's data sheet: reach 850 mm.
     workspace_reach=0.85,
     sources=(

@@ -1,0 +1,206 @@
+"""How the simulated arms move: peaks over their limits, settling, and how well they follow a line.
+
+For every arm and stepping: steps of 0.1 to 2 rad of all joints from the home pose (as far as their ranges go), a stream of
+random joint targets, and a line of 0.25 m/s by poses. `speed`, `acceleration` and `jerk` are the largest that any joint is
+commanded to, over its limits in the description, from the trajectory that leads the servos; `measured_speed` and
+`measured_acceleration` are those of the simulated joints, the latter over windows of 10 ms. The line starts and ends with
+half a second of constant acceleration; `behind` and `beside` are the largest distances of the TCP from where the target of
+the step was, along and across the line, at the ends of the steps at full speed.
+
+Prints a table, then one JSON object: `worst_speed`, `worst_acceleration`, `worst_jerk`, and a row per arm and stepping.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+import rcs
+from rcs.envs.env import Env
+from rcs.sim.robot import SimRobot
+
+SPEED = 0.25
+"""Of the line [m/s]."""
+RAMP = 0.5
+"""Time from rest to full speed [s]."""
+WINDOW = 5
+"""Physics steps over which accelerations are measured."""
+DIRECTIONS = {"fr3": (0, 1, 0), "ur5e": (1, 0, 0), "xarm7": (0, 1, 0), "so101": (0, 1, 0)}
+"""Of the line in the base frame: across in front of the robot."""
+
+
+@dataclass(kw_only=True)
+class Options:
+    """What to measure."""
+
+    robots: tuple[str, ...] = ("fr3", "xarm7", "ur5e", "so101")
+    """Robots."""
+    stream: int = 300
+    """Steps of the stream of random targets."""
+    seed: int = 0
+    """Of the stream."""
+
+
+class Log:
+    """What an arm does in every physics step."""
+
+    def __init__(self, env: Env) -> None:
+        """Watch the only robot of an environment."""
+        self.robot: SimRobot = env.scenario.robots[0]
+        self._rows: list[NDArray[np.float64]] = []
+        self.physics_step = float(self.robot.world.model.opt.timestep)
+        env.scenario.world.on_period(self._note, self.physics_step)
+
+    def _note(self, view: Any) -> bool:
+        ids = self.robot.layout
+        self._rows.append(np.stack([*self.robot.motion.state(view), view.qpos[ids.qpos], view.qvel[ids.qvel]]))
+        return False
+
+    def take(self) -> NDArray[np.float64]:
+        """Return commanded position, velocity and acceleration, measured position and velocity, (5, n, dof); forget."""
+        rows = np.stack(self._rows, axis=1)
+        self._rows.clear()
+        return rows
+
+
+def peaks(rows: NDArray[np.float64], robot: SimRobot, physics_step: float) -> dict[str, float]:
+    """Return the peaks of a motion over the limits."""
+    arm = robot.placement.arm
+    _, velocity, acceleration, _, measured = rows
+    change = (measured[WINDOW:] - measured[:-WINDOW]) / (WINDOW * physics_step)
+    return {
+        "speed": over(velocity, arm.velocity_limit),
+        "acceleration": over(acceleration, arm.acceleration_limit),
+        "jerk": over(np.diff(acceleration, axis=0) / physics_step, arm.jerk_limit),
+        "measured_speed": over(measured, arm.velocity_limit),
+        "measured_acceleration": over(change, arm.acceleration_limit),
+    }
+
+
+def over(values: NDArray[np.float64], limits: tuple[float, ...]) -> float:
+    """Return the largest ratio of a value to its limit."""
+    return float((np.abs(values) / np.array(limits)).max())
+
+
+def make(robot: str, stepping: str, **fields: Any) -> Env:
+    """Make an empty scene without contacts: what is measured is how arms move, not what they hit."""
+    env = rcs.make("Free", robot=robot, stepping=stepping, relative="absolute", max_episode_steps=None, **fields)
+    env.scenario.world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    return env
+
+
+def filled(env: Env, key: str, target: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+    """Return an action with a target and an open gripper."""
+    return {name: target if name == key else np.ones(box.shape, box.dtype) for name, box in env.action_space.items()}
+
+
+def steps(env: Env, log: Log) -> dict[str, float]:
+    """Step all joints by 0.1 to 2 rad, to one side and back; return peaks, overshoot and settling."""
+    found: dict[str, float] = {}
+    box = env.action_space["joints"]
+    for size in (0.1, 0.3, 1.0, 2.0):
+        for sign in (1, -1):
+            observation, _ = env.reset(seed=0)
+            home = observation["joints"]
+            target = np.clip(home + sign * size, box.low + 0.02, box.high - 0.02)
+            log.take() if log._rows else None
+            start = env.scenario.world.time.item()
+            for _ in range(1 if env.scenario.world.stepping == "sync" else 150):
+                env.step(filled(env, "joints", target))
+            took = env.scenario.world.time.item() - start
+            rows = log.take()
+            reached = rows[3] - target
+            past = np.where(target > home, reached, -reached).max()
+            within = np.abs(reached).max(axis=1) < 1e-3
+            # From when the trajectory has ended until every joint stays within a milliradian of its target.
+            settled = (len(within) - np.argmin(within[::-1])) * log.physics_step if within[-1] else np.inf
+            led = int(np.argmax((np.abs(rows[0] - target) < 1e-9).all(axis=1))) * log.physics_step
+            one = peaks(rows, log.robot, log.physics_step)
+            one |= {"overshoot_deg": float(np.degrees(max(past, 0.0))), "settling_s": float(settled - led)}
+            one |= {"step_of_2_rad_s": took if size == 2.0 and env.scenario.world.stepping == "sync" else 0.0}
+            found = {key: max(value, found.get(key, 0.0)) for key, value in one.items()}
+    return found
+
+
+def stream(env: Env, log: Log, options: Options) -> dict[str, float]:
+    """Follow random targets; return peaks."""
+    draws = np.random.default_rng(options.seed)
+    observation, _ = env.reset(seed=0)
+    box = env.action_space["joints"]
+    home = observation["joints"]
+    for k in range(options.stream):
+        width = (0.05, 0.5, 3.0)[k * 3 // options.stream]
+        target = np.clip(home + draws.uniform(-width, width, box.shape), box.low, box.high)
+        env.step(filled(env, "joints", target))
+    return peaks(log.take(), log.robot, log.physics_step)
+
+
+def line(robot: str) -> dict[str, float]:
+    """Follow a line by poses at 30 Hz; return how far the TCP is behind and beside the targets [mm]."""
+    env = make(robot, "async", control="tquat")
+    observation, _ = env.reset(seed=0)
+    start = observation["tquat"].copy()
+    along = np.array(DIRECTIONS[robot], float)
+    period, length = 1 / 30, 0.3 if robot != "so101" else 0.2
+    offset = -length / 2 * along
+    for k in range(1, 61):  # slowly to where the line starts
+        target = start.copy()
+        target[:3] += offset * k / 60
+        observation, *_ = env.step(filled(env, "tquat", target))
+    for _ in range(15):
+        observation, *_ = env.step(filled(env, "tquat", target))
+    begin, errors = target.copy(), []
+    duration = length / SPEED + RAMP
+    for k in range(1, int(duration / period) + 1):
+        t = k * period
+        rest = duration - t
+        way = SPEED / (2 * RAMP) * min(t, RAMP) ** 2 + SPEED * max(min(t, duration - RAMP) - RAMP, 0.0)
+        way += SPEED / (2 * RAMP) * (RAMP**2 - min(rest, RAMP) ** 2) if rest < RAMP else 0.0
+        target = begin.copy()
+        target[:3] += way * along
+        observation, *_ = env.step(filled(env, "tquat", target))
+        if RAMP <= t <= duration - RAMP:
+            errors.append(observation["tquat"][:3] - target[:3])
+    env.close()
+    behind = np.array(errors) @ along
+    beside = np.linalg.norm(np.array(errors) - behind[:, None] * along, axis=1)
+    return {"behind_mm": 1e3 * float(np.abs(behind).max()), "beside_mm": 1e3 * float(beside.max())}
+
+
+def main(options: Options) -> None:
+    """Measure and print."""
+    rows: list[dict[str, Any]] = []
+    for robot in options.robots:
+        for stepping in ("sync", "async"):
+            env = make(robot, stepping, control="joints")
+            log = Log(env)
+            row: dict[str, Any] = {"robot": robot, "stepping": stepping, **steps(env, log)}
+            row |= {f"stream_{key}": value for key, value in stream(env, log, options).items()}
+            env.close()
+            rows.append(row | (line(robot) if stepping == "async" else {}))
+    table = Table(*rows[-1], title="Motion of the arms; peaks are over their limits")
+    for row in rows:
+        table.add_row(
+            *(
+                str(round(row.get(key, 0.0), 3) if isinstance(row.get(key, 0.0), float) else row[key])
+                for key in rows[-1]
+            )
+        )
+    Console(width=250).print(table)
+    worst = {
+        f"worst_{key}": round(max(row[name] for row in rows for name in (key, f"stream_{key}")), 4)
+        for key in ("speed", "acceleration", "jerk", "measured_speed", "measured_acceleration")
+    }
+    print(json.dumps({"benchmark": "motion", **worst, "rows": rows}))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
