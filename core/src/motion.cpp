@@ -24,6 +24,9 @@ constexpr double kMargin = 1e-3;
 // it.
 constexpr double kOvershoot = 0.03;
 constexpr double kSlow = 0.3;
+// Steps within which a stream of targets is met. Only the first is made before the next target comes: what a noisy
+// target asks for is met in part, at a fraction of the acceleration.
+constexpr double kHorizon = 2.0;
 // What rounding makes of the end of a trajectory [rad].
 constexpr double kRounding = 1e-6;
 // At rest, for arrival: ten times below what a person sees, ten times above what a servo jitters.
@@ -226,16 +229,17 @@ void Motion::follow(double* user, const Step& step, Plan& plan) {
     const double overshoot = kOvershoot * std::clamp(2.0 - fast, 0.0, 1.0);
     behind = std::max(behind, (braking_distance(speed, acceleration, jerk) - overshoot) / speed);
   }
+  const double ahead = step.is_synchronous ? 0.0 : (kHorizon - 1.0) * step.period;
   bool is_same = true;
   for (std::size_t i = 0; i < n; ++i) {
-    plan.aim[i] = target[i] - plan.end[i] * (behind + lag);
+    plan.aim[i] = target[i] + plan.end[i] * (ahead - behind - lag);
     is_same = is_same && plan.aim[i] == user[kAim * n + i] && plan.end[i] == user[kEnd * n + i];
   }
   if (is_same) return;
   start(user, plan);
   std::ranges::copy(plan.aim, user + kAim * n);
   std::ranges::copy(plan.end, user + kEnd * n);
-  user[kRows * n + kLeast] = step.is_synchronous ? 0.0 : step.duration;
+  user[kRows * n + kLeast] = step.is_synchronous ? 0.0 : step.duration + ahead;
 }
 
 void Motion::begin(const mjModel* model, mjData* data, int copy, const Step& step) {

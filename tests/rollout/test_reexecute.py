@@ -108,9 +108,7 @@ def test_the_first_row_beyond_the_tolerance_is_told_and_kept(dataset: Path, tmp_
 def test_a_world_that_was_another_is_seen_as_a_divergence(tmp_path: Path) -> None:
     setup = rcs.Setup(cameras=())
     env = rcs.make(setup)
-    arm = env.scenario.robots[0].layout.actuator_ids
-    env.scenario.world.model.actuator_gainprm[arm, 0] *= 0.5
-    env.scenario.world.model.actuator_biasprm[arm, 1] *= 0.5
+    env.scenario.world.model.jnt_actfrcrange[env.scenario.robots[0].layout.joint_ids] *= 0.1  # a weak arm
     for _ in collect(Collection(setup=setup, out=tmp_path / "source", episodes=1, seed=1), Progress(), env):
         pass
     (result,) = run(source=tmp_path / "source", out=tmp_path / "out")

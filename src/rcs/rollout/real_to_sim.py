@@ -75,9 +75,8 @@ class RealToSim(Derivation):
     state: str | None = None
     """Feature with joints [rad], then gripper (0 closed … 1 open) or hand, robot by robot, such as `observation/state`
     in foreign datasets; None for RCS's own, one feature each."""
-    lookahead: float | None = None
-    """Lead of joint targets over the recorded states [s]; None for the lag of each simulated servo, so that joints
-    match the recording."""
+    lookahead: float = 0.0
+    """Lead of joint targets over the recorded states [s]. A simulated arm reaches a target by the end of its step."""
     gripper: GripperFrom | None = None
     """What the gripper follows: `trend`, whether the recorded opening grows or shrinks; `opening`, the opening itself;
     `command`, the recorded command. None for `trend` with grippers that only open and close fully."""
@@ -94,7 +93,7 @@ class RealToSim(Derivation):
         """
         for name in ("lookahead", "grace"):
             value = getattr(self, name)
-            if value is not None and not 0 <= value < np.inf:
+            if not 0 <= value < np.inf:
                 raise InvalidSetup(f"{name} is {value} s; valid is 0 and more.")
         for name, valid in (("keep", get_args(Keep)), ("gripper", (None, *get_args(GripperFrom)))):
             if getattr(self, name) not in valid:

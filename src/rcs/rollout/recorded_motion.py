@@ -41,7 +41,7 @@ class RecordedMotion(Agent):
         robots: list[SimRobot],
         gripper: GripperFrom,
         frequency: float,
-        lookahead: float | None = None,
+        lookahead: float = 0.0,
         state: str | None = None,
     ) -> None:
         """Read the states.
@@ -51,7 +51,7 @@ class RecordedMotion(Agent):
             robots: The simulated robots.
             gripper: What their grippers follow.
             frequency: Control steps per second of the simulation [Hz].
-            lookahead: Lead of joint targets over the recording [s]; None for the lag of each servo.
+            lookahead: Lead of joint targets over the recording [s].
             state: The feature with joints, then gripper or hand, robot by robot; None for one feature each.
 
         Raises:
@@ -113,9 +113,8 @@ class _Robot:
         robot: SimRobot,
         prefix: str,
         gripper: GripperFrom,
-        lookahead: float | None,
+        lookahead: float,
     ) -> None:
-        self._lag = robot.servo_lag
         self._lookahead = lookahead
         self._lead = 0.0 if gripper == "command" else GRIPPER_LEAD
         self._is_stepwise = gripper != "opening"
@@ -138,10 +137,7 @@ class _Robot:
                 self._fingers[key] = squeezed(measured) if key == keys.GRIPPER else measured
 
     def target(self, time: float, period: float, times: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
-        # A target is held for a whole period, which makes up for half of one.
-        ahead = np.maximum(self._lag - period / 2, 0.0) if self._lookahead is None else self._lookahead
-        at = time + np.broadcast_to(ahead, self._lag.shape)
-        joints = np.array([np.interp(at[i], times, self.joints[:, i]) for i in range(len(at))])
+        joints = _interpolated(self.joints, time + self._lookahead, times)
         action: dict[str, NDArray[Any]] = {keys.JOINTS: np.clip(joints, self._box.low, self._box.high)}
         when = time + self._lead
         for key, told in self._fingers.items():

@@ -84,8 +84,8 @@ class ReplayCommand:
     state: str | None = None
     """states: feature with joints, then gripper or hand, such as `observation/state` in foreign datasets; None for one
     feature each."""
-    lookahead: float | None = None
-    """states: lead of targets over the recorded joints [s]; None for the lag of the simulated servos."""
+    lookahead: float = 0.0
+    """states: lead of targets over the recorded joints [s]."""
     gripper: GripperFrom | None = None
     """states: what grippers follow: whether the recorded opening grows or shrinks (`trend`), the opening itself
     (`opening`), or the recorded command (`command`)."""
