@@ -34,7 +34,7 @@ SO101: Final = ArmDescription(
     # Its wrist ends in a servo horn made for its own gripper, and lifts a few hundred grams.
     end_effectors=("so101_gripper",),
     sources=(
-        "mujoco_menagerie robotstudio_so101 (Apache-2.0): kinematics, limits, inertias, joint dynamics, servo gains",
+        "mujoco_menagerie robotstudio_so101 (Apache-2.0): kinematics, limits, inertias, joint dynamics",
         "TheRobotStudio SO-ARM100 (Apache-2.0): the published description that the former follows",
         "Feetech STS3215 data sheet: speed, torque",
     ),
