@@ -1,13 +1,14 @@
 """How the simulated arms move: peaks over their limits, settling, and how well they follow a line.
 
-For every arm and stepping: steps of 0.1 to 2 rad of all joints from the home pose (as far as their ranges go), a stream of
-random joint targets, and a line of 0.25 m/s by poses. `speed`, `acceleration` and `jerk` are the largest that any joint is
-commanded to, over its limits in the description, from the trajectory that leads the servos; `measured_speed` and
-`measured_acceleration` are those of the simulated joints, the latter over windows of 10 ms. The line starts and ends with
-half a second of constant acceleration; `behind` and `beside` are the largest distances of the TCP from where the target of
-the step was, along and across the line, at the ends of the steps at full speed.
+For every arm and stepping: steps of 0.1 to 2 rad of all joints from the home pose (as far as their ranges go), a
+stream of random joint targets, and a line of 0.25 m/s by poses. `speed`, `acceleration` and `jerk` are the largest
+that any joint is commanded to, over its limits in the description, from the trajectory that leads the servos;
+`measured_speed` and `measured_acceleration` are those of the simulated joints, the latter over windows of 10 ms. The
+line starts and ends with half a second of constant acceleration; `behind` and `beside` are the largest distances of
+the TCP from where the target of the step was, along and across the line, at the ends of the steps at full speed.
 
-Prints a table, then one JSON object: `worst_speed`, `worst_acceleration`, `worst_jerk`, and a row per arm and stepping.
+Prints a table, then one JSON object: `worst_speed`, `worst_acceleration`, `worst_jerk`, and a row per arm and
+stepping.
 """
 
 from __future__ import annotations

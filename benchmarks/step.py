@@ -1,9 +1,10 @@
 """What an environment costs on top of its physics: `env.step` against MuJoCo's own `mj_step`.
 
-Both run the same episode, a scripted pick of the cuboid, from the same state with the same number of physics steps. The
-environment's trajectories give the servos a new control in every physics step. That MuJoCo comes to the same states with
-these controls is checked once; the timed reference is given the last control of each control step, which is cheaper, and
-so has nothing of what trajectories cost. Rounds of the two alternate, and the ratio is the median over rounds.
+Both run the same episode, a scripted pick of the cuboid, from the same state with the same number of physics steps.
+The environment's trajectories give the servos a new control in every physics step. That MuJoCo comes to the same
+states with these controls is checked once; the timed reference is given the last control of each control step, which
+is cheaper, and so has nothing of what trajectories cost. Rounds of the two alternate, and the ratio is the median
+over rounds.
 
 Prints one JSON object: `env_over_raw` (environment steps/s over raw), `env_steps_per_s`, `raw_steps_per_s`.
 """

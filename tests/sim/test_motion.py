@@ -230,7 +230,7 @@ def test_motions_that_do_not_fit_the_world_are_refused() -> None:
     for address, copies in ((ids.motion + 1, 1), (-1, 1)):
         with pytest.raises(InvalidSetup, match="user data"):
             core.add_motion(Motion(ids.joint_ids, ids.actuator_ids, address, limits(), copies))
-    with pytest.raises(InvalidSetup, match="user data .* overlap"):
+    with pytest.raises(InvalidSetup, match=r"user data .* overlap"):
         core.add_motion(Motion(ids.joint_ids[:3], ids.actuator_ids[:3], ids.motion + 5, limits(3), 1))
     with pytest.raises(InvalidSetup, match="copies"):
         Motion(ids.joint_ids, ids.actuator_ids, ids.motion, limits(), 0)

@@ -68,8 +68,8 @@ class Port(ABC):
             if not self.device.fault:
                 raise
 
-    def rebase(self) -> None:
-        """Make the device go on from where it is measured, if it still has a target elsewhere. A real one has none."""
+    def rebase(self) -> None:  # noqa: B027  most have nothing to do
+        """Make the device go on from where it is measured, if it still has a target elsewhere; a real one has none."""
 
     @property
     def can_fail(self) -> bool:

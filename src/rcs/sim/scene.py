@@ -244,7 +244,7 @@ class Scene:
             self._lacks_details = not exchange_visuals(arm, parts)
         self.spec.attach(arm, frame=mount_frame(self.spec.worldbody, robot.base_in_scene), prefix=robot.prefix)
         for actuator in robot.arm.actuators:
-            # The control of a servo in motion leads its target, also where that is a limit; the motion keeps the limits.
+            # The control of a moving servo leads its target, even where that is a limit; the motion keeps the limits.
             self.spec.actuator(robot.prefix + actuator).ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
         self.spec.add_numeric(name=robot.motion, data=[self.spec.nuserdata])
         self.spec.nuserdata += Motion.size(robot.arm.dof)
