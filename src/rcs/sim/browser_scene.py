@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     import viser
 
 WALLS = " wall"
-"""How the names of the room's walls end. They are left out: they would stand between the room and who looks from afar."""
+"""How the names of the room's walls end. They are left out: from afar one would look at their outside."""
 
 MIDDLE = (0.55, 0.15, 0.30)
 """Point in the middle of the page, from the base of a robot, in parts of its reach; the panel covers the right side."""
@@ -53,6 +54,8 @@ class BrowserScene:
             raise InvalidSetup("The browser shows a world of one copy.")
         self._server = server
         self._model, self._data = world.model, world.data
+        # Of the present positions, which those of a step are a moment behind; the world's own state is left alone.
+        self._seen = mujoco.MjData(world.model)
         self._bodies: dict[int, Any] = {}
         self._shown: dict[str, tuple[Shape, Any]] = {}
         self._poses: NDArray[np.float64] = np.full((world.model.nbody, 7), np.inf)
@@ -65,9 +68,10 @@ class BrowserScene:
 
     def rebuild(self) -> None:
         """Show what looks differently than before, such as after an episode has begun with other colours."""
+        self._look()
         shapes = {
             shape.name: shape
-            for shape in shapes_of(self._model, self._data)
+            for shape in shapes_of(self._model, self._seen)
             if not (shape.body == 0 and shape.name.endswith(WALLS))
         }
         for name in [name for name, (shape, _) in self._shown.items() if not _looks_like(shape, shapes.get(name))]:
@@ -79,7 +83,8 @@ class BrowserScene:
 
     def show(self) -> None:
         """Send the poses of the bodies that have moved since the last call."""
-        data = self._data
+        self._look()
+        data = self._seen
         poses = np.concatenate([data.xpos, data.xquat], axis=1)
         moved = np.abs(poses - self._poses).max(axis=1) > MOVED
         with self._server.atomic():
@@ -104,6 +109,15 @@ class BrowserScene:
             self._arrows.remove()
             self._arrows = None
 
+    def _look(self) -> None:
+        """Compute where everything is."""
+        model, seen = self._model, self._seen
+        seen.qpos[:], seen.mocap_pos[:], seen.mocap_quat[:] = (
+            self._data.qpos, self._data.mocap_pos, self._data.mocap_quat,
+        )  # fmt: skip
+        mujoco.mj_kinematics(model, seen)
+        mujoco.mj_flex(model, seen)
+
     def _look_at(self, robots: Sequence[RobotPlacement]) -> None:
         """Make every page start where the robots are seen well, in the direction of the overview camera."""
         camera, start = self._model.camera(OVERVIEW), self._server.initial_camera
@@ -127,7 +141,7 @@ class BrowserScene:
             f"{body}/{_node(shape.name)}",
             vertices,
             faces,
-            color=tuple(round(255 * part) for part in shape.rgba[:3]),
+            color=np.array(shape.rgba[:3]),
             opacity=None if shape.rgba[3] == 1.0 else shape.rgba[3],
             side="front" if shape.flex is None else "double",
             position=shape.in_body[:3],
@@ -154,5 +168,5 @@ def _looks_like(shape: Shape, other: Shape | None) -> bool:
 
 
 def _node(name: str) -> str:
-    """Return a name of MuJoCo's as one level of a path: its slashes would make a tree that is not that of the bodies."""
+    """Return a name of MuJoCo's as one level of a path: its slashes would make another tree than the bodies'."""
     return name.replace("/", " \u00b7 ")

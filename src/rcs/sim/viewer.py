@@ -13,7 +13,6 @@ import mujoco
 from rcs.errors import InvalidSetup, MissingDependency
 from rcs.sim.world import World
 
-
 NO_GLFW = "The viewer needs glfw: pip install 'mujoco-core[rendering]'."
 
 
@@ -35,9 +34,7 @@ def has_display() -> bool:
 class Viewer:
     """MuJoCo's own viewer beside a running environment; a context manager."""
 
-    def __init__(
-        self, world: World, *, has_panels: bool = False, on_key: Callable[[int], None] | None = None
-    ) -> None:
+    def __init__(self, world: World, *, has_panels: bool = False, on_key: Callable[[int], None] | None = None) -> None:
         """Prepare to show a world.
 
         Args:

@@ -13,7 +13,7 @@ import queue
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from rcs.envs.setup import Setup
 from rcs.errors import MissingDependency, RcsError
@@ -69,7 +69,7 @@ class BrowserView:
     @property
     def url(self) -> str:
         """Address of the page."""
-        assert self._server is not None, "open it first"
+        assert self._server is not None, "it is open"
         host = "localhost" if self._host in ("0.0.0.0", "::", "127.0.0.1") else self._host
         return f"http://{f'[{host}]' if ':' in host else host}:{self._server.get_port()}"
 
@@ -78,7 +78,8 @@ class BrowserView:
         self._answer()
         if not self.session.advance():
             time.sleep(IDLE)
-        assert self._scene is not None and self._panel is not None, "open it first"
+        assert self._scene is not None, "it is open"
+        assert self._panel is not None, "it is open"
         self._scene.show()
         self._panel.show()
 

@@ -85,6 +85,10 @@ class Guide:
         self.opening = float(own[GRIPPER][0]) if GRIPPER in own else 1.0
         self.is_out_of_reach = False
 
+    def see(self, observation: Observation) -> None:
+        """Take the present observation, of the whole environment."""
+        self._measured = self._own(observation)
+
     @property
     def is_by_joints(self) -> bool:
         """Whether joints are wanted, not a pose."""
@@ -130,7 +134,7 @@ class Guide:
             observation: The present one, of the whole environment.
             info: Of the last step.
         """
-        self._measured = self._own(observation)
+        self.see(observation)
         self._writer.follow(info, self._key)
         if self._joint_goal is not None:
             way = self._joint_goal - self._joints

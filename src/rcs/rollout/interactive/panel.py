@@ -94,7 +94,7 @@ class Panel:
         reach = ", ".join(name for name, guide in session.guides.items() if guide.is_out_of_reach)
         lines = [f"**{session.env.instruction}**" if session.env.instruction else ""]
         lines.append(
-            f"**{session.verdict}** · seed {session.seed} · {float(session.world.time):.1f} s · step {session.steps}  \n"
+            f"**{session.verdict}** · seed {session.seed} · {session.world.time:.1f} s · step {session.steps}  \n"
             f"reward {session.reward:.3f} · sum {session.total:.2f}"
         )
         if words:

@@ -85,7 +85,7 @@ class Session:
 
     @property
     def verdict(self) -> str:
-        """What there is to say of the episode now: running, success, fault …"""
+        """State of the episode in one word: running, paused, stopped by an error, success, or over without it."""
         if self.problem:
             return "stopped"
         if self.is_over:
@@ -124,10 +124,8 @@ class Session:
         if is_acting:
             self.agent = agent_for(self.env)
             self._begin(self.seed, None)
-        elif self.agent is not None:
+        else:
             self._end_agent()
-            for guide in self.guides.values():
-                guide.reset(self.observation)
 
     def step(self) -> None:
         """Make one step with what is wanted of the robots, unless the episode is over. It takes a control period."""
@@ -139,9 +137,12 @@ class Session:
             self.problem, self.is_over = f"{type(err).__name__}: {err}", True
             self._is_fault = isinstance(err, DeviceFault)
             return
-        self.observation, self.reward, terminated, truncated, self.info = step
+        self.observation, reward, terminated, truncated, self.info = step
+        self.reward = float(reward)
+        for guide in self.guides.values():
+            guide.see(self.observation) if self.agent is None else guide.reset(self.observation)
         self.steps += 1
-        self.total += float(self.reward)
+        self.total += self.reward
         self.is_over = terminated or truncated
         if faults := self.info.get("faults"):
             self.problem = "; ".join(f"{name}: {why}" for name, why in faults.items())
