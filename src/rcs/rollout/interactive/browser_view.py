@@ -10,13 +10,14 @@ import contextlib
 import io
 import logging
 import queue
+import socket
 import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from rcs.envs.setup import Setup
-from rcs.errors import MissingDependency, RcsError
+from rcs.errors import InvalidSetup, MissingDependency, RcsError
 from rcs.rollout.interactive.panel import Panel
 from rcs.rollout.interactive.session import Session
 from rcs.sim.browser_scene import BrowserScene
@@ -56,7 +57,7 @@ class BrowserView:
 
         Raises:
             MissingDependency: viser is not installed.
-            OSError: The address cannot be listened at.
+            InvalidSetup: This machine cannot listen at the address.
         """
         server = start_server(self._host, self._port)
         self._server = server
@@ -157,7 +158,7 @@ def start_server(host: str, port: int) -> viser.ViserServer:
 
     Raises:
         MissingDependency: viser is not installed.
-        OSError: The address cannot be listened at.
+        InvalidSetup: This machine cannot listen at the address.
     """
     try:
         import viser
@@ -169,6 +170,13 @@ def start_server(host: str, port: int) -> viser.ViserServer:
             """Refuse to open a tunnel to viser's own server on the internet, which a page may ask for."""
             return None
 
+    try:  # viser would try all ports of an address that is not there
+        socket.create_server((host, 0), family=socket.getaddrinfo(host, 0)[0][0]).close()
+    except OSError as err:
+        raise InvalidSetup(
+            f"host is {host!r}, at which this machine cannot listen ({err}); valid is one of its addresses, such as "
+            "127.0.0.1, or 0.0.0.0 for all of them."
+        ) from err
     with contextlib.redirect_stdout(io.StringIO()):  # viser prints its own banner
         server = LocalServer(host, port, verbose=False)
     server.scene.configure_environment_map("warehouse", environment_intensity=AMBIENT)
