@@ -92,8 +92,14 @@ def test_every_kind_of_geom_has_its_size_and_its_surface_looks_outwards() -> Non
         ("wedge", 0.2 * 0.1 * 0.3 / 6, 1e-6),
     ):
         assert volume(*shapes[name].mesh) == pytest.approx(whole, rel=accuracy), name
-    for name, half in (("ball", (0.1,) * 3), ("egg", (0.1, 0.2, 0.3)), ("pill", (0.1, 0.1, 0.3)), ("can", (0.1, 0.1, 0.2)),
-                       ("crate", (0.1, 0.2, 0.3)), ("ground", (1.0, 2.0, 0.0))):  # fmt: skip
+    for name, half in {
+        "ball": (0.1, 0.1, 0.1),
+        "egg": (0.1, 0.2, 0.3),
+        "pill": (0.1, 0.1, 0.3),
+        "can": (0.1, 0.1, 0.2),
+        "crate": (0.1, 0.2, 0.3),
+        "ground": (1.0, 2.0, 0.0),
+    }.items():
         np.testing.assert_allclose(shapes[name].mesh[0].max(axis=0), half, atol=1e-6, err_msg=name)
         np.testing.assert_allclose(shapes[name].mesh[0].min(axis=0), np.negative(half), atol=1e-6, err_msg=name)
 

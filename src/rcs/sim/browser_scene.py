@@ -24,7 +24,7 @@ WALLS = " wall"
 MIDDLE = (0.55, 0.15, 0.30)
 """Point in the middle of the page, from the base of a robot, in parts of its reach; the panel covers the right side."""
 
-DISTANCE = 2.7
+DISTANCE = 2.4
 """Distance from which it is seen, in parts of the reach."""
 
 NEWTON_LENGTH = 0.01

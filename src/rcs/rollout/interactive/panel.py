@@ -121,7 +121,7 @@ class Panel:
             starts = {"Reset": self._reset, "Next seed": self._next}
             _buttons(gui, "Begin", self._ask, starts, hint="An episode depends on its seed alone.")
             if lookup.find("task", session.setup.task).expert is not None:
-                expert = gui.add_checkbox("The expert acts", initial_value=False, hint="In a new episode")
+                expert = gui.add_checkbox("Expert acts", initial_value=False, hint="In a new episode")
                 _on_value(expert, self._ask, self._let_expert)
 
     def _add_cameras(self) -> None:
