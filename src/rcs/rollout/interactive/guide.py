@@ -23,6 +23,12 @@ SPEED = 0.25
 TURN_SPEED = 1.5
 """Rotational speed of the TCP's target [rad/s]."""
 
+LEAD = 0.1
+"""Longest way of the target before the TCP [m], so that it comes back at once from where the arm cannot follow."""
+
+STUCK = 0.002, 0.01, 1.0
+"""The arm cannot get there if it has moved less than this [m] and is farther away than this [m] for so long [s]."""
+
 JOINT_SPEED = 0.5
 """Share of the joints' velocity limits at which joint targets move."""
 
@@ -70,6 +76,7 @@ class Guide:
         self._goal = self._target = np.zeros(7)
         self._joint_goal: NDArray[np.float64] | None = None
         self._joints = np.zeros(robot.arm.dof)
+        self._place, self._still = np.zeros(3), 0
 
     def reset(self, observation: Observation) -> None:
         """Want what is: the pose and the opening of an observation.
@@ -115,6 +122,7 @@ class Guide:
         if self._joint_goal is not None:
             self._target, self._joint_goal = self._goal_of(self._joints), None
         self._goal = compose(inverse(self._base), pose_in_scene)
+        self._still = 0
 
     def lead_joints_to(self, joints: NDArray[np.float64]) -> None:
         """Want joints [rad], (dof,); they are cut to the limits."""
@@ -142,13 +150,24 @@ class Guide:
             self._joints = self._joints + way / max(1.0, float((np.abs(way) / self._joint_step).max()))
             return self._only_own_keys(self._writer.write_joints(self._joints, self.opening))
         target = limit_step(self._target, self._goal, SPEED * self._period, TURN_SPEED * self._period)
+        place = self._measured[TQUAT][:3]
+        ahead = target[:3] - place
+        target[:3] = place + ahead * min(1.0, LEAD / max(float(np.linalg.norm(ahead)), LEAD))
         action = self._writer.write(target, self.opening)
         told = info.get("ik_status" if self._key is None else f"{self._key}/ik_status", 0)
-        self.is_out_of_reach = action is None or int(told) != 0
+        self.is_out_of_reach = action is None or int(told) != 0 or self._is_stuck(place)
         if action is None:
             return self._only_own_keys(self._writer.write_joints(self._writer.joints, self.opening))
         self._target = target
         return self._only_own_keys(action)
+
+    def _is_stuck(self, place: NDArray[np.float64]) -> bool:
+        """Return whether the TCP, at a place in the base frame, has come to rest away from the goal."""
+        least, near, seconds = STUCK
+        if np.linalg.norm(place - self._place) > least:
+            self._place, self._still = np.array(place), 0
+        self._still += 1
+        return self._still * self._period > seconds and bool(np.linalg.norm(place - self._goal[:3]) > near)
 
     def _own(self, observation: Observation) -> Observation:
         return observation if self._key is None else observation[self._key]
