@@ -51,6 +51,10 @@ class Session:
             UnknownName: The setup names something that is not there.
             InvalidSetup: Its parts do not fit each other, or a layer leaves actions that a person cannot make.
         """
+        self.observation: Observation = {}
+        """The present one."""
+        self.info: Mapping[str, Any] = {}
+        """Of the last step, or of the reset."""
         self.env: Env = make(setup)
         try:
             self.guides: dict[str, Guide] = {name: Guide(self.env, robot) for name, robot in self.env.robots.items()}
@@ -170,8 +174,7 @@ class Session:
         self.is_over = True
         """Whether the episode is over, so that only `reset` and `recover` go on."""
         self.reward, self.total, self.steps = 0.0, 0.0, 0
-        self.observation: Observation = getattr(self, "observation", {})
-        self.info: Mapping[str, Any] = {}
+        self.info = {}
         try:
             options = None if state is None or not np.isfinite(state).all() else {"state": state}
             self.observation, self.info = self.env.reset(seed=seed, options=options)
