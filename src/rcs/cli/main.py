@@ -16,6 +16,7 @@ VERBS: Table = {
     "collect": "rcs.cli.collect:CollectCommand",
     "eval": "rcs.cli.eval:EvalCommand",
     "data": "rcs.cli.data:VERBS",
+    "sim": "rcs.cli.sim:SimCommand",
     "gallery": "rcs.cli.gallery:GalleryCommand",
     "list": "rcs.cli.list:ListCommand",
     "doctor": "rcs.cli.doctor:DoctorCommand",

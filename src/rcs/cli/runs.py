@@ -1,4 +1,4 @@
-"""What `rcs collect` and `rcs eval` share: options of an environment and its agent, a bar, Ctrl-C, and the results."""
+"""What commands share: options of an environment; of `rcs collect` and `rcs eval` an agent, a bar and the results."""
 
 from __future__ import annotations
 
@@ -32,13 +32,11 @@ INTERRUPTED = 130
 
 
 @dataclass(kw_only=True)
-class RunOptions:
-    """Options of a command that runs an agent in seeded episodes."""
+class SetupOptions:
+    """Options of a command that makes an environment."""
 
     task: tyro.conf.Positional[str]
     """Name of the task, such as PickCuboid, or `module:Class`."""
-    agent: str | None = None
-    """Name of the agent, or `module:Class`, which is called with the environment; the task's expert by default."""
     robot: str = "fr3"
     """Name of the robot."""
     end_effector: str | None = None
@@ -47,14 +45,8 @@ class RunOptions:
     """An option of the task as `name=value`, such as `reward=sparse`; may be given several times."""
     layers: tuple[str, ...] = ()
     """Names of more layers on top, or `module:Class`, from the lowest to the highest."""
-    episodes: int = 20
-    """How many episodes."""
     seed: int = 0
     """Same seed, same episodes."""
-    workers: int = 0
-    """Processes; 0 for one per CPU core."""
-    out: Path
-    """Folder for what the command makes."""
     cameras: tuple[str, ...] | None = None
     """Cameras; those of the robot's lab when not given, `none` for none."""
     image_size: int = 224
@@ -109,6 +101,20 @@ class RunOptions:
             randomisation=Randomisation() if self.randomise else None,
             assets=self.assets,
         )
+
+
+@dataclass(kw_only=True)
+class RunOptions(SetupOptions):
+    """Options of a command that runs an agent in seeded episodes."""
+
+    agent: str | None = None
+    """Name of the agent, or `module:Class`, which is called with the environment; the task's expert by default."""
+    episodes: int = 20
+    """How many episodes."""
+    workers: int = 0
+    """Processes; 0 for one per CPU core."""
+    out: Path
+    """Folder for what the command makes."""
 
     @property
     def processes(self) -> int:

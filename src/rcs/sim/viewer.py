@@ -4,21 +4,43 @@ from __future__ import annotations
 
 import threading
 import warnings
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
+import mujoco
+
 from rcs.errors import InvalidSetup, MissingDependency
 from rcs.sim.world import World
+
+NO_GLFW = "The viewer needs glfw: pip install 'mujoco-core[rendering]'."
+
+
+def has_display() -> bool:
+    """Return whether a window can be opened here.
+
+    Raises:
+        MissingDependency: There is no window library.
+    """
+    try:
+        import glfw
+    except ImportError as err:
+        raise MissingDependency(NO_GLFW) from err
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # GLFW's own message on a missing display; who needs one says more
+        return bool(glfw.init())
 
 
 class Viewer:
     """MuJoCo's own viewer beside a running environment; a context manager."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: World, *, has_panels: bool = False, on_key: Callable[[int], None] | None = None) -> None:
         """Prepare to show a world.
 
         Args:
             world: A world of one copy.
+            has_panels: Whether MuJoCo's panels are beside the picture at the start; Tab shows and hides them anyway.
+            on_key: Called with the code of a key that is pressed, from the window's own thread; None for nothing.
 
         Raises:
             InvalidSetup: The world has many copies.
@@ -26,6 +48,8 @@ class Viewer:
         if world.data is None:
             raise InvalidSetup("A viewer shows a world of one copy.")
         self._world = world
+        self._has_panels = has_panels
+        self._on_key = on_key
         self._handle: Any = None
         self._threads: set[threading.Thread] = set()
 
@@ -36,21 +60,21 @@ class Viewer:
             MissingDependency: There is no display or no window library.
         """
         try:
-            import glfw
             import mujoco.viewer
         except ImportError as err:
-            raise MissingDependency("The viewer needs glfw: pip install 'mujoco-core[rendering]'.") from err
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # GLFW's own message on a missing display; ours follows
-            has_display = glfw.init()
-        if not has_display:
+            raise MissingDependency(NO_GLFW) from err
+        if not has_display():
             raise MissingDependency(
                 "The viewer needs a display and there is none (or GLFW cannot reach it). "
-                "Without a window, look at report.html."
+                "Without a window, look at report.html, or use `rcs sim --browser`."
             )
         before = set(threading.enumerate())
         self._handle = mujoco.viewer.launch_passive(
-            self._world.model, self._world.data, show_left_ui=False, show_right_ui=False
+            self._world.model,
+            self._world.data,
+            show_left_ui=self._has_panels,
+            show_right_ui=self._has_panels,
+            key_callback=self._on_key,
         )
         # The handle hides its thread, and a program that ends before that thread crashes in it.
         self._threads = set(threading.enumerate()) - before
@@ -61,9 +85,15 @@ class Viewer:
         return self._handle is not None and self._handle.is_running()
 
     def sync(self) -> None:
-        """Show the present state."""
+        """Show the present state; what was done in the panels and with the mouse goes into the world's data."""
         if self.is_running:
             self._handle.sync()
+
+    def write(self, left: str, right: str) -> None:
+        """Write two columns of lines at the top left of the picture."""
+        if self.is_running:
+            grid, font = mujoco.mjtGridPos.mjGRID_TOPLEFT, mujoco.mjtFontScale.mjFONTSCALE_150
+            self._handle.set_texts((font, grid, left, right))
 
     def close(self) -> None:
         """Close the window. Closing twice is harmless."""
