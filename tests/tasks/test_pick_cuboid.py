@@ -87,7 +87,7 @@ def test_a_cuboid_that_is_grasped_high_for_the_hold_time_is_a_success_and_not_be
     rewards, ends = [], []
     held = 0
     for step in range(60):
-        if step < 10:  # until the fingers have closed on it, it is kept in its place
+        if step < 20:  # until the fingers have closed on it, it is kept in its place
             world.qpos[first : first + 3] = tcp[:3]
             world.qpos[first + 3 : first + 7] = [1.0, 0.0, 0.0, 0.0]
             world.qvel[-6:] = 0.0

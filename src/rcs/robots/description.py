@@ -93,6 +93,8 @@ class ArmDescription(Description):
     """Largest joint torques [Nm]."""
     workspace_reach: float
     """Reach of the flange from the shoulder [m]."""
+    payload: float | None = None
+    """Rated load at the flange, the end effector included [kg]; None if none is published."""
     end_effectors: tuple[str, ...] | None = None
     """Names of the end effectors that fit its flange; None for any."""
     menagerie: MenagerieVisuals | None = None
@@ -116,6 +118,8 @@ class ArmDescription(Description):
         for field in ("velocity_limit", "acceleration_limit", "jerk_limit", "effort_limit"):
             _require_positive(f"{self.name}.{field}", getattr(self, field), dof)
         _require_positive(f"{self.name}.workspace_reach", (self.workspace_reach,), 1)
+        if self.payload is not None:
+            _require_positive(f"{self.name}.payload", (self.payload,), 1)
         for joint, lower, q, upper in zip(self.joints, self.joint_lower, self.home, self.joint_upper, strict=True):
             if not lower <= q <= upper:
                 raise InvalidSetup(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rcs._core import ArmLimits, GripperMap, JointsAtRest, Motion, MotionLimits, SimArm, SimGripper
 from rcs.errors import InvalidSetup
 from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.layout import RobotLayout
-from rcs.sim.scene import RobotPlacement
+from rcs.sim.scene import LOAD, LOAD_MASS, RobotPlacement
 from rcs.sim.world import World
 
 STILL_TOLERANCE = 1e-2
@@ -190,6 +190,31 @@ class SimRobot:
         fingers = self.layout.finger_joint_ids or self.layout.hand_joint_ids
         if fingers:
             core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, REST_TIME, self.world.copies))
+
+    def set_load(self, mass: ArrayLike, center_in_flange: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """Tell the controller of a load that it then carries without sagging, as libfranka's `setLoad` does.
+
+        The motors hold its weight beside their position servos, within their torque limits. Its inertia is not
+        compensated. What is mounted is compensated without that. The load counts until another is set, 0 for none; a
+        recording does not contain it.
+
+        Args:
+            mass: Mass of the load [kg], one number or (*leading,).
+            center_in_flange: Its centre of mass in the frame of the flange [m], (3,) or (*leading, 3).
+
+        Raises:
+            InvalidSetup: A mass is negative, or a number is not finite.
+        """
+        masses, centers = np.asarray(mass, np.float64), np.asarray(center_in_flange, np.float64)
+        if not (np.isfinite(masses).all() and np.isfinite(centers).all() and (masses >= 0.0).all()):
+            raise InvalidSetup(
+                f"The load of robot {self.placement.name!r} has a mass of {mass} kg and its centre at "
+                f"{center_in_flange} m; valid are a mass from 0 and finite numbers."
+            )
+        body = self.world.model.body(self.placement.prefix + LOAD).id
+        self.world.vary("body_ipos")[..., body, :] = centers
+        # MuJoCo compensates this factor times the body's own mass.
+        self.world.vary("body_gravcomp")[..., body] = masses / LOAD_MASS
 
     def arm(self, copy: int = 0) -> SimArm:
         """Return the arm of one copy as a device, closed."""

@@ -23,6 +23,10 @@ from rcs.sim.textures import add_wood
 OVERVIEW = "overview"
 """Name of the camera that shows the whole scene to people; it is not observed."""
 
+LOAD = "load"
+"""Name of the body at a robot's flange that carries the compensation of a load (`SimRobot.set_load`)."""
+LOAD_MASS = 1e-6
+"""Its mass [kg], too small for anything else to notice."""
 TABLE = "table"
 """Name of the body of the table."""
 TABLE_THICKNESS = 0.04
@@ -204,7 +208,9 @@ class Scene:
             size=top,
             pos=[0.0, 0.0, -TABLE_THICKNESS / 2],
             rgba=[0.70, 0.56, 0.40, 1.0],
-            friction=[1.0, 0.005, 0.0001],
+            # Less than an object's, so that the object's counts: MuJoCo takes the greater of two.
+            friction=[0.5, 0.005, 0.0001],
+            solref=[0.004, 2.0],
             group=0,
         )
         if self.has_textures:
@@ -242,6 +248,7 @@ class Scene:
             if robot.gripper is not None:
                 parts.append((GRIPPER_PREFIX, robot.gripper.menagerie))
             self._lacks_details = not exchange_visuals(arm, parts)
+        _add_load(arm, robot.arm)
         self.spec.attach(arm, frame=mount_frame(self.spec.worldbody, robot.base_in_scene), prefix=robot.prefix)
         for actuator in robot.arm.actuators:
             # The control of a moving servo leads its target, even where that is a limit; the motion keeps the limits.
@@ -333,6 +340,22 @@ class Scene:
         for robot in self.robots:
             check_robot(robot, model)
         return model
+
+
+def _add_load(spec: mujoco.MjSpec, arm: ArmDescription) -> None:
+    """Add the body of `SimRobot.set_load` to a flange: MuJoCo compensates gravity in proportion to a body's mass."""
+    flange = spec.site(arm.flange_site)
+    flange.parent.add_body(
+        name=LOAD,
+        pos=flange.pos,
+        quat=flange.quat,
+        mass=LOAD_MASS,
+        # Not in the origin: there MuJoCo takes the centre of mass for that of the frame, whatever is written later.
+        ipos=[0.0, 0.0, 1e-3],
+        inertia=[1e-12] * 3,
+        explicitinertial=True,
+        gravcomp=1.0,
+    )
 
 
 def _axes_looking(eye: list[float], target: list[float]) -> list[float]:

@@ -42,6 +42,7 @@ DIGIT: Final = TactileDescription(
         "tacto config_digit.yml (MIT): gel, camera, lights, noise, force and indentation",
         "digit-interface: formats and rates of the stream",
         "Lambeta et al. 2020, DIGIT: a sensor weighs 20 g",
+        "mujoco_menagerie ufactory_xarm7 hand (BSD-3-Clause): friction and stiffness, those of pads",
     ),
 )
 """The DIGIT tactile sensor."""

@@ -59,8 +59,11 @@ UR5E: Final = ArmDescription(
     jerk_limit=(500.0,) * 6,
     # Vendor's data sheet: reach 850 mm.
     workspace_reach=0.85,
+    # Vendor's data sheet: 5 kg.
+    payload=5.0,
     sources=(
         "Universal_Robots_ROS2_Description 2.4.5 (BSD-3-Clause): kinematics, limits, masses, inertias",
+        "UR5e data sheet: reach, payload",
         "Universal_Robots_ROS2_Driver ur_moveit_config (BSD-3-Clause): accelerations, a conservative choice",
         "mujoco_menagerie universal_robots_ur5e (BSD-3-Clause): armature, servo gains, home pose",
     ),
