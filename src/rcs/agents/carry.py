@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents.experts import across
-from rcs.agents.grasp import CLEARANCE, CLOSE, CLOSING_TIME, REACH, are_empty, are_still, plan_from_above, reach
+from rcs.agents.grasp import CLEARANCE, CLOSE, CLOSING_TIME, REACH, Reach, are_empty, are_still, raised, reach, ways_from_above
 from rcs.agents.script import Phase, Plan, Script, ScriptedArm
 from rcs.envs.spaces import JOINTS, TQUAT
 from rcs.spatial import Pose
@@ -23,7 +23,13 @@ It has to lean at far places, and can set a cuboid down flat only if it leant as
 TURNS = np.deg2rad([0.0, 5.0, -5.0, 10.0, -10.0, 15.0, -15.0])
 """Turns of the cuboid that such an arm tries at the goal, besides that of its base [rad]."""
 TILT_COST = 20.0
-"""Largest motion of a joint that is as bad as setting the cuboid down at an angle of 1 rad [rad]."""
+"""Largest motion of a joint that is as bad as an angle of 1 rad at which the cuboid is set down [rad]."""
+GOOD = 4.0
+"""Cost of a plan that is good enough: no more is sought [rad]."""
+WAYPOINTS = 8
+"""Poses on a straight line that are checked."""
+RETREAT = 0.06
+"""Distance by which the open fingers draw back from the cuboid [m]."""
 
 
 def have_opened(script: Script) -> bool:
@@ -36,7 +42,8 @@ CARRY = (
     *REACH,
     CLOSE,
     Phase("lift", "lifted", opening=0.0, risk=IN_HAND),
-    Phase("carry", "over", 0.35, 0.0, risk=IN_HAND),
+    Phase("carry", "over", 0.30, 0.0, risk=IN_HAND),
+    Phase("aim", "over", opening=0.0, until=lambda script: script.has_arrived() and script.is_still(), risk=IN_HAND),
     Phase("lower", "down", 0.10, 0.0, risk=IN_HAND),
     Phase("rest", "down", opening=0.0, until=REACH[-1].until, risk=IN_HAND),
     Phase("release", "down", until=have_opened),
@@ -50,6 +57,7 @@ class PlaceExpert(Script):
     task = "Place"
     needs = ("cuboid", "goal")
     phases = CARRY
+    turn_speed = 1.0  # the cuboid would turn in the hand
 
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Plan a grasp and setting down."""
@@ -57,7 +65,7 @@ class PlaceExpert(Script):
 
     def prepare(self, phase: Phase) -> None:
         """Aim again when the cuboid is in the hand."""
-        if phase.name == "carry":
+        if phase.name in ("carry", "aim"):
             aim(self)
 
 
@@ -67,6 +75,7 @@ class StackExpert(Script):
     task = "Stack"
     needs = ("cuboid", "goal")
     phases = CARRY
+    turn_speed = 1.0  # the cuboid would turn in the hand
 
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Plan a grasp and setting down."""
@@ -74,13 +83,16 @@ class StackExpert(Script):
 
     def prepare(self, phase: Phase) -> None:
         """Aim again when the cuboid is in the hand."""
-        if phase.name == "carry":
-            aim(self, is_aligned=True)
+        if phase.name in ("carry", "aim"):
+            aim(self, is_aligned=phase.name == "carry")
 
 
 def poses_of(script: Script) -> tuple[Pose, Pose]:
-    """Return the poses of the cuboid and of its goal."""
-    return Pose.from_tquat(script.info["cuboid"]), Pose.from_tquat(script.info["goal"])
+    """Return the poses of the cuboid, the right way up, and of its goal."""
+    cuboid, goal = (Pose.from_tquat(script.info[key]) for key in ("cuboid", "goal"))
+    if cuboid.matrix[2, 2] < 0.0:
+        cuboid = cuboid * Pose.from_rpy((0.0, 0.0, 0.0), (np.pi, 0.0, 0.0))  # it is the same, upside down
+    return cuboid, goal
 
 
 def aim(script: Script, *, is_aligned: bool = False) -> None:
@@ -108,14 +120,14 @@ def plan_carry(arm: ScriptedArm, cuboid: Pose, goal: Pose, *, is_aligned: bool =
     """
     ways: list[tuple[float, Plan]] = []
     for lean in LEANS if arm.kinematics.dof < 6 else LEANS[:1]:
-        for (turn,) in np.reshape(across(cuboid.matrix[:3, 1]), (2, 1)):
-            grasp = plan_from_above(arm, cuboid, [[turn]], lean=float(lean))
-            if grasp is None:
-                continue
+        if any(cost < GOOD for cost, _ in ways):
+            break
+        for grasp, joints in ways_from_above(arm, cuboid, across(cuboid.matrix[:3, 1])[0], lean=float(lean)):
             in_tcp = Pose.from_tquat(grasp["grasp"]).inverse() * cuboid
-            way = _way_down(arm, in_tcp, _goals(arm, cuboid, goal, is_aligned), arm.start)
+            way = _way_down(arm, in_tcp, _goals(arm, cuboid, goal, is_aligned), joints)
             if way is not None:
-                ways.append((way[0], {**grasp, **way[1]}))
+                motion = float(np.abs(joints - arm.start).max())
+                ways.append((way[0] + motion, {**grasp, **way[1]}))
     return min(ways, key=lambda way: way[0])[1] if ways else None
 
 
@@ -144,12 +156,23 @@ def _way_down(
     ways: list[tuple[float, Plan]] = []
     for goal in goals:
         tool = goal * cuboid_in_tcp.inverse()
-        down = reach(arm, tool, start, restarts=10)
-        over = down and reach(arm, Pose((0.0, 0.0, CLEARANCE)) * tool, down[1])
-        away = down and reach(arm, Pose.from_tquat(down[0]) * Pose((0.0, 0.0, -CLEARANCE)), down[1])
+        over = _follow(arm, raised(tool, CLEARANCE), start)
+        down = over and _follow(arm, tool, over[1])
+        away = down and reach(arm, Pose.from_tquat(down[0]) * Pose((0.0, 0.0, -RETREAT)), down[1])
         if down and over and away:
-            set_down = Pose.from_tquat(down[0]) * cuboid_in_tcp
-            tilt = float(np.arccos(np.clip(set_down.matrix[2, 2], -1.0, 1.0)))
-            cost = TILT_COST * tilt + float(np.abs(down[1] - start).max())
+            at_rest = Pose.from_tquat(down[0])
+            tilt = float(np.arccos(np.clip((at_rest * cuboid_in_tcp).matrix[2, 2], -1.0, 1.0)))
+            turn = at_rest.angle_to(Pose.from_tquat(away[0]))  # the fingers would push the cuboid
+            cost = TILT_COST * (tilt + turn) + float(np.abs(down[1] - start).max())
             ways.append((cost, {"over": over[0], "down": down[0], "away": away[0]}))
     return min(ways, key=lambda way: way[0]) if ways else None
+
+
+def _follow(arm: ScriptedArm, tool: Pose, start: NDArray[np.float64]) -> Reach | None:
+    """Return how an arm reaches a pose on a straight line, without a jump to another branch; None if it cannot."""
+    first, found = arm.kinematics.forward(start), None
+    for share in np.linspace(0.0, 1.0, WAYPOINTS + 1)[1:]:
+        found = reach(arm, first.interpolate(tool, float(share)), start if found is None else found[1])
+        if found is None:
+            return None
+    return found

@@ -73,7 +73,6 @@ def plan_from_above(
     *,
     lift: float = 0.15,
     in_tcp: tuple[float, float] = (0.0, 0.0),
-    lean: float = 0.0,
 ) -> Plan | None:
     """Plan a grasp with the tool pointing down, with the least tilt and joint motion.
 
@@ -84,28 +83,50 @@ def plan_from_above(
             smallest largest joint motion wins.
         lift: Height to lift above the grasp [m]; the tasks require 0.10.
         in_tcp: Grasped point along the TCP's x and y [m].
-        lean: How far the hand leans away from the base, its fingers towards it [rad].
 
     Returns:
         The poses `above`, `grasp` and `lifted`; None if nothing is feasible.
     """
+    for group in turns:
+        ways = ways_from_above(arm, where, group, lift=lift, in_tcp=in_tcp)
+        if ways:
+            return min(ways, key=lambda way: float(np.abs(way[1] - arm.start).max()))[0]
+    return None
+
+
+def ways_from_above(
+    arm: ScriptedArm,
+    where: Pose,
+    turns: Sequence[float],
+    *,
+    lift: float = 0.15,
+    in_tcp: tuple[float, float] = (0.0, 0.0),
+    lean: float = 0.0,
+) -> list[tuple[Plan, NDArray[np.float64]]]:
+    """Return the feasible plans of `plan_from_above`, and the joints of their grasps [rad].
+
+    Args:
+        arm: The arm.
+        where: Pose in the base frame whose origin to grasp.
+        turns: Angles of the tool about the vertical [rad].
+        lift: Height to lift above the grasp [m].
+        in_tcp: Grasped point along the TCP's x and y [m].
+        lean: How far the hand leans away from the base, its fingers towards it [rad].
+    """
     x, y, _ = where.translation
     leaning = Pose.from_rotvec((0.0, 0.0, 0.0), np.array([-y, x, 0.0]) * (lean / np.hypot(x, y)))
-
-    def above(height: float, turn: float, start: NDArray[np.float64], restarts: int = 0) -> Reach | None:
+    ways: list[tuple[Plan, NDArray[np.float64]]] = []
+    for turn in turns:
         # A half turn about x points the tool down.
         down = leaning * Pose.from_rpy((0.0, 0.0, 0.0), (np.pi, 0.0, turn))
-        tool = Pose(where.translation + [0.0, 0.0, height], down.quaternion)
-        return reach(arm, tool * Pose((-in_tcp[0], -in_tcp[1], 0.0)), start, restarts)
+        tool = Pose(where.translation, down.quaternion) * Pose((-in_tcp[0], -in_tcp[1], 0.0))
+        above = reach(arm, raised(tool, CLEARANCE), arm.start, restarts=10)
+        grasp, lifted = (above and reach(arm, raised(tool, height), above[1]) for height in (0.0, lift))
+        if above and grasp and lifted:
+            ways.append(({"above": above[0], "grasp": grasp[0], "lifted": lifted[0]}, grasp[1]))
+    return ways
 
-    for group in turns:
-        ways: list[tuple[float, Plan]] = []
-        for turn in group:
-            first = above(CLEARANCE, turn, arm.start, restarts=10)
-            grasp, lifted = (first and above(height, turn, first[1]) for height in (0.0, lift))
-            if first and grasp and lifted:
-                motion = float(np.abs(grasp[1] - arm.start).max())
-                ways.append((motion, {"above": first[0], "grasp": grasp[0], "lifted": lifted[0]}))
-        if ways:
-            return min(ways, key=lambda way: way[0])[1]
-    return None
+
+def raised(pose: Pose, height: float) -> Pose:
+    """Return a pose that is higher by some metres."""
+    return Pose((0.0, 0.0, height)) * pose

@@ -150,6 +150,6 @@ class Delivery:
 
 
 def is_flat(pose: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether the z axes of poses (*leading, 7) point up."""
+    """Return whether the z axes of poses (*leading, 7) are vertical; a cuboid upside down is the same."""
     x, y = pose[..., 3], pose[..., 4]
-    return 1.0 - 2.0 * (x * x + y * y) > np.cos(MAX_TILT)
+    return np.abs(1.0 - 2.0 * (x * x + y * y)) > np.cos(MAX_TILT)
