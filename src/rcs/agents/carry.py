@@ -42,7 +42,7 @@ CARRY = (
     *REACH,
     CLOSE,
     Phase("lift", "lifted", opening=0.0, risk=IN_HAND),
-    Phase("carry", "over", 0.30, 0.0, risk=IN_HAND),
+    Phase("carry", "over", 0.30, 0.0, risk=IN_HAND, turn_speed=1.5),  # faster, it would turn in the hand
     Phase("aim", "over", opening=0.0, until=lambda script: script.has_arrived() and script.is_still(), risk=IN_HAND),
     Phase("lower", "down", 0.10, 0.0, risk=IN_HAND),
     Phase("rest", "down", opening=0.0, until=REACH[-1].until, risk=IN_HAND),
@@ -57,7 +57,6 @@ class PlaceExpert(Script):
     task = "Place"
     needs = ("cuboid", "goal")
     phases = CARRY
-    turn_speed = 1.0  # the cuboid would turn in the hand
 
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Plan a grasp and setting down."""
@@ -75,7 +74,6 @@ class StackExpert(Script):
     task = "Stack"
     needs = ("cuboid", "goal")
     phases = CARRY
-    turn_speed = 1.0  # the cuboid would turn in the hand
 
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Plan a grasp and setting down."""
@@ -127,7 +125,10 @@ def plan_carry(arm: ScriptedArm, cuboid: Pose, goal: Pose, *, is_aligned: bool =
             way = _way_down(arm, in_tcp, _goals(arm, cuboid, goal, is_aligned), joints)
             if way is not None:
                 motion = float(np.abs(joints - arm.start).max())
-                ways.append((way[0] + motion, {**grasp, **way[1]}))
+                # Jaws at an angle would turn the cuboid, and of one moving jaw that is below it the table is in the way.
+                rise = float(Pose.from_tquat(grasp["grasp"]).matrix[2, 1])
+                slant = 0.25 * abs(rise) + max(0.0, -rise)
+                ways.append((way[0] + motion + TILT_COST * slant, {**grasp, **way[1]}))
     return min(ways, key=lambda way: way[0])[1] if ways else None
 
 

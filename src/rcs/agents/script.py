@@ -46,6 +46,8 @@ class Phase:
     """Class of a failure that ends the attempt, and the test for it."""
     is_judged_at_end: bool = False
     """Whether to check for the failure only when the phase is done."""
+    turn_speed: float = np.inf
+    """Rotational speed of the target, if less than that of the script [rad/s]."""
 
 
 GIVEN_UP = Phase("given up")
@@ -188,7 +190,8 @@ class Script(Agent):
 
     def _step(self, arm: ScriptedArm) -> Action:
         phase = self._phase
-        arm.target = limit_step(arm.target, self._place(arm), phase.speed * self._pace, self.turn_speed * self._pace)
+        turn_speed = min(phase.turn_speed, self.turn_speed)
+        arm.target = limit_step(arm.target, self._place(arm), phase.speed * self._pace, turn_speed * self._pace)
         action = arm.writer.write(arm.target, phase.opening)
         if action is None:
             self._failure = self._failure or "ik"
