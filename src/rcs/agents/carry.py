@@ -20,15 +20,19 @@ LEANS = np.deg2rad([0.0, -15.0, -30.0, 15.0, 30.0])
 
 It has to lean at far places, and can set a cuboid down flat only if it leant as much when it grasped it.
 """
-TURNS = np.deg2rad([0.0, 5.0, -5.0, 10.0, -10.0, 15.0, -15.0])
+TURNS = np.deg2rad([0.0, 7.0, -7.0, 14.0, -14.0])
 """Turns of the cuboid that such an arm tries at the goal, besides that of its base [rad]."""
-TILT_COST = 20.0
+TILT_COST = 60.0
 """Largest motion of a joint that is as bad as an angle of 1 rad at which the cuboid is set down [rad]."""
-GOOD = 4.0
+GOOD = 5.0
 """Cost of a plan that is good enough: no more is sought [rad]."""
-WAYPOINTS = 8
+WAYPOINTS = 5
 """Poses on a straight line that are checked."""
-RETREAT = 0.06
+SLANT_COST = 20.0
+"""The same of an angle of 1 rad between the jaws and the cuboid's sides [rad]."""
+CLEAR = 0.008
+"""Distance by which a jaw that does not move leaves the cuboid before the fingers draw back [m]."""
+RETREAT = 0.04
 """Distance by which the open fingers draw back from the cuboid [m]."""
 
 
@@ -47,7 +51,8 @@ CARRY = (
     Phase("lower", "down", 0.10, 0.0, risk=IN_HAND),
     Phase("rest", "down", opening=0.0, until=REACH[-1].until, risk=IN_HAND),
     Phase("release", "down", until=have_opened),
-    Phase("withdraw", "away", risk=("dropped", lambda script: script.elapsed > WAIT)),
+    Phase("clear", "clear", 0.05),
+    Phase("withdraw", "away", 0.10, turn_speed=0.3, risk=("dropped", lambda script: script.elapsed > WAIT)),
 )
 
 
@@ -105,7 +110,7 @@ def aim(script: Script, *, is_aligned: bool = False) -> None:
 
 
 def plan_carry(arm: ScriptedArm, cuboid: Pose, goal: Pose, *, is_aligned: bool = False) -> Plan | None:
-    """Plan to grasp a cuboid across its short side from above and to set it down flat, with the least joint motion.
+    """Plan to grasp a cuboid from above, across its short side where the tool need not lean, and to set it down flat, with the least joint motion.
 
     Args:
         arm: The arm.
@@ -114,21 +119,24 @@ def plan_carry(arm: ScriptedArm, cuboid: Pose, goal: Pose, *, is_aligned: bool =
         is_aligned: Whether it should lie along the goal's axes, where the arm can do so.
 
     Returns:
-        The poses `above`, `grasp`, `lifted`, `over`, `down` and `away`; None if nothing is feasible.
+        The poses `above`, `grasp`, `lifted`, `over`, `down`, `clear` and `away`; None if nothing is feasible.
     """
     ways: list[tuple[float, Plan]] = []
+    turns = across(cuboid.matrix[:3, 1])[0]
+    if arm.kinematics.dof < 6:  # it leans, and one side may suit that better
+        turns = [*turns, *across(cuboid.matrix[:3, 0])[0]]
     for lean in LEANS if arm.kinematics.dof < 6 else LEANS[:1]:
         if any(cost < GOOD for cost, _ in ways):
             break
-        for grasp, joints in ways_from_above(arm, cuboid, across(cuboid.matrix[:3, 1])[0], lean=float(lean)):
+        for grasp, joints in ways_from_above(arm, cuboid, turns, lean=float(lean)):
             in_tcp = Pose.from_tquat(grasp["grasp"]).inverse() * cuboid
             way = _way_down(arm, in_tcp, _goals(arm, cuboid, goal, is_aligned), joints)
             if way is not None:
                 motion = float(np.abs(joints - arm.start).max())
                 # Jaws at an angle would turn the cuboid, and of one moving jaw that is below it the table is in the way.
                 rise = float(Pose.from_tquat(grasp["grasp"]).matrix[2, 1])
-                slant = 0.25 * abs(rise) + max(0.0, -rise)
-                ways.append((way[0] + motion + TILT_COST * slant, {**grasp, **way[1]}))
+                slant = abs(rise) + max(0.0, -rise)
+                ways.append((way[0] + motion + SLANT_COST * slant, {**grasp, **way[1]}))
     return min(ways, key=lambda way: way[0])[1] if ways else None
 
 
@@ -155,17 +163,21 @@ def _way_down(
 ) -> tuple[float, Plan] | None:
     """Return the best way to set a cuboid down and what it costs; None if there is none."""
     ways: list[tuple[float, Plan]] = []
+    gripper = arm.robot.gripper
+    # A jaw that does not move touches the cuboid after opening; the moving one is towards y.
+    aside = CLEAR if gripper is not None and len(gripper.joints) == 1 else 0.0
     for goal in goals:
         tool = goal * cuboid_in_tcp.inverse()
         over = _follow(arm, raised(tool, CLEARANCE), start)
         down = over and _follow(arm, tool, over[1])
-        away = down and reach(arm, Pose.from_tquat(down[0]) * Pose((0.0, 0.0, -RETREAT)), down[1])
-        if down and over and away:
+        clear = down and reach(arm, Pose.from_tquat(down[0]) * Pose((0.0, -aside, 0.0)), down[1])
+        away = clear and reach(arm, Pose.from_tquat(clear[0]) * Pose((0.0, 0.0, -RETREAT)), clear[1])
+        if down and over and clear and away:
             at_rest = Pose.from_tquat(down[0])
             tilt = float(np.arccos(np.clip((at_rest * cuboid_in_tcp).matrix[2, 2], -1.0, 1.0)))
             turn = at_rest.angle_to(Pose.from_tquat(away[0]))  # the fingers would push the cuboid
             cost = TILT_COST * (tilt + turn) + float(np.abs(down[1] - start).max())
-            ways.append((cost, {"over": over[0], "down": down[0], "away": away[0]}))
+            ways.append((cost, {"over": over[0], "down": down[0], "clear": clear[0], "away": away[0]}))
     return min(ways, key=lambda way: way[0]) if ways else None
 
 
