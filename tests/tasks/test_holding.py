@@ -38,7 +38,9 @@ def results(env: Any, seconds: float, opening: float = 0.0) -> list[dict[str, An
     return infos
 
 
-@pytest.mark.parametrize(("stepping", "frequency"), [("async", 10.0), ("async", 100.0), ("sync", 30.0), ("sync", 100.0)])
+@pytest.mark.parametrize(
+    ("stepping", "frequency"), [("async", 10.0), ("async", 100.0), ("sync", 30.0), ("sync", 100.0)]
+)
 def test_a_hold_of_one_second_lasts_one_second_however_the_world_is_stepped(stepping: Any, frequency: float) -> None:
     env = rcs.make("PickCuboid", stepping=stepping, frequency=frequency, max_episode_steps=None)
     expert = agent_for(env)
@@ -124,7 +126,9 @@ def test_a_cuboid_that_lies_on_closed_fingers_is_not_grasped_however_heavy_it_is
     world.model.body("cuboid").mass[:] *= factor
     # Their tops are 9 mm above the TCP.
     pose = Pose(tcp.translation + [0.0, 0.0, 0.0092 + 0.0288], (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)))
-    env.reset(options={"robot": {"joints": joints, "gripper": np.zeros(1, np.float32)}, "objects": {"cuboid": pose.tquat}})
+    env.reset(
+        options={"robot": {"joints": joints, "gripper": np.zeros(1, np.float32)}, "objects": {"cuboid": pose.tquat}}
+    )
     infos = results(env, 0.5)
     assert infos[-1]["cuboid"][2] > pose.translation[2] - 0.01, "it lies there"
     assert not any(info["is_grasped"] or info["success"] for info in infos)

@@ -92,7 +92,9 @@ def test_the_lowest_corner_of_a_box_is_the_lowest_of_its_eight() -> None:
     halves = rng.uniform(0.01, 0.1, (20, 3))
     poses = np.stack([rcs.Pose.from_rotvec(rng.uniform(-1, 1, 3), rng.uniform(-2, 2, 3)).tquat for _ in range(20)])
     corners = np.array(list(product((-1.0, 1.0), repeat=3)))
-    expected = [rcs.Pose.from_tquat(pose).apply(corners * half)[:, 2].min() for pose, half in zip(poses, halves, strict=True)]
+    expected = [
+        rcs.Pose.from_tquat(pose).apply(corners * half)[:, 2].min() for pose, half in zip(poses, halves, strict=True)
+    ]
     np.testing.assert_allclose(lowest(poses, halves), expected, atol=1e-12)
 
 

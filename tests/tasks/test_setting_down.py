@@ -44,7 +44,9 @@ def test_a_cuboid_that_only_lies_there_was_not_set_down(task: str) -> None:
     env = rcs.make(task)
     _, info = env.reset(seed=3)
     goal = info["goal"]
-    env.reset(options={"objects": {"cuboid": goal, **{k: v for k, v in env.scenario.object_poses().items() if k != "cuboid"}}})
+    env.reset(
+        options={"objects": {"cuboid": goal, **{k: v for k, v in env.scenario.object_poses().items() if k != "cuboid"}}}
+    )
     for _ in range(40):
         *_, info = env.step(still(env))
         assert not info["success"]
@@ -65,7 +67,11 @@ def test_a_cuboid_that_is_dropped_onto_its_goal_was_not_set_down(task: str) -> N
         if expert.phase == "lower" and info["cuboid"][2] - info["goal"][2] < 0.045:
             is_dropped = True
         if is_dropped:
-            action = {**action, "tquat": np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), "gripper": np.ones(1, np.float32)}
+            action = {
+                **action,
+                "tquat": np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+                "gripper": np.ones(1, np.float32),
+            }
         observation, _, terminated, truncated, info = env.step(action)
         if is_dropped and np.linalg.norm(info["cuboid"][:3] - info["goal"][:3]) < 0.01 and not info["is_touched"]:
             break

@@ -6,7 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents.experts import across
-from rcs.agents.grasp import CLEARANCE, CLOSE, CLOSING_TIME, REACH, Reach, are_empty, are_still, raised, reach, ways_from_above
+from rcs.agents.grasp import (
+    CLEARANCE,
+    CLOSE,
+    CLOSING_TIME,
+    REACH,
+    Reach,
+    are_empty,
+    are_still,
+    raised,
+    reach,
+    ways_from_above,
+)
 from rcs.agents.script import Phase, Plan, Script, ScriptedArm
 from rcs.envs.spaces import JOINTS, TQUAT
 from rcs.spatial import Pose
@@ -30,6 +41,9 @@ WAYPOINTS = 5
 """Poses on a straight line that are checked."""
 SLANT_COST = 20.0
 """The same of an angle of 1 rad between the jaws and the cuboid's sides [rad]."""
+ASIDE = 0.008
+"""How far the middle of the cuboid is from the TCP towards the moving jaw when its long side lies between the jaws [m]:
+the other one would come down on it."""
 CLEAR = 0.008
 """Distance by which a jaw that does not move leaves the cuboid before the fingers draw back [m]."""
 RETREAT = 0.04
@@ -122,13 +136,19 @@ def plan_carry(arm: ScriptedArm, cuboid: Pose, goal: Pose, *, is_aligned: bool =
         The poses `above`, `grasp`, `lifted`, `over`, `down`, `clear` and `away`; None if nothing is feasible.
     """
     ways: list[tuple[float, Plan]] = []
-    turns = across(cuboid.matrix[:3, 1])[0]
+    sides = [(1, 0.0)]
     if arm.kinematics.dof < 6:  # it leans, and one side may suit that better
-        turns = [*turns, *across(cuboid.matrix[:3, 0])[0]]
+        sides.append((0, ASIDE))
     for lean in LEANS if arm.kinematics.dof < 6 else LEANS[:1]:
         if any(cost < GOOD for cost, _ in ways):
             break
-        for grasp, joints in ways_from_above(arm, cuboid, turns, lean=float(lean)):
+        for grasp, joints in (
+            way
+            for axis, aside in sides
+            for way in ways_from_above(
+                arm, cuboid, across(cuboid.matrix[:3, axis])[0], in_tcp=(0.0, aside), lean=float(lean)
+            )
+        ):
             in_tcp = Pose.from_tquat(grasp["grasp"]).inverse() * cuboid
             way = _way_down(arm, in_tcp, _goals(arm, cuboid, goal, is_aligned), joints)
             if way is not None:
