@@ -124,7 +124,9 @@ def aim(script: Script, *, is_aligned: bool = False) -> None:
 
 
 def plan_carry(arm: ScriptedArm, cuboid: Pose, goal: Pose, *, is_aligned: bool = False) -> Plan | None:
-    """Plan to grasp a cuboid from above, across its short side where the tool need not lean, and to set it down flat, with the least joint motion.
+    """Plan to grasp a cuboid from above and to set it down flat, with the least joint motion.
+
+    A tool that need not lean grasps it across its short side.
 
     Args:
         arm: The arm.
@@ -153,7 +155,7 @@ def plan_carry(arm: ScriptedArm, cuboid: Pose, goal: Pose, *, is_aligned: bool =
             way = _way_down(arm, in_tcp, _goals(arm, cuboid, goal, is_aligned), joints)
             if way is not None:
                 motion = float(np.abs(joints - arm.start).max())
-                # Jaws at an angle would turn the cuboid, and of one moving jaw that is below it the table is in the way.
+                # Jaws at an angle would turn the cuboid; a moving jaw that points down would meet the table.
                 rise = float(Pose.from_tquat(grasp["grasp"]).matrix[2, 1])
                 slant = abs(rise) + max(0.0, -rise)
                 ways.append((way[0] + motion + SLANT_COST * slant, {**grasp, **way[1]}))

@@ -109,7 +109,7 @@ class Script(Agent):
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Return the poses of an arm by the names used in phases (`home` is added); None if they are not feasible."""
 
-    def prepare(self, phase: Phase) -> None:  # noqa: B027  most plans need no second look
+    def prepare(self, phase: Phase) -> None:
         """Change the arms' plans when a phase begins, by what is known then."""
 
     @property

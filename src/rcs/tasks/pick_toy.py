@@ -53,9 +53,9 @@ class PickToy(Task):
     """Lift a soft toy, by 10 cm by default, and hold it at the arm's home pose for one second.
 
     It is a success when, without a break for that time, the TCP is within 5 cm of where it is at home, the toy's middle
-    is higher by that than when it lies, the thumb and the other fingers (of a gripper: both pads) press on it with more
-    than its weight each, nothing but the hand touches it, and its middle moves by no more than 3 cm in the hand. This is
-    judged at the end of each step.
+    is 10 cm higher than when it lies, the thumb and the other fingers (of a gripper: both pads) press on it with more
+    than its weight each, nothing but the hand touches it, and its middle moves by no more than 3 cm in the hand. This
+    is judged at the end of each step.
 
     The toy is a flex whose shape follows eight nodes, the corners of a box around it. Each has three slide joints along
     the scene's axes, so that its position, orientation and shape are all in `qpos`. Rotating it means moving the nodes,
@@ -85,7 +85,8 @@ class PickToy(Task):
         Raises:
             InvalidSetup: There is not exactly one robot, or it has neither gripper nor hand.
         """
-        if len(robots) != 1 or robots[0].placement.end_effector is None:
+        effector = robots[0].placement.end_effector
+        if len(robots) != 1 or effector is None:
             raise InvalidSetup("PickToy needs one robot with a hand or a gripper.")
         self._world = world
         self._robot = robots[0]
@@ -96,9 +97,9 @@ class PickToy(Task):
             world.core.read_force(
                 world.geom_flags(placement.gripper_prefix + name for name in geoms), world.subtree_flags(TOY)
             )
-            for geoms in _opposed(placement.end_effector)
+            for geoms in _opposed(effector)
         ]
-        hand = placement.gripper_prefix + placement.end_effector.base_body
+        hand = placement.gripper_prefix + effector.base_body
         self._others = world.core.read_force(all_but(world, hand, TOY), world.subtree_flags(TOY))
         self._gravity = float(np.linalg.norm(model.opt.gravity))
         self._weight = np.zeros(world.leading)

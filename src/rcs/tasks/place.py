@@ -125,7 +125,7 @@ class MocapBody:
         self._positions = world.core.component(state.mjSTATE_MOCAP_POS.value)
 
     def place(self, pose: NDArray[np.float64], where: Where) -> None:
-        """Put the bodies of some copies at places in the scene; of poses (*leading of these, 7) only these count [m]."""
+        """Put the bodies of some copies at places in the scene; poses are (*leading of these, 7) [m], untilted."""
         self._positions[where, self._translation] = pose[..., :3]
 
 
