@@ -20,7 +20,10 @@ from rcs.sim.scene import RobotPlacement
 from rcs.spatial import distance, limit_step
 
 PATIENCE = 4.0
-"""Longest duration of a phase; then the script goes on regardless [s]."""
+"""Longest time that a phase waits at its goal, such as for arms to arrive; then the script goes on regardless [s]."""
+
+STILL = 0.005
+"""Speed of the TCP below which an arm stands still [m/s]."""
 
 Condition = Callable[["Script"], bool]
 Plan = Mapping[str, NDArray[np.float64]]
@@ -29,7 +32,7 @@ Plan = Mapping[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of a script. It ends after `PATIENCE` at the latest; the last phase of a script never ends."""
+    """A part of a script. It ends `PATIENCE` after its targets are at the goal; the last one of a script never ends."""
 
     name: str
     goal: str = ""
@@ -43,6 +46,8 @@ class Phase:
     """Class of a failure that ends the attempt, and the test for it."""
     is_judged_at_end: bool = False
     """Whether to check for the failure only when the phase is done."""
+    turn_speed: float = np.inf
+    """Rotational speed of the target, if less than that of the script [rad/s]."""
 
 
 GIVEN_UP = Phase("given up")
@@ -91,15 +96,21 @@ class Script(Agent):
         is_single = len(env.robots) == 1
         self.arms = [ScriptedArm(env, None if is_single else name, robot) for name, robot in env.robots.items()]
         self._retreat = replace(self.phases[0], name="retreat")
-        self._phase, self._steps, self._attempt = GIVEN_UP, 0, 0
+        self._phase, self._attempt = GIVEN_UP, 0
+        self._began = self._reached = self._now = 0.0
         self._failure: str | None = None
         self.info: Mapping[str, Any] = {}
         self.elapsed = 0.0
-        """Time since the present phase began [s]."""
+        """Time since the present phase began, by the clock of the environment [s]."""
+        self.step_time = self._period
+        """How long the last step took, by the same clock [s]."""
 
     @abstractmethod
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Return the poses of an arm by the names used in phases (`home` is added); None if they are not feasible."""
+
+    def prepare(self, phase: Phase) -> None:
+        """Change the arms' plans when a phase begins, by what is known then."""
 
     @property
     def failure(self) -> str | None:
@@ -113,9 +124,13 @@ class Script(Agent):
 
     def has_arrived(self) -> bool:
         """Return whether all arms are at the goal of the present phase."""
-        goal = self._phase.goal
-        pairs = [(arm.observation[TQUAT], arm.plan.get(goal, arm.target)) for arm in self.arms]
+        pairs = [(arm.observation[TQUAT], self._place(arm)) for arm in self.arms]
         return all(bool((distance(tcp, place) < self.arrived).all()) for tcp, place in pairs)
+
+    def is_still(self) -> bool:
+        """Return whether the TCPs of all arms move slower than `STILL`."""
+        moves = [arm.observation[TQUAT][:3] - arm.before[TQUAT][:3] for arm in self.arms]
+        return all(float(np.sqrt(move @ move)) <= STILL * self.step_time for move in moves)
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Plan a new episode.
@@ -125,7 +140,7 @@ class Script(Agent):
         """
         if missing := [key for key in self.needs if key not in info]:
             raise WrongOrder(f"{type(self).__name__} needs info[{missing[0]!r}]; use it in the task {self.task}.")
-        self.info, self._failure, self._attempt = info, None, 0
+        self.info, self._failure, self._attempt, self._now = info, None, 0, float(info["time"])
         for arm in self.arms:
             arm.see(observation, info)
             arm.writer.reset(arm.observation)
@@ -137,8 +152,9 @@ class Script(Agent):
         self.info = info
         for arm in self.arms:
             arm.see(observation, info)
-        self._steps += 1
-        self.elapsed = self._steps * self._period
+        now = float(info["time"])
+        self.step_time, self._now = max(now - self._now, 1e-9), now
+        self.elapsed = now - self._began
         self._advance()
         actions = {arm.robot.name: self._step(arm) for arm in self.arms}
         return actions if len(actions) > 1 else actions[self.arms[0].robot.name]
@@ -154,7 +170,9 @@ class Script(Agent):
 
     def _advance(self) -> None:
         phase = self._phase
-        is_done = self.elapsed > PATIENCE or phase.until(self)
+        if not all(np.array_equal(arm.target, self._place(arm)) for arm in self.arms):
+            self._reached = self._now
+        is_done = self._now - self._reached > PATIENCE or phase.until(self)
         if phase.risk is not None and (is_done or not phase.is_judged_at_end) and phase.risk[1](self):
             self._failure = phase.risk[0]
             self._enter(self._retreat if self._attempt < self.attempts else GIVEN_UP)
@@ -164,11 +182,16 @@ class Script(Agent):
             self._enter(self.phases[self.phases.index(phase) + 1])
 
     def _enter(self, phase: Phase) -> None:
-        self._phase, self._steps = phase, 0
+        self._phase, self._began, self._reached, self.elapsed = phase, self._now, self._now, 0.0
+        self.prepare(phase)
+
+    def _place(self, arm: ScriptedArm) -> NDArray[np.float64]:
+        return arm.plan.get(self._phase.goal, arm.target)
 
     def _step(self, arm: ScriptedArm) -> Action:
-        phase, place = self._phase, arm.plan.get(self._phase.goal, arm.target)
-        arm.target = limit_step(arm.target, place, phase.speed * self._pace, self.turn_speed * self._pace)
+        phase = self._phase
+        turn_speed = min(phase.turn_speed, self.turn_speed)
+        arm.target = limit_step(arm.target, self._place(arm), phase.speed * self._pace, turn_speed * self._pace)
         action = arm.writer.write(arm.target, phase.opening)
         if action is None:
             self._failure = self._failure or "ik"
