@@ -126,7 +126,7 @@ def _corners(area: Area, around: Taken | None) -> tuple[NDArray[np.float64], NDA
     low, high = center - half, center + half
     if around is None:
         return low, high
-    middle, reach = around[0][..., :2], np.asarray(around[1])[..., None]
+    middle, reach = around[0][..., :2], np.expand_dims(np.asarray(around[1]), -1)
     return np.clip(middle - reach, low, high), np.clip(middle + reach, low, high)
 
 
