@@ -66,6 +66,7 @@ class Scenario:
         if self._frame_clock is not None:
             self._frame_clock.begin(draws.branch("frames").bits(), copies)
         self.world.reset(copies)
+        self.task.forget_progress(where)
         self.task.reset(draws, where)
         self.world.refresh(copies)
 
