@@ -1,0 +1,119 @@
+"""The scripted expert that pushes a block onto a goal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.agents.closed_tool import Tip
+from rcs.agents.grasp import plan_from_above
+from rcs.agents.script import Phase, Plan, Script, ScriptedArm
+from rcs.envs.env import Env
+from rcs.envs.spaces import TQUAT, Action, Observation
+from rcs.spatial import Pose
+
+BEHIND = 0.012
+"""Distance from the block to where the tool comes down [m]."""
+LOW = 0.006
+"""Height of the tool's tip above the table [m]."""
+STEERING = 0.02
+"""Way on which the tool comes back to the line through block and goal [m]; less is stricter and swings."""
+NEAR = 0.004
+"""Distance from the goal at which the block has arrived [m]."""
+BESIDE = np.deg2rad(60.0)
+"""Angle at the block between the tool and the way to the goal at which the block slips past the tool."""
+SETTLING_TIME = 1.5
+"""Time for the block to lie still and be judged [s]."""
+
+
+def has_pushed(script: Script) -> bool:
+    """Return whether the block reaches the goal when the tool arrives where it is sent."""
+    assert isinstance(script, PushExpert)
+    return script.remaining <= NEAR
+
+
+def is_beside(script: Script) -> bool:
+    """Return whether the block slips past the tool."""
+    assert isinstance(script, PushExpert)
+    return script.bearing > BESIDE and script.remaining > NEAR
+
+
+class PushExpert(Script):
+    """Pushes the block at `info["block"]` to `info["goal"]`, with the end effector closed and pointing down.
+
+    The tool comes down behind the block and goes towards the goal, on the line through the goal and the middle of the
+    block, wherever that is by then. If the block slips past it, or ends beside the goal, the expert starts again.
+    """
+
+    task = "Push"
+    needs = ("block", "goal", "edges")
+    phases = (
+        Phase("approach", "above", 0.45, 0.0),
+        Phase("descend", "behind", opening=0.0),
+        Phase("push", "ahead", 0.12, 0.0, until=has_pushed, risk=("slip", is_beside)),
+        Phase(
+            "rest",
+            opening=0.0,
+            until=lambda script: script.elapsed >= SETTLING_TIME,
+            risk=("slip", lambda script: not script.info["success"]),
+            is_judged_at_end=True,
+        ),
+    )
+    attempts = 4
+
+    def __init__(self, env: Env) -> None:
+        """Measure the tool."""
+        super().__init__(env)
+        effector = self.arms[0].robot.end_effector
+        self.tip = Tip(middle=(0.0, 0.0, 0.0), half=(0.01, 0.01)) if effector is None else Tip.of(effector)
+        self.remaining = self.bearing = 0.0
+        """Distance that the block still has to go [m]; angle at the block between tool and way, 0 behind it [rad]."""
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        """Steer towards the goal, and continue."""
+        if self.phase == "push":
+            self._steer(self.arms[0], observation, info)
+        return super().act(observation, info)
+
+    def plan(self, arm: ScriptedArm) -> Plan | None:
+        """Plan how the tool comes down behind the block, with a side of it towards the goal."""
+        block, goal = self.info["block"], self.info["goal"]
+        way, _ = _way(block, goal)
+        back = 0.5 * float(np.hypot(*self.info["edges"][:2])) + self.tip.radius + BEHIND
+        wanted = np.array([*(block[:2] - back * way), goal[2] + LOW])
+        azimuth = float(np.arctan2(way[1], way[0]))
+        turns = [[azimuth + k * np.pi / 2 for k in range(4)]]
+        place, plan = wanted + [0.0, 0.0, self.tip.middle[2]], None
+        for _ in range(3):  # the tool of an arm with few joints leans, which shifts its tip
+            plan = plan_from_above(arm, Pose(place), turns, lift=0.0, in_tcp=self.tip.middle[:2])
+            if plan is None:
+                return None
+            place = place + wanted - self.tip.place(plan["grasp"])
+        return plan and {"above": plan["above"], "behind": plan["grasp"]}
+
+    def _steer(self, arm: ScriptedArm, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Set the next place of the tool: ahead, and towards the line through block and goal."""
+        block, goal, tcp = info["block"], info["goal"], observation[TQUAT]
+        way, distance = _way(block, goal)
+        now = self.tip.place(tcp)
+        # Where the tip will be once the arm has caught up with its target.
+        then = now + arm.target[:3] - tcp[:3]
+        offset = then[:2] - block[:2]
+        beside = offset - (offset @ way) * way
+        self.bearing = float(np.arccos(np.clip(-(offset @ way) / np.sqrt(offset @ offset), -1.0, 1.0)))
+        self.remaining = distance - float((then - now)[:2] @ way)
+        heading = way - beside / STEERING
+        ahead = arm.target.copy()
+        ahead[:2] += heading / np.sqrt(heading @ heading) * np.clip(self.remaining, 0.0, 0.05)
+        ahead[2] = goal[2] + LOW + tcp[2] - now[2]
+        arm.plan = {**arm.plan, "ahead": ahead}
+
+
+def _way(block: NDArray[np.float64], goal: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return direction (2,) and length [m] of the way from block to goal on the table."""
+    way = goal[:2] - block[:2]
+    distance = float(np.sqrt(way @ way))
+    return way / max(distance, 1e-9), distance
