@@ -21,6 +21,8 @@ LOW = 0.006
 """Height of the tool's tip above the table [m]."""
 STEERING = 0.02
 """Way on which the tool comes back to the line through block and goal [m]; less is stricter and swings."""
+STRAIGHT = 0.03
+"""Last part of the way, on which the direction no longer changes [m]: it would swing with every millimetre beside."""
 NEAR = 0.004
 """Distance from the goal at which the block has arrived [m]."""
 BESIDE = np.deg2rad(60.0)
@@ -71,6 +73,8 @@ class PushExpert(Script):
         self.tip = Tip(middle=(0.0, 0.0, 0.0), half=(0.01, 0.01)) if effector is None else Tip.of(effector)
         self.remaining = self.bearing = 0.0
         """Distance that the block still has to go [m]; angle at the block between tool and way, 0 behind it [rad]."""
+        self._way = np.zeros(2)
+        """Direction to the goal."""
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Steer towards the goal, and continue."""
@@ -81,11 +85,13 @@ class PushExpert(Script):
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Plan how the tool comes down behind the block, with a side of it towards the goal."""
         block, goal = self.info["block"], self.info["goal"]
-        way, _ = _way(block, goal)
+        way = self._way = _direction(block, goal)
         back = 0.5 * float(np.hypot(*self.info["edges"][:2])) + self.tip.radius + BEHIND
         wanted = np.array([*(block[:2] - back * way), goal[2] + LOW])
         azimuth = float(np.arctan2(way[1], way[0]))
         turns = [[azimuth + k * np.pi / 2 for k in range(4)]]
+        if arm.robot.hand is not None:  # a fist pushes with the backs of its fingers, the only side that is flat
+            turns = [[azimuth], [azimuth + 0.5, azimuth - 0.5], *turns]
         place, plan = wanted + [0.0, 0.0, self.tip.middle[2]], None
         for _ in range(3):  # the tool of an arm with few joints leans, which shifts its tip
             plan = plan_from_above(arm, Pose(place), turns, lift=0.0, in_tcp=self.tip.middle[:2])
@@ -97,14 +103,16 @@ class PushExpert(Script):
     def _steer(self, arm: ScriptedArm, observation: Observation, info: Mapping[str, Any]) -> None:
         """Set the next place of the tool: ahead, and towards the line through block and goal."""
         block, goal, tcp = info["block"], info["goal"], observation[TQUAT]
-        way, distance = _way(block, goal)
+        if np.hypot(*(goal - block)[:2]) > STRAIGHT:
+            self._way = _direction(block, goal)
+        way = self._way
         now = self.tip.place(tcp)
         # Where the tip will be once the arm has caught up with its target.
         then = now + arm.target[:3] - tcp[:3]
         offset = then[:2] - block[:2]
         beside = offset - (offset @ way) * way
         self.bearing = float(np.arccos(np.clip(-(offset @ way) / np.sqrt(offset @ offset), -1.0, 1.0)))
-        self.remaining = distance - float((then - now)[:2] @ way)
+        self.remaining = float(((goal - block)[:2] - (then - now)[:2]) @ way)
         heading = way - beside / STEERING
         ahead = arm.target.copy()
         ahead[:2] += heading / np.sqrt(heading @ heading) * np.clip(self.remaining, 0.0, 0.05)
@@ -112,8 +120,7 @@ class PushExpert(Script):
         arm.plan = {**arm.plan, "ahead": ahead}
 
 
-def _way(block: NDArray[np.float64], goal: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return direction (2,) and length [m] of the way from block to goal on the table."""
+def _direction(block: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the direction from block to goal on the table, (2,)."""
     way = goal[:2] - block[:2]
-    distance = float(np.sqrt(way @ way))
-    return way / max(distance, 1e-9), distance
+    return way / max(float(np.sqrt(way @ way)), 1e-9)
