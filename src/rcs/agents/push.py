@@ -19,8 +19,8 @@ BEHIND = 0.012
 """Distance from the block to where the tool comes down [m]."""
 LOW = 0.006
 """Height of the tool's tip above the table [m]."""
-STEERING = 0.02
-"""Way on which the tool comes back to the line through block and goal [m]; less is stricter and swings."""
+LEAD, LEAD_AT_REST = 0.03, 0.005
+"""Distance between the tool and its target at which the target waits [m]: in motion, and where every step ends at rest."""
 STRAIGHT = 0.03
 """Last part of the way, on which the direction no longer changes [m]: it would swing with every millimetre beside."""
 NEAR = 0.004
@@ -46,8 +46,9 @@ def is_beside(script: Script) -> bool:
 class PushExpert(Script):
     """Pushes the block at `info["block"]` to `info["goal"]`, with the end effector closed and pointing down.
 
-    The tool comes down behind the block and goes towards the goal, on the line through the goal and the middle of the
-    block, wherever that is by then. If the block slips past it, or ends beside the goal, the expert starts again.
+    The tool comes down behind the block, one of its sides towards the goal, and from then on goes in the direction from
+    the block's middle to the goal, wherever that is by then. If the block slips past it, or ends beside the goal, the
+    expert starts again.
     """
 
     task = "Push"
@@ -73,6 +74,7 @@ class PushExpert(Script):
         self.tip = Tip(middle=(0.0, 0.0, 0.0), half=(0.01, 0.01)) if effector is None else Tip.of(effector)
         self.remaining = self.bearing = 0.0
         """Distance that the block still has to go [m]; angle at the block between tool and way, 0 behind it [rad]."""
+        self._lead = LEAD_AT_REST if env.setup.stepping == "sync" else LEAD
         self._way = np.zeros(2)
         """Direction to the goal."""
 
@@ -101,21 +103,20 @@ class PushExpert(Script):
         return plan and {"above": plan["above"], "behind": plan["grasp"]}
 
     def _steer(self, arm: ScriptedArm, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Set the next place of the tool: ahead, and towards the line through block and goal."""
+        """Set where the tool goes next: ahead, unless the arm has to catch up."""
         block, goal, tcp = info["block"], info["goal"], observation[TQUAT]
         if np.hypot(*(goal - block)[:2]) > STRAIGHT:
             self._way = _direction(block, goal)
         way = self._way
         now = self.tip.place(tcp)
         # Where the tip will be once the arm has caught up with its target.
-        then = now + arm.target[:3] - tcp[:3]
-        offset = then[:2] - block[:2]
-        beside = offset - (offset @ way) * way
+        lead = arm.target[:3] - tcp[:3]
+        offset = now[:2] + lead[:2] - block[:2]
         self.bearing = float(np.arccos(np.clip(-(offset @ way) / np.sqrt(offset @ offset), -1.0, 1.0)))
-        self.remaining = float(((goal - block)[:2] - (then - now)[:2]) @ way)
-        heading = way - beside / STEERING
+        self.remaining = float(((goal - block)[:2] - lead[:2]) @ way)
         ahead = arm.target.copy()
-        ahead[:2] += heading / np.sqrt(heading @ heading) * np.clip(self.remaining, 0.0, 0.05)
+        if float(np.sqrt(lead @ lead)) < self._lead:
+            ahead[:2] += way * max(self.remaining, 0.0)
         ahead[2] = goal[2] + LOW + tcp[2] - now[2]
         arm.plan = {**arm.plan, "ahead": ahead}
 

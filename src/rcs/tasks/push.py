@@ -25,6 +25,8 @@ EDGES = (0.06, 0.06, 0.05)
 """Edges of the block along its x, y, z [m]. Lower than wide, so that it slides before it tips."""
 MASS = 0.10
 """Mass of such a block of light wood [kg]."""
+FRICTION = 0.4
+"""Sliding friction of dry wood on smooth surfaces, 0.3 to 0.5. With more, a block jams between tool and table."""
 MARGIN = 0.08
 """Least distance of the block's middle and of the goal from the edge of the area [m]: room for a gripper behind it."""
 SHORTEST_WAY = 0.10
@@ -37,8 +39,8 @@ GRASP_OPENING = 0.1
 """Opening above which a gripper grasps what both pads press on; those of a closed one may both push, side by side."""
 STILL = (0.01, 0.1)
 """Speed below which the block is at rest [m/s, rad/s] (ManiSkill 3's `Actor.is_static`)."""
-TOUCH_FORCE = 0.1
-"""Least force of the robot that counts as contact with the block [N]; it slides at 1 N, on SO101's table at 0.25 N."""
+TOUCH_FORCE = 0.05
+"""Least force of the robot that counts as contact with the block [N]; the block slides at 0.4 N."""
 MAX_TILT = np.deg2rad(5.0)
 """Largest angle between the table and the face on which a block lies [rad]."""
 BLOCK = "block"
@@ -96,6 +98,9 @@ class Push(Task):
         scene.add_table()
         mass = MASS * self.area.object_scale**3
         add_box(scene, BLOCK, self.area.center, edges=self.edges, mass=mass, rgb=(0.10, 0.30, 0.65))
+        # Wood slides on a table top and on a gripper, whatever friction those have by themselves.
+        block = scene.spec.geom(BLOCK)
+        block.friction, block.priority = [FRICTION, 0.005, 0.0001], 2
         # Of a body with `mocap`, the place is part of the state.
         scene.spec.worldbody.add_body(name=GOAL, mocap=True).add_geom(
             name=GOAL,
