@@ -20,7 +20,7 @@ from rcs.sim.scene import RobotPlacement
 from rcs.spatial import distance, limit_step
 
 PATIENCE = 4.0
-"""Longest duration of a phase; then the script goes on regardless [s]."""
+"""Longest time that a phase waits at its goal, such as for arms to arrive; then the script goes on regardless [s]."""
 
 STILL = 0.005
 """Speed of the TCP below which an arm stands still [m/s]."""
@@ -32,7 +32,7 @@ Plan = Mapping[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of a script. It ends after `PATIENCE` at the latest; the last phase of a script never ends."""
+    """A part of a script. It ends `PATIENCE` after its targets are at the goal; the last one of a script never ends."""
 
     name: str
     goal: str = ""
@@ -46,6 +46,8 @@ class Phase:
     """Class of a failure that ends the attempt, and the test for it."""
     is_judged_at_end: bool = False
     """Whether to check for the failure only when the phase is done."""
+    turn_speed: float = np.inf
+    """Rotational speed of the target, if less than that of the script [rad/s]."""
 
 
 GIVEN_UP = Phase("given up")
@@ -95,7 +97,7 @@ class Script(Agent):
         self.arms = [ScriptedArm(env, None if is_single else name, robot) for name, robot in env.robots.items()]
         self._retreat = replace(self.phases[0], name="retreat")
         self._phase, self._attempt = GIVEN_UP, 0
-        self._began = self._now = 0.0
+        self._began = self._reached = self._now = 0.0
         self._failure: str | None = None
         self.info: Mapping[str, Any] = {}
         self.elapsed = 0.0
@@ -106,6 +108,9 @@ class Script(Agent):
     @abstractmethod
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Return the poses of an arm by the names used in phases (`home` is added); None if they are not feasible."""
+
+    def prepare(self, phase: Phase) -> None:  # noqa: B027  most plans need no second look
+        """Change the arms' plans when a phase begins, by what is known then."""
 
     @property
     def failure(self) -> str | None:
@@ -119,8 +124,7 @@ class Script(Agent):
 
     def has_arrived(self) -> bool:
         """Return whether all arms are at the goal of the present phase."""
-        goal = self._phase.goal
-        pairs = [(arm.observation[TQUAT], arm.plan.get(goal, arm.target)) for arm in self.arms]
+        pairs = [(arm.observation[TQUAT], self._place(arm)) for arm in self.arms]
         return all(bool((distance(tcp, place) < self.arrived).all()) for tcp, place in pairs)
 
     def is_still(self) -> bool:
@@ -166,7 +170,9 @@ class Script(Agent):
 
     def _advance(self) -> None:
         phase = self._phase
-        is_done = self.elapsed > PATIENCE or phase.until(self)
+        if not all(np.array_equal(arm.target, self._place(arm)) for arm in self.arms):
+            self._reached = self._now
+        is_done = self._now - self._reached > PATIENCE or phase.until(self)
         if phase.risk is not None and (is_done or not phase.is_judged_at_end) and phase.risk[1](self):
             self._failure = phase.risk[0]
             self._enter(self._retreat if self._attempt < self.attempts else GIVEN_UP)
@@ -176,11 +182,16 @@ class Script(Agent):
             self._enter(self.phases[self.phases.index(phase) + 1])
 
     def _enter(self, phase: Phase) -> None:
-        self._phase, self._began, self.elapsed = phase, self._now, 0.0
+        self._phase, self._began, self._reached, self.elapsed = phase, self._now, self._now, 0.0
+        self.prepare(phase)
+
+    def _place(self, arm: ScriptedArm) -> NDArray[np.float64]:
+        return arm.plan.get(self._phase.goal, arm.target)
 
     def _step(self, arm: ScriptedArm) -> Action:
-        phase, place = self._phase, arm.plan.get(self._phase.goal, arm.target)
-        arm.target = limit_step(arm.target, place, phase.speed * self._pace, self.turn_speed * self._pace)
+        phase = self._phase
+        turn_speed = min(phase.turn_speed, self.turn_speed)
+        arm.target = limit_step(arm.target, self._place(arm), phase.speed * self._pace, turn_speed * self._pace)
         action = arm.writer.write(arm.target, phase.opening)
         if action is None:
             self._failure = self._failure or "ik"

@@ -1,0 +1,179 @@
+"""Experts that carry a cuboid to a place, set it down there and let go of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.agents.experts import across
+from rcs.agents.grasp import CLEARANCE, CLOSE, CLOSING_TIME, REACH, Reach, are_empty, are_still, raised, reach, ways_from_above
+from rcs.agents.script import Phase, Plan, Script, ScriptedArm
+from rcs.envs.spaces import JOINTS, TQUAT
+from rcs.spatial import Pose
+
+DROP = 0.001
+"""Height above its goal at which a cuboid is let go [m]."""
+WAIT = 2.0
+"""Time after letting go at which a cuboid that does not lie where it belongs is picked up once more [s]."""
+LEANS = np.deg2rad([0.0, -15.0, -30.0, 15.0, 30.0])
+"""Angles by which an arm with fewer than six joints tries to lean its hand, positive away from its base [rad].
+
+It has to lean at far places, and can set a cuboid down flat only if it leant as much when it grasped it.
+"""
+TURNS = np.deg2rad([0.0, 5.0, -5.0, 10.0, -10.0, 15.0, -15.0])
+"""Turns of the cuboid that such an arm tries at the goal, besides that of its base [rad]."""
+TILT_COST = 20.0
+"""Largest motion of a joint that is as bad as an angle of 1 rad at which the cuboid is set down [rad]."""
+GOOD = 4.0
+"""Cost of a plan that is good enough: no more is sought [rad]."""
+WAYPOINTS = 8
+"""Poses on a straight line that are checked."""
+RETREAT = 0.06
+"""Distance by which the open fingers draw back from the cuboid [m]."""
+
+
+def have_opened(script: Script) -> bool:
+    """Return whether all grippers stand still after opening."""
+    return script.elapsed > CLOSING_TIME and are_still(script)
+
+
+IN_HAND = ("slip", are_empty)
+CARRY = (
+    *REACH,
+    CLOSE,
+    Phase("lift", "lifted", opening=0.0, risk=IN_HAND),
+    Phase("carry", "over", 0.30, 0.0, risk=IN_HAND, turn_speed=1.5),  # faster, it would turn in the hand
+    Phase("aim", "over", opening=0.0, until=lambda script: script.has_arrived() and script.is_still(), risk=IN_HAND),
+    Phase("lower", "down", 0.10, 0.0, risk=IN_HAND),
+    Phase("rest", "down", opening=0.0, until=REACH[-1].until, risk=IN_HAND),
+    Phase("release", "down", until=have_opened),
+    Phase("withdraw", "away", risk=("dropped", lambda script: script.elapsed > WAIT)),
+)
+
+
+class PlaceExpert(Script):
+    """Carries the cuboid at `info["cuboid"]` to `info["goal"]`, at the yaw that suits the arm best."""
+
+    task = "Place"
+    needs = ("cuboid", "goal")
+    phases = CARRY
+
+    def plan(self, arm: ScriptedArm) -> Plan | None:
+        """Plan a grasp and setting down."""
+        return plan_carry(arm, *poses_of(self))
+
+    def prepare(self, phase: Phase) -> None:
+        """Aim again when the cuboid is in the hand."""
+        if phase.name in ("carry", "aim"):
+            aim(self)
+
+
+class StackExpert(Script):
+    """Carries the cuboid at `info["cuboid"]` to `info["goal"]` and turns it along what is below, if the arm can."""
+
+    task = "Stack"
+    needs = ("cuboid", "goal")
+    phases = CARRY
+
+    def plan(self, arm: ScriptedArm) -> Plan | None:
+        """Plan a grasp and setting down."""
+        return plan_carry(arm, *poses_of(self), is_aligned=True)
+
+    def prepare(self, phase: Phase) -> None:
+        """Aim again when the cuboid is in the hand."""
+        if phase.name in ("carry", "aim"):
+            aim(self, is_aligned=phase.name == "carry")
+
+
+def poses_of(script: Script) -> tuple[Pose, Pose]:
+    """Return the poses of the cuboid, the right way up, and of its goal."""
+    cuboid, goal = (Pose.from_tquat(script.info[key]) for key in ("cuboid", "goal"))
+    if cuboid.matrix[2, 2] < 0.0:
+        cuboid = cuboid * Pose.from_rpy((0.0, 0.0, 0.0), (np.pi, 0.0, 0.0))  # it is the same, upside down
+    return cuboid, goal
+
+
+def aim(script: Script, *, is_aligned: bool = False) -> None:
+    """Plan again how to set down the cuboid as it is in the hand, where it may have moved or turned."""
+    cuboid, goal = poses_of(script)
+    for arm in script.arms:
+        tcp = Pose.from_tquat(arm.observation[TQUAT])
+        joints = np.array(arm.observation[JOINTS])
+        way = _way_down(arm, tcp.inverse() * cuboid, _goals(arm, cuboid, goal, is_aligned), joints)
+        if way is not None:
+            arm.plan = {**arm.plan, **way[1]}
+
+
+def plan_carry(arm: ScriptedArm, cuboid: Pose, goal: Pose, *, is_aligned: bool = False) -> Plan | None:
+    """Plan to grasp a cuboid across its short side from above and to set it down flat, with the least joint motion.
+
+    Args:
+        arm: The arm.
+        cuboid: Pose of the cuboid in the base frame.
+        goal: Where it belongs.
+        is_aligned: Whether it should lie along the goal's axes, where the arm can do so.
+
+    Returns:
+        The poses `above`, `grasp`, `lifted`, `over`, `down` and `away`; None if nothing is feasible.
+    """
+    ways: list[tuple[float, Plan]] = []
+    for lean in LEANS if arm.kinematics.dof < 6 else LEANS[:1]:
+        if any(cost < GOOD for cost, _ in ways):
+            break
+        for grasp, joints in ways_from_above(arm, cuboid, across(cuboid.matrix[:3, 1])[0], lean=float(lean)):
+            in_tcp = Pose.from_tquat(grasp["grasp"]).inverse() * cuboid
+            way = _way_down(arm, in_tcp, _goals(arm, cuboid, goal, is_aligned), joints)
+            if way is not None:
+                motion = float(np.abs(joints - arm.start).max())
+                # Jaws at an angle would turn the cuboid, and of one moving jaw that is below it the table is in the way.
+                rise = float(Pose.from_tquat(grasp["grasp"]).matrix[2, 1])
+                slant = 0.25 * abs(rise) + max(0.0, -rise)
+                ways.append((way[0] + motion + TILT_COST * slant, {**grasp, **way[1]}))
+    return min(ways, key=lambda way: way[0])[1] if ways else None
+
+
+def _goals(arm: ScriptedArm, cuboid: Pose, goal: Pose, is_aligned: bool) -> list[Pose]:
+    """Return flat poses at the goal that are worth a try."""
+    yaw = cuboid.rpy[2]
+    # A tool that leans can only be turned about the vertical together with the arm's base.
+    swing = _azimuth(goal) - _azimuth(cuboid)
+    if arm.kinematics.dof < 6:
+        yaws = yaw + swing + TURNS
+    elif is_aligned:
+        yaws = goal.rpy[2] + np.array([0.0, np.pi])
+    else:
+        yaws = yaw + np.array([0.0, swing])
+    return [Pose.from_rpy(goal.translation + [0.0, 0.0, DROP], (0.0, 0.0, yaw)) for yaw in yaws]
+
+
+def _azimuth(pose: Pose) -> float:
+    return float(np.arctan2(pose.translation[1], pose.translation[0]))
+
+
+def _way_down(
+    arm: ScriptedArm, cuboid_in_tcp: Pose, goals: list[Pose], start: NDArray[np.float64]
+) -> tuple[float, Plan] | None:
+    """Return the best way to set a cuboid down and what it costs; None if there is none."""
+    ways: list[tuple[float, Plan]] = []
+    for goal in goals:
+        tool = goal * cuboid_in_tcp.inverse()
+        over = _follow(arm, raised(tool, CLEARANCE), start)
+        down = over and _follow(arm, tool, over[1])
+        away = down and reach(arm, Pose.from_tquat(down[0]) * Pose((0.0, 0.0, -RETREAT)), down[1])
+        if down and over and away:
+            at_rest = Pose.from_tquat(down[0])
+            tilt = float(np.arccos(np.clip((at_rest * cuboid_in_tcp).matrix[2, 2], -1.0, 1.0)))
+            turn = at_rest.angle_to(Pose.from_tquat(away[0]))  # the fingers would push the cuboid
+            cost = TILT_COST * (tilt + turn) + float(np.abs(down[1] - start).max())
+            ways.append((cost, {"over": over[0], "down": down[0], "away": away[0]}))
+    return min(ways, key=lambda way: way[0]) if ways else None
+
+
+def _follow(arm: ScriptedArm, tool: Pose, start: NDArray[np.float64]) -> Reach | None:
+    """Return how an arm reaches a pose on a straight line, without a jump to another branch; None if it cannot."""
+    first, found = arm.kinematics.forward(start), None
+    for share in np.linspace(0.0, 1.0, WAYPOINTS + 1)[1:]:
+        found = reach(arm, first.interpolate(tool, float(share)), start if found is None else found[1])
+        if found is None:
+            return None
+    return found
