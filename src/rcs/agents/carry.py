@@ -6,7 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents.experts import across
-from rcs.agents.grasp import CLEARANCE, CLOSE, CLOSING_TIME, REACH, Reach, are_empty, are_still, raised, reach, ways_from_above
+from rcs.agents.grasp import (
+    CLEARANCE,
+    CLOSE,
+    CLOSING_TIME,
+    REACH,
+    Reach,
+    are_empty,
+    are_still,
+    raised,
+    reach,
+    ways_from_above,
+)
 from rcs.agents.script import Phase, Plan, Script, ScriptedArm
 from rcs.envs.spaces import JOINTS, TQUAT
 from rcs.spatial import Pose

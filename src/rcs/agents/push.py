@@ -20,7 +20,7 @@ BEHIND = 0.012
 LOW = 0.006
 """Height of the tool's tip above the table [m]."""
 LEAD, LEAD_AT_REST = 0.03, 0.005
-"""Distance between the tool and its target at which the target waits [m]: in motion, and where every step ends at rest."""
+"""Distance from the tool to its target at which the target waits [m]: in motion, and where steps end at rest."""
 STRAIGHT = 0.03
 """Last part of the way, on which the direction no longer changes [m]: it would swing with every millimetre beside."""
 NEAR = 0.004

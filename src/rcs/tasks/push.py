@@ -71,8 +71,8 @@ class PushOptions(Task.Options):
 class Push(Task):
     """Push the block until its middle is over the red disc, and let it lie there at rest, by default for half a second.
 
-    It must lie flat on the table and stay there: an episode in which it was lifted or grasped is lost. This is judged at
-    the end of each step.
+    It must lie flat on the table and stay there: an episode in which it was lifted or grasped is lost. This is judged
+    at the end of each step.
 
     The dense reward is the progress since the last step, plus 1 at success. Progress is at most 0.9: one third of that
     for the distance from the TCP to where the block is pushed, two thirds for the block's from the goal, in the form of
