@@ -115,7 +115,7 @@ class Distractors:
             first = is_free.argmax(axis=-1)[..., None, None]
             place = np.take_along_axis(places, first, axis=-2)[..., 0, :]
             has_room = is_free.any(axis=-1)
-            place[..., :2] = np.where(has_room[..., None], place[..., :2], _put_away(i))
+            place[..., :2] = np.where(np.expand_dims(has_room, -1), place[..., :2], _put_away(i))
             body.place(upright(place, z + np.where(has_room, 0.0, FLOOR_HEIGHT)), where)
             circles.append((place, radius))
 
