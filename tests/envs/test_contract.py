@@ -53,6 +53,17 @@ class TestFreeWithSynchronousSteps(Made):
     options: ClassVar[dict[str, Any]] = {"task": "Free", "stepping": "sync", "binary_gripper": False}
 
 
+class TestPush(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "Push"}
+
+
+class TestHardestPickCuboid(Made):
+    options: ClassVar[dict[str, Any]] = {
+        "task": "PickCuboid",
+        "task_options": {"distractors": 2, "pose": "any", "edges": "random", "area": "large"},
+    }
+
+
 class TestLiftBarWithTwoRobots(Made):
     options: ClassVar[dict[str, Any]] = {"task": "LiftBar", "robot": "dual_fr3"}
 

@@ -107,7 +107,8 @@ class ActionWriter:
         if self._setup.relative == "origin":
             joints = joints - self._origin
         elif self._setup.relative == "last_step":
-            joints = np.clip(joints - self._last, -self._bound, self._bound)
+            joints = joints - self._last
+            joints /= max(1.0, float((np.abs(joints) / self._bound).max()))  # all alike, to keep to the way
             self._last = self._last + joints
         return self._with_gripper(joints, opening)
 

@@ -29,10 +29,10 @@ def across(direction: NDArray[np.float64]) -> list[list[float]]:
 
 
 class PickExpert(Script):
-    """Picks the cuboid at `info["cuboid"]` across its short side, the y axis."""
+    """Picks the cuboid at `info["cuboid"]` across the shorter one of its level edges, `info["edges"]`."""
 
     task = "PickCuboid"
-    needs = ("cuboid",)
+    needs = ("cuboid", "edges")
     phases = (
         *REACH,
         CLOSE,
@@ -43,7 +43,10 @@ class PickExpert(Script):
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Plan the grasp."""
         cuboid = Pose.from_tquat(self.info["cuboid"])
-        return plan_from_above(arm, cuboid, across(cuboid.matrix[:3, 1]))
+        axes = cuboid.matrix[:3, :3]
+        _, *level = np.argsort(-np.abs(axes[2]))  # the other one points up or down
+        short = min(level, key=lambda axis: self.info["edges"][axis])
+        return plan_from_above(arm, cuboid, across(axes[:, short]))
 
 
 class LiftExpert(Script):

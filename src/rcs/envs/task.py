@@ -36,6 +36,20 @@ class Area:
     """Extent along x and y [m]."""
     object_scale: float = 1.0
     """Size of the objects in proportion to the paper's, for robots that are smaller."""
+    large_center: tuple[float, float] | None = None
+    """Centre of a larger rectangle, all of which the robot reaches from above, for harder tasks; None for `center`."""
+    large_size: tuple[float, float] | None = None
+    """Its extent along x and y [m]; None if there is no larger one."""
+
+    def enlarged(self) -> Area:
+        """Return the larger rectangle.
+
+        Raises:
+            InvalidSetup: There is none.
+        """
+        if self.large_size is None:
+            raise InvalidSetup("This lab has no large area; set `large_size` of its Area, or use area='lab'.")
+        return dataclasses.replace(self, center=self.large_center or self.center, size=self.large_size)
 
     def draw_place(self, draws: Draws, max_yaw: float = np.pi) -> NDArray[np.float64]:
         """Return random x, y in the scene [m] and a yaw of up to `max_yaw` to either side [rad], (*leading, 3)."""

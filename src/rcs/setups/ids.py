@@ -37,6 +37,10 @@ BUILT_IN = {
     "rcs/Stack-UR5e-v0": ("Stack", "ur5e"),
     "rcs/XArm7-v0": ("Free", "xarm7"),
     "rcs/PickToy-XArm7-v0": ("PickToy", "xarm7"),
+    "rcs/Push-FR3-v0": ("Push", "fr3"),
+    "rcs/Push-SO101-v0": ("Push", "so101"),
+    "rcs/Push-UR5e-v0": ("Push", "ur5e"),
+    "rcs/Push-XArm7-v0": ("Push", "xarm7"),
 }
 """Task and robot of the ids of this package."""
 

@@ -1,3 +1,4 @@
+from rcs.tasks.distractors import Distractors as Distractors
 from rcs.tasks.free import Free as Free
 from rcs.tasks.holding import Grip as Grip
 from rcs.tasks.holding import HoldTimer as HoldTimer
@@ -9,4 +10,5 @@ from rcs.tasks.lifting import upright as upright
 from rcs.tasks.pick_cuboid import PickCuboid as PickCuboid
 from rcs.tasks.pick_toy import PickToy as PickToy
 from rcs.tasks.place import Place as Place
+from rcs.tasks.push import Push as Push
 from rcs.tasks.stack import Stack as Stack

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +16,55 @@ from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
+from rcs.spatial import compose
+from rcs.tasks.distractors import MOST, Distractors
 from rcs.tasks.holding import SLIP, TOUCH_FORCE, Grip, HoldTimer
 from rcs.tasks.lifting import FreeBody, LiftOptions, add_box, lowest, progress, table_height, upright
+from rcs.tasks.sizes import SizedBodies
 
 SIZE = (0.064, 0.032, 0.0576)
 """Edges of the 3D-printed cuboid along its x, y, z [m] (the paper's)."""
 MASS = 0.05
 """Mass of such a cuboid printed in PLA with a usual infill [kg]."""
 CUBOID = "cuboid"
+EDGE_FACTORS = (0.7, 1.1)
+"""Factors on each edge of a cuboid of random size: its shorter side still fits into every gripper, however it lies."""
+FREE, NEAR = 0.09, 0.22
+"""Radius around the cuboid that distractors leave to an open gripper, and half the edge of the square in which they lie
+[m], at the usual size of objects."""
+POSES = {
+    "usual": (0.0, 0.0, 0.0, 1.0),
+    "flat": (np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)),
+    "standing": (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)),
+}
+"""Quaternions xyzw of the cuboid on its lower face, on its largest one (y points up) and on its smallest (x)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PickOptions(LiftOptions):
+    """Options of Pick-Cuboid; each of the last four makes it harder, and they combine."""
+
+    distractors: int = 0
+    """How many boxes and cylinders of random sizes and colours, none of them green, lie around the cuboid, 0 to 16."""
+    pose: Literal["usual", "flat", "standing", "any"] = "usual"
+    """How the cuboid lies: on its lower face, on its largest one, on its smallest one, or on any of these by chance."""
+    edges: Literal["fixed", "random"] = "fixed"
+    """Whether each edge is the usual one, or drawn from 0.7 to 1.1 times that; `object_size` of a randomisation then
+    does nothing to the cuboid."""
+    area: Literal["lab", "large"] = "lab"
+    """Where the cuboid lies: in the lab's area, or in the larger one that the robot reaches."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            InvalidSetup: A value is not valid.
+        """
+        super().__post_init__()
+        if not 0 <= self.distractors <= MOST:
+            raise InvalidSetup(
+                f"The task option distractors is {self.distractors!r}; valid is a whole number from 0 to {MOST}."
+            )
 
 
 class PickCuboid(Task):
@@ -38,20 +80,24 @@ class PickCuboid(Task):
 
     instruction = "pick up the green cuboid"
     expert = "PickExpert"
-    Options = LiftOptions
-    options: LiftOptions
+    Options = PickOptions
+    options: PickOptions
 
-    def __init__(self, area: Area, options: LiftOptions | Mapping[str, Any] | None = None) -> None:
+    def __init__(self, area: Area, options: PickOptions | Mapping[str, Any] | None = None) -> None:
         """Set the area; the cuboid's centre is anywhere in it, at any yaw."""
         super().__init__(area, options)
+        if self.options.area == "large":
+            self.area = area.enlarged()
         self.edges = tuple(area.object_scale * edge for edge in SIZE)
-        """Edges of the cuboid here [m]."""
+        """Edges of the cuboid here [m], unless they are random."""
+        self._distractors = Distractors(self.options.distractors, scale=area.object_scale)
 
     def furnish(self, scene: Scene) -> None:
         """Add a table and the cuboid."""
         scene.add_table()
         mass = MASS * self.area.object_scale**3
         add_box(scene, CUBOID, self.area.center, edges=self.edges, mass=mass, rgb=(0.10, 0.55, 0.20))
+        self._distractors.furnish(scene)
 
     def objects(self) -> list[str]:
         """Return the cuboid."""
@@ -78,18 +124,39 @@ class PickCuboid(Task):
         self._held = HoldTimer(world, self.options.hold_time, SLIP)
         self._geom = int(model.geom(CUBOID).id)
         self._half_edges = np.zeros((*world.leading, 3))
+        self._sizes = SizedBodies(world, [CUBOID]) if self.options.edges == "random" else None
+        self._distractors.bind(world)
         self._table = table_height(world)
         # The pose for agents is in the base frame, which may be anywhere; the height is in the scene.
         self._in_scene = world.core.read_body_pose(model.body(CUBOID).id, 0)
 
     def reset(self, draws: Draws, where: Where) -> None:
         """Put the cuboid at a random place and yaw."""
+        if self._sizes is not None:
+            factor = draws.branch("edges").uniform([EDGE_FACTORS[0]] * 3, [EDGE_FACTORS[1]] * 3)
+            self._sizes.write(0.5 * factor[..., None, :] * self.edges, where)
         self._half_edges = self._world.field("geom_size")[..., self._geom, :].copy()  # varies between episodes
         self._table = table_height(self._world).copy()
-        height = (self._table + self._half_edges[..., 2])[where]
-        self._body.place(upright(self.area.draw_place(draws), height), where)
+        pose = upright(self.area.draw_place(draws), self._table[where])
+        middle = pose[..., :2].copy()
+        pose = compose(pose, self._lying(draws))
+        pose[..., 2] += self._table[where] - lowest(pose, self._half_edges[where])
+        self._body.place(pose, where)
+        scale = self.area.object_scale
+        self._distractors.reset(
+            draws, where, self.area, [(middle, scale * FREE)], around=(middle, np.full(middle.shape[:-1], scale * NEAR))
+        )
         self._held.reset(where)
         self._grip.reset()
+
+    def _lying(self, draws: Draws) -> NDArray[np.float64]:
+        """Return how the cuboid lies, as poses (*leading, 7) without a translation."""
+        names = list(POSES) if self.options.pose == "any" else [self.options.pose]
+        turns = np.array([POSES[name] for name in names])
+        choice = np.floor(draws.branch("pose").uniform(0.0, len(names))).astype(np.intp)
+        pose = np.zeros((*choice.shape, 7))
+        pose[..., 3:] = turns[choice]
+        return pose
 
     def object_poses(self) -> dict[str, NDArray[np.float64]]:
         """Return the cuboid's pose in the scene."""
@@ -119,11 +186,13 @@ class PickCuboid(Task):
             "is_grasped": is_grasped,
             "is_touched": self._world.forces[..., self._touched] > TOUCH_FORCE,
             "cuboid": cuboid,
+            "edges": 2.0 * self._half_edges,
         }
         return Judgement(reward=reward, terminated=success, info=info)
 
     def describe(self) -> dict[str, NDArray[Any]]:
-        """Return the cuboid's pose."""
+        """Return the cuboid's pose and its edges."""
         never = np.zeros(self._world.leading, np.bool_)
         cuboid = self._world.poses[..., self._pose, :].copy()
-        return {"success": never, "is_grasped": never, "is_touched": never, "cuboid": cuboid}
+        edges = 2.0 * self._half_edges
+        return {"success": never, "is_grasped": never, "is_touched": never, "cuboid": cuboid, "edges": edges}

@@ -16,7 +16,7 @@ LAB = calibrated(
     Lab(
         stands=(Stand(name="fr3", arm="fr3"),),
         end_effector="franka_hand",
-        area=Area(center=(0.5, 0.0), size=(0.30, 0.40)),
+        area=Area(center=(0.5, 0.0), size=(0.30, 0.40), large_size=(0.40, 0.70)),
         cameras={
             # In front of the hand, its body clear of the fingers, tilted to see both pads and what is below them.
             "wrist": CameraMount(camera="realsense_d405", optical=Mount(), on_gripper_of="fr3"),

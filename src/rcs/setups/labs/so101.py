@@ -10,7 +10,7 @@ LAB = Lab(
     stands=(Stand(name="so101", arm="so101"),),
     end_effector="so101_gripper",
     # The paper's 35 x 20 cm, with a smaller cuboid. At its far corners the gripper leans by up to 50 degrees.
-    area=Area(center=(0.265, 0.0), size=(0.20, 0.35), object_scale=0.625),
+    area=Area(center=(0.265, 0.0), size=(0.20, 0.35), object_scale=0.625, large_size=(0.20, 0.50)),
     cameras={
         # Where mujoco_menagerie's robotstudio_so101 has the camera on its published mount.
         "wrist": CameraMount(

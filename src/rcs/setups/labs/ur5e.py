@@ -12,7 +12,7 @@ LAB = Lab(
     # Its home pose points along the base's y axis: a quarter turn makes that the scene's x.
     stands=(Stand(name="ur5e", arm="ur5e", base_in_scene=Mount(quaternion=(0.0, 0.0, -sqrt(0.5), sqrt(0.5)))),),
     end_effector="robotiq_2f85",
-    area=Area(center=(0.5, 0.0), size=(0.50, 0.50)),
+    area=Area(center=(0.5, 0.0), size=(0.50, 0.50), large_size=(0.50, 0.80)),
     cameras={
         "wrist": CameraMount(
             camera="realsense_d405",

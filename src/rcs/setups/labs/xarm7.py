@@ -9,7 +9,7 @@ LAB = Lab(
     stands=(Stand(name="xarm7", arm="xarm7"),),
     end_effector="tilburg_hand",
     # The paper's 60 x 30 cm, the long side across the table.
-    area=Area(center=(0.5, 0.0), size=(0.30, 0.60)),
+    area=Area(center=(0.5, 0.0), size=(0.30, 0.60), large_center=(0.425, 0.0), large_size=(0.35, 0.70)),
     cameras={
         "front": CameraMount(camera="realsense_d435i", optical=looking((1.35, 0.0, 0.60), (0.40, 0.0, 0.12))),
     },
