@@ -46,6 +46,8 @@ class Scenario:
         task.bind(world, robots)
         for robot in robots:
             robot.go_home()
+        for one in self._randomisers:
+            one.settle()
         world.core.keep_initial_state()
         world.refresh()
 
@@ -54,7 +56,7 @@ class Scenario:
         self._randomisers.append(randomiser)
 
     def begin(self, draws: Draws, copies: Copies = None) -> None:
-        """Start episodes: all robots at home, objects placed by the task, all else randomised.
+        """Start episodes: all robots at or near home, objects placed by the task, all else randomised.
 
         Args:
             draws: Random numbers for these copies.
@@ -66,6 +68,8 @@ class Scenario:
         if self._frame_clock is not None:
             self._frame_clock.begin(draws.branch("frames").bits(), copies)
         self.world.reset(copies)
+        for randomiser in self._randomisers:
+            randomiser.place(self.robots, copies)
         self.task.reset(draws, where)
         self.world.refresh(copies)
 
@@ -79,6 +83,8 @@ class Scenario:
             state = start.robots.get(robot.placement.name)
             if state is not None:
                 robot.put(state[JOINTS], state.get(GRIPPER), state.get(HAND))
+        for randomiser in self._randomisers:
+            randomiser.settle()
         if start.objects:
             self.task.place(start.objects, ...)
         self.world.refresh()

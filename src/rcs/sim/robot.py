@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs._core import ArmLimits, GripperMap, JointsArrived, JointsAtRest, SimArm, SimGripper
 from rcs.errors import InvalidSetup
 from rcs.robots.description import GripperDescription, HandDescription
-from rcs.sim.layout import RobotLayout
+from rcs.sim.layout import Index, RobotLayout
 from rcs.sim.scene import RobotPlacement
-from rcs.sim.world import World
+from rcs.sim.world import Copies, World
 
 ARRIVED_TOLERANCE = 1e-3
 """A joint has arrived when it is this close to its target [rad] …"""
@@ -136,37 +138,48 @@ class SimRobot:
         joints: NDArray[np.float64],
         opening: NDArray[np.floating] | None = None,
         hand: NDArray[np.floating] | None = None,
+        *,
+        copies: Copies = None,
     ) -> None:
-        """Put every copy at a given position, at rest and with its targets there, by writing the state (no motion).
+        """Put copies at a given position, at rest and with their targets there, by writing the state (no motion).
 
         Args:
             joints: Joint positions [rad], (*leading, dof).
             opening: Opening of the gripper, 0 closed … 1 open, (*leading, 1); None keeps it.
             hand: Joints of the hand, normalised to 0 … 1, (*leading, n); None keeps them.
+            copies: Which copies, whose number is then the leading shape; None for all.
 
         Raises:
             InvalidSetup: There is an opening but no gripper, or joints of a hand but no hand.
         """
-        self.world.qpos[..., self.layout.qpos] = joints
-        self.world.qvel[..., self.layout.qvel] = 0.0
-        self.command_joints(joints)
+        qpos, qvel, ctrl, layout = self.world.qpos, self.world.qvel, self.world.ctrl, self.layout
+        qpos[_at(layout.qpos, copies)] = joints
+        qvel[_at(layout.qvel, copies)] = 0.0
+        ctrl[_at(layout.ctrl, copies)] = joints
         if opening is not None:
             closed, opened = np.array(self.gripper.joint_closed), np.array(self.gripper.joint_open)
-            self.world.qpos[..., self.layout.finger_qpos] = closed + opening * (opened - closed)
-            self.world.qvel[..., self.layout.finger_qvel] = 0.0
-            self.command_opening(opening)
+            qpos[_at(layout.finger_qpos, copies)] = closed + opening * (opened - closed)
+            qvel[_at(layout.finger_qvel, copies)] = 0.0
+            ctrl[_at(slice(layout.finger_actuator, layout.finger_actuator + 1), copies)] = (
+                self._closed + opening * self._span
+            )
         if hand is not None:
-            self.command_hand(hand)
-            self.world.qpos[..., self.layout.hand_qpos] = self.world.ctrl[..., self.layout.hand_ctrl]
+            lower, upper = np.array(self.hand.joint_lower), np.array(self.hand.joint_upper)
+            ctrl[_at(layout.hand_ctrl, copies)] = lower + hand * (upper - lower)
+            qpos[_at(layout.hand_qpos, copies)] = ctrl[_at(layout.hand_ctrl, copies)]
 
-    def wait_for_arrival(self) -> None:
-        """Make synchronous steps of the world wait until the arm has arrived and the fingers are at rest."""
+    def wait_for_arrival(self, latency: float = 0.0) -> None:
+        """Make synchronous steps of the world wait until the arm has arrived and the fingers are at rest.
+
+        Args:
+            latency: Longest time until fingers get what they are told [s].
+        """
         core = self.world.core
         arrived = JointsArrived(self.layout.joint_ids, self.layout.actuator_ids, ARRIVED_TOLERANCE, STILL_TOLERANCE)
         core.converge_when(arrived)
         fingers = self.layout.finger_joint_ids or self.layout.hand_joint_ids
         if fingers:
-            core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, REST_TIME, self.world.copies))
+            core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, REST_TIME + latency, self.world.copies))
 
     @property
     def servo_lag(self) -> NDArray[np.float64]:
@@ -196,3 +209,10 @@ class SimRobot:
         fingers, actuator = self.layout.finger_joint_ids, self.layout.finger_actuator
         name = f"{self.placement.name} gripper"
         return SimGripper(name, gripper.max_width, gripper.max_force, self.world.core, copy, fingers, actuator, mapping)
+
+
+def _at(index: Index, copies: Copies) -> tuple[Any, ...]:
+    """Return the index of elements of the last axis, of some copies or of all."""
+    if copies is None:
+        return (..., index)
+    return (copies, index) if isinstance(index, slice) else np.ix_(copies, index)

@@ -14,6 +14,7 @@ from rcs.envs.task import Judgement, Task
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
+from rcs.sim.table import table_height
 from rcs.sim.world import World
 from rcs.tasks.lifting import FreeBody, HoldCounter, LiftOptions, add_box, norm, progress, upright
 
@@ -76,9 +77,9 @@ class LiftBar(Task):
         self._measure()
 
     def _measure(self) -> None:
-        """Take over the bars' sizes, which may vary between episodes."""
+        """Take over the bars' sizes and the tables' heights, which may vary between episodes."""
         half_edges = self._world.field("geom_size")[..., self._geom, :]
-        self._rest_height = half_edges[..., 2].copy()
+        self._rest_height = half_edges[..., 2] + table_height(self._world)
         self._grasp_offset = GRASP_AT * half_edges[..., 1]
         # The first robot stands on the left and takes the end at larger y.
         self._ends = np.stack([self._grasp_offset, -self._grasp_offset], axis=-1)

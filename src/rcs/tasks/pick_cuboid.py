@@ -14,6 +14,7 @@ from rcs.envs.task import Area, Judgement, Task
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
+from rcs.sim.table import table_height
 from rcs.sim.world import World
 from rcs.tasks.lifting import FreeBody, HoldCounter, LiftOptions, add_box, progress, upright
 
@@ -83,7 +84,8 @@ class PickCuboid(Task):
 
     def reset(self, draws: Draws, where: Where) -> None:
         """Put the cuboid at a random place and yaw."""
-        self._rest_height = self._world.field("geom_size")[..., self._geom, 2].copy()  # varies between episodes
+        # Both vary between episodes.
+        self._rest_height = self._world.field("geom_size")[..., self._geom, 2] + table_height(self._world)
         self._body.place(upright(self.area.draw_place(draws), self._rest_height[where]), where)
         self._held.reset(where)
 

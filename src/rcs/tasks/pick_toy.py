@@ -18,6 +18,7 @@ from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
+from rcs.sim.table import table_height
 from rcs.sim.world import World
 from rcs.spatial import Pose, compose, inverse
 from rcs.tasks.lifting import HoldCounter, LiftOptions, norm, progress
@@ -107,11 +108,12 @@ class PickToy(Task):
         """Take over how large and heavy the toys are, which may vary between episodes.
 
         Returns:
-            Nodes of the toys as they lie, from the point on the table under their middle [m], (*leading, nodes, 3).
+            Nodes of the toys as they lie [m], (*leading, nodes, 3): x and y from their middle, z in the scene.
         """
         nodes = self._world.field("body_pos")[where][..., self._bodies, :]
         mass = self._world.field("body_mass")[where][..., self._bodies[0]]
         lying = self._lying.nodes(nodes[..., 0, 0] / self._nominal[0], mass / self._nominal[1])
+        lying[..., 2] += table_height(self._world)[where][..., None]
         self._nodes[where] = nodes
         self._rest_height[where] = _mean(lying)[..., 2]
         self._distances[where] = norm(lying[..., self._first, :] - lying[..., self._second, :])
