@@ -15,12 +15,14 @@ from rcs.spatial import Pose
 
 CLEARANCE = 0.09
 """Height of the pre-grasp above the grasp [m]."""
+SETTLING_TIME = 0.1
+"""Earliest time after arriving at which standing still means that the servos have arrived, too [s]."""
 CLOSING_TIME = 0.3
 """Earliest time after the command to close at which standing still means closed [s]."""
 BARELY_CLOSED = 0.9
 """Opening above which nothing is grasped: no object here is this wide in proportion to the gripper."""
-STILL = 2e-3
-"""Change of the opening per step below which a gripper stands still."""
+STILL = 0.06
+"""Speed of the opening below which a gripper stands still [1/s]."""
 EMPTY = 0.05
 """Opening below which nothing is grasped: empty jaws close to 0, those of an SO101 on its cuboid to 0.1."""
 
@@ -28,7 +30,7 @@ EMPTY = 0.05
 def have_closed(script: Script) -> bool:
     """Return whether all grippers stand still, closed on something or on nothing."""
     pairs = [(float(arm.observation[GRIPPER][0]), float(arm.before[GRIPPER][0])) for arm in script.arms]
-    are_still = all(now < BARELY_CLOSED and abs(now - before) < STILL for now, before in pairs)
+    are_still = all(now < BARELY_CLOSED and abs(now - before) < STILL * script.step_time for now, before in pairs)
     return script.elapsed > CLOSING_TIME and are_still
 
 
@@ -40,7 +42,7 @@ def are_empty(script: Script) -> bool:
 REACH = (
     Phase("approach", "above", 0.45),
     Phase("descend", "grasp"),
-    Phase("settle", "grasp", until=lambda script: script.elapsed >= 0.1),  # [s], until the servo lag has died out
+    Phase("settle", "grasp", until=lambda script: script.elapsed >= SETTLING_TIME and script.is_still()),
 )
 """Leads to a grasp from above."""
 CLOSE = Phase("close", "grasp", opening=0.0, until=have_closed, risk=("no_contact", are_empty), is_judged_at_end=True)

@@ -22,6 +22,9 @@ from rcs.spatial import distance, limit_step
 PATIENCE = 4.0
 """Longest duration of a phase; then the script goes on regardless [s]."""
 
+STILL = 0.005
+"""Speed of the TCP below which an arm stands still [m/s]."""
+
 Condition = Callable[["Script"], bool]
 Plan = Mapping[str, NDArray[np.float64]]
 """Poses of one arm: TCP poses in the base frame, (7,), by the names used in phases."""
@@ -91,11 +94,14 @@ class Script(Agent):
         is_single = len(env.robots) == 1
         self.arms = [ScriptedArm(env, None if is_single else name, robot) for name, robot in env.robots.items()]
         self._retreat = replace(self.phases[0], name="retreat")
-        self._phase, self._steps, self._attempt = GIVEN_UP, 0, 0
+        self._phase, self._attempt = GIVEN_UP, 0
+        self._began = self._now = 0.0
         self._failure: str | None = None
         self.info: Mapping[str, Any] = {}
         self.elapsed = 0.0
-        """Time since the present phase began [s]."""
+        """Time since the present phase began, by the clock of the environment [s]."""
+        self.step_time = self._period
+        """How long the last step took, by the same clock [s]."""
 
     @abstractmethod
     def plan(self, arm: ScriptedArm) -> Plan | None:
@@ -117,6 +123,11 @@ class Script(Agent):
         pairs = [(arm.observation[TQUAT], arm.plan.get(goal, arm.target)) for arm in self.arms]
         return all(bool((distance(tcp, place) < self.arrived).all()) for tcp, place in pairs)
 
+    def is_still(self) -> bool:
+        """Return whether the TCPs of all arms move slower than `STILL`."""
+        moves = [arm.observation[TQUAT][:3] - arm.before[TQUAT][:3] for arm in self.arms]
+        return all(float(np.sqrt(move @ move)) <= STILL * self.step_time for move in moves)
+
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Plan a new episode.
 
@@ -125,7 +136,7 @@ class Script(Agent):
         """
         if missing := [key for key in self.needs if key not in info]:
             raise WrongOrder(f"{type(self).__name__} needs info[{missing[0]!r}]; use it in the task {self.task}.")
-        self.info, self._failure, self._attempt = info, None, 0
+        self.info, self._failure, self._attempt, self._now = info, None, 0, float(info["time"])
         for arm in self.arms:
             arm.see(observation, info)
             arm.writer.reset(arm.observation)
@@ -137,8 +148,9 @@ class Script(Agent):
         self.info = info
         for arm in self.arms:
             arm.see(observation, info)
-        self._steps += 1
-        self.elapsed = self._steps * self._period
+        now = float(info["time"])
+        self.step_time, self._now = max(now - self._now, 1e-9), now
+        self.elapsed = now - self._began
         self._advance()
         actions = {arm.robot.name: self._step(arm) for arm in self.arms}
         return actions if len(actions) > 1 else actions[self.arms[0].robot.name]
@@ -164,7 +176,7 @@ class Script(Agent):
             self._enter(self.phases[self.phases.index(phase) + 1])
 
     def _enter(self, phase: Phase) -> None:
-        self._phase, self._steps = phase, 0
+        self._phase, self._began, self.elapsed = phase, self._now, 0.0
 
     def _step(self, arm: ScriptedArm) -> Action:
         phase, place = self._phase, arm.plan.get(self._phase.goal, arm.target)

@@ -243,6 +243,8 @@ class Engine:
             self._steps = self._steps + ~starting
             diverged = truncated = diverged & ~starting
             reward, terminated = np.where(starting, 0.0, reward), terminated & ~starting
+            if self.scenario is not None:
+                self.scenario.task.forget_progress(starting)  # the start was judged, and is no step
         if diverged.any() if self.leading else diverged:
             reward, terminated = np.where(diverged, 0.0, reward), terminated & ~diverged
             if not self.leading and self.scenario is not None:

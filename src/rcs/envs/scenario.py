@@ -70,6 +70,7 @@ class Scenario:
         self.world.reset(copies)
         for randomiser in self._randomisers:
             randomiser.place(self.robots, copies)
+        self.task.forget_progress(where)
         self.task.reset(draws, where)
         self.world.refresh(copies)
 

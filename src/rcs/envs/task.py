@@ -63,7 +63,8 @@ class Task(ABC):
         """Options of every task; a task with more options subclasses this as its own `Options`."""
 
         reward: Literal["dense", "sparse"] = "dense"
-        """`dense` also rewards progress; `sparse` is 1 at success and 0 otherwise."""
+        """`sparse` is 1 at success and 0 otherwise; `dense` adds the progress since the last step, which may be
+        negative: to stay somewhere pays nothing, however near the goal."""
 
         def __post_init__(self) -> None:
             """Check the values.
@@ -102,6 +103,8 @@ class Task(ABC):
         """
         self.area = area
         self.options = self.parse_options(options)
+        self._progress: NDArray[np.float64] = np.zeros(())
+        """Progress at the last step, (*leading,); a number before the first one."""
 
     @classmethod
     def parse_options(cls, values: Options | Mapping[str, Any] | None) -> Options:
@@ -126,13 +129,27 @@ class Task(ABC):
         return cls.Options(**(values or {}))
 
     def reward(self, progress: NDArray[np.float64], success: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return the reward: 1 at success, otherwise the progress if it is `dense`.
+        """Return the reward: 1 at success, and if it is `dense` also the progress since the last step.
+
+        Progress is a potential (Ng, Harada and Russell 1999): the dense rewards of an episode add up to its progress at
+        the end, and to 2 with a success. Call it once per step.
 
         Args:
-            progress: Progress of each copy, 0 … 1, (*leading,).
+            progress: Progress of each copy, 0 … 1, (*leading,); it counts as 1 at success.
             success: Which copies have succeeded, (*leading,).
         """
-        return np.maximum(progress if self.options.reward == "dense" else 0.0, success)
+        if self.options.reward == "sparse":
+            return np.where(success, 1.0, 0.0)
+        now = np.maximum(progress, success)
+        gain = now - self._progress
+        self._progress = now
+        return gain + success
+
+    def forget_progress(self, where: Where) -> None:
+        """Take the progress of some copies as 0 from now on, at the start of their episodes."""
+        progress = np.array(self._progress)  # of one copy it is a number of NumPy's
+        progress[where if progress.ndim else ...] = 0.0  # before the first step there is one number for all
+        self._progress = progress
 
     def furnish(self, scene: Scene) -> None:  # noqa: B027  an empty scene is a fine scene
         """Add the task's objects to a scene before it is compiled."""

@@ -1,9 +1,12 @@
 from rcs.tasks.free import Free as Free
+from rcs.tasks.holding import Grip as Grip
+from rcs.tasks.holding import HoldTimer as HoldTimer
 from rcs.tasks.lift_bar import LiftBar as LiftBar
 from rcs.tasks.lifting import FreeBody as FreeBody
-from rcs.tasks.lifting import HoldCounter as HoldCounter
 from rcs.tasks.lifting import LiftOptions as LiftOptions
 from rcs.tasks.lifting import add_box as add_box
 from rcs.tasks.lifting import upright as upright
 from rcs.tasks.pick_cuboid import PickCuboid as PickCuboid
 from rcs.tasks.pick_toy import PickToy as PickToy
+from rcs.tasks.place import Place as Place
+from rcs.tasks.stack import Stack as Stack

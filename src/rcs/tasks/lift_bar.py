@@ -14,9 +14,9 @@ from rcs.envs.task import Judgement, Task
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
-from rcs.sim.table import table_height
 from rcs.sim.world import World
-from rcs.tasks.lifting import FreeBody, HoldCounter, LiftOptions, add_box, norm, progress, upright
+from rcs.tasks.holding import SLIP, Grip, HoldTimer
+from rcs.tasks.lifting import FreeBody, LiftOptions, add_box, lowest, norm, progress, table_height, upright
 
 EDGES = (0.035, 0.50, 0.05)
 """Edges of the bar along its x, y, z [m]: too long and too heavy at one end for one hand."""
@@ -28,15 +28,18 @@ MAX_TILT = np.deg2rad(10.0)
 """Tilt above which the bar does not count as level [rad]."""
 MAX_YAW = 0.35
 """Largest turn of the bar at the start [rad]; beyond, the arms would cross."""
-TOUCH_FORCE = 0.5
-"""Least force of a pad that counts as contact with the bar [N]."""
 BAR = "bar"
 
 
 class LiftBar(Task):
-    """Grasp a bar at both ends with two arms, lift it, by 10 cm by default, and hold it level.
+    """Grasp a bar at both ends with two arms, lift it, by 10 cm by default, and hold it level, for one second.
 
-    The reward is 1 per step at success, below that the mean over the arms of reaching, grasping and lifting.
+    It is a success when, without a break for that time, both ends of the bar are that high and it leans by less than
+    10 degrees, all four pads press on it with more than its weight, nothing but the grippers touches it, and it moves
+    by no more than 1 cm in each hand. This is judged at the end of each step.
+
+    The dense reward is the progress since the last step, plus 1 at success. Progress is the mean over the arms of
+    reaching, grasping, and lifting while grasping.
     """
 
     instruction = "lift the bar with both arms"
@@ -63,32 +66,29 @@ class LiftBar(Task):
             raise InvalidSetup("LiftBar needs two robots with grippers.")
         self._world = world
         model = world.model
-        bar = world.geom_flags([BAR])
         self._pose = world.core.read_body_pose(model.body(BAR).id, 0)
         self._tcps = [world.core.read_pose(robot.layout.tcp_site, 0) for robot in robots]
-        self._pads = [
-            world.core.read_force(world.geom_flags(robot.placement.gripper_prefix + name for name in pads), bar)
-            for robot in robots
-            for pads in robot.gripper.pad_geoms
-        ]
+        self._grip = Grip(world, robots, BAR)
         self._body = FreeBody(world, BAR)
-        self._held = HoldCounter(world, self.options.hold_time)
+        self._held = HoldTimer(world, self.options.hold_time, SLIP)
         self._geom = int(model.geom(BAR).id)
         self._measure()
 
     def _measure(self) -> None:
         """Take over the bars' sizes and the tables' heights, which may vary between episodes."""
-        half_edges = self._world.field("geom_size")[..., self._geom, :]
-        self._rest_height = half_edges[..., 2] + table_height(self._world)
-        self._grasp_offset = GRASP_AT * half_edges[..., 1]
+        self._half_edges = self._world.field("geom_size")[..., self._geom, :].copy()
+        self._table = table_height(self._world).copy()
+        self._grasp_offset = GRASP_AT * self._half_edges[..., 1]
         # The first robot stands on the left and takes the end at larger y.
         self._ends = np.stack([self._grasp_offset, -self._grasp_offset], axis=-1)
 
     def reset(self, draws: Draws, where: Where) -> None:
         """Put the bar at a random place, turned slightly."""
         self._measure()
-        self._body.place(upright(self.area.draw_place(draws, MAX_YAW), self._rest_height[where]), where)
+        height = (self._table + self._half_edges[..., 2])[where]
+        self._body.place(upright(self.area.draw_place(draws, MAX_YAW), height), where)
         self._held.reset(where)
+        self._grip.reset()
 
     def object_poses(self) -> dict[str, NDArray[np.float64]]:
         """Return the bar's pose in the scene."""
@@ -103,14 +103,13 @@ class LiftBar(Task):
         """Judge height, level and grasps, and for how long."""
         poses = self._world.poses
         bar = poses[..., self._pose, :].copy()
-        touches = self._world.forces[..., self._pads] > TOUCH_FORCE
-        grasped = touches[..., 0::2] & touches[..., 1::2]
+        grasped = self._grip.grasps()
         both = grasped[..., 0] & grasped[..., 1]
         x, y = bar[..., 3], bar[..., 4]
         is_level = 1.0 - 2.0 * (x * x + y * y) > np.cos(MAX_TILT)  # z component of the bar's z axis
-        height = bar[..., 2] - self._rest_height
+        height = lowest(bar, self._half_edges) - self._table
         goal = self.options.lift_height
-        success = self._held.count((height > goal) & is_level & both)
+        success = self._held.count((height >= goal) & is_level & both & self._grip.is_free(), self._grip.places())
         distances = norm(poses[..., self._tcps, :3] - self._grasps(bar))
         reward = self.reward(progress(distances, grasped, height[..., None], goal).mean(axis=-1), success)
         info: dict[str, NDArray[Any]] = {

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rcs.envs.layers import Where
 from rcs.envs.task import Task
 from rcs.errors import InvalidSetup
-from rcs.sim.scene import Scene
+from rcs.sim.scene import TABLE, Scene
 from rcs.sim.world import World
 from rcs.spatial import xyzw_to_wxyz
 
@@ -22,9 +22,9 @@ class LiftOptions(Task.Options):
     """Options of a task of lifting and holding."""
 
     lift_height: float = 0.10
-    """Height above its start at which the object must be held [m]."""
+    """Height above the table at which the whole object must be held: that of its lowest point [m]."""
     hold_time: float = 1.0
-    """How long it must be held [s]."""
+    """How long it must be held without a break [s], in simulated time."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -36,27 +36,6 @@ class LiftOptions(Task.Options):
         for name in ("lift_height", "hold_time"):
             if not getattr(self, name) > 0:
                 raise InvalidSetup(f"The task option {name} is {getattr(self, name)!r}; valid is a number above 0.")
-
-
-class HoldCounter:
-    """Counts how many steps in a row something was held, for each copy."""
-
-    def __init__(self, world: World, hold_time: float) -> None:
-        """Count from 0 for a world; `hold_time` is the required time [s]."""
-        self.steps: NDArray[np.int64] = np.zeros(world.leading, np.int64)
-        """Steps in a row so far, (*leading,)."""
-        self._enough = max(1, round(hold_time * world.frequency))
-
-    def reset(self, where: Where) -> None:
-        """Start again for some copies."""
-        steps = np.array(self.steps)  # of one copy it is a number of NumPy's, which is faster than an array
-        steps[where] = 0
-        self.steps = steps
-
-    def count(self, is_held: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Count a step, and return which copies have held for long enough, (*leading,)."""
-        self.steps = (self.steps + 1) * is_held
-        return self.steps >= self._enough
 
 
 class FreeBody:
@@ -119,6 +98,23 @@ def upright(place: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[
     return pose
 
 
+def table_height(world: World) -> NDArray[np.float64]:
+    """Return the height of the table's top in the scene [m], (*leading,)."""
+    return world.field("body_pos")[..., world.model.body(TABLE).id, 2]
+
+
+def lowest(pose: NDArray[np.float64], half_edges: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the height of the lowest corner of a box [m], (*leading,).
+
+    Args:
+        pose: Of its middle, (*leading, 7) [m], xyzw.
+        half_edges: Half its edges along its x, y, z [m], (*leading, 3).
+    """
+    x, y, z, w = (pose[..., 3 + i] for i in range(4))
+    down = np.abs(2 * (x * z - w * y)) * half_edges[..., 0] + np.abs(2 * (y * z + w * x)) * half_edges[..., 1]
+    return pose[..., 2] - down - np.abs(1 - 2 * (x * x + y * y)) * half_edges[..., 2]
+
+
 def progress(
     distance: NDArray[np.float64], is_grasped: NDArray[np.bool_], height: NDArray[np.float64], lift_height: float
 ) -> NDArray[np.float64]:
@@ -127,7 +123,7 @@ def progress(
     Args:
         distance: Distance from the TCP to the grasp point [m].
         is_grasped: Whether the object is grasped.
-        height: Height of the object above its start [m].
+        height: Height of the object above the table [m].
         lift_height: Required height [m].
     """
     reach = 1.0 - np.tanh(5.0 * distance)

@@ -14,24 +14,26 @@ from rcs.envs.task import Area, Judgement, Task
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
-from rcs.sim.table import table_height
 from rcs.sim.world import World
-from rcs.tasks.lifting import FreeBody, HoldCounter, LiftOptions, add_box, progress, upright
+from rcs.tasks.holding import SLIP, TOUCH_FORCE, Grip, HoldTimer
+from rcs.tasks.lifting import FreeBody, LiftOptions, add_box, lowest, progress, table_height, upright
 
 SIZE = (0.064, 0.032, 0.0576)
 """Edges of the 3D-printed cuboid along its x, y, z [m] (the paper's)."""
 MASS = 0.05
 """Mass of such a cuboid printed in PLA with a usual infill [kg]."""
-TOUCH_FORCE = 0.5
-"""Least force of a pad that counts as contact with the cuboid [N] (ManiSkill's PickCube)."""
 CUBOID = "cuboid"
 
 
 class PickCuboid(Task):
     """Lift the cuboid, by 10 cm and for one second by default.
 
-    The reward is 1 per step at success, below that the mean of three parts in [0, 1]: reaching, grasping, and lifting
-    while grasping, in the form of ManiSkill 3's PickCube-v1 (`1 - tanh(5 d)`).
+    It is a success when, without a break for that time, all of the cuboid is that high, both pads of the gripper press
+    on it with more than its weight, nothing but the gripper touches it, and it moves by no more than 1 cm in the hand.
+    This is judged at the end of each step.
+
+    The dense reward is the progress since the last step, plus 1 at success. Progress is the mean of three parts in
+    [0, 1]: reaching, grasping, and lifting while grasping, in the form of ManiSkill 3's PickCube-v1 (`1 - tanh(5 d)`).
     """
 
     instruction = "pick up the green cuboid"
@@ -64,30 +66,30 @@ class PickCuboid(Task):
         if len(robots) != 1 or robots[0].placement.gripper is None:
             raise InvalidSetup("PickCuboid needs one robot with a gripper.")
         robot = robots[0]
-        placement, gripper = robot.placement, robots[0].gripper
+        placement = robot.placement
         self._world = world
         self._robot = robot
         model = world.model
         cuboid = world.geom_flags([CUBOID])
         self._pose = world.core.read_body_pose(model.body(CUBOID).id, robot.layout.base_body)
-        self._pads = [
-            world.core.read_force(world.geom_flags(placement.gripper_prefix + name for name in pads), cuboid)
-            for pads in gripper.pad_geoms
-        ]
+        self._grip = Grip(world, robots, CUBOID)
         self._touched = world.core.read_force(world.subtree_flags(placement.base_body), cuboid)
         self._body = FreeBody(world, CUBOID)
-        self._held = HoldCounter(world, self.options.hold_time)
+        self._held = HoldTimer(world, self.options.hold_time, SLIP)
         self._geom = int(model.geom(CUBOID).id)
-        self._rest_height = np.full(world.leading, self.edges[2] / 2)
+        self._half_edges = np.zeros((*world.leading, 3))
+        self._table = table_height(world)
         # The pose for agents is in the base frame, which may be anywhere; the height is in the scene.
         self._in_scene = world.core.read_body_pose(model.body(CUBOID).id, 0)
 
     def reset(self, draws: Draws, where: Where) -> None:
         """Put the cuboid at a random place and yaw."""
-        # Both vary between episodes.
-        self._rest_height = self._world.field("geom_size")[..., self._geom, 2] + table_height(self._world)
-        self._body.place(upright(self.area.draw_place(draws), self._rest_height[where]), where)
+        self._half_edges = self._world.field("geom_size")[..., self._geom, :].copy()
+        self._table = table_height(self._world).copy()
+        height = (self._table + self._half_edges[..., 2])[where]
+        self._body.place(upright(self.area.draw_place(draws), height), where)
         self._held.reset(where)
+        self._grip.reset()
 
     def object_poses(self) -> dict[str, NDArray[np.float64]]:
         """Return the cuboid's pose in the scene."""
@@ -100,19 +102,22 @@ class PickCuboid(Task):
 
     def evaluate(self) -> Judgement:
         """Judge height, grasp and duration."""
-        touches = self._world.forces > TOUCH_FORCE
         poses = self._world.poses
         cuboid = poses[..., self._pose, :].copy()
-        is_grasped = touches[..., self._pads[0]] & touches[..., self._pads[1]]
-        height = poses[..., self._in_scene, 2] - self._rest_height
+        is_grasped = self._grip.grasps()[..., 0]
         goal = self.options.lift_height
-        success = self._held.count((height > goal) & is_grasped)
+        height = np.zeros(())
+        is_held = is_grasped
+        if is_grasped.any():
+            height = lowest(poses[..., self._in_scene, :], self._half_edges) - self._table
+            is_held = is_grasped & (height >= goal) & self._grip.is_free()
+        success = self._held.count(is_held, self._grip.places())
         offset = cuboid[..., :3] - poses[..., self._robot.tcp_readout, :3]
         reward = self.reward(progress(np.sqrt(np.vecdot(offset, offset)), is_grasped, height, goal), success)
         info = {
             "success": success,
             "is_grasped": is_grasped,
-            "is_touched": touches[..., self._touched],
+            "is_touched": self._world.forces[..., self._touched] > TOUCH_FORCE,
             "cuboid": cuboid,
         }
         return Judgement(reward=reward, terminated=success, info=info)

@@ -16,12 +16,13 @@ from rcs.envs.layers import Where
 from rcs.envs.task import Judgement, Task
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
+from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
-from rcs.sim.table import table_height
 from rcs.sim.world import World
 from rcs.spatial import Pose, compose, inverse
-from rcs.tasks.lifting import HoldCounter, LiftOptions, norm, progress
+from rcs.tasks.holding import HoldTimer, all_but
+from rcs.tasks.lifting import LiftOptions, norm, progress, table_height
 
 SIZE = (0.09, 0.075, 0.07)
 """Length, width and height of the toy, an ellipsoid [m]."""
@@ -43,20 +44,25 @@ NEAR_HOME = 0.05
 """Distance of the TCP from its start at which the arm is back home [m]."""
 TOUCH_FORCE = 0.2
 """Least force of a robot that counts as contact with the toy [N]: half the weight of the lightest toy."""
-SQUEEZED = 0.03
-"""Relative change of a distance between two nodes above which a toy is squeezed; 2 N from above cause it."""
+SHIFT = 0.03
+"""Distance that the toy's middle may move in the hand while it counts as held [m]: it is soft, and settles."""
 TOY = "toy"
 
 
 class PickToy(Task):
     """Lift a soft toy, by 10 cm by default, and hold it at the arm's home pose for one second.
 
+    It is a success when, without a break for that time, the TCP is within 5 cm of where it is at home, the toy's middle
+    is higher by that than when it lies, the thumb and the other fingers (of a gripper: both pads) press on it with more
+    than its weight each, nothing but the hand touches it, and its middle moves by no more than 3 cm in the hand. This is
+    judged at the end of each step.
+
     The toy is a flex whose shape follows eight nodes, the corners of a box around it. Each has three slide joints along
     the scene's axes, so that its position, orientation and shape are all in `qpos`. Rotating it means moving the nodes,
     which MuJoCo's elasticity permits without stress.
 
-    The reward is 1 per step at success, below that the mean of three parts in [0, 1]: reaching, squeezing, and lifting
-    while squeezing.
+    The dense reward is the progress since the last step, plus 1 at success. Progress is the mean of three parts in
+    [0, 1]: reaching, grasping, and lifting while grasping.
     """
 
     instruction = "pick up the toy"
@@ -86,23 +92,31 @@ class PickToy(Task):
         placement = self._robot.placement
         model = world.model
         self._touched = world.core.read_force(world.subtree_flags(placement.base_body), world.subtree_flags(TOY))
+        self._fingers = [
+            world.core.read_force(
+                world.geom_flags(placement.gripper_prefix + name for name in geoms), world.subtree_flags(TOY)
+            )
+            for geoms in _opposed(placement.end_effector)
+        ]
+        hand = placement.gripper_prefix + placement.end_effector.base_body
+        self._others = world.core.read_force(all_but(world, hand, TOY), world.subtree_flags(TOY))
+        self._gravity = float(np.linalg.norm(model.opt.gravity))
+        self._weight = np.zeros(world.leading)
         self._center, nodes, self._qpos = _nodes_of(model)
         self._bodies = _node_bodies(model)
         self._nominal = float(nodes[0, 0]), float(model.body_mass[self._bodies[0]])
         """A length [m] and a mass [kg] of the toy that was made; the others are in proportion to it."""
         self._lying = _lying(self.area.object_scale)
-        self._first, self._second = np.triu_indices(len(nodes), 1)
         self._along = np.sign(nodes[:, :1])  # +1 for nodes at the toy's front, -1 at its back
         self._nodes = np.empty((*world.leading, *nodes.shape))
         """Nodes of the toy when nothing pulls at them, relative to the carrier, which does not move."""
         self._rest_height = np.empty(world.leading)
-        self._distances = np.empty((*world.leading, len(self._first)))
         self._measure(...)
         base = placement.base_in_scene
         self._scene_in_base = inverse(Pose(base.translation, base.quaternion).tquat)
         home = kinematics_of(placement.arm, placement.end_effector).forward(np.array(placement.arm.home))
         self._home = home.tquat[:3]
-        self._held = HoldCounter(world, self.options.hold_time)
+        self._held = HoldTimer(world, self.options.hold_time, SHIFT)
 
     def _measure(self, where: Where) -> NDArray[np.float64]:
         """Take over how large and heavy the toys are, which may vary between episodes.
@@ -116,7 +130,7 @@ class PickToy(Task):
         lying[..., 2] += table_height(self._world)[where][..., None]
         self._nodes[where] = nodes
         self._rest_height[where] = _mean(lying)[..., 2]
-        self._distances[where] = norm(lying[..., self._first, :] - lying[..., self._second, :])
+        self._weight[where] = len(self._bodies) * mass * self._gravity
         return lying
 
     def reset(self, draws: Draws, where: Where) -> None:
@@ -154,25 +168,27 @@ class PickToy(Task):
 
     def evaluate(self) -> Judgement:
         """Judge height, grasp and how long the toy was held at home."""
-        nodes = self._present_nodes()
-        in_scene = self._pose(nodes)
+        in_scene = self._pose(self._present_nodes())
         toy = compose(self._scene_in_base, in_scene)
-        tcp = self._world.poses[..., self._robot.tcp_readout, :3]
+        tcp = self._world.poses[..., self._robot.tcp_readout, :]
+        forces = self._world.forces
         height = in_scene[..., 2] - self._rest_height
-        is_squeezed = self._strain(nodes) > SQUEEZED
-        is_touched = self._world.forces[..., self._touched] > TOUCH_FORCE
-        is_home = norm(tcp - self._home) < NEAR_HOME
+        presses = forces[..., self._fingers] > self._weight[..., None]
+        is_grasped = presses[..., 0] & presses[..., 1]
+        is_home = norm(tcp[..., :3] - self._home) < NEAR_HOME
         goal = self.options.lift_height
-        success = self._held.count((height > goal) & is_home)
-        reward = self.reward(progress(norm(toy[..., :3] - tcp), is_squeezed, height, goal), success)
-        info = {"success": success, "is_touched": is_touched, "toy": toy}
+        is_held = is_grasped & (height > goal) & is_home & (forces[..., self._others] == 0.0)
+        success = self._held.count(is_held, compose(inverse(tcp), toy)[..., None, :3])
+        reward = self.reward(progress(norm(toy[..., :3] - tcp[..., :3]), is_grasped, height, goal), success)
+        is_touched = forces[..., self._touched] > TOUCH_FORCE
+        info = {"success": success, "is_grasped": is_grasped, "is_touched": is_touched, "toy": toy}
         return Judgement(reward=reward, terminated=success, info=info)
 
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return where the toy lies."""
         never = np.zeros(self._world.leading, np.bool_)
         toy = compose(self._scene_in_base, self._pose(self._present_nodes()))
-        return {"success": never, "is_touched": never, "toy": toy}
+        return {"success": never, "is_grasped": never, "is_touched": never, "toy": toy}
 
     def _present_nodes(self) -> NDArray[np.float64]:
         """Return the nodes in the scene [m], (*leading, nodes, 3)."""
@@ -188,11 +204,6 @@ class PickToy(Task):
         pose[..., 5], pose[..., 6] = np.sin(half_yaw), np.cos(half_yaw)
         return pose
 
-    def _strain(self, nodes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the largest change of a distance between two nodes since it lay still, in proportion, (*leading,)."""
-        distances = norm(nodes[..., self._first, :] - nodes[..., self._second, :])
-        return (np.abs(distances - self._distances) * (1.0 / self._distances)).max(axis=-1)
-
 
 # NumPy's own sums add in an order that may depend on how many copies there are.
 def _sum(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -201,6 +212,14 @@ def _sum(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _mean(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
     return _sum(nodes) / nodes.shape[-2]
+
+
+def _opposed(effector: GripperDescription | HandDescription) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the geoms of the pads of a gripper, or of the thumb and of all other fingers of a hand."""
+    if isinstance(effector, GripperDescription):
+        return effector.pad_geoms
+    thumb, *others = effector.finger_geoms.values()
+    return thumb, tuple(name for finger in others for name in finger)
 
 
 def _add_toy(spec: mujoco.MjSpec, center: tuple[float, float, float], scale: float) -> None:
