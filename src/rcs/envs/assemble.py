@@ -13,6 +13,7 @@ from rcs.devices import Arm, Gripper
 from rcs.envs.camera_port import CameraPort, FreshFrames
 from rcs.envs.chain import Chain
 from rcs.envs.clock import Clock
+from rcs.envs.clutter import Clutter
 from rcs.envs.env import Env
 from rcs.envs.follow_port import FollowPort
 from rcs.envs.gate import Gate
@@ -67,6 +68,8 @@ class Parts:
     cameras: tuple[CameraPlacement, ...]
     tactile: tuple[TactilePlacement, ...] = ()
     task: Task
+    clutter: Clutter | None = None
+    """What lies about besides the objects of the task; None for nothing."""
     devices: Devices = field(default_factory=Devices)
     """What is real; all else is simulated."""
     layers: Mapping[str, Sequence[Layer]] = field(default_factory=dict[str, Sequence[Layer]])
@@ -160,6 +163,8 @@ def compose(parts: Parts) -> Scene:
     """Put the scene together: furniture, robots, cameras."""
     scene = Scene.empty(physics_step=parts.setup.physics_step, has_textures=parts.setup.render_quality == "full")
     parts.task.furnish(scene)
+    if parts.clutter is not None:
+        parts.clutter.furnish(scene)
     for robot in parts.robots:
         scene.add_robot(robot, assets=parts.setup.assets)
     for camera in parts.cameras:
@@ -204,7 +209,7 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
                 robot.wait_for_arrival(_longest_latency(setup))
         clock = _frame_clock(setup, simulated, world)
         randomiser = _randomiser(parts, world)
-        scenario = Scenario(world, list(bodies.values()), parts.task, randomiser, clock)
+        scenario = Scenario(world, list(bodies.values()), parts.task, randomiser, clock, parts.clutter)
         shared += _simulated_sensors(parts, simulated, world, list(bodies.values()), clock, randomiser)
     gates = list(parts.gates)
     if real:

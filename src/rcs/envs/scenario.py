@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs.envs.clutter import Clutter, TakenCircles
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
 from rcs.envs.randomiser import Randomiser
@@ -28,6 +29,7 @@ class Scenario:
         task: Task,
         randomiser: Randomiser | None = None,
         frame_clock: FrameClock | None = None,
+        clutter: Clutter | None = None,
     ) -> None:
         """Put all robots at home, the state in which every episode begins.
 
@@ -37,6 +39,7 @@ class Scenario:
             task: What to do in it.
             randomiser: Varies the world from episode to episode; None for a constant world.
             frame_clock: The cameras' clock, which needs the episode's random numbers; None without cameras.
+            clutter: What else lies about; None for nothing.
         """
         self.world = world
         self._randomisers = [] if randomiser is None else [randomiser]
@@ -44,6 +47,10 @@ class Scenario:
         self.robots = robots
         self.task = task
         task.bind(world, robots)
+        self._clutter = clutter
+        if clutter is not None:
+            clutter.bind(world)
+            self._taken = TakenCircles(world, task)
         for robot in robots:
             robot.go_home()
         for one in self._randomisers:
@@ -73,6 +80,9 @@ class Scenario:
         self.task.forget_progress(where)
         self.task.reset(draws, where)
         self.world.refresh(copies)
+        if self._clutter is not None:
+            self._clutter.reset(draws.branch("randomisation"), where, self.task.area, self._taken.at(where))
+            self.world.refresh(copies)
 
     def start_at(self, start: Start) -> None:
         """Put robots and objects at a given start, right after `begin`; for a world of one copy.

@@ -198,7 +198,9 @@ def _ranges(value: Any) -> Randomisation | None:
     if isinstance(value, dict):
         return Randomisation.from_json(value)
     if not isinstance(value, Randomisation | None):
-        raise InvalidSetup(f"randomisation is {value!r}; valid: a Randomisation, the name of one, True for its defaults, or None.")
+        raise InvalidSetup(
+            f"randomisation is {value!r}; valid: a Randomisation, the name of one, True for its defaults, or None."
+        )
     return value
 
 
