@@ -13,8 +13,8 @@ import numpy as np
 from rcs.envs.draws import Draws
 from rcs.envs.variation import Values, Variation
 from rcs.envs.varied_looks import add_cameras, add_lights, add_surfaces
-from rcs.envs.varied_objects import add_objects
-from rcs.envs.varied_robots import add_drives, add_friction, add_latency, add_table
+from rcs.envs.varied_objects import add_friction, add_objects
+from rcs.envs.varied_robots import add_drives, add_latency, add_table
 from rcs.envs.varied_start import VariedStart
 from rcs.sim.model_rows import ObjectParts
 from rcs.sim.randomisation import Randomisation
@@ -52,9 +52,10 @@ class Randomiser:
         self._start = VariedStart(vary, robots)
         add_lights(vary)
         add_surfaces(vary)
-        add_objects(vary, [ObjectParts(world, name) for name in objects], objects)
+        parts = [ObjectParts(world, name) for name in objects]
+        add_objects(vary, parts, objects)
+        add_friction(vary, parts, objects)
         add_cameras(vary, cameras)
-        add_friction(vary, robots)
         add_drives(vary, robots)
         add_table(vary)
         self._latency = add_latency(vary, robots)

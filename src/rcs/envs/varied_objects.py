@@ -94,3 +94,29 @@ def _add_nodes_at_rest(vary: Variation, parts: Sequence[ObjectParts], nodes: Seq
         rows.write(center + offset * drawn["object_size"][..., owner, None], copies)
 
     vary.write_with(write)
+
+
+def add_friction(vary: Variation, parts: Sequence[ObjectParts], names: Sequence[str]) -> None:
+    """Vary friction: all of it by one factor, and that of each object by another one on top."""
+    model = vary.world.model
+    has_all, has_own = vary.enable("friction", (1,)), vary.enable("object_friction", (len(parts),), names)
+    if not (has_all or has_own):
+        return
+    # The number of the object that geoms, flexes and pairs of geoms belong to; -1 for none.
+    of_geom, of_flex = np.full(model.ngeom, -1), np.full(model.nflex, -1)
+    for i, part in enumerate(parts):
+        of_geom[part.geoms] = of_flex[part.flexes] = i
+    of_pair = np.maximum(of_geom[model.pair_geom1], of_geom[model.pair_geom2])
+    objects = {"geom_friction": of_geom, "flex_friction": of_flex, "pair_friction": of_pair}
+    rows = [(ModelRows(vary.world, field, np.arange(len(own))), own) for field, own in objects.items() if len(own)]
+
+    def write(drawn: dict[str, Values], copies: Copies) -> None:
+        leading = drawn["friction" if has_all else "object_friction"].shape[:-1]
+        common = drawn["friction"] if has_all else np.ones((*leading, 1))
+        own = np.ones((*leading, len(parts) + 1))  # the last one, -1, is for what is no object's
+        if has_own:
+            own[..., :-1] = drawn["object_friction"]
+        for frictions, owner in rows:
+            frictions.scale(common * own[..., owner], copies)
+
+    vary.write_with(write)

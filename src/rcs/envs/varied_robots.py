@@ -1,4 +1,4 @@
-"""The robots and what they touch, varied from episode to episode: friction, servos, grippers, latency, the table."""
+"""The robots, varied from episode to episode: drives, grippers, latency; and the height of the table."""
 
 from __future__ import annotations
 
@@ -13,35 +13,6 @@ from rcs.sim.layout import RobotLayout
 from rcs.sim.model_rows import ModelRows
 from rcs.sim.scene import TABLE, RobotPlacement
 from rcs.sim.world import Copies
-
-
-def add_friction(vary: Variation, robots: Sequence[RobotPlacement]) -> None:
-    """Vary friction: all of it by one factor, and that of each end effector by another one on top."""
-    world, model = vary.world, vary.world.model
-    carried = [robot for robot in robots if robot.end_effector is not None]
-    owner = np.full(model.nbody, -1)
-    for i, robot in enumerate(carried):
-        assert robot.end_effector is not None
-        owner[world.subtree(robot.gripper_prefix + robot.end_effector.base_body)] = i
-    has_all = vary.enable("friction", (1,))
-    has_pads = vary.enable("pad_friction", (len(carried),), [robot.name for robot in carried])
-    if not (has_all or has_pads):
-        return
-    of_geom = owner[model.geom_bodyid]
-    of_pair = np.maximum(of_geom[model.pair_geom1], of_geom[model.pair_geom2]) if model.npair else np.zeros(0, np.intp)
-    owners = {"geom_friction": of_geom, "flex_friction": np.full(model.nflex, -1), "pair_friction": of_pair}
-    rows = [(ModelRows(world, field, np.arange(len(own))), own) for field, own in owners.items() if len(own)]
-
-    def write(drawn: dict[str, Values], copies: Copies) -> None:
-        leading = drawn["friction" if has_all else "pad_friction"].shape[:-1]
-        common = drawn["friction"] if has_all else np.ones((*leading, 1))
-        # The last one is for what is of no end effector, the owner -1.
-        own = np.concatenate([drawn["pad_friction"] if has_pads else np.ones((*leading, len(carried))),
-                              np.ones((*leading, 1))], axis=-1)  # fmt: skip
-        for frictions, owners in rows:
-            frictions.scale(common * own[..., owners], copies)
-
-    vary.write_with(write)
 
 
 def add_drives(vary: Variation, robots: Sequence[RobotPlacement]) -> None:

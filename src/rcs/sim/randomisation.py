@@ -48,9 +48,10 @@ class Randomisation:
     object_mass: Range = (0.5, 2.0)
     """Factor on the mass and the inertia of each object."""
     friction: Range = (0.8, 1.25)
-    """One factor on all friction, since a contact uses the greater of two."""
-    pad_friction: Range = (0.8, 1.25)
-    """One more factor on the friction of each end effector, such as of pads that are worn or dusty."""
+    """One factor on all friction: of objects, pads, table and robots."""
+    object_friction: Range = (0.8, 1.25)
+    """One more factor on the friction of each object. It acts as long as it leaves an object more friction than pads
+    and table have, since a contact uses the greater of two."""
     joint_damping: Range = (0.8, 1.25)
     """Factor on the damping of each joint of the robots, fingers included."""
     servo_stiffness: Range = (0.9, 1.1)
@@ -159,7 +160,7 @@ class Randomisation:
 
 FACTORS = frozenset(
     {
-        "light_intensity", "field_of_view", "object_size", "object_mass", "friction", "pad_friction", "joint_damping",
+        "light_intensity", "field_of_view", "object_size", "object_mass", "friction", "object_friction", "joint_damping",
         "servo_stiffness", "servo_damping", "gripper_force",
     }
 )  # fmt: skip
@@ -229,7 +230,7 @@ MILD = Randomisation(
     object_size=(0.95, 1.05),
     object_mass=(0.75, 1.5),
     friction=(0.9, 1.1),
-    pad_friction=(0.9, 1.1),
+    object_friction=(0.9, 1.1),
     joint_damping=(0.9, 1.1),
     servo_stiffness=(0.95, 1.05),
     servo_damping=(0.95, 1.05),
@@ -257,7 +258,7 @@ STRONG = Randomisation(
     object_size=(0.85, 1.15),
     object_mass=(0.4, 3.0),
     friction=(0.7, 1.5),
-    pad_friction=(0.7, 1.5),
+    object_friction=(0.7, 1.5),
     joint_damping=(0.7, 1.5),
     servo_stiffness=(0.8, 1.2),
     servo_damping=(0.8, 1.2),
