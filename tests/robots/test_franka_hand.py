@@ -120,7 +120,7 @@ def test_a_cuboid_is_held_by_both_pads_with_the_grasp_force(lab_with_cuboid: muj
     cuboid.qpos[3:] = [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]
     data.actuator(f"hand/{FRANKA_HAND.actuator}").ctrl[0] = FRANKA_HAND.ctrl_closed
     data.xfrc_applied[model.body("cuboid").id, 2] = 0.06 * 9.81
-    mujoco.mj_step(model, data, nstep=600)
+    mujoco.mj_step(model, data, nstep=1000)
     data.xfrc_applied[:] = 0.0
     held = cuboid.qpos.copy()
     mujoco.mj_step(model, data, nstep=500)

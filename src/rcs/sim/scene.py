@@ -198,7 +198,9 @@ class Scene:
             size=top,
             pos=[0.0, 0.0, -TABLE_THICKNESS / 2],
             rgba=[0.70, 0.56, 0.40, 1.0],
-            friction=[1.0, 0.005, 0.0001],
+            # Less than an object's, so that the object's counts: MuJoCo takes the greater of two.
+            friction=[0.5, 0.005, 0.0001],
+            solref=[0.004, 1.0],
             group=0,
         )
         if self.has_textures:

@@ -29,9 +29,9 @@ FR3: Final = ArmDescription(
     # Vendor's data sheet: maximum reach 855 mm.
     workspace_reach=0.855,
     sources=(
-        "franka_description 1.0.1 (Apache-2.0): kinematics, limits, inertia of the base, collision capsules",
+        "franka_description 1.0.1 (Apache-2.0): kinematics, limits, inertia of the base",
         "libfranka include/franka/rate_limiting.h (Apache-2.0): acceleration and jerk limits",
-        "mujoco_menagerie franka_fr3 (Apache-2.0): inertias, armature, friction, servo gains",
+        "mujoco_menagerie franka_fr3 (Apache-2.0): inertias, armature, friction, servo gains, meshes that shapes are fitted to",
     ),
     menagerie=MenagerieVisuals.of("franka_fr3", "fr3", {f"link{i}": f"fr3_link{i}" for i in range(8)}),
 )

@@ -31,12 +31,13 @@ FRANKA_HAND: Final = GripperDescription(
     max_force=70.0,
     # Our choice: holds 1 kg at a friction coefficient of 0.2 and does not press light objects into the pads.
     grasp_force=30.0,
-    # Our choice: half of the vendor's joint velocity limit of 0.2 m/s; the full width takes 0.4 s.
-    closing_speed=0.1,
+    # Vendor's product manual: 50 mm/s per finger; the full width takes 0.8 s.
+    closing_speed=0.05,
     sources=(
         "franka_description 1.0.1 (Apache-2.0): mount, TCP, finger joints, inertias, finger boxes",
         "mujoco_menagerie franka_emika_panda hand (Apache-2.0): finger armature, coupling of the fingers",
-        "Franka Hand data sheet: forces",
+        "Franka Hand product manual 1.2, section 5.1: forces, speed",
+        "mujoco_menagerie ufactory_xarm7 hand (BSD-3-Clause): friction and stiffness of the pads",
     ),
     menagerie=MenagerieVisuals.of(
         "franka_emika_panda", "hand", {name: name for name in ("hand", "left_finger", "right_finger")}

@@ -71,11 +71,12 @@ ROBOTIQ_2F85: Final = GripperDescription(
     max_force=235.0,
     # Our choice, at a width of 32 mm; from 40 N closed to 52 N open, since the torque is what the drive limits.
     grasp_force=40.0,
-    # The device's largest speed; half of it at each finger.
+    # The device's largest speed, half of it at each finger. The pads reach it where they meet: they are on circles.
     closing_speed=0.075,
     sources=(
         "mujoco_menagerie robotiq_2f85 (BSD-2-Clause): pivots, masses, inertias, pads, armature of the drive",
         "Robotiq 2F-85 data sheet: stroke, forces, speeds",
+        "mujoco_menagerie ufactory_xarm7 hand (BSD-3-Clause): friction and stiffness of the pads",
     ),
     menagerie=_meshes(),
 )

@@ -39,11 +39,14 @@ SO101_GRIPPER: Final = GripperDescription(
     # LeRobot limits this servo to half of its torque, 1.47 Nm: 18 N at the fingertips.
     max_force=18.0,
     grasp_force=18.0,
-    # Of the moving jaw's tip: torque over damping is 2.4 rad/s, 0.85 s from open to closed.
+    # Of the moving jaw's tip: torque less friction over damping is 2.4 rad/s, 0.85 s from open to closed. The servo at its
+    # full torque has 45 rpm without load, 4.7 rad/s.
     closing_speed=0.18,
     sources=(
         "mujoco_menagerie robotstudio_so101 (Apache-2.0): kinematics, limits, inertias, joint dynamics, servo gains",
+        "Feetech STS3215 data sheet, 12 V: speed without load 45 rpm",
         "LeRobot so101_follower (Apache-2.0): torque limit of the gripper's servo",
+        "mujoco_menagerie ufactory_xarm7 hand (BSD-3-Clause): friction and stiffness of the pads",
     ),
     menagerie=MenagerieVisuals.of(
         "robotstudio_so101", "so101", {"gripper": "gripper", "moving_jaw": "moving_jaw_so101_v1"}

@@ -79,6 +79,7 @@ TILBURG_HAND: Final = HandDescription(
         "tilburg-hand 1.1.0, robot.xml (MIT): kinematics, inertias, joint friction, torque limit 0.35 Nm",
         "tilburg-hand 1.1.0, robot.urdf (MIT): mass of the base 0.282 kg and its inertia, joint speed 8 rad/s",
         "tilburg-hand 1.1.0, motor_interface.py (MIT): order, names and ranges of the joints",
+        "mujoco_menagerie ufactory_xarm7 hand (BSD-3-Clause): friction and stiffness of the fingers",
     ),
 )
 """The Tilburg Hand, right; 0.63 kg."""

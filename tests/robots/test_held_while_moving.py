@@ -1,0 +1,118 @@
+"""What a gripper holds stays where it is held, and what falls on the table does not sink into it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rcs.devices import lookup
+from rcs.robots.description import ArmDescription, GripperDescription
+from rcs.envs.task import Area
+from rcs.setups.lab import lab_of
+from rcs.sim.layout import RobotLayout
+from rcs.sim.scene import RobotPlacement, Scene
+from rcs.spatial import Pose, wxyz_to_xyzw
+from rcs.tasks.pick_cuboid import CUBOID, PickCuboid
+
+GRASP_TIME = 2.0
+"""Time for the slowest gripper to close, and for the cuboid to come to rest in it [s]."""
+SWING = 1.0
+"""Turn of the first joint, there and back [rad]."""
+SPEED = 1.0
+"""Mean speed of the swing; the largest is half as much again [rad/s]."""
+
+
+@dataclass
+class Grasp:
+    """An arm at home that holds the cuboid of its lab."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    layout: RobotLayout
+
+    def cuboid_in_tcp(self) -> Pose:
+        """Return where the cuboid is in the hand."""
+        body = self.data.body(CUBOID)
+        site = self.data.site(self.layout.tcp_site)
+        quaternion = np.empty(4)
+        mujoco.mju_mat2Quat(quaternion, site.xmat)
+        tcp = Pose(site.xpos, wxyz_to_xyzw(quaternion))
+        return tcp.inverse() * Pose(body.xpos, wxyz_to_xyzw(body.xquat))
+
+
+def grasp(robot: str) -> Grasp:
+    """Close the gripper of a lab around a cuboid that floats at its TCP until it is held."""
+    lab = lab_of(robot)
+    (stand,) = lab.stands
+    arm = lookup.find("arm", stand.arm)
+    gripper = lookup.find("gripper", lab.end_effector or "")
+    assert isinstance(arm, ArmDescription)
+    assert isinstance(gripper, GripperDescription)
+    placement = RobotPlacement(name="robot", arm=arm, gripper=gripper, base_in_scene=stand.base_in_scene)
+    scene = Scene.empty()
+    PickCuboid(lab.area).furnish(scene)
+    scene.add_robot(placement)
+    scene.spec.body(CUBOID).gravcomp = 1.0
+    model = scene.compile()
+    data = mujoco.MjData(model)
+    layout = RobotLayout.of(placement, model)
+    data.qpos[layout.qpos] = data.ctrl[layout.ctrl] = placement.arm.home
+    data.qpos[layout.finger_qpos] = gripper.joint_open
+    mujoco.mj_forward(model, data)
+    # Its shorter edge along the TCP's y axis, in which the fingers close.
+    held = data.site(layout.tcp_site)
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, held.xmat)
+    data.joint(CUBOID).qpos[:] = [*held.xpos, *quaternion]
+    data.ctrl[layout.finger_actuator] = gripper.ctrl_closed
+    mujoco.mj_step(model, data, nstep=round(GRASP_TIME / model.opt.timestep))
+    model.body_gravcomp[model.body(CUBOID).id] = 0.0
+    mujoco.mj_step(model, data, nstep=round(0.5 / model.opt.timestep))
+    return Grasp(model, data, layout)
+
+
+def swing(duration: float, time: float) -> float:
+    """Return the turn after a time of a swing there and back with a smooth speed [rad]."""
+    return SWING / 2 * (1.0 - np.cos(2.0 * np.pi * time / duration))
+
+
+@pytest.mark.parametrize("robot", ["fr3", "ur5e", "so101"])
+def test_a_held_cuboid_creeps_less_than_a_millimetre_while_the_arm_swings(robot: str) -> None:
+    held = grasp(robot)
+    model, data = held.model, held.data
+    before = held.cuboid_in_tcp()
+    duration = 2.0 * SWING / SPEED
+    first = int(np.arange(model.nu)[held.layout.ctrl][0])
+    home = data.ctrl[first]
+    for step in range(round(duration / model.opt.timestep)):
+        data.ctrl[first] = home + swing(duration, step * model.opt.timestep)
+        mujoco.mj_step(model, data)
+    data.ctrl[first] = home
+    mujoco.mj_step(model, data, nstep=round(1.0 / model.opt.timestep))
+    moved = before.inverse() * held.cuboid_in_tcp()
+    assert np.linalg.norm(moved.translation) < 1e-3
+    assert np.linalg.norm(moved.rotvec) < np.deg2rad(3.0)
+
+
+def depths(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> NDArray[np.float64]:
+    """Return how deep contacts are in each step [m]."""
+    deepest = np.zeros(steps)
+    for step in range(steps):
+        mujoco.mj_step(model, data)
+        deepest[step] = -min((contact.dist for contact in data.contact), default=0.0)
+    return deepest
+
+
+def test_a_cuboid_that_is_dropped_hardly_sinks_into_the_table() -> None:
+    scene, task = Scene.empty(), PickCuboid(Area())
+    task.furnish(scene)
+    model = scene.compile()
+    data = mujoco.MjData(model)
+    data.joint(CUBOID).qpos[2] = 0.3 + task.edges[2] / 2
+    depth = depths(model, data, round(1.0 / model.opt.timestep))
+    assert 0.0 < depth.max() < 5e-3
+    assert depth[-1] < 1e-4
