@@ -33,7 +33,7 @@ from rcs.tasks.lift_bar import MAX_YAW
 
 DOCS = Path(__file__).parents[1] / "docs"
 CONTROLS = ("joints", "tquat", "xyzrpy")
-TASKS = ("PickCuboid", "PickToy", "LiftBar", "Free")
+TASKS = ("PickCuboid", "Place", "Stack", "PickToy", "LiftBar", "Free")
 NOTE = "<!-- Written by tools/reference_pages.py from the code; do not edit. -->\n"
 
 MEANINGS = {
@@ -52,6 +52,7 @@ MEANINGS = {
     "is_grasped": "whether the object is grasped: both pads of the gripper press on it (of two arms: of both)",
     "is_touched": "whether any part of the robot presses on the object",
     "cuboid": "pose of the cuboid in the robot's base frame: translation [m], quaternion xyzw",
+    "goal": "pose of the cuboid where it belongs, at any yaw, in the robot's base frame: translation [m], quaternion xyzw",
     "toy": "pose of the toy in the robot's base frame: translation [m], quaternion xyzw; only its yaw counts",
     "bar_in_scene": "pose of the bar in the scene: translation [m], quaternion xyzw",
     "grasp_offset": "distance of each grasp from the middle of the bar, along its y axis [m]",

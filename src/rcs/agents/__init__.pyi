@@ -1,6 +1,8 @@
 from rcs.agents.action_writer import ActionWriter as ActionWriter
 from rcs.agents.agent import Agent as Agent
 from rcs.agents.agent import Event as Event
+from rcs.agents.carry import PlaceExpert as PlaceExpert
+from rcs.agents.carry import StackExpert as StackExpert
 from rcs.agents.choice import agent_for as agent_for
 from rcs.agents.experts import LiftExpert as LiftExpert
 from rcs.agents.experts import PickExpert as PickExpert

@@ -27,11 +27,16 @@ EMPTY = 0.05
 """Opening below which nothing is grasped: empty jaws close to 0, those of an SO101 on its cuboid to 0.1."""
 
 
+def are_still(script: Script) -> bool:
+    """Return whether all grippers stand still."""
+    pairs = [(float(arm.observation[GRIPPER][0]), float(arm.before[GRIPPER][0])) for arm in script.arms]
+    return all(abs(now - before) < STILL * script.step_time for now, before in pairs)
+
+
 def have_closed(script: Script) -> bool:
     """Return whether all grippers stand still, closed on something or on nothing."""
-    pairs = [(float(arm.observation[GRIPPER][0]), float(arm.before[GRIPPER][0])) for arm in script.arms]
-    are_still = all(now < BARELY_CLOSED and abs(now - before) < STILL * script.step_time for now, before in pairs)
-    return script.elapsed > CLOSING_TIME and are_still
+    have_moved = all(float(arm.observation[GRIPPER][0]) < BARELY_CLOSED for arm in script.arms)
+    return script.elapsed > CLOSING_TIME and have_moved and are_still(script)
 
 
 def are_empty(script: Script) -> bool:
@@ -49,8 +54,16 @@ CLOSE = Phase("close", "grasp", opening=0.0, until=have_closed, risk=("no_contac
 """For a gripper with a measured opening."""
 
 
-_Reach = tuple[NDArray[np.float64], NDArray[np.float64]]
+Reach = tuple[NDArray[np.float64], NDArray[np.float64]]
 """A TCP pose (7,) and the joints that reach it [rad]."""
+
+
+def reach(arm: ScriptedArm, tool: Pose, start: NDArray[np.float64], restarts: int = 0) -> Reach | None:
+    """Return how an arm reaches a pose; None if it cannot. With fewer than six joints it may have to tilt its tool."""
+    kinematics = arm.kinematics
+    result = kinematics.inverse(tool, start, ik_options(kinematics, restarts))
+    tcp = tool if kinematics.dof >= 6 else kinematics.forward(result.joints)
+    return (tcp.tquat, result.joints) if result.status == IkStatus.ok else None
 
 
 def plan_from_above(
@@ -60,6 +73,7 @@ def plan_from_above(
     *,
     lift: float = 0.15,
     in_tcp: tuple[float, float] = (0.0, 0.0),
+    lean: float = 0.0,
 ) -> Plan | None:
     """Plan a grasp with the tool pointing down, with the least tilt and joint motion.
 
@@ -70,29 +84,28 @@ def plan_from_above(
             smallest largest joint motion wins.
         lift: Height to lift above the grasp [m]; the tasks require 0.10.
         in_tcp: Grasped point along the TCP's x and y [m].
+        lean: How far the hand leans away from the base, its fingers towards it [rad].
 
     Returns:
         The poses `above`, `grasp` and `lifted`; None if nothing is feasible.
     """
-    kinematics = arm.kinematics
+    x, y, _ = where.translation
+    leaning = Pose.from_rotvec((0.0, 0.0, 0.0), np.array([-y, x, 0.0]) * (lean / np.hypot(x, y)))
 
-    def reach(height: float, turn: float, start: NDArray[np.float64], restarts: int = 0) -> _Reach | None:
+    def above(height: float, turn: float, start: NDArray[np.float64], restarts: int = 0) -> Reach | None:
         # A half turn about x points the tool down.
-        down = Pose.from_rpy(where.translation + [0.0, 0.0, height], (np.pi, 0.0, turn))
-        tool = down * Pose((-in_tcp[0], -in_tcp[1], 0.0))
-        result = kinematics.inverse(tool, start, ik_options(kinematics, restarts))
-        # An arm with fewer than six joints may have to tilt its tool.
-        tcp = tool if kinematics.dof >= 6 else kinematics.forward(result.joints)
-        return (tcp.tquat, result.joints) if result.status == IkStatus.ok else None
+        down = leaning * Pose.from_rpy((0.0, 0.0, 0.0), (np.pi, 0.0, turn))
+        tool = Pose(where.translation + [0.0, 0.0, height], down.quaternion)
+        return reach(arm, tool * Pose((-in_tcp[0], -in_tcp[1], 0.0)), start, restarts)
 
     for group in turns:
         ways: list[tuple[float, Plan]] = []
         for turn in group:
-            above = reach(CLEARANCE, turn, arm.start, restarts=10)
-            grasp, lifted = (above and reach(height, turn, above[1]) for height in (0.0, lift))
-            if above and grasp and lifted:
+            first = above(CLEARANCE, turn, arm.start, restarts=10)
+            grasp, lifted = (first and above(height, turn, first[1]) for height in (0.0, lift))
+            if first and grasp and lifted:
                 motion = float(np.abs(grasp[1] - arm.start).max())
-                ways.append((motion, {"above": above[0], "grasp": grasp[0], "lifted": lifted[0]}))
+                ways.append((motion, {"above": first[0], "grasp": grasp[0], "lifted": lifted[0]}))
         if ways:
             return min(ways, key=lambda way: way[0])[1]
     return None

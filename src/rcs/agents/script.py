@@ -107,6 +107,9 @@ class Script(Agent):
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Return the poses of an arm by the names used in phases (`home` is added); None if they are not feasible."""
 
+    def prepare(self, phase: Phase) -> None:  # noqa: B027  most plans need no second look
+        """Change the arms' plans when a phase begins, by what is known then."""
+
     @property
     def failure(self) -> str | None:
         """`ik`: a pose is not feasible; `no_contact`: a gripper closed on nothing; `slip`: it lost the object."""
@@ -177,6 +180,7 @@ class Script(Agent):
 
     def _enter(self, phase: Phase) -> None:
         self._phase, self._began, self.elapsed = phase, self._now, 0.0
+        self.prepare(phase)
 
     def _step(self, arm: ScriptedArm) -> Action:
         phase, place = self._phase, arm.plan.get(self._phase.goal, arm.target)

@@ -23,12 +23,18 @@ EPISODE_STEPS = 300
 BUILT_IN = {
     "rcs/FR3-v0": ("Free", "fr3"),
     "rcs/PickCuboid-FR3-v0": ("PickCuboid", "fr3"),
+    "rcs/Place-FR3-v0": ("Place", "fr3"),
+    "rcs/Stack-FR3-v0": ("Stack", "fr3"),
     "rcs/DualFR3-v0": ("Free", "dual_fr3"),
     "rcs/LiftBar-DualFR3-v0": ("LiftBar", "dual_fr3"),
     "rcs/SO101-v0": ("Free", "so101"),
     "rcs/PickCuboid-SO101-v0": ("PickCuboid", "so101"),
+    "rcs/Place-SO101-v0": ("Place", "so101"),
+    "rcs/Stack-SO101-v0": ("Stack", "so101"),
     "rcs/UR5e-v0": ("Free", "ur5e"),
     "rcs/PickCuboid-UR5e-v0": ("PickCuboid", "ur5e"),
+    "rcs/Place-UR5e-v0": ("Place", "ur5e"),
+    "rcs/Stack-UR5e-v0": ("Stack", "ur5e"),
     "rcs/XArm7-v0": ("Free", "xarm7"),
     "rcs/PickToy-XArm7-v0": ("PickToy", "xarm7"),
 }

@@ -1,0 +1,151 @@
+"""Place: carry a cuboid to a mark on the table, set it down there and let go of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.envs.draws import Draws
+from rcs.envs.layers import Where
+from rcs.envs.task import Judgement, Task
+from rcs.sim.robot import SimRobot
+from rcs.sim.scene import TABLE, Scene
+from rcs.sim.world import World
+from rcs.tasks.lifting import FreeBody, add_box, table_height, upright
+from rcs.tasks.pick_cuboid import CUBOID, MASS, SIZE
+from rcs.tasks.setting_down import Delivery, RestOptions
+
+MARK = "mark"
+RADIUS = 0.045
+"""Radius of the mark [m]: a cuboid on it leaves its edge in sight."""
+RINGS = ((1.0, (0.80, 0.12, 0.10)), (0.66, (0.95, 0.95, 0.93)), (0.33, (0.80, 0.12, 0.10)))
+"""Rings of the mark, from the outermost: share of its radius, and colour."""
+THICKNESS = 0.0004
+"""How far each ring lies above the one around it [m], so that it is seen; nothing touches them."""
+APART = 0.12
+"""Least distance from the cuboid to the mark at the start [m]: neither covers the other."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaceOptions(RestOptions):
+    """Options of Place."""
+
+    tolerance: float = 0.02
+    """Largest distance of the cuboid's middle from that of the mark [m]."""
+
+
+class Place(Task):
+    """Carry a cuboid to a mark on the table, set it down there and let go of it.
+
+    It is a success when the cuboid lies within 2 cm of the mark's middle, flat, on the table, and touched by nothing
+    else, and has been at rest there for half a second. The gripper must have lifted it off the table before, and must
+    have let go of it within 3 cm of where it belongs: a cuboid that is pushed, dropped or thrown there does not count.
+    This is judged at the end of each step.
+
+    The dense reward is the progress since the last step, plus 1 at success. Progress has a quarter each for reaching,
+    grasping, carrying and letting go.
+    """
+
+    instruction = "put the green cuboid on the red mark"
+    expert = "PlaceExpert"
+    Options = PlaceOptions
+    options: PlaceOptions
+
+    def furnish(self, scene: Scene) -> None:
+        """Add a table, the mark and the cuboid."""
+        scene.add_table()
+        scale = self.area.object_scale
+        add_mark(scene, MARK, self.area.center, radius=scale * RADIUS)
+        edges = [scale * edge for edge in SIZE]
+        add_box(scene, CUBOID, self.area.center, edges=edges, mass=MASS * scale**3, rgb=(0.10, 0.55, 0.20))
+
+    def objects(self) -> list[str]:
+        """Return the cuboid."""
+        return [CUBOID]
+
+    def bind(self, world: World, robots: list[SimRobot]) -> None:
+        """Register poses and forces for readout.
+
+        Raises:
+            InvalidSetup: There is not exactly one robot, or it has no gripper.
+        """
+        rest_time = self.options.rest_time
+        self._world = world
+        self._delivery = Delivery(world, robots, CUBOID, on=TABLE, at=MARK, rest_time=rest_time)
+        self._poses = {name: world.read_pose(name) for name in (CUBOID, MARK)}
+        self._body = FreeBody(world, CUBOID)
+        self._mark = MocapBody(world, MARK)
+        self._geom = int(world.model.geom(CUBOID).id)
+
+    def reset(self, draws: Draws, where: Where) -> None:
+        """Put the cuboid and the mark at random places, the cuboid at any yaw."""
+        height = self._world.field("geom_size")[..., self._geom, 2]  # varies between episodes
+        table = table_height(self._world)[where]
+        place = self.area.draw_place(draws)
+        self._body.place(upright(place, table + height[where]), where)
+        other = self.area.draw_apart(draws, place, APART * self.area.object_scale)
+        other[..., 2] = 0.0  # it is round
+        self._mark.place(upright(other, table), where)
+        self._delivery.reset(where, height)
+
+    def object_poses(self) -> dict[str, NDArray[np.float64]]:
+        """Return the poses of the cuboid and of the mark in the scene."""
+        return {name: self._world.poses[..., i, :].copy() for name, i in self._poses.items()}
+
+    def place(self, poses: Mapping[str, NDArray[np.float64]], where: Where) -> None:
+        """Put the cuboid or the mark at a given pose."""
+        if CUBOID in poses:
+            self._body.place(poses[CUBOID], where)
+        if MARK in poses:
+            self._mark.place(poses[MARK], where)
+
+    def evaluate(self) -> Judgement:
+        """Judge where the cuboid is and whether it was set down there."""
+        progress, info = self._delivery.judge(self.options.tolerance)
+        return Judgement(reward=self.reward(progress, info["success"]), terminated=info["success"], info=info)
+
+    def describe(self) -> dict[str, NDArray[Any]]:
+        """Return where the cuboid is, and where it belongs."""
+        return self._delivery.describe()
+
+
+class MocapBody:
+    """A body that nothing moves but the task; its pose is a part of the state."""
+
+    def __init__(self, world: World, name: str) -> None:
+        """Look up its place in the state."""
+        state = mujoco.mjtState
+        which = int(world.model.body(name).mocapid[0])
+        self._translation = slice(3 * which, 3 * which + 3)
+        self._positions = world.core.component(state.mjSTATE_MOCAP_POS.value)
+
+    def place(self, pose: NDArray[np.float64], where: Where) -> None:
+        """Put the bodies of some copies at places in the scene; of poses (*leading of these, 7) only these count [m]."""
+        self._positions[where, self._translation] = pose[..., :3]
+
+
+def add_mark(scene: Scene, name: str, place: tuple[float, float], *, radius: float) -> None:
+    """Add a round mark on the table, red and white, that nothing touches and a `MocapBody` places.
+
+    Args:
+        scene: The scene, before it is compiled.
+        name: Name of its body.
+        place: x, y of its middle in the scene [m].
+        radius: Its radius [m].
+    """
+    body = scene.spec.worldbody.add_body(name=name, pos=[*place, 0.0], mocap=True)
+    for i, (share, rgb) in enumerate(RINGS):
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[share * radius, (i + 1) * THICKNESS / 2, 0.0],
+            pos=[0.0, 0.0, (i + 1) * THICKNESS / 2],
+            rgba=[*rgb, 1.0],
+            contype=0,
+            conaffinity=0,
+            group=0,
+        )

@@ -1,0 +1,155 @@
+"""What tasks share in which a robot carries a cuboid to a place, sets it down there and lets go of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.envs.layers import Where
+from rcs.envs.task import Task
+from rcs.errors import InvalidSetup
+from rcs.sim.robot import SimRobot
+from rcs.sim.world import World
+from rcs.spatial import compose
+from rcs.tasks.holding import TOUCH_FORCE, Grip, HoldTimer, all_but
+from rcs.tasks.lifting import norm
+
+MAX_TILT = np.deg2rad(5.0)
+"""Tilt above which a cuboid does not count as lying flat [rad]."""
+STIR = 0.002
+"""Distance that a cuboid may move while it counts as at rest [m]."""
+HAND_OVER = 0.03
+"""Distance from its goal at which the gripper may still let go of a cuboid [m]: beyond, it is dropped or thrown."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestOptions(Task.Options):
+    """Options of a task of setting something down."""
+
+    rest_time: float = 0.5
+    """How long it must lie there at rest, without a break [s], in simulated time."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            InvalidSetup: A number is not above 0.
+        """
+        super().__post_init__()
+        for name, value in vars(self).items():
+            if isinstance(value, int | float) and not value > 0:
+                raise InvalidSetup(f"The task option {name} is {value!r}; valid is a number above 0.")
+
+
+class Delivery:
+    """Judges in each copy whether a robot has carried an object to its goal, set it down there and let go of it."""
+
+    def __init__(
+        self, world: World, robots: Sequence[SimRobot], name: str, *, on: str, at: str, rest_time: float
+    ) -> None:
+        """Register forces and poses for readout.
+
+        Args:
+            world: The world, before its first step.
+            robots: The one robot.
+            name: Name of the object's body and of its geom.
+            on: Name of the body on which it belongs.
+            at: Name of the body above whose origin it belongs.
+            rest_time: How long it must lie there [s].
+
+        Raises:
+            InvalidSetup: There is not exactly one robot, or it has no gripper.
+        """
+        if len(robots) != 1 or robots[0].placement.gripper is None:
+            raise InvalidSetup("A task of setting something down needs one robot with a gripper.")
+        robot, core = robots[0], world.core
+        surface = world.geom_flags([name])
+        self._world = world
+        self._name = name
+        self._grip = Grip(world, robots, name)
+        self._rest = HoldTimer(world, rest_time, STIR)
+        self._on = core.read_force(world.subtree_flags(on), surface)
+        self._elsewhere = core.read_force(all_but(world, on, name), surface)
+        self._touched = core.read_force(world.subtree_flags(robot.placement.base_body), surface)
+        own, other = (int(world.model.body(body).id) for body in (name, at))
+        self._object, self._at = (core.read_body_pose(body, 0) for body in (own, other))
+        self._object_in_base, self._at_in_base = (
+            core.read_body_pose(body, robot.layout.base_body) for body in (own, other)
+        )
+        self._tcp = core.read_pose(robot.layout.tcp_site, 0)
+        self._height: NDArray[np.float64] = np.zeros((*world.leading, 1))
+        """Of the goal above the origin of `at` [m]."""
+        self._was_lifted: NDArray[np.bool_] = np.zeros(world.leading, np.bool_)
+        """Whether the object was in the gripper, and touched nothing else, at least once."""
+        self._was_delivered: NDArray[np.bool_] = np.zeros(world.leading, np.bool_)
+        """Whether it was near its goal when the gripper held it last, after it had been lifted."""
+
+    def reset(self, where: Where, height: NDArray[np.float64]) -> None:
+        """Forget what happened in some copies, and take over how high above `at` the goals of all are [m]."""
+        self._grip.reset()
+        self._rest.reset(where)
+        self._height = height[..., None].copy()
+        self._was_lifted, self._was_delivered = np.array(self._was_lifted), np.array(self._was_delivered)
+        self._was_lifted[where] = self._was_delivered[where] = False
+
+    def _goal(self, at: int) -> NDArray[np.float64]:
+        up = np.zeros((*self._world.leading, 7))
+        up[..., 2:3], up[..., 6] = self._height, 1.0
+        return compose(self._world.poses[..., at, :], up)
+
+    def describe(self) -> dict[str, NDArray[Any]]:
+        """Return what agents are told at the start of an episode."""
+        never = np.zeros(self._world.leading, np.bool_)
+        return {"success": never, "is_grasped": never, "is_touched": never, **self._poses()}
+
+    def _poses(self) -> dict[str, NDArray[np.float64]]:
+        cuboid = self._world.poses[..., self._object_in_base, :].copy()
+        return {self._name: cuboid, "goal": self._goal(self._at_in_base)}
+
+    def judge(
+        self, tolerance: float, is_ready: NDArray[np.bool_] | np.bool_ = np.True_
+    ) -> tuple[NDArray[np.float64], dict[str, NDArray[Any]]]:
+        """Return progress, 0 … 1, (*leading,), and what agents are told, with `success`.
+
+        Progress has a quarter each for reaching, grasping, carrying to the goal what has been lifted, and letting go of
+        it there.
+
+        Args:
+            tolerance: Horizontal distance from the goal within which the object may lie [m].
+            is_ready: Whether what it lies on is as it should be, (*leading,).
+        """
+        poses, forces = self._world.poses, self._world.forces
+        pose = poses[..., self._object, :]
+        offset = pose[..., :3] - self._goal(self._at)[..., :3]
+        distance = norm(offset)
+        is_grasped = self._grip.grasps()[..., 0]
+        if is_grasped.any():
+            self._was_lifted = self._was_lifted | (is_grasped & self._grip.is_free())
+            is_near = self._was_lifted & (distance <= HAND_OVER)
+            self._was_delivered = np.where(is_grasped, is_near, self._was_delivered)
+        beside = np.sqrt(offset[..., 0] * offset[..., 0] + offset[..., 1] * offset[..., 1])
+        is_there = self._was_delivered & is_ready & (forces[..., self._on] > 0.0) & (beside <= tolerance)
+        is_there = is_there & is_flat(pose)
+        is_released = forces[..., self._elsewhere] == 0.0
+        success = self._rest.count(is_there & is_released, pose[..., None, :3])
+        reach = 1.0 - np.tanh(5.0 * norm(pose[..., :3] - poses[..., self._tcp, :3]))
+        near = 1.0 - np.tanh(5.0 * distance)
+        on_the_way = reach + is_grasped * (1.0 + self._was_lifted * near)
+        progress = 0.25 * np.where(is_there, 3.0 + is_released, on_the_way)
+        is_touched = forces[..., self._touched] > TOUCH_FORCE
+        return progress, {
+            "success": success,
+            "is_grasped": is_grasped,
+            "is_touched": is_touched,
+            **self._poses(),
+        }
+
+
+def is_flat(pose: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return whether the z axes of poses (*leading, 7) point up."""
+    x, y = pose[..., 3], pose[..., 4]
+    return 1.0 - 2.0 * (x * x + y * y) > np.cos(MAX_TILT)
