@@ -53,19 +53,17 @@ class TakenCircles:
     """The circles on the table that a task's objects take up, with room for a gripper."""
 
     def __init__(self, world: World, task: Task) -> None:
-        """Look up the objects whose places the task tells."""
+        """Use the objects of a task that is bound to the world, those whose poses it tells."""
         self._world = world
         self._task = task
-        self._parts = {name: ObjectParts(world, name) for name in task.objects()}
+        self._parts: dict[str, ObjectParts] = {}
 
     def at(self, where: Where) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """Return the present circles of some copies, as `Clutter.reset` takes them; the world is refreshed."""
         poses = self._task.object_poses()
-        return [
-            (poses[name][where][..., :2], self._radius(parts)[where] + ROOM)
-            for name, parts in self._parts.items()
-            if name in poses
-        ]
+        if not self._parts:
+            self._parts = {name: ObjectParts(self._world, name) for name in poses}
+        return [(pose[where][..., :2], self._radius(self._parts[name])[where] + ROOM) for name, pose in poses.items()]
 
     def _radius(self, parts: ObjectParts) -> NDArray[np.float64]:
         """Return the radius of a circle around an object's root from above, (*leading,)."""

@@ -160,8 +160,8 @@ class Randomisation:
 
 FACTORS = frozenset(
     {
-        "light_intensity", "field_of_view", "object_size", "object_mass", "friction", "object_friction", "joint_damping",
-        "servo_stiffness", "servo_damping", "gripper_force",
+        "light_intensity", "field_of_view", "object_size", "object_mass", "friction", "object_friction",
+        "joint_damping", "servo_stiffness", "servo_damping", "gripper_force",
     }
 )  # fmt: skip
 """Fields that are factors."""
