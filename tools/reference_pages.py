@@ -371,8 +371,8 @@ def options_page() -> str:
         "They are about this run, and are not stored.\n",
         table(("argument", "meaning"), rows),
         "## Ranges of `Randomisation`\n",
-        "`randomisation=True` takes these; `rcs.Randomisation(...)` changes some, and `rcs.Randomisation.off(...)` "
-        "varies nothing but what is given.\n",
+        "`randomisation=True` or `\"default\"` takes these, `\"mild\"` about half and `\"strong\"` about twice as much; "
+        "`rcs.Randomisation(...)` changes some, and `rcs.Randomisation.off(...)` varies nothing but what is given.\n",
         options_table(rcs.Randomisation),
     ]
     return "\n".join(parts)
