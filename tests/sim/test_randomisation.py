@@ -83,7 +83,8 @@ def test_what_json_does_not_name_does_not_vary() -> None:
     assert Randomisation.from_json({"friction": [0.5, 2.0]}) == Randomisation.off(friction=(0.5, 2.0))
 
 
-def widths(ranges: Randomisation, name: str) -> float:
+def widths(ranges: Randomisation | None, name: str) -> float:
+    assert ranges is not None
     low, high = ranges.bounds(name)
     return high - low
 
