@@ -28,6 +28,7 @@ from rcs.robots import ArmDescription, CameraDescription, GripperDescription, Ha
 from rcs.setups import CameraMount, Lab, ids, lab_of, tasks_of
 from rcs.sim.camera import Quality
 from rcs.sim.detail import Assets
+from rcs.sim.randomisation import Preset
 from rcs.sim.world import Stepping
 from rcs.tasks.lift_bar import MAX_YAW
 
@@ -70,7 +71,7 @@ MEANINGS = {
 
 VALUES = {
     "Quality": get_args(Quality), "Assets": get_args(Assets), "Control": get_args(Control),
-    "RelativeTo": get_args(RelativeTo), "Stepping": get_args(Stepping),
+    "RelativeTo": get_args(RelativeTo), "Stepping": get_args(Stepping), "Preset": get_args(Preset),
 }  # fmt: skip
 """Values of options by the name of their type."""
 
@@ -374,8 +375,8 @@ def options_page() -> str:
         "They are about this run, and are not stored.\n",
         table(("argument", "meaning"), rows),
         "## Ranges of `Randomisation`\n",
-        "`randomisation=True` takes these; `rcs.Randomisation(...)` changes some, and `rcs.Randomisation.off(...)` "
-        "varies nothing but what is given.\n",
+        "`randomisation=True` or `\"default\"` takes these, `\"mild\"` about half and `\"strong\"` about twice as much; "
+        "`rcs.Randomisation(...)` changes some, and `rcs.Randomisation.off(...)` varies nothing but what is given.\n",
         options_table(rcs.Randomisation),
     ]
     return "\n".join(parts)

@@ -54,7 +54,7 @@ def test_collect_again_finds_everything_there(capsys: pytest.CaptureFixture[str]
 
 def test_randomised_episodes_are_collected_and_replayed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     options = ["--episodes", "2", "--cameras", "none", "--workers", "1", "--out", str(tmp_path / "varied")]
-    assert call(capsys, "collect", "PickCuboid", "--randomise", *options)[0] == 0
+    assert call(capsys, "collect", "PickCuboid", "--randomise", "default", *options)[0] == 0
     assert "object_mass" in Dataset.open(tmp_path / "varied").episodes[0].outcome["randomisation"]
     assert call(capsys, "data", "replay", str(tmp_path / "varied"))[0] == 0
 

@@ -57,7 +57,13 @@ def test_relative_may_be_a_boolean(given: Any, relative: str) -> None:
 
 @pytest.mark.parametrize(
     ("given", "ranges"),
-    [(True, Randomisation()), (False, None), ({"friction": [0.5, 2.0]}, Randomisation(friction=(0.5, 2.0)))],
+    [
+        (True, Randomisation()),
+        (False, None),
+        ({"friction": [0.5, 2.0]}, Randomisation.off(friction=(0.5, 2.0))),
+        ("strong", Randomisation.strong()),
+        ("none", None),
+    ],
 )
 def test_randomisation_may_be_a_boolean_or_json(given: Any, ranges: Randomisation | None) -> None:
     assert Setup(randomisation=given).randomisation == ranges

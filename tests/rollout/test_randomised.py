@@ -14,7 +14,7 @@ from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.episode import run_episode
 from rcs.rollout.replay import replay, setup_of
 
-SETUP = rcs.Setup(randomisation=rcs.Randomisation())
+SETUP = rcs.Setup(randomisation=rcs.Randomisation(distractors=2))
 
 
 @pytest.fixture(scope="module")

@@ -10,15 +10,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rcs.errors import InvalidSetup
-from rcs.sim.randomisation import FACTORS, Randomisation
+from rcs.sim.randomisation import COUNTS, FACTORS, OFF, SPANS, Randomisation
 
 FACTOR = st.tuples(st.floats(0.1, 1.0), st.floats(1.0, 3.0))
 NAMES = [field.name for field in dataclasses.fields(Randomisation)]
-RANGES = st.builds(
-    Randomisation,
-    **{name: FACTOR if name in FACTORS else st.floats(0.0, 0.4) for name in NAMES if name != "textures"},
-    textures=st.integers(0, 8),
-)
+SPAN = st.tuples(st.floats(0.0, 0.2), st.floats(0.2, 0.5))
+
+
+def values_of(name: str) -> st.SearchStrategy[Any]:
+    if name in COUNTS:
+        return st.integers(0, 8)
+    if name in FACTORS:
+        return FACTOR
+    return SPAN if isinstance(OFF[name], tuple) else st.floats(0.0, 0.1)
+
+
+RANGES = st.builds(Randomisation, **{name: values_of(name) for name in NAMES})
 
 
 @settings(max_examples=50, deadline=None)
@@ -29,14 +36,15 @@ def test_json_and_pickle_give_the_same_ranges_back(ranges: Randomisation) -> Non
     assert hash(Randomisation.from_json(ranges.to_json())) == hash(ranges)
 
 
-def test_the_default_varies_everything_and_off_nothing() -> None:
-    assert all(Randomisation().varies(name) for name in NAMES)
+def test_the_default_varies_everything_but_adds_no_distractors_and_off_varies_nothing() -> None:
+    assert [name for name in NAMES if not Randomisation().varies(name)] == ["distractors"]
+    assert all(Randomisation.strong().varies(name) for name in NAMES)
     assert not any(Randomisation.off().varies(name) for name in NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_off_varies_what_is_given(name: str) -> None:
-    ranges = Randomisation.off(**{name: getattr(Randomisation(), name)})
+    ranges = Randomisation.off(**{name: getattr(Randomisation.strong(), name)})
     assert [other for other in NAMES if ranges.varies(other)] == [name]
 
 
@@ -46,6 +54,14 @@ def test_off_varies_what_is_given(name: str) -> None:
         *((name, value) for name in FACTORS for value in (1.0, (1.0,), (1.2, 0.8), (0.0, 1.0), (-1, 1), "11", None)),
         *((name, float("nan")) for name in NAMES),
         *((name, -0.1) for name in NAMES if name not in FACTORS),
+        *((name, (0.2, 0.1)) for name in SPANS),
+        *((name, (0.0, 2.0)) for name in SPANS),
+        *((name, 0.1) for name in SPANS),
+        ("robot_start", 2.0),
+        ("table_height", 0.5),
+        ("late_actions", 1.0),
+        ("distractors", 17),
+        ("distractors", True),
         ("camera_rotation", 3.0),
         ("table_colour", 1.5),
         ("light_position", True),
@@ -61,3 +77,24 @@ def test_a_range_that_makes_no_sense_is_refused_by_name(field: str, value: Any) 
 def test_an_unknown_field_is_refused_with_the_known_ones() -> None:
     with pytest.raises(InvalidSetup, match=r"colour.*object_mass"):
         Randomisation.from_json({"colour": 1.0})
+
+
+def test_what_json_does_not_name_does_not_vary() -> None:
+    assert Randomisation.from_json({"friction": [0.5, 2.0]}) == Randomisation.off(friction=(0.5, 2.0))
+
+
+def widths(ranges: Randomisation | None, name: str) -> float:
+    assert ranges is not None
+    low, high = ranges.bounds(name)
+    return high - low
+
+
+def test_presets_are_found_by_name_and_each_varies_no_less_than_the_one_before() -> None:
+    assert Randomisation.of("none") is None
+    mild, usual, strong = (Randomisation.of(name) for name in ("mild", "default", "strong"))
+    assert usual == Randomisation()
+    for name in NAMES:
+        least, middle, most = (widths(ranges, name) for ranges in (mild, usual, strong))
+        assert least <= middle <= most, name
+    with pytest.raises(InvalidSetup, match=r"'wild'.*'none', 'mild', 'default', 'strong'"):
+        Randomisation.of("wild")

@@ -111,7 +111,8 @@ def test_size_mass_friction_and_colour_are_drawn(task: str, robot: str) -> None:
     drawn = {key: values.ravel() for key, values in info["randomisation"].items()}
     np.testing.assert_allclose(size, nominal[0] * drawn["object_size"], rtol=1e-12)
     np.testing.assert_allclose(rgba[0, :3], np.clip(nominal[1][0, :3] + drawn["object_colour"], 0, 1), rtol=1e-6)
-    np.testing.assert_allclose(friction, nominal[2] * drawn["friction"], rtol=1e-12)
+    factor = drawn["friction"] * drawn["object_friction"]
+    np.testing.assert_allclose(friction, nominal[2] * factor, rtol=1e-12)
     np.testing.assert_allclose(mass, nominal[3] * drawn["object_mass"], rtol=1e-12)
 
 

@@ -163,7 +163,7 @@ class Script(Agent):
         self._attempt += 1
         plans = [self.plan(arm) for arm in self.arms]
         for arm, plan in zip(self.arms, plans, strict=True):
-            arm.plan = {"home": arm.kinematics.forward(arm.start).tquat, **(plan or {})}
+            arm.plan = {"home": arm.kinematics.forward(np.array(arm.robot.arm.home)).tquat, **(plan or {})}
         if None in plans:
             self._failure = "ik"
         self._enter(GIVEN_UP if None in plans else self.phases[0])

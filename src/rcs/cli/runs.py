@@ -24,7 +24,7 @@ from rcs.rollout.collect import Attempt
 from rcs.rollout.evaluate import Summary
 from rcs.setups.lab import lab_of
 from rcs.sim.detail import Assets
-from rcs.sim.randomisation import Randomisation
+from rcs.sim.randomisation import Preset, Randomisation
 from rcs.sim.world import Stepping
 
 INTERRUPTED = 130
@@ -67,8 +67,8 @@ class SetupOptions:
     """Absolute actions instead of differences to the last step."""
     frequency: float = 30.0
     """Control steps per second [Hz]."""
-    randomise: bool = False
-    """Vary lights, colours, textures, cameras, objects, friction and damping from episode to episode."""
+    randomise: Preset = "none"
+    """Vary looks, objects, physics, start and timing of the robots from episode to episode, within these ranges."""
     assets: Assets = "builtin"
     """Looks of the robots: `menagerie` for detailed meshes, which are slow to draw without a GPU."""
 
@@ -98,7 +98,7 @@ class SetupOptions:
             relative="absolute" if self.absolute else "last_step",
             frequency=self.frequency,
             stepping=stepping,
-            randomisation=Randomisation() if self.randomise else None,
+            randomisation=Randomisation.of(self.randomise),
             assets=self.assets,
         )
 

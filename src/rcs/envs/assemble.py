@@ -13,6 +13,7 @@ from rcs.devices import Arm, Gripper
 from rcs.envs.camera_port import CameraPort, FreshFrames
 from rcs.envs.chain import Chain
 from rcs.envs.clock import Clock
+from rcs.envs.clutter import Clutter
 from rcs.envs.env import Env
 from rcs.envs.follow_port import FollowPort
 from rcs.envs.gate import Gate
@@ -20,6 +21,7 @@ from rcs.envs.layers import (
     BinaryGripper,
     CartesianControl,
     GraspHand,
+    LateActions,
     Layer,
     LimitStep,
     Relative,
@@ -40,6 +42,7 @@ from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
 from rcs.hardware.site import Devices
 from rcs.kinematics import kinematics_of
+from rcs.sim.action_latency import keep_history
 from rcs.sim.camera import SimCameras
 from rcs.sim.frame_clock import FrameClock, FrameRate
 from rcs.sim.picture import Picture
@@ -65,6 +68,8 @@ class Parts:
     cameras: tuple[CameraPlacement, ...]
     tactile: tuple[TactilePlacement, ...] = ()
     task: Task
+    clutter: Clutter | None = None
+    """What lies about besides the objects of the task; None for nothing."""
     devices: Devices = field(default_factory=Devices)
     """What is real; all else is simulated."""
     layers: Mapping[str, Sequence[Layer]] = field(default_factory=dict[str, Sequence[Layer]])
@@ -158,6 +163,8 @@ def compose(parts: Parts) -> Scene:
     """Put the scene together: furniture, robots, cameras."""
     scene = Scene.empty(physics_step=parts.setup.physics_step, has_textures=parts.setup.render_quality == "full")
     parts.task.furnish(scene)
+    if parts.clutter is not None:
+        parts.clutter.furnish(scene)
     for robot in parts.robots:
         scene.add_robot(robot, assets=parts.setup.assets)
     for camera in parts.cameras:
@@ -166,7 +173,13 @@ def compose(parts: Parts) -> Scene:
         scene.add_tactile(sensor)
     if parts.setup.randomisation is not None:
         add_textures(scene.spec, parts.setup.randomisation.textures)
+        if parts.setup.randomisation.varies("action_latency"):
+            keep_history(scene.spec, parts.robots, _longest_latency(parts.setup))
     return scene
+
+
+def _longest_latency(setup: Setup) -> float:
+    return 0.0 if setup.randomisation is None else setup.randomisation.action_latency[1]
 
 
 def _is_all_real(parts: Parts, cameras: Sequence[CameraPlacement]) -> bool:
@@ -188,14 +201,16 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
     scenario: Scenario | None = None
     shared: list[Port] = []
     bodies: dict[str, SimRobot] = {}
+    randomiser: Randomiser | None = None
     if world is not None:
         bodies = {placement.name: SimRobot(world, placement) for placement in parts.robots}
         if setup.stepping == "sync":
             for robot in bodies.values():
-                robot.wait_for_arrival()
+                robot.wait_for_arrival(_longest_latency(setup))
         clock = _frame_clock(setup, simulated, world)
-        scenario = Scenario(world, list(bodies.values()), parts.task, _randomiser(parts, world), clock)
-        shared += _simulated_sensors(parts, simulated, world, list(bodies.values()), clock)
+        randomiser = _randomiser(parts, world)
+        scenario = Scenario(world, list(bodies.values()), parts.task, randomiser, clock, parts.clutter)
+        shared += _simulated_sensors(parts, simulated, world, list(bodies.values()), clock, randomiser)
     gates = list(parts.gates)
     if real:
         port = _real_cameras(parts, real)
@@ -206,6 +221,8 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
     for placement in parts.robots:
         name = placement.name
         ports, layers = _ports_of(placement, devices, bodies.get(name)), layers_of(setup, placement)
+        if randomiser is not None and not devices:
+            layers = [*_late_actions(randomiser, setup, leading), *layers]
         if len(parts.robots) == 1:
             name, ports = NAMELESS, [*ports, *shared]
             mounts = [WristCamera(camera.name, _in_tcp(camera, placement)) for camera in real if _moves(camera)]
@@ -251,7 +268,12 @@ def _frame_clock(setup: Setup, cameras: Sequence[CameraPlacement], world: World)
 
 
 def _simulated_sensors(
-    parts: Parts, observed: list[CameraPlacement], world: World, robots: list[SimRobot], clock: FrameClock
+    parts: Parts,
+    observed: list[CameraPlacement],
+    world: World,
+    robots: list[SimRobot],
+    clock: FrameClock,
+    randomiser: Randomiser | None,
 ) -> list[Port]:
     """Return the ports of everything simulated that gives frames."""
     setup = parts.setup
@@ -266,7 +288,7 @@ def _simulated_sensors(
             has_noise=setup.camera_noise,
             frame_body=robots[0].layout.base_body if len(robots) == 1 else 0,
         )
-        ports.append(SimCameraPort(cameras, clock))
+        ports.append(SimCameraPort(cameras, clock, randomiser))
     if parts.tactile:
         ports.append(SimTactilePort([SimTactile(world, sensor) for sensor in parts.tactile]))
     return ports
@@ -309,6 +331,15 @@ def _randomiser(parts: Parts, world: World) -> Randomiser | None:
     if ranges is None:
         return None
     return Randomiser(world, ranges, objects=parts.task.objects(), robots=parts.robots, cameras=parts.cameras)
+
+
+def _late_actions(randomiser: Randomiser, setup: Setup, leading: tuple[int, ...]) -> list[Layer]:
+    """Return the layer that has actions of a simulated robot come late now and then, if they do."""
+    if not randomiser.ranges.varies("late_actions") or setup.stepping == "sync":
+        return []
+    late = LateActions(randomiser.ranges.late_actions, leading)
+    randomiser.begin_too(late.begin)
+    return [late]
 
 
 def layers_of(setup: Setup, robot: RobotPlacement) -> list[Layer]:

@@ -101,7 +101,7 @@ class Audience:
             truncated=truncated,
             info=info,
             time=self._clock.now(),
-            capture_times=self._stack.capture_times(),
+            capture_times=row(self._stack.capture_times(), copy) if self._is_batch else self._stack.capture_times(),
             sim_state=None if scenario is None else scenario.world.core.get_state(copy),
             objects=row(objects, copy) if self._is_batch else objects,
             notes=self._notes,

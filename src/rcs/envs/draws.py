@@ -63,10 +63,10 @@ class Draws:
     def uniform(self, low: ArrayLike, high: ArrayLike) -> NDArray[np.float64]:
         """Return numbers from [low, high), of shape (*leading, *shape of the bounds)."""
         lower, upper = np.broadcast_arrays(np.asarray(low, np.float64), np.asarray(high, np.float64))
-        drawn = np.empty((*self.leading, lower.size))
         with np.errstate(over="ignore"):
-            for i in range(lower.size):  # indexed by dimension, never by copy
-                drawn[..., i] = units(self._next())
+            states = self._state[..., None] + np.arange(1, lower.size + 1, dtype=np.uint64) * GAMMA
+            drawn = units(mix(states))
+            self._state = self._state + np.uint64(lower.size) * GAMMA
         return lower + (upper - lower) * drawn.reshape(self.leading + lower.shape)
 
     def bits(self) -> NDArray[np.uint64]:

@@ -253,6 +253,8 @@ class Engine:
             truncated = truncated | ((self._steps >= self._max_episode_steps) & ~terminated)
             truncated = truncated if starting is None else truncated & ~starting
         info = {**info, **self.stack.info(), "time": self._time(), "end": END_NAMES[self._ends]}
+        if not self._clock.is_real and (ages := self.stack.ages()):
+            info["ages"] = ages
         if not self.leading:
             info = row(info, ...)
         info["target"] = copied(self.stack.target)

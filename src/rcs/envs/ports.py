@@ -48,6 +48,10 @@ class Port(ABC):
         """Return when each sensor was last read [s, monotonic clock of the host], by its key."""
         return {}
 
+    def ages(self) -> dict[str, Any]:
+        """Return how old what is observed is in simulated time [s], by key, where it is late on purpose."""
+        return {}
+
     def open(self) -> None:
         """Connect the device; it does not move."""
         if self.device is not None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs.envs.clutter import Clutter, TakenCircles
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
 from rcs.envs.randomiser import Randomiser
@@ -28,6 +29,7 @@ class Scenario:
         task: Task,
         randomiser: Randomiser | None = None,
         frame_clock: FrameClock | None = None,
+        clutter: Clutter | None = None,
     ) -> None:
         """Put all robots at home, the state in which every episode begins.
 
@@ -37,6 +39,7 @@ class Scenario:
             task: What to do in it.
             randomiser: Varies the world from episode to episode; None for a constant world.
             frame_clock: The cameras' clock, which needs the episode's random numbers; None without cameras.
+            clutter: What else lies about; None for nothing.
         """
         self.world = world
         self._randomisers = [] if randomiser is None else [randomiser]
@@ -44,8 +47,14 @@ class Scenario:
         self.robots = robots
         self.task = task
         task.bind(world, robots)
+        self._clutter = clutter
+        if clutter is not None:
+            clutter.bind(world)
+            self._taken = TakenCircles(world, task)
         for robot in robots:
             robot.go_home()
+        for one in self._randomisers:
+            one.settle()
         world.core.keep_initial_state()
         world.refresh()
 
@@ -54,7 +63,7 @@ class Scenario:
         self._randomisers.append(randomiser)
 
     def begin(self, draws: Draws, copies: Copies = None) -> None:
-        """Start episodes: all robots at home, objects placed by the task, all else randomised.
+        """Start episodes: all robots at or near home, objects placed by the task, all else randomised.
 
         Args:
             draws: Random numbers for these copies.
@@ -66,9 +75,14 @@ class Scenario:
         if self._frame_clock is not None:
             self._frame_clock.begin(draws.branch("frames").bits(), copies)
         self.world.reset(copies)
+        for randomiser in self._randomisers:
+            randomiser.place(self.robots, copies)
         self.task.forget_progress(where)
         self.task.reset(draws, where)
         self.world.refresh(copies)
+        if self._clutter is not None:
+            self._clutter.reset(draws.branch("randomisation"), where, self.task.area, self._taken.at(where))
+            self.world.refresh(copies)
 
     def start_at(self, start: Start) -> None:
         """Put robots and objects at a given start, right after `begin`; for a world of one copy.
@@ -80,6 +94,8 @@ class Scenario:
             state = start.robots.get(robot.placement.name)
             if state is not None:
                 robot.put(state[JOINTS], state.get(GRIPPER), state.get(HAND))
+        for randomiser in self._randomisers:
+            randomiser.settle()
         if start.objects:
             self.task.place(start.objects, ...)
         self.world.refresh()

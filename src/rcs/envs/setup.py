@@ -15,7 +15,7 @@ from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.camera_mode import parse_mode
 from rcs.sim.camera import MAX_SIZE, Quality
 from rcs.sim.detail import Assets
-from rcs.sim.randomisation import Randomisation
+from rcs.sim.randomisation import Preset, Randomisation
 from rcs.sim.world import Stepping
 
 RelativeTo = Literal["last_step", "origin", "absolute"]
@@ -74,7 +74,7 @@ class Setup:
     physics_step: float = 0.002
     """Time step of the physics [s]; longer is faster and grasps slip."""
     randomisation: Randomisation | None = None
-    """Domain randomisation of episodes; None for none, True for the default ranges."""
+    """Domain randomisation of episodes: ranges, or the name of some; None for none, True for `default`."""
 
     def __post_init__(self) -> None:
         """Check every field.
@@ -180,7 +180,7 @@ class Options(TypedDict, total=False):
     stepping: Stepping
     max_episode_steps: int | None
     physics_step: float
-    randomisation: Randomisation | bool | None
+    randomisation: Randomisation | Preset | bool | None
 
 
 def _task_options(value: Any) -> dict[str, Any]:
@@ -193,10 +193,14 @@ def _task_options(value: Any) -> dict[str, Any]:
 def _ranges(value: Any) -> Randomisation | None:
     if isinstance(value, bool):
         return Randomisation() if value else None
+    if isinstance(value, str):
+        return Randomisation.of(value)
     if isinstance(value, dict):
         return Randomisation.from_json(value)
     if not isinstance(value, Randomisation | None):
-        raise InvalidSetup(f"randomisation is {value!r}; valid: a Randomisation, True for its defaults, or None.")
+        raise InvalidSetup(
+            f"randomisation is {value!r}; valid: a Randomisation, the name of one, True for its defaults, or None."
+        )
     return value
 
 

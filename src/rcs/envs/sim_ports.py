@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Sequence
+from typing import Any
 
 from gymnasium import spaces
 
 from rcs.envs import spaces as keys
 from rcs.envs.ports import Port, arm_observation_spaces
+from rcs.envs.randomiser import Randomiser
 from rcs.envs.spaces import Arrays, Observation
 from rcs.sim.camera import SimCameras
 from rcs.sim.camera_feed import CameraFeed
 from rcs.sim.frame_clock import FrameClock, FrameRate
+from rcs.sim.frame_delay import DelayedFrames
 from rcs.sim.render_thread import RenderThread
 from rcs.sim.robot import SimRobot
 from rcs.sim.tactile import SimTactile
@@ -96,12 +100,15 @@ class SimHandPort(Port):
 class SimCameraPort(Port):
     """All cameras of a scene, drawn together, each at its own frame rate."""
 
-    def __init__(self, cameras: SimCameras, clock: FrameClock | None = None) -> None:
+    def __init__(
+        self, cameras: SimCameras, clock: FrameClock | None = None, randomiser: Randomiser | None = None
+    ) -> None:
         """Use the cameras of a world.
 
         Args:
             cameras: The cameras.
             clock: Says when each has a new frame; None for the highest rates that they offer for this size.
+            randomiser: Has the latency of frames, if that varies.
         """
         if clock is None:
             rates = {placement.name: FrameRate.of(placement.camera, cameras.size) for placement in cameras.placements}
@@ -109,7 +116,17 @@ class SimCameraPort(Port):
         self.cameras = cameras
         self.timed = tuple(f"{keys.FRAMES}/{name}" for name in cameras.names)
         is_beside_the_loop = cameras.world.stepping == "realtime" and not cameras.world.leading
-        self._feed = RenderThread(cameras, clock) if is_beside_the_loop else CameraFeed(cameras, clock)
+        feed = RenderThread(cameras, clock) if is_beside_the_loop else CameraFeed(cameras, clock)
+        ranges = None if randomiser is None else randomiser.ranges
+        self._feed: CameraFeed | RenderThread | DelayedFrames = feed
+        self._delay: DelayedFrames | None = None
+        if (
+            randomiser is not None
+            and ranges is not None
+            and (ranges.varies("frame_latency") or ranges.varies("frame_jitter"))
+        ):
+            latency = functools.partial(randomiser.by_name, "frame_latency", tuple(cameras.names))
+            self._feed = self._delay = DelayedFrames(feed, clock, cameras.world, latency, ranges.frame_jitter)
         self.action_spaces = {}
         self.observation_spaces = {keys.FRAMES: cameras_space(cameras)}
 
@@ -117,8 +134,15 @@ class SimCameraPort(Port):
         """Return the newest frame of every camera."""
         return {keys.FRAMES: self._feed.read()}
 
-    def capture_times(self) -> dict[str, float]:
-        """Return when each camera's frame was drawn; one that is returned again keeps its time."""
+    def ages(self) -> dict[str, Any]:
+        """Return how old each camera's frame is in simulated time, where frames arrive late [s], (*leading,)."""
+        return {} if self._delay is None else {f"{keys.FRAMES}/{name}": age for name, age in self._delay.ages.items()}
+
+    def capture_times(self) -> dict[str, Any]:
+        """Return when each camera's frame was drawn; one that is returned again keeps its time.
+
+        Of many copies whose frames arrive late, each has its own times, (copies,).
+        """
         return {f"{keys.FRAMES}/{name}": time for name, time in self._feed.capture_times.items()}
 
     def command(self, action: Arrays) -> None:

@@ -48,6 +48,12 @@ class Stack:
         self.executed_spaces = _space({name: chain.executed_spaces for name, chain in self.chains.items()}).spaces
         """Space of what is sent to the ports."""
         self._fallible = [(self._prefix(name), port) for name, one in self.chains.items() for port in one.fallible]
+        self._aged = [
+            (self._prefix(name), port)
+            for name, one in self.chains.items()
+            for port in one.ports
+            if type(port).ages is not Port.ages
+        ]
 
     @property
     def ports(self) -> list[Port]:
@@ -163,6 +169,10 @@ class Stack:
     def faults(self) -> dict[str, str]:
         """Return the reason of every device that is in its fault state, by the device's name or `robot/device`."""
         return {prefix + key: why for prefix, port in self._fallible for key, why in port.faults().items()}
+
+    def ages(self) -> dict[str, Any]:
+        """Return how old what is observed is in simulated time [s], by key, where it is late on purpose."""
+        return {prefix + key: age for prefix, port in self._aged for key, age in port.ages().items()}
 
     def info(self) -> dict[str, Any]:
         """Return what the layers tell of the last action; of several robots, `robot/key`."""

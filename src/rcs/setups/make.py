@@ -31,6 +31,7 @@ from rcs.sim.own_cameras import cameras_of
 from rcs.sim.scene import CameraPlacement, RobotPlacement
 from rcs.sim.tactile_mounts import on_pads
 from rcs.sim.tactile_placement import TactilePlacement
+from rcs.tasks.distractors import Distractors
 
 NO_END_EFFECTOR = "none"
 """Asks for a bare flange."""
@@ -234,12 +235,14 @@ def resolve(setup: Setup) -> Parts:
     names = [robot.name for robot in robots]
     cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras)
     tactile = tuple(sensor for robot in robots for sensor in _feel(setup.tactile, robot))
+    count = 0 if setup.randomisation is None else setup.randomisation.distractors
     return Parts(
         setup=setup,
         robots=robots,
         cameras=cameras,
         tactile=tactile,
         task=task(lab.area, setup.task_options),
+        clutter=Distractors(count, scale=lab.area.object_scale) if count else None,
         layers=_layers(dict.fromkeys(names, setup.layers), names),
     )
 

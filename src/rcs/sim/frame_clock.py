@@ -82,7 +82,8 @@ class FrameClock:
         copies = world.copies
         self.numbers = {name: np.full(copies, -1, np.int64) for name in rates}
         """Number of the newest frame since the start of the episode, (copies,), counted from 0 as by the device."""
-        self._keys = np.zeros(copies, np.uint64)
+        self.keys = np.zeros(copies, np.uint64)
+        """Random bits of the present episodes, (copies,)."""
         self._start_times = np.zeros(copies)
         rolling = [name for name, rate in rates.items() if rate.is_rolling]
         self._next_times = {name: np.zeros(copies) for name in rolling}
@@ -94,7 +95,7 @@ class FrameClock:
             keys: Random bits for the intervals of cameras with varying rate, one per copy.
             copies: The copies; None for all.
         """
-        self._keys[slice(None) if copies is None else copies] = keys
+        self.keys[slice(None) if copies is None else copies] = keys
 
     def has_frame_each_step(self, name: str) -> bool:
         """Return whether a camera has a new frame after every control step."""
@@ -131,7 +132,7 @@ class FrameClock:
         now = ticks * self._tick
         while len(late := np.flatnonzero(next_times <= now)):
             numbers[late] += 1
-            next_times[late] += self._intervals(name, numbers[late], self._keys[late])
+            next_times[late] += self._intervals(name, numbers[late], self.keys[late])
         return numbers
 
     def _intervals(self, name: str, numbers: NDArray[np.int64], keys: NDArray[np.uint64]) -> NDArray[np.float64]:

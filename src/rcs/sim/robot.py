@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcs._core import ArmLimits, GripperMap, JointsAtRest, Motion, MotionLimits, SimArm, SimGripper
 from rcs.errors import InvalidSetup
 from rcs.robots.description import GripperDescription, HandDescription
-from rcs.sim.layout import RobotLayout
+from rcs.sim.layout import Index, RobotLayout
 from rcs.sim.scene import LOAD, LOAD_MASS, RobotPlacement
-from rcs.sim.world import World
+from rcs.sim.world import Copies, World
 
 STILL_TOLERANCE = 1e-2
 """Fingers that are slower than this are at rest [rad/s, m/s]."""
@@ -127,18 +129,18 @@ class SimRobot:
         """Stop the arm of every copy where it is, with all the torque that its servos have."""
         self._stand(self.joints)
 
-    def _stand(self, joints: NDArray[np.float64]) -> None:
+    def _stand(self, joints: NDArray[np.float64], copies: Copies = None) -> None:
         dof = self.placement.arm.dof
-        self._memory[...] = 0.0
+        self._memory[_at(slice(0, Motion.size(dof)), copies)] = 0.0
         for row in Motion.POSITION_ROWS:
-            self._memory[..., row * dof : (row + 1) * dof] = joints
+            self._memory[_at(slice(row * dof, (row + 1) * dof), copies)] = joints
 
-    def _place(self, joints: NDArray[np.float64]) -> None:
-        world = self.world
-        world.qpos[..., self.layout.qpos] = joints
-        world.qvel[..., self.layout.qvel] = 0.0
-        world.ctrl[..., self.layout.actuator_ids] = joints
-        self._stand(joints)
+    def _place(self, joints: NDArray[np.float64], copies: Copies = None) -> None:
+        world, layout = self.world, self.layout
+        world.qpos[_at(layout.qpos, copies)] = joints
+        world.qvel[_at(layout.qvel, copies)] = 0.0
+        world.ctrl[_at(np.array(layout.actuator_ids), copies)] = joints
+        self._stand(joints, copies)
 
     def command_opening(self, opening: NDArray[np.floating]) -> None:
         """Set the gripper's opening, 0 closed … 1 open, (*leading, 1)."""
@@ -162,34 +164,45 @@ class SimRobot:
         joints: NDArray[np.float64],
         opening: NDArray[np.floating] | None = None,
         hand: NDArray[np.floating] | None = None,
+        *,
+        copies: Copies = None,
     ) -> None:
-        """Put every copy at a given position, at rest and with its targets there, by writing the state (no motion).
+        """Put copies at a given position, at rest and with their targets there, by writing the state (no motion).
 
         Args:
             joints: Joint positions [rad], (*leading, dof).
             opening: Opening of the gripper, 0 closed … 1 open, (*leading, 1); None keeps it.
             hand: Joints of the hand, normalised to 0 … 1, (*leading, n); None keeps them.
+            copies: Which copies, whose number is then the leading shape; None for all.
 
         Raises:
             InvalidSetup: There is an opening but no gripper, or joints of a hand but no hand.
         """
-        self._place(joints)
+        self._place(joints, copies)
+        qpos, qvel, ctrl, layout = self.world.qpos, self.world.qvel, self.world.ctrl, self.layout
         if opening is not None:
             closed, opened = np.array(self.gripper.joint_closed), np.array(self.gripper.joint_open)
-            self.world.qpos[..., self.layout.finger_qpos] = closed + opening * (opened - closed)
-            self.world.qvel[..., self.layout.finger_qvel] = 0.0
-            self.command_opening(opening)
+            qpos[_at(layout.finger_qpos, copies)] = closed + opening * (opened - closed)
+            qvel[_at(layout.finger_qvel, copies)] = 0.0
+            ctrl[_at(slice(layout.finger_actuator, layout.finger_actuator + 1), copies)] = (
+                self._closed + opening * self._span
+            )
         if hand is not None:
-            self.command_hand(hand)
-            self.world.qpos[..., self.layout.hand_qpos] = self.world.ctrl[..., self.layout.hand_ctrl]
+            lower, upper = np.array(self.hand.joint_lower), np.array(self.hand.joint_upper)
+            ctrl[_at(layout.hand_ctrl, copies)] = lower + hand * (upper - lower)
+            qpos[_at(layout.hand_qpos, copies)] = ctrl[_at(layout.hand_ctrl, copies)]
 
-    def wait_for_arrival(self) -> None:
-        """Make synchronous steps of the world wait until the arm has arrived and the fingers are at rest."""
+    def wait_for_arrival(self, latency: float = 0.0) -> None:
+        """Make synchronous steps of the world wait until the arm has arrived and the fingers are at rest.
+
+        Args:
+            latency: Longest time until fingers get what they are told [s].
+        """
         core = self.world.core
         core.converge_when(self.motion)
         fingers = self.layout.finger_joint_ids or self.layout.hand_joint_ids
         if fingers:
-            core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, REST_TIME, self.world.copies))
+            core.converge_when(JointsAtRest(fingers, STILL_TOLERANCE, REST_TIME + latency, self.world.copies))
 
     def set_load(self, mass: ArrayLike, center_in_flange: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Tell the controller of a load that it then carries without sagging, as libfranka's `setLoad` does.
@@ -233,3 +246,10 @@ class SimRobot:
         fingers, actuator = self.layout.finger_joint_ids, self.layout.finger_actuator
         name = f"{self.placement.name} gripper"
         return SimGripper(name, gripper.max_width, gripper.max_force, self.world.core, copy, fingers, actuator, mapping)
+
+
+def _at(index: Index, copies: Copies) -> tuple[Any, ...]:
+    """Return the index of elements of the last axis, of some copies or of all."""
+    if copies is None:
+        return (..., index)
+    return (copies, index) if isinstance(index, slice) else np.ix_(copies, index)

@@ -14,7 +14,7 @@ from rcs.envs.task import Area
 from rcs.sim.model_rows import ModelRows
 from rcs.sim.scene import FLOOR_HEIGHT, Scene
 from rcs.sim.world import World
-from rcs.tasks.lifting import FreeBody, upright
+from rcs.tasks.lifting import FreeBody, table_height, upright
 from rcs.tasks.sizes import SizedBodies
 
 Taken = tuple[NDArray[np.float64], NDArray[np.float64] | float]
@@ -74,6 +74,7 @@ class Distractors:
         """Look them up, once the scene is compiled."""
         if not self.names:
             return
+        self._world = world
         self._bodies = [FreeBody(world, name) for name in self.names]
         self._sizes = SizedBodies(world, self.names)
         self._colours = ModelRows(world, "geom_rgba", [world.model.geom(name).id for name in self.names])
@@ -100,6 +101,7 @@ class Distractors:
         self._colours.write(_colours(shades), None if where is ... else where)
         low, high = _corners(area, around)
         circles = list(taken)
+        table = table_height(self._world)[where]
         for i, body in enumerate(self._bodies):
             x, y, z = (half[..., i, axis] for axis in range(3))
             radius = x if i % 2 else np.sqrt(x * x + y * y)
@@ -116,7 +118,7 @@ class Distractors:
             place = np.take_along_axis(places, first, axis=-2)[..., 0, :]
             has_room = is_free.any(axis=-1)
             place[..., :2] = np.where(np.expand_dims(has_room, -1), place[..., :2], _put_away(i))
-            body.place(upright(place, z + np.where(has_room, 0.0, FLOOR_HEIGHT)), where)
+            body.place(upright(place, z + np.where(has_room, table, FLOOR_HEIGHT)), where)
             circles.append((place, radius))
 
 

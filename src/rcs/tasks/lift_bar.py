@@ -75,7 +75,7 @@ class LiftBar(Task):
         self._measure()
 
     def _measure(self) -> None:
-        """Take over the bars' sizes, which may vary between episodes."""
+        """Take over the bars' sizes and the tables' heights, which may vary between episodes."""
         self._half_edges = self._world.field("geom_size")[..., self._geom, :].copy()
         self._table = table_height(self._world).copy()
         self._grasp_offset = GRASP_AT * self._half_edges[..., 1]

@@ -22,7 +22,7 @@ from rcs.sim.scene import Scene
 from rcs.sim.world import World
 from rcs.spatial import Pose, compose, inverse
 from rcs.tasks.holding import HoldTimer, all_but
-from rcs.tasks.lifting import LiftOptions, norm, progress
+from rcs.tasks.lifting import LiftOptions, norm, progress, table_height
 
 SIZE = (0.09, 0.075, 0.07)
 """Length, width and height of the toy, an ellipsoid [m]."""
@@ -123,11 +123,12 @@ class PickToy(Task):
         """Take over how large and heavy the toys are, which may vary between episodes.
 
         Returns:
-            Nodes of the toys as they lie, from the point on the table under their middle [m], (*leading, nodes, 3).
+            Nodes of the toys as they lie [m], (*leading, nodes, 3): x and y from their middle, z in the scene.
         """
         nodes = self._world.field("body_pos")[where][..., self._bodies, :]
         mass = self._world.field("body_mass")[where][..., self._bodies[0]]
         lying = self._lying.nodes(nodes[..., 0, 0] / self._nominal[0], mass / self._nominal[1])
+        lying[..., 2] += table_height(self._world)[where][..., None]
         self._nodes[where] = nodes
         self._rest_height[where] = _mean(lying)[..., 2]
         self._weight[where] = len(self._bodies) * mass * self._gravity

@@ -1,0 +1,94 @@
+"""Actions that miss their step now and then, as in a control loop whose policy or network is late."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.envs.layers.layer import Layer, Where, everywhere, renew
+from rcs.envs.spaces import Action, Observation
+from rcs.sim.splitmix import GAMMA, mix, units
+
+if TYPE_CHECKING:
+    from rcs.envs.draws import Draws
+    from rcs.sim.world import Copies
+
+
+class LateActions(Layer):
+    """Send the last action once more in some steps, drawn at random; the action itself comes with the next step.
+
+    Layers above do not notice: what they asked for is on its way. `info["is_late"]` tells it, and a recording has what
+    was sent as the executed action. The lowest layer of a simulated robot.
+    """
+
+    def __init__(self, share: float, leading: tuple[int, ...] = ()) -> None:
+        """Be never late before the first `begin`.
+
+        Args:
+            share: Share of the steps whose action is late, 0 … 1.
+            leading: Leading shape of all arrays, () or (copies,).
+        """
+        self.share = share
+        self._keys: NDArray[np.uint64] = np.zeros(leading, np.uint64)
+        self._steps: NDArray[np.int64] = np.zeros(leading, np.int64)
+        self._is_late: NDArray[np.bool_] = np.zeros(leading, np.bool_)
+        self._last: Action = {}
+        self._mapped: tuple[Action, Action, NDArray[np.bool_]] | None = None
+        """Of the last `map_action`: what was asked, what was sent, and which copies are late."""
+
+    def begin(self, draws: Draws, copies: Copies = None) -> None:
+        """Take the random numbers of some copies' next episodes.
+
+        Args:
+            draws: Random numbers for exactly these copies; they are not advanced.
+            copies: Which copies; None for all.
+        """
+        keys = np.array(self._keys)
+        keys[... if copies is None else copies] = draws.branch("late_actions").bits()
+        self._keys = keys
+
+    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+        """Count steps from 0; before the first action, the robot was told to stay."""
+        self._last = {key: renew(self._last.get(key), np.asarray(value), where) for key, value in observation.items()
+                      if isinstance(value, np.ndarray)}  # fmt: skip
+        self._steps = renew(self._steps, np.zeros_like(self._steps), where)
+        self._is_late = renew(self._is_late, np.zeros_like(self._is_late), where)
+
+    def rebase(self, observation: Observation) -> None:
+        """Take the measured state for what was sent last."""
+        self._last = {key: value.copy() for key, value in observation.items() if isinstance(value, np.ndarray)}
+
+    def map_action(self, action: Action) -> Action:
+        """Return the last action in place of a late one."""
+        with np.errstate(over="ignore"):
+            drawn = units(mix(self._keys + (self._steps + 1).astype(np.uint64) * GAMMA))
+        is_late = drawn < self.share
+        sent = action
+        if is_late.any():
+            sent = {
+                key: np.where(is_late[..., None], self._last[key], value).astype(value.dtype)
+                for key, value in action.items()
+            }
+        self._mapped = action, sent, is_late
+        return sent
+
+    def map_executed(self, executed: Action) -> Action:
+        """Return what was asked, unless something else was sent than this layer wanted to."""
+        if self._mapped is None:
+            raise RuntimeError("LateActions.map_executed was called before map_action")
+        asked, sent, is_late = self._mapped
+        is_as_wanted = all(executed[key] is value for key, value in sent.items())
+        self._last = asked if is_as_wanted else executed
+        self._is_late = is_late if is_as_wanted else np.zeros_like(is_late)
+        self._steps = self._steps + 1
+        return self._last
+
+    def info(self) -> dict[str, NDArray[Any]]:
+        """Return whether the last action was late."""
+        return {"is_late": self._is_late}
+
+    def __str__(self) -> str:
+        """Return the layer for the printed stack."""
+        return f"LateActions({self.share:.0%} of the steps)"
