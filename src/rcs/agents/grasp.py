@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.agents.action_writer import ik_options
 from rcs.agents.script import Phase, Plan, Script, ScriptedArm
 from rcs.envs.spaces import GRIPPER
-from rcs.kinematics import IkStatus
+from rcs.kinematics import IkStatus, freedom_of
 from rcs.spatial import Pose
 
 CLEARANCE = 0.09
@@ -78,7 +77,7 @@ def plan_from_above(
         # A half turn about x points the tool down.
         down = Pose.from_rpy(where.translation + [0.0, 0.0, height], (np.pi, 0.0, turn))
         tool = down * Pose((-in_tcp[0], -in_tcp[1], 0.0))
-        result = kinematics.inverse(tool, start, ik_options(kinematics, restarts))
+        result = kinematics.inverse(tool, start, freedom_of(kinematics, restarts=restarts))
         # An arm with fewer than six joints may have to tilt its tool.
         tcp = tool if kinematics.dof >= 6 else kinematics.forward(result.joints)
         return (tcp.tquat, result.joints) if result.status == IkStatus.ok else None

@@ -93,6 +93,11 @@ class ArmDescription(Description):
     """Largest joint torques [Nm]."""
     workspace_reach: float
     """Reach of the flange from the shoulder [m]."""
+    tcp_speed: float = 0.5
+    """Largest translation of the TCP along each axis in relative control [m/s]. Our choice: near home, the joint speeds of
+    all built-in arms allow 0.6 m/s in every direction."""
+    tcp_turn_speed: float = 1.8
+    """Largest rotation of the TCP in relative control [rad/s]; all built-in arms can do that about every axis."""
     end_effectors: tuple[str, ...] | None = None
     """Names of the end effectors that fit its flange; None for any."""
     menagerie: MenagerieVisuals | None = None
@@ -115,7 +120,8 @@ class ArmDescription(Description):
             require_numbers(f"{self.name}.{field}", getattr(self, field), dof)
         for field in ("velocity_limit", "acceleration_limit", "jerk_limit", "effort_limit"):
             _require_positive(f"{self.name}.{field}", getattr(self, field), dof)
-        _require_positive(f"{self.name}.workspace_reach", (self.workspace_reach,), 1)
+        figures = (self.workspace_reach, self.tcp_speed, self.tcp_turn_speed)
+        _require_positive(f"{self.name}: workspace_reach, tcp_speed, tcp_turn_speed", figures, 3)
         for joint, lower, q, upper in zip(self.joints, self.joint_lower, self.home, self.joint_upper, strict=True):
             if not lower <= q <= upper:
                 raise InvalidSetup(
