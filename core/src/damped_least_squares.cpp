@@ -8,10 +8,14 @@ namespace rcs {
 
 namespace {
 
-constexpr double kMaxJointStep = 0.5;   // rad per iteration; larger steps leave the range where the Jacobian holds
-constexpr double kStandstill = 1e-4;    // rad per iteration; a smaller step changes nothing that matters
-constexpr double kFollowStep = 0.2;     // rad per iteration when following, so that the TCP's way there is straight
-constexpr double kMoreDamping = 8.0;    // factor after a step that came no nearer
+constexpr double kMaxJointStep = 0.5;  // rad per iteration; larger steps leave the range where the Jacobian holds
+constexpr double kStandstill = 1e-4;   // rad per iteration; a smaller step changes nothing that matters
+constexpr double kFollowStep = 0.2;    // rad per iteration when following, so that the TCP's way there is straight
+constexpr double kMoreDamping = 8.0;   // factor after a step that came no nearer
+constexpr double kFulfilled = 0.25;    // of the promised decrease of the squared error; less needs more damping
+constexpr double kStretched = 2.5e-3;  // m^2/rad^2; below, an arm is near a singular posture: 5 cm per radian
+constexpr double kCurvature = 0.5;     // m/rad^2, of the TCP's path when one joint turns: about half an arm's length
+constexpr double kNullSpaceDamping = 1e-8;
 constexpr double kLargestReturn = 0.5;  // share of the way to the preferred joints per iteration
 constexpr double kNear = 1e-3;          // m; an arm that meets the translation alone comes this near at any price
 constexpr double kSmallest = 1e-300;
@@ -49,6 +53,21 @@ void solve_cholesky(const std::array<double, kTask * kTask>& a, std::array<doubl
     for (int k = i + 1; k < kTask; ++k) b[i] -= a[k * kTask + i] * b[k];
     b[i] /= a[i * kTask + i];
   }
+}
+
+// An estimate of the smallest eigenvalue of the matrix of a Cholesky factor, at most six times too small.
+double smallest_of(const std::array<double, kTask * kTask>& a) {
+  double trace = 0.0;  // of the inverse
+  for (int c = 0; c < kTask; ++c) {
+    std::array<double, kTask> column{};
+    column[c] = 1.0;
+    for (int i = c; i < kTask; ++i) {
+      for (int k = c; k < i; ++k) column[i] -= a[i * kTask + k] * column[k];
+      column[i] /= a[i * kTask + i];
+      trace += column[i] * column[i];
+    }
+  }
+  return 1.0 / trace;
 }
 
 double norm3(const double* v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
@@ -203,6 +222,7 @@ DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, cons
         for (int r = 0; r < kTask; ++r) b[r] -= entries[r] * step[c];
       }
     }
+    std::array<double, kTask * kTask> exact = a;
     for (int i = 0; i < kTask; ++i) a[i * kTask + i] += damping;
     factor_cholesky(a);
     solve_cholesky(a, b);
@@ -226,7 +246,11 @@ DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, cons
         for (int r = 0; r < kTask; ++r) b[r] += entries[r] * pull;
         step[c] += pull;
       }
-      solve_cholesky(a, b);
+      // Nearly undamped, since what leaks out of the null space would pull against the target where the arm is
+      // stretched.
+      for (int i = 0; i < kTask; ++i) exact[i * kTask + i] += kNullSpaceDamping;
+      factor_cholesky(exact);
+      solve_cholesky(exact, b);
       add_transposed(-1.0);
     }
     stride = {};
@@ -249,8 +273,24 @@ DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, cons
       step[c] = stride.scale > 0.0 ? (limit - q[c]) / stride.scale : 0.0;
       is_blocked = true;
     }
-    if (!is_blocked || round == (options.best_effort ? n : 1)) return stride;
+    if (is_blocked && round < (options.best_effort ? n : 1)) continue;
+    if (stride.scale < 1.0) stride.stiffness = smallest_of(a);
+    return stride;
   }
+}
+
+double DampedLeastSquares::promised(const Scratch& scratch, double weight, double scale) const {
+  double before = 0.0, after = 0.0;
+  for (int r = 0; r < kTask; ++r) {
+    const double* row = (r < 3 ? scratch.jacobian_translation.data() : scratch.jacobian_rotation.data()) +
+                        static_cast<std::ptrdiff_t>(r % 3) * model_->nv;
+    double left = scratch.error[r];
+    for (int c = 0; c < dof(); ++c) left -= scale * row[dofs_[c]] * scratch.step[c];
+    const double factor = r < 3 ? 1.0 : weight * weight;
+    before += factor * scratch.error[r] * scratch.error[r];
+    after += factor * left * left;
+  }
+  return std::max(before - after, 0.0);
 }
 
 DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std::array<double, 7>& target,
@@ -285,7 +325,13 @@ DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std:
       mj_jacSite(model_, scratch.data, scratch.jacobian_translation.data(), scratch.jacobian_rotation.data(),
                  tcp_site_);
     }
-    const Stride stride = solve_step(scratch, q, start, max_step, options, weight, damping);
+    Stride stride = solve_step(scratch, q, start, max_step, options, weight, damping);
+    // Where the arm is nearly stretched, the part of the error that it cannot follow would use up the step.
+    if (options.best_effort && !is_relaxed && stride.scale < 1.0 && stride.stiffness < kStretched) {
+      const double miss = std::sqrt(translation * translation + weight * weight * rotation * rotation);
+      const double extra = kCurvature * miss * (1.0 - stride.stiffness / kStretched);
+      if (extra > damping) stride = solve_step(scratch, q, start, max_step, options, weight, damping = extra);
+    }
     largest = stride.largest;
     for (int c = 0; c < n; ++c) candidate[c] = std::clamp(q[c] + stride.scale * scratch.step[c], lower_[c], upper_[c]);
     set_joints(scratch, candidate);
@@ -295,7 +341,7 @@ DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std:
     const double cost = translation * translation + weight * weight * rotation * rotation;
     const double new_cost = new_translation * new_translation + weight * weight * new_rotation * new_rotation;
     // A search for any solution does not mind a step that goes wrong: it may lead out of where it is stuck.
-    is_new = new_cost < cost || !options.best_effort;
+    is_new = !options.best_effort || cost - new_cost > kFulfilled * promised(scratch, weight, stride.scale);
     if (!is_new) {
       damping = std::max(damping, options.damping) * kMoreDamping;
       continue;

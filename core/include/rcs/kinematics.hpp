@@ -83,11 +83,12 @@ class Kinematics {
 
 /// Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.
 ///
-/// A step that does not come nearer is made again with more damping (Levenberg-Marquardt), so that the error never
-/// grows; the damping goes back afterwards. Joints that would leave their range are fixed at the limit and the step is
-/// solved again for the others. Nakamura and Hanafusa, "Inverse kinematic solutions with singularity robustness for
-/// robot manipulator control", 1986; the pull to the preferred joints is projected into the null space, Liegeois,
-/// "Automatic supervisory control of the configuration and behavior of multibody mechanisms", 1977.
+/// With best effort, a step that comes less near than its Jacobian promises is made again with more damping
+/// (Levenberg-Marquardt), so that the error never grows and a stretched arm does not swing to and fro. Joints that
+/// would leave their range are fixed at the limit and the step is solved again for the others. Nakamura and Hanafusa,
+/// "Inverse kinematic solutions with singularity robustness for robot manipulator control", 1986; the pull to the
+/// preferred joints is projected into the null space, Liegeois, "Automatic supervisory control of the configuration and
+/// behavior of multibody mechanisms", 1977.
 ///
 /// Calls from several threads are as good as one after the other: each computes in memory of its own, which is kept for
 /// the next call.
@@ -121,6 +122,7 @@ class DampedLeastSquares final : public Kinematics {
   struct Stride {
     double largest = 0.0;     ///< entry of the whole step [rad]
     double scale = 1.0;       ///< share to make
+    double stiffness = 0.0;   ///< smallest squared change of the error per squared radian, when the share is below 1
     bool is_at_edge = false;  ///< whether that share ends at the largest change from the start
   };
 
@@ -133,6 +135,8 @@ class DampedLeastSquares final : public Kinematics {
   /// Write the step from the present Jacobian to `scratch.step`; joints that it would take past a limit go up to it.
   Stride solve_step(Scratch& scratch, const std::vector<double>& q, const std::vector<double>& start,
                     std::span<const double> max_step, const IkOptions& options, double weight, double damping) const;
+  /// Decrease of the squared weighted error by a share of `scratch.step`, if the Jacobian held all along.
+  double promised(const Scratch& scratch, double weight, double scale) const;
   /// Position error and rotation error (as a rotation vector) from the present TCP to the target, in world axes.
   void error_to(const Scratch& scratch, const std::array<double, 7>& target_in_world,
                 std::array<double, 6>& error) const;
