@@ -55,13 +55,14 @@ void solve_cholesky(const std::array<double, kTask * kTask>& a, std::array<doubl
   }
 }
 
-// An estimate of the smallest eigenvalue of the matrix of a Cholesky factor, at most six times too small.
-double smallest_of(const std::array<double, kTask * kTask>& a) {
+// An estimate of the smallest eigenvalue of the leading rows of the matrix of a Cholesky factor, at most as many times
+// too small as there are rows.
+double smallest_of(const std::array<double, kTask * kTask>& a, int rows) {
   double trace = 0.0;  // of the inverse
-  for (int c = 0; c < kTask; ++c) {
+  for (int c = 0; c < rows; ++c) {
     std::array<double, kTask> column{};
     column[c] = 1.0;
-    for (int i = c; i < kTask; ++i) {
+    for (int i = c; i < rows; ++i) {
       for (int k = c; k < i; ++k) column[i] -= a[i * kTask + k] * column[k];
       column[i] /= a[i * kTask + i];
       trace += column[i] * column[i];
@@ -274,7 +275,7 @@ DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, cons
       is_blocked = true;
     }
     if (is_blocked && round < (options.best_effort ? n : 1)) continue;
-    if (stride.scale < 1.0) stride.stiffness = smallest_of(a);
+    if (stride.scale < 1.0) stride.stiffness = smallest_of(a, options.rotation_weight < 1.0 ? 3 : kTask);
     return stride;
   }
 }
@@ -327,7 +328,7 @@ DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std:
     }
     Stride stride = solve_step(scratch, q, start, max_step, options, weight, damping);
     // Where the arm is nearly stretched, the part of the error that it cannot follow would use up the step.
-    if (options.best_effort && !is_relaxed && stride.scale < 1.0 && stride.stiffness < kStretched) {
+    if (options.best_effort && stride.scale < 1.0 && stride.stiffness < kStretched) {
       const double miss = std::sqrt(translation * translation + weight * weight * rotation * rotation);
       const double extra = kCurvature * miss * (1.0 - stride.stiffness / kStretched);
       if (extra > damping) stride = solve_step(scratch, q, start, max_step, options, weight, damping = extra);
