@@ -88,17 +88,17 @@ def test_a_target_beyond_the_reach_that_moves_sideways_takes_the_tcp_along(robot
     sideways = np.array([-way_out[1], way_out[0]])
     target = start.copy()
     tcps = []
-    for shift in np.linspace(-0.12, 0.12, 60):
-        target[:2] = 1.6 * way_out + shift * 6 * sideways
+    for shift in np.linspace(-0.72, 0.72, 60):
+        target[:2] = 1.6 * way_out + shift * sideways
         for _ in range(40 if not tcps else 3):
             layer.map_executed(layer.map_action({TQUAT: target}))
         assert layer.info()["ik_status"] != IkStatus.ok.value
         tcps.append(forward())
     tcps = np.array(tcps)
     assert (np.diff(tcps[:, :2] @ sideways) > 0).all(), "it never stands still"
-    off = np.arctan2(tcps[:, 1], tcps[:, 0]) - np.arctan2(start[1], start[0])
+    swept = np.arctan2(tcps[:, :2] @ sideways, tcps[:, :2] @ way_out)
     asked = np.arctan2(0.72, 1.6)
-    assert off.max() - off.min() > asked, "at least half of the angle that the target sweeps"
+    np.testing.assert_allclose([swept[0], swept[-1]], [-asked, asked], atol=0.05)
 
 
 def test_the_sign_and_the_length_of_a_quaternion_do_not_matter(layer: CartesianControl, home: np.ndarray) -> None:

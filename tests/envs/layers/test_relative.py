@@ -179,7 +179,8 @@ def test_the_same_share_of_the_bounds_moves_equally_fast_at_every_rate(control: 
     if control == "joints":
         np.testing.assert_allclose(targets, [targets[0]] * 3, atol=1e-9)
     else:
-        assert distance(np.array(targets), targets[0]).max() < 2e-3
+        # A few small turns about three axes are not quite one large one.
+        assert (distance(np.array(targets), targets[0]) < (1e-3, 1e-2)).all()
 
 
 def test_every_sample_of_relative_quaternions_is_accepted_and_zeros_are_no_member() -> None:
