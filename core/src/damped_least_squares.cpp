@@ -11,9 +11,10 @@ namespace {
 constexpr double kMaxJointStep = 0.5;  // rad per iteration; larger steps leave the range where the Jacobian holds
 constexpr double kStandstill = 1e-4;   // rad per iteration; a smaller step changes nothing that matters
 constexpr double kFollowStep = 0.2;    // rad per iteration when following, so that the TCP's way there is straight
+constexpr double kBoundedStep = 0.05;  // rad likewise, where the end is bounded and may lie anywhere on the way
 constexpr double kMoreDamping = 8.0;   // factor after a step that came no nearer
 constexpr double kFulfilled = 0.25;    // of the promised decrease of the squared error; less needs more damping
-constexpr double kStretched = 2.5e-3;  // m^2/rad^2; below, an arm is near a singular posture: 5 cm per radian
+constexpr double kStretched = 1e-3;    // m^2/rad^2; below, an arm is near a singular posture: 3 cm per radian
 constexpr double kCurvature = 0.5;     // m/rad^2, of the TCP's path when one joint turns: about half an arm's length
 constexpr double kNullSpaceDamping = 1e-8;
 constexpr double kLargestReturn = 0.5;  // share of the way to the preferred joints per iteration
@@ -195,7 +196,7 @@ DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, cons
                                                           std::span<const double> max_step, const IkOptions& options,
                                                           double weight, double damping) const {
   const int n = dof(), nv = model_->nv;
-  const double furthest = options.best_effort ? kFollowStep : kMaxJointStep;
+  const double furthest = !options.best_effort ? kMaxJointStep : max_step.empty() ? kFollowStep : kBoundedStep;
   const auto column = [&](int c, std::array<double, kTask>& entries) {
     for (int r = 0; r < 3; ++r) {
       entries[r] = scratch.jacobian_translation[r * nv + dofs_[c]];

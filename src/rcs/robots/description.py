@@ -94,10 +94,11 @@ class ArmDescription(Description):
     workspace_reach: float
     """Reach of the flange from the shoulder [m]."""
     tcp_speed: float = 0.5
-    """Largest translation of the TCP along each axis in relative control [m/s]. Our choice: near home, the joint speeds of
-    all built-in arms allow 0.6 m/s in every direction."""
+    """Largest translation of the TCP along each axis in relative control [m/s]. Our choice: in nine of ten postures
+    within 0.6 rad of home, `velocity_limit` allows all built-in arms 0.6 m/s along every axis."""
     tcp_turn_speed: float = 1.8
-    """Largest rotation of the TCP in relative control [rad/s]; all built-in arms can do that about every axis."""
+    """Largest rotation of the TCP in relative control [rad/s]: `velocity_limit` allows it to the slowest of them there.
+    """
     end_effectors: tuple[str, ...] | None = None
     """Names of the end effectors that fit its flange; None for any."""
     menagerie: MenagerieVisuals | None = None

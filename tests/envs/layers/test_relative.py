@@ -12,6 +12,7 @@ from rcs.envs.layers.relative import shift
 from rcs.envs.ports import Port
 from rcs.envs.spaces import JOINTS, TQUAT, joints_space, tquat_space
 from rcs.errors import InvalidAction
+from rcs.kinematics import IkStatus, kinematics_of
 from rcs.spatial import Pose, compose, distance
 
 
@@ -211,3 +212,26 @@ def test_a_difference_to_the_origin_without_a_direction_is_refused() -> None:
     env.reset(seed=0)
     with pytest.raises(InvalidAction, match="no rotation"):
         env.step({TQUAT: np.zeros(7), "gripper": np.ones(1, np.float32)})
+
+
+@pytest.mark.parametrize("robot", ["fr3", "ur5e", "xarm7", "so101"])
+def test_random_relative_poses_that_are_cut_keep_the_direction_of_the_tcp(robot: str) -> None:
+    env = rcs.make("Free", robot=robot, control="xyzrpy", max_episode_steps=None)
+    arm = env.robots[robot]
+    kinematics = kinematics_of(arm.arm, arm.end_effector)
+    env.action_space.seed(0)
+    angles = []
+    for k in range(400):
+        if k % 100 == 0:
+            joints = env.reset(seed=k)[0][JOINTS]
+        before = kinematics.forward(joints).tquat
+        action = env.action_space.sample()
+        *_, info = env.step(action)
+        joints = env.stack.executed[JOINTS]
+        way = kinematics.forward(joints).tquat[:3] - before[:3]
+        asked = action["xyzrpy"][:3]
+        if info["ik_status"] != IkStatus.ok.value or info["is_limited"]:
+            angles.append(np.arccos(np.clip(way @ asked / np.linalg.norm(way) / np.linalg.norm(asked), -1, 1)))
+    assert angles
+    assert np.degrees(np.quantile(angles, 0.9)) <= 15.0
+    assert len(angles) < 200, "the bounds are what the arm can do"

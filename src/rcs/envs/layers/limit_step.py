@@ -19,8 +19,8 @@ class LimitStep(Layer):
     """Bound every joint target against the last target and against the measured joints.
 
     The first bound is the joint velocity limit times the control period. The second keeps the target from running away
-    while the arm is blocked. To a target farther away all joints go the same share of the way, so that the TCP keeps its
-    direction; a joint that is blocked at the end of its lead stops them all. `info["is_limited"]` reports it.
+    while the arm is blocked. To a target farther away all joints go the same share of the way, so that the TCP keeps
+    its direction; a joint that is blocked at the end of its lead stops them all. `info["is_limited"]` reports it.
     """
 
     def __init__(self, max_step: NDArray[np.float64], *, max_lead: float = 0.6) -> None:

@@ -24,8 +24,9 @@ class Relative(Layer):
     """Take differences and pass on absolute targets.
 
     Joints add up. A pose difference moves the TCP by its translation along the axes of the base frame and turns it by
-    its rotation about those axes; the quaternion of no rotation is (0, 0, 0, 1), and a difference to the last step has a
-    positive last entry. The reference of `last_step` is the last *target*, so that servo lag does not accumulate.
+    its rotation about those axes; the quaternion of no rotation is (0, 0, 0, 1), and that of a difference to the last
+    step has a positive last entry. The reference of `last_step` is the last *target*, so that servo lag does not
+    accumulate.
     """
 
     def __init__(
