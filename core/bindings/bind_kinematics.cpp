@@ -1,8 +1,13 @@
 // Kinematics: the interface and the backend on MuJoCo's Jacobians.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
 
 #include "arrays.hpp"
 #include "mujoco_objects.hpp"
@@ -18,6 +23,8 @@ using Rows = In<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 struct PyKinematics : rcs::Kinematics {
   NB_TRAMPOLINE(rcs::Kinematics);
   int dof() const override { return call_override<int>(nb_trampoline, "_dof", "an int"); }
+  std::vector<double> joint_lower() const override { return limits("_joint_lower"); }
+  std::vector<double> joint_upper() const override { return limits("_joint_upper"); }
   rcs::Pose forward(std::span<const double> joints) override {
     return call_override<rcs::Pose>(nb_trampoline, "_forward", "a Pose", joints);
   }
@@ -25,10 +32,23 @@ struct PyKinematics : rcs::Kinematics {
                         const rcs::IkOptions& options) override {
     return call_override<rcs::IkResult>(nb_trampoline, "_inverse", "an IkResult", target, start, options);
   }
+
+ private:
+  std::vector<double> limits(const char* name) const {
+    return call_override<std::vector<double>>(nb_trampoline, name, "a sequence of floats");
+  }
 };
 
-nb::tuple solve_batch(rcs::DampedLeastSquares& self, const Rows& targets, const Rows& starts,
-                      const rcs::IkOptions& options, int threads) {
+Array forward_rows(rcs::Kinematics& self, const Rows& joints) {
+  const std::size_t count = joints.shape(0), n = static_cast<std::size_t>(self.dof());
+  if (joints.shape(1) != n) throw rcs::InvalidSetup("forward_batch: joints must be (N, " + std::to_string(n) + ")");
+  std::vector<double> poses(7 * count);
+  self.forward_batch({joints.data(), joints.size()}, poses);
+  return to_array(poses, {count, 7});
+}
+
+nb::tuple inverse_rows(rcs::Kinematics& self, const Rows& targets, const Rows& starts, const rcs::IkOptions& options,
+                       int threads) {
   const std::size_t count = targets.shape(0), n = static_cast<std::size_t>(self.dof());
   if (targets.shape(1) != 7 || starts.shape(0) != count || starts.shape(1) != n)
     throw rcs::InvalidSetup("inverse_batch: targets must be (N, 7) and starts (N, " + std::to_string(n) + ")");
@@ -37,11 +57,22 @@ nb::tuple solve_batch(rcs::DampedLeastSquares& self, const Rows& targets, const 
   const nb::capsule owner(status, [](void* p) noexcept { delete static_cast<std::vector<std::uint8_t>*>(p); });
   {
     const ReleasedGil released;
-    rcs::inverse_batch(self, {targets.data(), 7 * count}, {starts.data(), n * count}, options, threads, joints,
-                       *status);
+    self.inverse_batch({targets.data(), 7 * count}, {starts.data(), n * count}, options, threads, joints, *status);
   }
   return nb::make_tuple(to_array(joints, {count, n}),
                         nb::ndarray<nb::numpy, std::uint8_t>(status->data(), {count}, owner));
+}
+
+std::vector<double> entries_of(const std::optional<Vector>& values) {
+  return values ? to_vector(*values) : std::vector<double>{};
+}
+
+bool are_finite(const std::vector<double>& values) {
+  return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
+}
+
+bool are_positive(const std::vector<double>& values) {
+  return std::all_of(values.begin(), values.end(), [](double value) { return value > 0; });
 }
 
 }  // namespace
@@ -49,25 +80,31 @@ nb::tuple solve_batch(rcs::DampedLeastSquares& self, const Rows& targets, const 
 void bind_kinematics(nb::module_& m) {
   nb::enum_<rcs::IkStatus>(m, "IkStatus", "What inverse kinematics found.")
       .value("ok", rcs::IkStatus::ok, "The target is reached within the tolerances.")
-      .value("clamped", rcs::IkStatus::clamped, "A solution exists, the answer is the allowed step towards it.")
-      .value("infeasible", rcs::IkStatus::infeasible, "No solution inside the joint limits; the answer is the start.");
+      .value("clamped", rcs::IkStatus::clamped,
+             "The target is farther away than allowed, the answer is the allowed step towards it.")
+      .value("infeasible", rcs::IkStatus::infeasible, "No solution inside the joint limits; the answer is the start.")
+      .value("nearest", rcs::IkStatus::nearest,
+             "With best effort: no solution near the start, the answer is the nearest pose inside the joint limits.");
   nb::class_<rcs::IkOptions>(m, "IkOptions", "How hard inverse kinematics tries, and what it may answer.")
       .def(
           "__init__",
           [](rcs::IkOptions* self, double translation_tolerance, double rotation_tolerance, int iterations,
-             int restarts, double damping, double rotation_weight, double max_step, std::uint64_t seed) {
+             int restarts, double damping, double rotation_weight, const std::optional<Vector>& max_step,
+             const std::optional<Vector>& preferred, double preferred_weight, bool best_effort, std::uint64_t seed) {
+            rcs::IkOptions options{
+                translation_tolerance, rotation_tolerance,    iterations,       restarts,    damping, rotation_weight,
+                entries_of(max_step),  entries_of(preferred), preferred_weight, best_effort, seed};
             if (!(translation_tolerance > 0) || !(rotation_tolerance > 0) || iterations < 1 || restarts < 0 ||
-                !(damping > 0) || !(rotation_weight > 0) || !(max_step > 0))
+                !(damping > 0) || !(rotation_weight > 0) || !are_positive(options.max_step) ||
+                !are_finite(options.preferred) || !(preferred_weight >= 0))
               throw rcs::InvalidSetup(
                   "IkOptions: tolerances, iterations, damping, rotation_weight and max_step must be positive, restarts "
-                  "not "
-                  "negative");
-            new (self) rcs::IkOptions{translation_tolerance, rotation_tolerance, iterations, restarts, damping,
-                                      rotation_weight,       max_step,           seed};
+                  "and preferred_weight not negative, and preferred finite");
+            new (self) rcs::IkOptions(std::move(options));
           },
           nb::kw_only(), "translation_tolerance"_a = 1e-4, "rotation_tolerance"_a = 1e-4, "iterations"_a = 30,
-          "restarts"_a = 60, "damping"_a = 1e-4, "rotation_weight"_a = 1.0,
-          "max_step"_a = std::numeric_limits<double>::infinity(), "seed"_a = 0)
+          "restarts"_a = 60, "damping"_a = 1e-4, "rotation_weight"_a = 1.0, "max_step"_a = nb::none(),
+          "preferred"_a = nb::none(), "preferred_weight"_a = 2.0, "best_effort"_a = false, "seed"_a = 0)
       .def_ro("translation_tolerance", &rcs::IkOptions::translation_tolerance, "m")
       .def_ro("rotation_tolerance", &rcs::IkOptions::rotation_tolerance, "rad")
       .def_ro("iterations", &rcs::IkOptions::iterations, "Per attempt.")
@@ -76,8 +113,22 @@ void bind_kinematics(nb::module_& m) {
       .def_ro("damping", &rcs::IkOptions::damping, "Of the least squares.")
       .def_ro("rotation_weight", &rcs::IkOptions::rotation_weight,
               "How much a radian counts against a metre; below 1 the rotation gives way to the translation.")
-      .def_ro("max_step", &rcs::IkOptions::max_step,
-              "Largest change of any joint from the start [rad]; a solution farther away is clamped to this step.")
+      .def_prop_ro(
+          "max_step", [](const rcs::IkOptions& o) { return to_array(o.max_step); }, nb::rv_policy::move,
+          "Largest change of each joint from the start [rad], shape (dof,), or (0,) for no bound. A solution farther "
+          "away is clamped: all joints go the same share of the way towards it.")
+      .def_prop_ro(
+          "preferred", [](const rcs::IkOptions& o) { return to_array(o.preferred); }, nb::rv_policy::move,
+          "Joints [rad] that an arm with more joints than it needs returns to without moving its TCP, shape (dof,), or "
+          "(0,) for none.")
+      .def_ro("preferred_weight", &rcs::IkOptions::preferred_weight,
+              "How strongly it is drawn there: share of the way back per radian that the fastest joint moves for the "
+              "TCP. It depends on the path alone; a TCP at rest means an arm at rest.")
+      .def_ro("best_effort", &rcs::IkOptions::best_effort,
+              "Follow the target: out of reach, answer with the `nearest` pose instead of the start, and beyond "
+              "`max_step` with a step in the direction of the target. What the target does not ask for is kept: a push "
+              "against the end of the reach does not turn the tool, and a turn against a joint's limit does not move "
+              "it.")
       .def_ro("seed", &rcs::IkOptions::seed, "Of the restarts: same seed, same answer.");
   nb::class_<rcs::IkResult>(m, "IkResult", "The answer of inverse kinematics.")
       .def(
@@ -97,9 +148,13 @@ void bind_kinematics(nb::module_& m) {
   nb::class_<rcs::Kinematics, PyKinematics>(
       m, "Kinematics",
       "Kinematics of one arm: TCP pose in the base frame from joints, and back. Subclasses override `_dof`, "
-      "`_forward(joints)` and `_inverse(target, start, options)`.")
+      "`_joint_lower`, `_joint_upper`, `_forward(joints)` and `_inverse(target, start, options)`.")
       .def(nb::init<>())
       .def_prop_ro("dof", &rcs::Kinematics::dof)
+      .def_prop_ro(
+          "joint_lower", [](const rcs::Kinematics& k) { return to_array(k.joint_lower()); }, nb::rv_policy::move, "rad")
+      .def_prop_ro(
+          "joint_upper", [](const rcs::Kinematics& k) { return to_array(k.joint_upper()); }, nb::rv_policy::move, "rad")
       .def(
           "forward", [](rcs::Kinematics& self, Vector joints) { return self.forward(to_span(joints)); }, "joints"_a,
           "Pose of the TCP in the base frame for joints [rad], shape (dof,).")
@@ -109,9 +164,22 @@ void bind_kinematics(nb::module_& m) {
             return self.inverse(target, to_span(start), options);
           },
           "target"_a, "start"_a, "options"_a = rcs::IkOptions{},
-          "Joints [rad] that bring the TCP to `target` (in the base frame), looked for from `start`, shape (dof,).");
+          "Joints [rad] that bring the TCP to `target` (in the base frame), looked for from `start`, shape (dof,).")
+      .def(
+          "jacobian",
+          [](rcs::Kinematics& self, Vector joints) {
+            return to_array(self.jacobian(to_span(joints)), {6, static_cast<std::size_t>(self.dof())});
+          },
+          "joints"_a, "Jacobian of the TCP in the base frame, (6, dof): translation [m/rad] above rotation [rad/rad].")
+      .def("forward_batch", &forward_rows, "joints"_a,
+           "TCP poses (N, 7) in the base frame for joints (N, dof): translation [m], quaternion xyzw.")
+      .def("inverse_batch", &inverse_rows, "targets"_a, "starts"_a, "options"_a = rcs::IkOptions{}, "threads"_a = 1,
+           "Solve for targets (N, 7) from starts (N, dof).\n\nReturns joints (N, dof) and IkStatus values (N,) uint8. "
+           "The GIL is released. Kinematics in Python take the rows one by one in the thread of the caller.");
   nb::class_<rcs::DampedLeastSquares, rcs::Kinematics>(
-      m, "DampedLeastSquares", "Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.")
+      m, "DampedLeastSquares",
+      "Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve. Several threads may use one "
+      "solver at once.")
       .def(
           "__init__",
           [](rcs::DampedLeastSquares* self, const PyModel& model, std::vector<int> joints, int tcp_site,
@@ -119,33 +187,5 @@ void bind_kinematics(nb::module_& m) {
             new (self) rcs::DampedLeastSquares(model.get(), std::move(joints), tcp_site, base_body);
           },
           "model"_a, "joints"_a, "tcp_site"_a, "base_body"_a,
-          "Copy the model; the ids of joints (base to tip), TCP site and base body are its.")
-      .def(
-          "jacobian",
-          [](rcs::DampedLeastSquares& self, Vector joints) {
-            return to_array(self.jacobian(to_span(joints)), {6, static_cast<std::size_t>(self.dof())});
-          },
-          "joints"_a, "Jacobian of the TCP in the base frame, (6, dof): translation [m/rad] above rotation [rad/rad].")
-      .def(
-          "forward_batch",
-          [](rcs::DampedLeastSquares& self, const Rows& joints) {
-            const std::size_t count = joints.shape(0), n = joints.shape(1);
-            std::vector<double> poses(7 * count);
-            for (std::size_t i = 0; i < count; ++i) {
-              const rcs::Pose pose = self.forward({joints.data() + i * n, n});
-              for (int k = 0; k < 3; ++k) poses[7 * i + k] = pose.translation()[k];
-              for (int k = 0; k < 4; ++k) poses[7 * i + 3 + k] = pose.quaternion()[k];
-            }
-            return to_array(poses, {count, 7});
-          },
-          "joints"_a, "TCP poses (N, 7) in the base frame for joints (N, dof): translation [m], quaternion xyzw.")
-      .def("inverse_batch", &solve_batch, "targets"_a, "starts"_a, "options"_a = rcs::IkOptions{}, "threads"_a = 1,
-           "Solve for targets (N, 7) from starts (N, dof).\n\nReturns joints (N, dof) and IkStatus values (N,) uint8. "
-           "The GIL is released.")
-      .def_prop_ro(
-          "joint_lower", [](const rcs::DampedLeastSquares& k) { return to_array(k.joint_lower()); },
-          nb::rv_policy::move, "rad")
-      .def_prop_ro(
-          "joint_upper", [](const rcs::DampedLeastSquares& k) { return to_array(k.joint_upper()); },
-          nb::rv_policy::move, "rad");
+          "Copy the model; the ids of joints (base to tip), TCP site and base body are its.");
 }

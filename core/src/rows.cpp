@@ -39,15 +39,26 @@ bool limit_rows(std::span<const double> asked, std::span<const double> last, std
     throw InvalidSetup("limit_rows: max_lead must not be negative or NaN, it is " + std::to_string(max_lead));
   bool is_any = false;
   for (std::size_t row = 0; row < is_cut.size(); ++row) {
-    bool is_row = false;
+    // From where the last target is, or has to go first when the arm was pushed away: within the lead again, or as far
+    // towards it as a step goes. From there, all joints go the same share of the way, so that the path is not bent.
+    double share = 1.0;
     for (std::size_t c = 0; c < width; ++c) {
       const std::size_t i = row * width + c;
       const double low = std::max(last[i] - max_step[c], measured[i] - max_lead);
       const double high = std::min(last[i] + max_step[c], measured[i] + max_lead);
-      // The two bounds exclude each other when the arm was pushed away: then a step towards it is what is left.
-      const double least = low <= high ? low : std::clamp(measured[i], last[i] - max_step[c], last[i] + max_step[c]);
-      const double most = low <= high ? high : least;
-      target[i] = std::min(std::max(asked[i], least), most);
+      const bool is_pushed = low > high;
+      const double from = is_pushed ? std::clamp(measured[i], last[i] - max_step[c], last[i] + max_step[c])
+                                    : std::clamp(last[i], low, high);
+      target[i] = from;
+      const double way = asked[i] - from;
+      if (std::abs(way) <= rounding) continue;
+      const double room = is_pushed ? 0.0 : way > 0.0 ? high - from : from - low;
+      share = std::min(share, std::max(room, 0.0) / std::abs(way));
+    }
+    bool is_row = false;
+    for (std::size_t c = 0; c < width; ++c) {
+      const std::size_t i = row * width + c;
+      target[i] = share < 1.0 ? target[i] + share * (asked[i] - target[i]) : asked[i];
       is_row = is_row || std::abs(target[i] - asked[i]) > rounding;
     }
     // What counts as not cut leaves as it came, in every row: a copy must not depend on what happens to another.

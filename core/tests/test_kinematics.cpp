@@ -88,7 +88,7 @@ void a_solution_too_far_away_is_clamped() {
   std::vector<double> there = start;
   there[0] = 1.0;
   IkOptions options;
-  options.max_step = 0.05;
+  options.max_step.assign(kDof, 0.05);
   const IkResult result = solver.inverse(solver.forward(there), start, options);
   CHECK(result.status == IkStatus::clamped);
   double largest = 0.0;
@@ -106,6 +106,41 @@ void a_pose_out_of_reach_gives_the_start() {
   }
 }
 
+void with_best_effort_a_pose_out_of_reach_gives_the_nearest() {
+  DampedLeastSquares solver = make_solver();
+  std::mt19937 generator(5);
+  const std::vector<double> start(kDof, 0.3);
+  IkOptions options;
+  options.best_effort = true;
+  options.iterations = 200;
+  for (int round = 0; round < 20; ++round) {
+    const auto& near = solver.forward(random_joints(solver, generator)).translation();
+    const Pose target({3 * near[0], 3 * near[1], 3 * near[2]}, solver.forward(start).quaternion());
+    const double before = solver.forward(start).distance_to(target);
+    const IkResult result = solver.inverse(target, start, options);
+    CHECK(is_inside(solver, result.joints));
+    CHECK(result.status == IkStatus::nearest || result.status == IkStatus::ok);
+    CHECK(solver.forward(result.joints).distance_to(target) < before);
+    CHECK_NEAR(solver.forward(result.joints).distance_to(target), result.translation_error, 1e-9);
+  }
+}
+
+void with_best_effort_no_joint_moves_farther_than_it_may() {
+  DampedLeastSquares solver = make_solver();
+  std::mt19937 generator(6);
+  const std::vector<double> start(kDof, 0.3);
+  IkOptions options;
+  options.best_effort = true;
+  for (int i = 0; i < kDof; ++i) options.max_step.push_back(0.02 * (i + 1));
+  int clamped = 0;
+  for (int round = 0; round < 50; ++round) {
+    const IkResult result = solver.inverse(solver.forward(random_joints(solver, generator)), start, options);
+    clamped += result.status == IkStatus::clamped ? 1 : 0;
+    for (int i = 0; i < kDof; ++i) CHECK(std::abs(result.joints[i] - start[i]) <= options.max_step[i] + 1e-12);
+  }
+  CHECK(clamped > 25);
+}
+
 void a_batch_is_a_loop_at_any_number_of_threads() {
   DampedLeastSquares solver = make_solver();
   std::mt19937 generator(3);
@@ -120,7 +155,7 @@ void a_batch_is_a_loop_at_any_number_of_threads() {
   for (const int threads : {1, 2, 4, 64}) {
     std::vector<double> joints(count * kDof);
     std::vector<std::uint8_t> status(count);
-    rcs::inverse_batch(solver, targets, starts, IkOptions{}, threads, joints, status);
+    solver.inverse_batch(targets, starts, IkOptions{}, threads, joints, status);
     answers.push_back(joints);
     CHECK(answers.back() == answers.front());
   }
@@ -173,6 +208,8 @@ int main() {
   inverse_undoes_forward();
   a_solution_too_far_away_is_clamped();
   a_pose_out_of_reach_gives_the_start();
+  with_best_effort_a_pose_out_of_reach_gives_the_nearest();
+  with_best_effort_no_joint_moves_farther_than_it_may();
   a_batch_is_a_loop_at_any_number_of_threads();
   one_solver_serves_many_threads();
   what_makes_no_sense_is_refused();

@@ -87,7 +87,7 @@ void one_solver_and_one_batch_of_targets_serve_all_threads() {
   in_threads([&](int i) {
     std::vector<double> joints(36);
     std::vector<std::uint8_t> status(6);
-    rcs::inverse_batch(solver, targets, starts, {}, 1 + i, joints, status);
+    solver.inverse_batch(targets, starts, {}, 1 + i, joints, status);
     CHECK(std::equal(expected.begin(), expected.end(), joints.begin() + 30));
   });
 }

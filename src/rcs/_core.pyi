@@ -566,15 +566,22 @@ class IkStatus(enum.Enum):
     """The target is reached within the tolerances."""
 
     clamped = 1
-    """A solution exists, the answer is the allowed step towards it."""
+    """
+    The target is farther away than allowed, the answer is the allowed step towards it.
+    """
 
     infeasible = 2
     """No solution inside the joint limits; the answer is the start."""
 
+    nearest = 3
+    """
+    With best effort: no solution near the start, the answer is the nearest pose inside the joint limits.
+    """
+
 class IkOptions:
     """How hard inverse kinematics tries, and what it may answer."""
 
-    def __init__(self, *, translation_tolerance: float = 0.0001, rotation_tolerance: float = 0.0001, iterations: int = 30, restarts: int = 60, damping: float = 0.0001, rotation_weight: float = 1.0, max_step: float = float('inf'), seed: int = 0) -> None: ...
+    def __init__(self, *, translation_tolerance: float = 0.0001, rotation_tolerance: float = 0.0001, iterations: int = 30, restarts: int = 60, damping: float = 0.0001, rotation_weight: float = 1.0, max_step: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, preferred: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, preferred_weight: float = 2.0, best_effort: bool = False, seed: int = 0) -> None: ...
 
     @property
     def translation_tolerance(self) -> float:
@@ -605,9 +612,27 @@ class IkOptions:
         """
 
     @property
-    def max_step(self) -> float:
+    def max_step(self) -> NDArray[numpy.float64]:
         """
-        Largest change of any joint from the start [rad]; a solution farther away is clamped to this step.
+        Largest change of each joint from the start [rad], shape (dof,), or (0,) for no bound. A solution farther away is clamped: all joints go the same share of the way towards it.
+        """
+
+    @property
+    def preferred(self) -> NDArray[numpy.float64]:
+        """
+        Joints [rad] that an arm with more joints than it needs returns to without moving its TCP, shape (dof,), or (0,) for none.
+        """
+
+    @property
+    def preferred_weight(self) -> float:
+        """
+        How strongly it is drawn there: share of the way back per radian that the fastest joint moves for the TCP. It depends on the path alone; a TCP at rest means an arm at rest.
+        """
+
+    @property
+    def best_effort(self) -> bool:
+        """
+        Follow the target: out of reach, answer with the `nearest` pose instead of the start, and beyond `max_step` with a step in the direction of the target. What the target does not ask for is kept: a push against the end of the reach does not turn the tool, and a turn against a joint's limit does not move it.
         """
 
     @property
@@ -639,7 +664,7 @@ class IkResult:
 
 class Kinematics:
     """
-    Kinematics of one arm: TCP pose in the base frame from joints, and back. Subclasses override `_dof`, `_forward(joints)` and `_inverse(target, start, options)`.
+    Kinematics of one arm: TCP pose in the base frame from joints, and back. Subclasses override `_dof`, `_joint_lower`, `_joint_upper`, `_forward(joints)` and `_inverse(target, start, options)`.
     """
 
     def __init__(self) -> None: ...
@@ -647,22 +672,20 @@ class Kinematics:
     @property
     def dof(self) -> int: ...
 
+    @property
+    def joint_lower(self) -> NDArray[numpy.float64]:
+        """rad"""
+
+    @property
+    def joint_upper(self) -> NDArray[numpy.float64]:
+        """rad"""
+
     def forward(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Pose:
         """Pose of the TCP in the base frame for joints [rad], shape (dof,)."""
 
     def inverse(self, target: Pose, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], options: IkOptions = ...) -> IkResult:
         """
         Joints [rad] that bring the TCP to `target` (in the base frame), looked for from `start`, shape (dof,).
-        """
-
-class DampedLeastSquares(Kinematics):
-    """
-    Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.
-    """
-
-    def __init__(self, model: mujoco.MjModel, joints: Sequence[int], tcp_site: int, base_body: int) -> None:
-        """
-        Copy the model; the ids of joints (base to tip), TCP site and base body are its.
         """
 
     def jacobian(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
@@ -679,16 +702,18 @@ class DampedLeastSquares(Kinematics):
         """
         Solve for targets (N, 7) from starts (N, dof).
 
-        Returns joints (N, dof) and IkStatus values (N,) uint8. The GIL is released.
+        Returns joints (N, dof) and IkStatus values (N,) uint8. The GIL is released. Kinematics in Python take the rows one by one in the thread of the caller.
         """
 
-    @property
-    def joint_lower(self) -> NDArray[numpy.float64]:
-        """rad"""
+class DampedLeastSquares(Kinematics):
+    """
+    Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve. Several threads may use one solver at once.
+    """
 
-    @property
-    def joint_upper(self) -> NDArray[numpy.float64]:
-        """rad"""
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[int], tcp_site: int, base_body: int) -> None:
+        """
+        Copy the model; the ids of joints (base to tip), TCP site and base body are its.
+        """
 
 class StepView:
     """
@@ -1175,7 +1200,7 @@ def clip_rows(values: Annotated[NDArray[numpy.float32], dict(order='C', device='
 
 def limit_rows(asked: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], last: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], measured: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_step: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_lead: float, rounding: float) -> tuple[NDArray[numpy.float64], NDArray[numpy.bool_]] | None:
     """
-    Cut `asked` (..., n) to at most `max_step` (n,) from `last` and `max_lead` from `measured`.
+    Cut `asked` (..., n) to at most `max_step` (n,) from `last` and `max_lead` from `measured`: all joints of a row go the same share of the way from `last`.
 
-    Returns the targets and a flag per row that says whether it was cut by more than `rounding`; None if no row was.
+    A joint that was pushed out of its lead goes back towards it first, by a step at most. Returns the targets and a flag per row that says whether it was cut by more than `rounding`; None if no row was.
     """

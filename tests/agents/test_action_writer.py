@@ -19,8 +19,6 @@ from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND
 from rcs.spatial import distance
 
-STEP = np.array(FR3.velocity_limit) / 30
-
 
 class Halve(Layer):
     """Lets the arm go only half of the way that is asked for."""
@@ -45,9 +43,9 @@ def test_an_arm_arrives_also_above_a_layer_that_halves_every_step(control: Any) 
     made = rcs.make(setup)
     scenario = made.scenario
     kinematics = kinematics_of(FR3, FRANKA_HAND)
-    layers: list[Layer] = [LimitStep(STEP), Halve()]
+    layers: list[Layer] = [LimitStep(np.array(FR3.velocity_limit) / 30), Halve()]
     layers += [CartesianControl(kinematics)] if control == TQUAT else []
-    layers += [Relative(control, max_joint_step=STEP)]
+    layers += [Relative(control, frequency=30.0, joint_speed=FR3.velocity_limit)]
     env = Env(Stack(Chain(made.stack.ports, layers)), Clock(scenario.world), scenario)
     observation, info = env.reset(seed=0)
     writer = ActionWriter(setup, env.stack.action_space, kinematics)

@@ -22,9 +22,11 @@ def test_a_limit_that_is_negative_or_not_a_number_is_refused(wrong: float) -> No
 
 def test_limits_may_be_zero_or_infinite() -> None:
     row = np.zeros((1, 2))
-    target, is_cut = limit_rows(row + 1, row, row, np.array([0.0, np.inf]), np.inf, 0.0) or (None, None)
-    np.testing.assert_array_equal(target, [[0.0, 1.0]])
-    np.testing.assert_array_equal(is_cut, [True])
+    for step, expected in (([0.0, np.inf], [[0.0, 0.0]]), ([0.5, np.inf], [[0.5, 0.5]])):
+        target, is_cut = limit_rows(row + 1, row, row, np.array(step), np.inf, 0.0) or (None, None)
+        np.testing.assert_array_equal(target, expected)
+        np.testing.assert_array_equal(is_cut, [True])
+    assert limit_rows(row + 1, row, row, np.full(2, np.inf), np.inf, 0.0) is None
 
 
 @pytest.mark.parametrize("value", [np.datetime64("2020"), np.timedelta64(3), np.array(["2020"], "datetime64[s]")])

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,7 +54,7 @@ def test_a_solution_farther_away_than_allowed_is_clamped_towards(solver: DampedL
     assert free.status is IkStatus.ok
     whole = free.joints - HOME
     max_step = fraction * float(np.abs(whole).max())
-    clamped = solver.inverse(target, HOME, IkOptions(max_step=max_step))
+    clamped = solver.inverse(target, HOME, IkOptions(max_step=np.full(7, max_step)))
     assert clamped.status is IkStatus.clamped
     np.testing.assert_allclose(clamped.joints - HOME, fraction * whole, atol=1e-12)
 
@@ -65,14 +66,15 @@ def test_a_pose_out_of_reach_gives_the_start(solver: DampedLeastSquares) -> None
     assert result.translation_error > 0.5
 
 
+@pytest.mark.parametrize("is_followed", [False, True])
 @pytest.mark.parametrize("threads", [1, 2, 7])
 def test_a_batch_is_a_loop_at_any_number_of_threads(
-    solver: DampedLeastSquares, random_joints: NDArray[np.float64], threads: int
+    solver: DampedLeastSquares, random_joints: NDArray[np.float64], threads: int, is_followed: bool
 ) -> None:
     targets = solver.forward_batch(random_joints[:40])
     targets[3] = FAR.tquat
     starts = np.tile(HOME, (40, 1))
-    options = IkOptions(restarts=3, max_step=1.0)
+    options = IkOptions(restarts=3, max_step=np.full(7, 1.0), best_effort=is_followed, preferred=HOME)
     joints, status = solver.inverse_batch(targets, starts, options, threads=threads)
     for i, target in enumerate(targets):
         one = solver.inverse(Pose(target[:3], target[3:]), starts[i], options)
@@ -127,15 +129,28 @@ def test_poses_and_starts_that_make_no_sense_are_refused(solver: DampedLeastSqua
         {"iterations": 0},
         {"restarts": -1},
         {"damping": 0.0},
-        {"max_step": 0.0},
+        {"max_step": np.array([0.1, 0.0])},
+        {"max_step": np.array([np.nan])},
+        {"preferred": np.array([np.inf])},
+        {"preferred_weight": -1.0},
         {"translation_tolerance": 0.0},
         {"rotation_tolerance": -1.0},
         {"damping": float("nan")},
     ],
 )
-def test_options_that_make_no_sense_are_refused(option: dict[str, float]) -> None:
+def test_options_that_make_no_sense_are_refused(option: dict[str, Any]) -> None:
     with pytest.raises(InvalidSetup, match="IkOptions"):
         IkOptions(**option)
+
+
+@pytest.mark.parametrize("option", [{"max_step": np.ones(1)}, {"preferred": np.zeros(8)}])
+def test_options_for_another_number_of_joints_are_refused(solver: DampedLeastSquares, option: dict[str, Any]) -> None:
+    for call in (
+        solver.inverse,
+        lambda target, start, options: solver.inverse_batch(target.tquat[None], start[None], options),
+    ):
+        with pytest.raises(InvalidSetup, match="one entry for each of the 7 joints"):
+            call(solver.forward(HOME), HOME, IkOptions(**option))
 
 
 class Gantry(Kinematics):
@@ -143,6 +158,12 @@ class Gantry(Kinematics):
 
     def _dof(self) -> int:
         return 3
+
+    def _joint_lower(self) -> list[float]:
+        return [-1.0, -1.0, 0.0]
+
+    def _joint_upper(self) -> list[float]:
+        return [1.0, 1.0, 2.0]
 
     def _forward(self, joints: NDArray[np.float64]) -> Pose:
         return Pose(joints)
@@ -158,6 +179,60 @@ def test_kinematics_can_be_written_in_python() -> None:
     assert gantry.dof == 3
     assert result.iterations == 9
     np.testing.assert_array_equal(result.joints, [0.1, 0.2, 0.3])
+
+
+def test_kinematics_written_in_python_have_batches_and_a_jacobian() -> None:
+    gantry = Gantry()
+    joints = np.random.default_rng(0).uniform(-1, 1, (5, 3))
+    poses = gantry.forward_batch(joints)
+    np.testing.assert_array_equal(poses[:, :3], joints)
+    solved, status = gantry.inverse_batch(poses, np.zeros((5, 3)), threads=4)
+    np.testing.assert_array_equal(solved, joints)
+    assert (status == IkStatus.ok.value).all()
+    np.testing.assert_allclose(gantry.jacobian(joints[0]), np.eye(6, 3), atol=1e-9)
+    np.testing.assert_array_equal(gantry.joint_lower, [-1, -1, 0])
+    np.testing.assert_array_equal(gantry.joint_upper, [1, 1, 2])
+
+
+def test_a_batch_of_the_wrong_shape_is_refused_also_by_kinematics_in_python() -> None:
+    with pytest.raises(InvalidSetup, match=r"\(N, 3\)"):
+        Gantry().forward_batch(np.zeros((2, 4)))
+    with pytest.raises(InvalidSetup, match=r"\(N, 3\)"):
+        Gantry().inverse_batch(np.zeros((2, 7)), np.zeros((2, 4)))
+
+
+class Numeric(Kinematics):
+    """The forward kinematics of a solver, and nothing else of it."""
+
+    def __init__(self, solver: DampedLeastSquares) -> None:
+        super().__init__()
+        self._solver = solver
+
+    def _dof(self) -> int:
+        return self._solver.dof
+
+    def _forward(self, joints: NDArray[np.float64]) -> Pose:
+        return self._solver.forward(joints)
+
+
+def test_a_jacobian_that_nobody_wrote_is_the_derivative_of_the_pose(
+    solver: DampedLeastSquares, random_joints: NDArray[np.float64]
+) -> None:
+    numeric = Numeric(solver)
+    for joints in random_joints[:20]:
+        np.testing.assert_allclose(numeric.jacobian(joints), solver.jacobian(joints), atol=1e-6)
+
+
+class Short(Gantry):
+    """Kinematics whose answer has a joint too few."""
+
+    def _inverse(self, target: Pose, start: NDArray[np.float64], options: IkOptions) -> IkResult:
+        return IkResult([0.0, 0.0], IkStatus.ok)
+
+
+def test_an_answer_with_a_wrong_number_of_joints_is_refused() -> None:
+    with pytest.raises(InvalidSetup, match="wrong number of joints"):
+        Short().inverse_batch(np.array([[0, 0, 0, 0, 0, 0, 1.0]]), np.zeros((1, 3)))
 
 
 def test_a_solver_takes_a_model_and_no_address() -> None:

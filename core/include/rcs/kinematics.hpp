@@ -5,7 +5,6 @@
 
 #include <array>
 #include <cstdint>
-#include <limits>
 #include <memory>
 #include <mutex>
 #include <span>
@@ -36,8 +35,18 @@ struct IkOptions {
   /// How much a radian counts against a metre. Below 1 an arm with fewer than six joints meets the translation and
   /// comes as near to the rotation as it can; `rotation_tolerance` says how near is near enough.
   double rotation_weight = 1.0;
-  /// Largest change of any joint from the start [rad]; a solution farther away is `clamped` to this step towards it.
-  double max_step = std::numeric_limits<double>::infinity();
+  /// Largest change of each joint from the start [rad], one entry per joint; empty for no bound. A solution farther
+  /// away is `clamped`: all joints go the same share of the way towards it.
+  std::vector<double> max_step = {};
+  /// Joints [rad] that an arm with more joints than it needs returns to without moving its TCP; empty for none.
+  std::vector<double> preferred = {};
+  /// How strongly it is drawn there: share of the way back per radian that the fastest joint moves for the TCP. It
+  /// depends on the path alone, not on the number of solves along it, and a TCP at rest means an arm at rest.
+  double preferred_weight = 2.0;
+  /// Follow the target: out of reach, answer with the `nearest` pose instead of the start, and beyond `max_step`
+  /// with a step in the direction of the target. What the target does not ask for is kept: a push against the end of
+  /// the reach does not turn the tool, and a turn against a joint's limit does not move it.
+  bool best_effort = false;
   std::uint64_t seed = 0;  ///< of the restarts: same seed, same answer
 };
 
@@ -46,24 +55,40 @@ class Kinematics {
  public:
   virtual ~Kinematics() = default;
   virtual int dof() const = 0;
+  virtual std::vector<double> joint_lower() const = 0;  ///< rad
+  virtual std::vector<double> joint_upper() const = 0;  ///< rad
   /// Pose of the TCP in the base frame for joints [rad].
   virtual Pose forward(std::span<const double> joints) = 0;
   /// Joints that bring the TCP to `target` (in the base frame), looked for from `start` [rad].
   virtual IkResult inverse(const Pose& target, std::span<const double> start, const IkOptions& options) = 0;
-};
+  /// Jacobian of the TCP in the base frame: 6 × dof, row-major, translation rows [m/rad] above rotation rows [rad/rad].
+  /// Unless overridden, central differences of `forward`.
+  virtual std::vector<double> jacobian(std::span<const double> joints);
+  /// TCP poses, count × 7 (translation, quaternion xyzw), for joints, count × dof. Unless overridden, a loop.
+  virtual void forward_batch(std::span<const double> joints, std::span<double> poses);
+  /// Many targets at once. Row i of every output depends on row i of the inputs alone, at any number of threads.
+  ///
+  /// `targets` is count × 7 (translation, quaternion xyzw), `starts` and `joints` are count × dof, `status` is count
+  /// long. Unless overridden, a loop in the thread of the caller.
+  virtual void inverse_batch(std::span<const double> targets, std::span<const double> starts, const IkOptions& options,
+                             int threads, std::span<double> joints, std::span<std::uint8_t> status);
 
-/// Many targets at once. Row i of every output depends on row i of the inputs alone, at any number of threads.
-///
-/// `targets` is count × 7 (translation, quaternion xyzw), `starts` and `joints` are count × dof, `status` is count
-/// long.
-class DampedLeastSquares;
-void inverse_batch(DampedLeastSquares& kinematics, std::span<const double> targets, std::span<const double> starts,
-                   const IkOptions& options, int threads, std::span<double> joints, std::span<std::uint8_t> status);
+ protected:
+  /// Solve the rows of a batch, whose shapes and numbers are checked, on at most `threads` threads.
+  void solve_rows(std::span<const double> targets, std::span<const double> starts, const IkOptions& options,
+                  int threads, std::span<double> joints, std::span<std::uint8_t> status);
+  /// Throws `InvalidSetup` for a wrong number of joints and for one that is not finite.
+  void check_joints(std::span<const double> joints) const;
+};
 
 /// Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.
 ///
-/// Joints that would leave their range are fixed at the limit and the step is solved again for the others. Nakamura and
-/// Hanafusa, "Inverse kinematic solutions with singularity robustness for robot manipulator control", 1986.
+/// With best effort, a step that comes less near than its Jacobian promises is made again with more damping
+/// (Levenberg-Marquardt), so that the error never grows and a stretched arm does not swing to and fro. Joints that
+/// would leave their range are fixed at the limit and the step is solved again for the others. Nakamura and Hanafusa,
+/// "Inverse kinematic solutions with singularity robustness for robot manipulator control", 1986; the pull to the
+/// preferred joints is projected into the null space, Liegeois, "Automatic supervisory control of the configuration and
+/// behavior of multibody mechanisms", 1977.
 ///
 /// Calls from several threads are as good as one after the other: each computes in memory of its own, which is kept for
 /// the next call.
@@ -74,14 +99,13 @@ class DampedLeastSquares final : public Kinematics {
   ~DampedLeastSquares() override;
 
   int dof() const override { return static_cast<int>(joints_.size()); }
+  std::vector<double> joint_lower() const override { return lower_; }
+  std::vector<double> joint_upper() const override { return upper_; }
   Pose forward(std::span<const double> joints) override;
   IkResult inverse(const Pose& target, std::span<const double> start, const IkOptions& options) override;
-
-  /// Jacobian of the TCP in the base frame: 6 × dof, row-major, translation rows [m/rad] above rotation rows [rad/rad].
-  std::vector<double> jacobian(std::span<const double> joints) const;
-
-  const std::vector<double>& joint_lower() const { return lower_; }
-  const std::vector<double>& joint_upper() const { return upper_; }
+  std::vector<double> jacobian(std::span<const double> joints) override;
+  void inverse_batch(std::span<const double> targets, std::span<const double> starts, const IkOptions& options,
+                     int threads, std::span<double> joints, std::span<std::uint8_t> status) override;
 
  private:
   /// What one call computes in.
@@ -91,12 +115,28 @@ class DampedLeastSquares final : public Kinematics {
     void operator()(Scratch* scratch) const;
   };
   using Lease = std::unique_ptr<Scratch, GiveBack>;
+  /// How an attempt ended.
+  enum class End : std::uint8_t { reached, at_max_step, nearest };
+
+  /// How much of a step to make.
+  struct Stride {
+    double largest = 0.0;     ///< entry of the whole step [rad]
+    double scale = 1.0;       ///< share to make
+    double stiffness = 0.0;   ///< smallest squared change of the error per squared radian, when the share is below 1
+    bool is_at_edge = false;  ///< whether that share ends at the largest change from the start
+  };
 
   Lease borrow() const;
   void set_joints(Scratch& scratch, std::span<const double> joints) const;
-  void check_size(std::span<const double> joints) const;
-  bool attempt(Scratch& scratch, const std::array<double, 7>& target, std::vector<double>& q, const IkOptions& options,
-               IkResult& result) const;
+  void check_options(const IkOptions& options) const;
+  /// Take `q` towards the target, by `max_step` at most; empty for no bound. Errors and iterations go into `result`.
+  End attempt(Scratch& scratch, const std::array<double, 7>& target, std::vector<double>& q,
+              std::span<const double> max_step, const IkOptions& options, IkResult& result) const;
+  /// Write the step from the present Jacobian to `scratch.step`; joints that it would take past a limit go up to it.
+  Stride solve_step(Scratch& scratch, const std::vector<double>& q, const std::vector<double>& start,
+                    std::span<const double> max_step, const IkOptions& options, double weight, double damping) const;
+  /// Decrease of the squared weighted error by a share of `scratch.step`, if the Jacobian held all along.
+  double promised(const Scratch& scratch, double weight, double scale) const;
   /// Position error and rotation error (as a rotation vector) from the present TCP to the target, in world axes.
   void error_to(const Scratch& scratch, const std::array<double, 7>& target_in_world,
                 std::array<double, 6>& error) const;

@@ -21,8 +21,9 @@ enum class StepEnd : std::uint8_t {
 /// What inverse kinematics found.
 enum class IkStatus : std::uint8_t {
   ok,          ///< the target is reached within the tolerances
-  clamped,     ///< a solution exists, the answer is the allowed step towards it
+  clamped,     ///< the target is farther away than allowed, the answer is the allowed step towards it
   infeasible,  ///< no solution found inside the joint limits; the answer is the start, so nothing moves
+  nearest,     ///< with best effort: no solution near the start, the answer is the nearest pose inside the joint limits
 };
 
 /// A command that a device may not execute: wrong size, not finite, or outside its limits.

@@ -7,32 +7,15 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Action, Observation
-from rcs.kinematics import IkOptions, IkStatus, Kinematics
+from rcs.kinematics import IkStatus, Kinematics, freedom_of
 from rcs.spatial import Pose, compose, inverse, limit_step, tquat_to_xyzrpy
 
 MARGIN = 0.9
 """Share of a relative pose action's bounds to use, since a rotation's components differ slightly from its angle."""
-
-
-def ik_options(kinematics: Kinematics, restarts: int = 0) -> IkOptions:
-    """Return solver options for what an arm can reach: any pose, or with fewer than six joints, a position.
-
-    The tool of such an arm leans as little as possible, by up to 1.6 rad.
-
-    Args:
-        kinematics: Of the arm.
-        restarts: Random starts for an arm with fewer than six joints; 0 keeps to the branch of the last joints.
-    """
-    if kinematics.dof >= 6:
-        return IkOptions(restarts=0, iterations=100)
-    # With this weight, a tilt of a right angle moves the solution by less than the tolerance of the position.
-    return IkOptions(
-        restarts=restarts, iterations=200, rotation_weight=0.005, rotation_tolerance=1.6, translation_tolerance=5e-4
-    )
 
 
 class ActionWriter:
@@ -42,13 +25,17 @@ class ActionWriter:
     may have limited it.
     """
 
-    def __init__(self, setup: Setup, action_space: spaces.Dict, kinematics: Kinematics) -> None:
+    def __init__(
+        self, setup: Setup, action_space: spaces.Dict, kinematics: Kinematics, *, preferred: ArrayLike | None = None
+    ) -> None:
         """Prepare to write for an environment.
 
         Args:
             setup: Has the control mode.
             action_space: Bounds of an action.
             kinematics: Of the arm with its gripper, for joint actions.
+            preferred: Joints to which an arm with more than six returns while its TCP moves [rad], shape (dof,), for
+                joint actions; None for none.
         """
         box = action_space[setup.control]
         assert isinstance(box, spaces.Box)
@@ -57,7 +44,7 @@ class ActionWriter:
         self._bound: NDArray[np.float64] = box.high.astype(np.float64)
         self._kinematics = kinematics
         # Stays on the branch of the last target, since a jump to another one would be a large, fast motion.
-        self._options = ik_options(kinematics)
+        self._options = freedom_of(kinematics, best_effort=True, preferred=preferred)
         self.joints = np.zeros(kinematics.dof)
         """The last joint target [rad]."""
         self._last = self._origin = np.zeros(0)
@@ -120,7 +107,8 @@ class ActionWriter:
         if self._setup.relative == "origin":
             action = difference(self._origin, tcp)
         elif self._setup.relative == "last_step":
-            turn = self._bound[3] if self._setup.control != TQUAT else np.deg2rad(15.0)
+            # The bound of a quaternion's entry is that of the sine of half the angle.
+            turn = self._bound[3] if self._setup.control != TQUAT else 2 * np.arcsin(self._bound[3])
             reached = limit_step(self._last, tcp, MARGIN * float(self._bound[0]), MARGIN * float(turn))
             action = difference(self._last, reached)
             self._last = reached
@@ -128,7 +116,11 @@ class ActionWriter:
 
 
 def difference(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the motion along and about the axes of the parent frame that takes `start` to `goal`, all (7,)."""
+    """Return the motion along and about the axes of the parent frame that takes `start` to `goal`, all (7,).
+
+    Of the two quaternions of its rotation, it has the one whose last entry is not negative.
+    """
     step = compose((0.0, 0.0, 0.0, *goal[3:]), inverse((0.0, 0.0, 0.0, *start[3:])))
+    step *= np.sign(step[6]) or 1.0
     step[:3] = goal[:3] - start[:3]
     return step

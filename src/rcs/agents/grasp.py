@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.agents.action_writer import ik_options
 from rcs.agents.script import Phase, Plan, Script, ScriptedArm
 from rcs.envs.spaces import GRIPPER
-from rcs.kinematics import IkStatus
+from rcs.kinematics import IkStatus, freedom_of
 from rcs.spatial import Pose
 
 CLEARANCE = 0.09
@@ -61,7 +60,7 @@ Reach = tuple[NDArray[np.float64], NDArray[np.float64]]
 def reach(arm: ScriptedArm, tool: Pose, start: NDArray[np.float64], restarts: int = 0) -> Reach | None:
     """Return how an arm reaches a pose; None if it cannot. With fewer than six joints it may have to tilt its tool."""
     kinematics = arm.kinematics
-    result = kinematics.inverse(tool, start, ik_options(kinematics, restarts))
+    result = kinematics.inverse(tool, start, freedom_of(kinematics, restarts=restarts))
     tcp = tool if kinematics.dof >= 6 else kinematics.forward(result.joints)
     return (tcp.tquat, result.joints) if result.status == IkStatus.ok else None
 

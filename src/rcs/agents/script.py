@@ -60,7 +60,9 @@ class ScriptedArm:
         self.key, self.robot = key, robot
         self.kinematics: Kinematics = kinematics_of(robot.arm, robot.end_effector)
         space: Any = env.action_space
-        self.writer = ActionWriter(env.setup, space if key is None else space[key], self.kinematics)
+        self.writer = ActionWriter(
+            env.setup, space if key is None else space[key], self.kinematics, preferred=robot.arm.home
+        )
         self.observation: Observation = {}
         self.before: Observation = {}
         self.start = np.zeros(0)

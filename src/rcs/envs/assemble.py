@@ -348,12 +348,23 @@ def layers_of(setup: Setup, robot: RobotPlacement) -> list[Layer]:
     step = np.array(robot.arm.velocity_limit) / setup.frequency
     control = setup.control
     layers: list[Layer] = []
-    if setup.stepping != "sync":
+    is_bounded = setup.stepping != "sync"
+    if is_bounded:
         layers.append(LimitStep(step))
     if control in (TQUAT, XYZRPY):
-        layers.append(CartesianControl(kinematics_of(robot.arm, robot.end_effector)))
+        kinematics = kinematics_of(robot.arm, robot.end_effector)
+        layers.append(CartesianControl(kinematics, preferred=robot.arm.home, max_step=step if is_bounded else None))
     if setup.relative != "absolute":
-        layers.append(Relative(control, to=setup.relative, max_joint_step=step))
+        layers.append(
+            Relative(
+                control,
+                frequency=setup.frequency,
+                to=setup.relative,
+                joint_speed=robot.arm.velocity_limit,
+                translation_speed=robot.arm.tcp_speed,
+                rotation_speed=robot.arm.tcp_turn_speed,
+            )
+        )
     elif control == XYZRPY:
         layers.append(XyzrpyControl())
     if robot.gripper is not None and setup.binary_gripper:

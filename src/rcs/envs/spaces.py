@@ -124,6 +124,20 @@ def depth_space(width: int, height: int) -> spaces.Box:
     return spaces.Box(0, 65535, (height, width), np.uint16)
 
 
+def require_direction(tquat: NDArray[np.float64]) -> None:
+    """Check that the quaternions of poses (..., 7) can be normalised.
+
+    Raises:
+        InvalidAction: One has nearly no length.
+    """
+    norms = np.sqrt((tquat[..., 3:] ** 2).sum(axis=-1))
+    if (norms < MINIMAL_NORM).any():
+        raise InvalidAction(
+            f"The quaternion of {TQUAT!r} has norm {norms.min():.3g}; valid is a unit quaternion xyzw, "
+            "and (0, 0, 0, 1) for no rotation. Nothing was sent to the device."
+        )
+
+
 class ActionCheck:
     """Checks actions against the spaces of their keys; made once, called at every step."""
 

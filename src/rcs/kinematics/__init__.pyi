@@ -6,3 +6,4 @@ from rcs._core import Kinematics as Kinematics
 from rcs.kinematics.chain import attach_end_effector as attach_end_effector
 from rcs.kinematics.chain import kinematics_of as kinematics_of
 from rcs.kinematics.chain import load as load
+from rcs.kinematics.freedom import freedom_of as freedom_of

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,25 @@ def layer() -> CartesianControl:
     return layer
 
 
+def layer_of(robot: str, frequency: float = 30.0) -> tuple[CartesianControl, np.ndarray, Callable[[], np.ndarray]]:
+    """Return a layer as a setup makes it, the TCP pose of home, and what gives that of the last target."""
+    env = rcs.make("Free", robot=robot, control="tquat", relative=False, frequency=frequency)
+    placement = env.robots[robot]
+    kinematics = kinematics_of(placement.arm, placement.end_effector)
+    layer = next(layer for layer in env.stack.layers if isinstance(layer, CartesianControl))
+    joints = np.array(placement.arm.home)
+    layer.reset({JOINTS: joints})
+    last = {JOINTS: joints}
+    inner = layer.map_executed
+
+    def execute(executed: Any) -> Any:
+        last[JOINTS] = executed[JOINTS]
+        return inner(executed)
+
+    layer.map_executed = execute
+    return layer, kinematics.forward(joints).tquat, lambda: kinematics.forward(last[JOINTS]).tquat
+
+
 @pytest.fixture
 def home() -> np.ndarray:
     return kinematics_of(FR3, FRANKA_HAND).forward(HOME).tquat
@@ -40,15 +60,17 @@ def test_a_pose_near_by_is_reached(layer: CartesianControl, home: np.ndarray) ->
     assert layer.info()["ik_status"] == IkStatus.ok.value
 
 
-def test_a_pose_out_of_reach_leaves_the_target_where_it_is(layer: CartesianControl, home: np.ndarray) -> None:
+def test_a_pose_out_of_reach_moves_the_tcp_to_the_nearest_and_the_level_above_learns_where_it_is(
+    layer: CartesianControl, home: np.ndarray
+) -> None:
     far = home.copy()
     far[0] = 1.9
     joints = layer.map_action({TQUAT: far, "gripper": OPEN})[JOINTS]
-    np.testing.assert_array_equal(joints, HOME)
-    # The level above learns where the arm really is, and not where it was asked to go.
     executed = layer.map_executed({JOINTS: joints, "gripper": OPEN})
-    assert layer.info()["ik_status"] == IkStatus.infeasible.value
-    np.testing.assert_allclose(executed[TQUAT], home, atol=1e-9)
+    assert layer.info()["ik_status"] == IkStatus.nearest.value
+    np.testing.assert_array_equal(executed[TQUAT], kinematics_of(FR3, FRANKA_HAND).forward(joints).tquat)
+    assert executed[TQUAT][0] > home[0] + 0.2
+    assert distance(executed[TQUAT], home)[1] < 0.1, "what nobody asked for is kept"
 
 
 def test_a_pose_that_is_mapped_and_not_executed_leaves_no_trace(layer: CartesianControl, home: np.ndarray) -> None:
@@ -59,14 +81,24 @@ def test_a_pose_that_is_mapped_and_not_executed_leaves_no_trace(layer: Cartesian
     np.testing.assert_array_equal(layer.map_action({TQUAT: target, "gripper": OPEN})[JOINTS], expected)
 
 
-def test_an_arm_that_cannot_follow_says_so_in_info_and_stays() -> None:
-    env = rcs.make("Free", control="tquat", relative=False)
-    observation, _ = env.reset(seed=0)
-    far = observation["tquat"].copy()
-    far[0] = 1.9
-    after, *_, info = env.step({"tquat": far, "gripper": OPEN})
-    assert info["ik_status"] == IkStatus.infeasible.value
-    np.testing.assert_allclose(after["joints"], observation["joints"], atol=2e-3)
+@pytest.mark.parametrize("robot", ["fr3", "ur5e", "xarm7", "so101"])
+def test_a_target_beyond_the_reach_that_moves_sideways_takes_the_tcp_along(robot: str) -> None:
+    layer, start, forward = layer_of(robot)
+    way_out = start[:2] / np.hypot(*start[:2])
+    sideways = np.array([-way_out[1], way_out[0]])
+    target = start.copy()
+    tcps = []
+    for shift in np.linspace(-0.72, 0.72, 60):
+        target[:2] = 1.6 * way_out + shift * sideways
+        for _ in range(40 if not tcps else 3):
+            layer.map_executed(layer.map_action({TQUAT: target}))
+        assert layer.info()["ik_status"] != IkStatus.ok.value
+        tcps.append(forward())
+    tcps = np.array(tcps)
+    assert (np.diff(tcps[:, :2] @ sideways) > 0).all(), "it never stands still"
+    swept = np.arctan2(tcps[:, :2] @ sideways, tcps[:, :2] @ way_out)
+    asked = np.arctan2(0.72, 1.6)
+    np.testing.assert_allclose([swept[0], swept[-1]], [-asked, asked], atol=0.05)
 
 
 def test_the_sign_and_the_length_of_a_quaternion_do_not_matter(layer: CartesianControl, home: np.ndarray) -> None:

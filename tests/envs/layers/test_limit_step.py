@@ -58,6 +58,22 @@ def test_rows_do_not_know_of_each_other(starts: Any, measured: Any, asked: Any) 
         assert single.info()["is_limited"] == batch.info()["is_limited"][row]
 
 
+@settings(max_examples=100, deadline=None)
+@given(starts=SOME, asked=SOME)
+def test_all_joints_of_a_row_go_the_same_share_of_the_way(starts: Any, asked: Any) -> None:
+    way = asked - starts
+    share = np.minimum(1.0, (STEP / np.maximum(np.abs(way), 1e-300)).min(axis=-1, keepdims=True))
+    np.testing.assert_allclose(execute(layer(starts), asked), starts + share * way, atol=2e-9)
+
+
+def test_a_joint_at_the_end_of_its_lead_stops_all_until_it_goes_back() -> None:
+    limit = layer([0.6, 0.0])
+    limit.map_observation({JOINTS: np.zeros(2)})
+    np.testing.assert_array_equal(execute(limit, np.array([0.7, 0.1])), [0.6, 0.0])
+    assert limit.info()["is_limited"]
+    np.testing.assert_array_equal(execute(limit, np.array([0.55, 0.1])), [0.55, 0.1])
+
+
 def test_a_target_inside_the_bounds_passes_as_it_is() -> None:
     limit = layer([0.0, 0.0])
     action = {JOINTS: np.array([0.05, -0.2]), "gripper": np.ones(1)}
@@ -70,7 +86,7 @@ def test_a_row_that_counts_as_not_cut_keeps_its_bits_also_when_another_is_cut() 
     asked = np.array([STEP + 5e-10, STEP + 1.0])
     target = execute(limit, asked)
     np.testing.assert_array_equal(target[0], asked[0])
-    np.testing.assert_array_equal(target[1], STEP)
+    np.testing.assert_allclose(target[1], [0.1, 0.1 * 1.2 / 1.1])
     np.testing.assert_array_equal(limit.info()["is_limited"], [False, True])
 
 
@@ -87,7 +103,8 @@ def test_a_reset_of_some_copies_leaves_the_others() -> None:
     limit.reset({JOINTS: np.full((3, 2), 1.0)}, np.array([1], np.int32))
     np.testing.assert_array_equal(limit.info()["is_limited"], [True, False, True])
     target = limit.map_action({JOINTS: np.full((3, 2), 1.0)})[JOINTS]
-    np.testing.assert_allclose(target, [STEP * 2, [1.0, 1.0], STEP * 2])
+    # The other two, 0.9 rad from where they are measured now, go back towards that by a step of each joint.
+    np.testing.assert_allclose(target, [[0.2, 0.3], [1.0, 1.0], [0.2, 0.3]])
 
 
 def test_an_action_that_is_mapped_and_not_executed_leaves_no_trace() -> None:
@@ -95,13 +112,13 @@ def test_an_action_that_is_mapped_and_not_executed_leaves_no_trace() -> None:
     for _ in range(8):
         limit.map_action({JOINTS: np.full(2, 9.0)})
     assert not limit.info()["is_limited"]
-    np.testing.assert_array_equal(execute(limit, np.full(2, 9.0)), STEP)
+    np.testing.assert_allclose(execute(limit, np.full(2, 9.0)), [0.1, 0.1])
 
 
 def test_after_a_rebase_the_next_target_is_bounded_against_the_measured_joints() -> None:
     limit = layer([0.0, 0.0])
     limit.rebase({JOINTS: np.array([1.0, -1.0])})
-    np.testing.assert_allclose(execute(limit, np.full(2, 9.0)), [1.1, -0.8])
+    np.testing.assert_allclose(execute(limit, np.full(2, 9.0)), [1.1, -1.0 + 10 * 0.1 / 8])
 
 
 def test_without_a_reset_there_is_nothing_to_limit_against() -> None:

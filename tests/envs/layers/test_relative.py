@@ -11,6 +11,8 @@ from rcs.envs.layers import LimitStep, Relative
 from rcs.envs.layers.relative import shift
 from rcs.envs.ports import Port
 from rcs.envs.spaces import JOINTS, TQUAT, joints_space, tquat_space
+from rcs.errors import InvalidAction
+from rcs.kinematics import IkStatus, kinematics_of
 from rcs.spatial import Pose, compose, distance
 
 
@@ -99,7 +101,7 @@ class Blocked(Port):
 
 def test_the_target_of_a_blocked_arm_does_not_wind_up() -> None:
     port = Blocked(2)
-    stack = Chain([port], [LimitStep(np.full(2, 0.1), max_lead=0.6), Relative(JOINTS, max_joint_step=0.1)])
+    stack = Chain([port], [LimitStep(np.full(2, 0.1), max_lead=0.6), Relative(JOINTS, frequency=30.0, joint_speed=3.0)])
     stack.reset(stack.measure(), ...)
     for _ in range(100):
         stack.send(stack.map({JOINTS: np.full(2, 0.1)}))
@@ -143,21 +145,93 @@ def test_shift_turns_from_the_left_and_moves_along_the_parent() -> None:
 
 @pytest.mark.parametrize(("control", "size"), [("joints", 2), ("tquat", 7), ("xyzrpy", 6)])
 @pytest.mark.parametrize("to", ["last_step", "origin"])
-def test_the_space_of_differences_is_symmetric_and_under_the_key_of_the_control(
+def test_the_space_of_differences_is_under_the_key_of_the_control_and_symmetric_but_for_the_last_of_a_quaternion(
     control: Any, size: int, to: Any
 ) -> None:
     key = JOINTS if control == "joints" else TQUAT
     inner = {key: joints_space([-1.0, -2.0], [1.0, 3.0]) if key == JOINTS else tquat_space(), "gripper": tquat_space()}
-    boxes = Relative(control, to=to, max_joint_step=0.1).action_spaces(inner)
+    boxes = Relative(control, frequency=30.0, to=to, joint_speed=3.0).action_spaces(inner)
     assert list(boxes) == [control, "gripper"]
     assert boxes[control].shape == (size,)
-    np.testing.assert_array_equal(boxes[control].low, -boxes[control].high)
+    np.testing.assert_array_equal(boxes[control].low[:6], -boxes[control].high[:6])
     if control == "joints":
         np.testing.assert_allclose(boxes[control].high, [0.1, 0.1] if to == "last_step" else [2.0, 5.0])
 
 
 def test_without_a_reset_there_is_no_reference() -> None:
-    layer = Relative(JOINTS)
+    layer = Relative(JOINTS, frequency=30.0)
     for call in (lambda: layer.map_action({JOINTS: np.zeros(2)}), layer.set_origin):
         with pytest.raises(RuntimeError, match="before reset"):
             call()
+
+
+@pytest.mark.parametrize("control", ["joints", "tquat", "xyzrpy"])
+def test_the_same_share_of_the_bounds_moves_equally_fast_at_every_rate(control: str) -> None:
+    # A third of the bounds for a fifth of a second, in few steps or in many.
+    targets = []
+    for frequency in (10.0, 30.0, 100.0):
+        env = rcs.make("Free", control=control, frequency=frequency)
+        env.reset(seed=0)
+        box = env.action_space[control]
+        action = 0.3 * box.high if control != "tquat" else np.append(0.3 * box.high[:6], 1.0)
+        for _ in range(round(0.2 * frequency)):
+            *_, info = env.step({control: action, "gripper": np.ones(1, np.float32)})
+        targets.append(env.stack.target[JOINTS if control == "joints" else TQUAT])
+    if control == "joints":
+        np.testing.assert_allclose(targets, [targets[0]] * 3, atol=1e-9)
+    else:
+        # A few small turns about three axes are not quite one large one.
+        assert (distance(np.array(targets), targets[0]) < (1e-3, 1e-2)).all()
+
+
+def test_every_sample_of_relative_quaternions_is_accepted_and_zeros_are_no_member() -> None:
+    env = rcs.make("Free", control="tquat")
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    for _ in range(50):
+        action = env.action_space.sample()
+        assert env.action_space.contains(action)
+        env.step(action)
+    zeros = {TQUAT: np.zeros(7), "gripper": np.ones(1, np.float32)}
+    assert not env.action_space.contains(zeros)
+    with pytest.raises(InvalidAction, match="'tquat'"):
+        env.step(zeros)
+
+
+@pytest.mark.parametrize("frequency", [0.1, 1.0, 30.0, 500.0])
+def test_no_member_of_a_space_of_small_rotations_is_without_direction(frequency: float) -> None:
+    box = Relative(TQUAT, frequency=frequency).action_spaces({TQUAT: tquat_space()})[TQUAT]
+    assert box.low[6] > 0.3
+    assert box.contains(np.array([0, 0, 0, 0, 0, 0, 1.0]))
+    half = min(2.0 / frequency, 2.5) / 2
+    assert box.contains(np.array([0, 0, 0, 0, np.sin(half), 0, np.cos(half)]))
+
+
+def test_a_difference_to_the_origin_without_a_direction_is_refused() -> None:
+    env = rcs.make("Free", control="tquat", relative="origin")
+    env.reset(seed=0)
+    with pytest.raises(InvalidAction, match="no rotation"):
+        env.step({TQUAT: np.zeros(7), "gripper": np.ones(1, np.float32)})
+
+
+@pytest.mark.parametrize("robot", ["fr3", "ur5e", "xarm7", "so101"])
+def test_random_relative_poses_that_are_cut_keep_the_direction_of_the_tcp(robot: str) -> None:
+    env = rcs.make("Free", robot=robot, control="xyzrpy", max_episode_steps=None)
+    arm = env.robots[robot]
+    kinematics = kinematics_of(arm.arm, arm.end_effector)
+    env.action_space.seed(0)
+    angles = []
+    for k in range(400):
+        if k % 100 == 0:
+            joints = env.reset(seed=k)[0][JOINTS]
+        before = kinematics.forward(joints).tquat
+        action = env.action_space.sample()
+        *_, info = env.step(action)
+        joints = env.stack.executed[JOINTS]
+        way = kinematics.forward(joints).tquat[:3] - before[:3]
+        asked = action["xyzrpy"][:3]
+        if info["ik_status"] != IkStatus.ok.value or info["is_limited"]:
+            angles.append(np.arccos(np.clip(way @ asked / np.linalg.norm(way) / np.linalg.norm(asked), -1, 1)))
+    assert angles
+    assert np.degrees(np.quantile(angles, 0.9)) <= 15.0
+    assert len(angles) < 200, "the bounds are what the arm can do"

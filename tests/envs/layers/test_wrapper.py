@@ -45,7 +45,7 @@ def test_a_layer_works_on_a_foreign_environment() -> None:
 
 
 def test_relative_actions_add_up_on_a_foreign_environment() -> None:
-    env = LayerWrapper(Foreign(), Relative("joints", max_joint_step=0.1))
+    env = LayerWrapper(Foreign(), Relative("joints", frequency=30.0, joint_speed=3.0))
     assert env.action_space["joints"].high[0] == pytest.approx(0.1)
     env.reset(seed=0)
     for i in range(1, 5):

@@ -5,31 +5,37 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
-from rcs.envs.spaces import JOINTS, MINIMAL_NORM, TQUAT, Action, Observation, tquat_space
-from rcs.errors import InvalidAction
-from rcs.kinematics import DampedLeastSquares, IkOptions, IkStatus
+from rcs.envs.spaces import JOINTS, TQUAT, Action, Observation, require_direction, tquat_space
+from rcs.kinematics import IkStatus, Kinematics, freedom_of
+from rcs.kinematics.freedom import POSE
 from rcs.spatial import normalize
 
 
 class CartesianControl(Layer):
     """Take `tquat` actions (TCP in the robot's base frame) and pass them on as `joints` by inverse kinematics.
 
-    The solver starts at the last joint target and stays on its branch. An unreachable pose keeps the last target;
-    `info["ik_status"]` reports it (values of `IkStatus`).
+    The solver starts at the last joint target and stays on its branch. A pose out of reach moves the TCP to the nearest
+    one that it can reach from there; a pose too far away for one action moves it straight towards it. An arm with fewer
+    than six joints meets the translation and leans as it must. `info["ik_status"]` reports it (values of `IkStatus`).
     """
 
-    def __init__(self, kinematics: DampedLeastSquares, *, max_step: float = np.inf) -> None:
+    def __init__(
+        self, kinematics: Kinematics, *, preferred: ArrayLike | None = None, max_step: ArrayLike | None = None
+    ) -> None:
         """Use a solver.
 
         Args:
             kinematics: Of the arm with its gripper.
-            max_step: Largest change of any joint per action [rad]; targets farther away are clamped.
+            preferred: Joints to which an arm with more than six returns while its TCP moves [rad], shape (dof,); None
+                for none: then the elbow drifts.
+            max_step: Largest change of each joint per action [rad], shape (dof,); None for no bound.
         """
         self._kinematics = kinematics
-        self._options = IkOptions(max_step=max_step, restarts=0, iterations=50)
+        self._options = freedom_of(kinematics, best_effort=True, preferred=preferred, max_step=max_step)
+        self._leans = kinematics.dof < POSE
         self._joints: NDArray[np.float64] | None = None
         self._solved: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]] | None = None
         """Joints, pose and status of the last `map_action`."""
@@ -61,11 +67,7 @@ class CartesianControl(Layer):
         if self._joints is None:
             raise RuntimeError("CartesianControl.map_action was called before reset")
         target = action[TQUAT]
-        norms = np.sqrt((target[..., 3:] ** 2).sum(axis=-1))
-        if (norms < MINIMAL_NORM).any():
-            raise InvalidAction(
-                f"The quaternion of {TQUAT!r} has norm {norms.min():.3g}; valid is a unit quaternion xyzw."
-            )
+        require_direction(target)
         rows = normalize(target).reshape(-1, 7)
         starts = self._joints.reshape(len(rows), -1)
         joints, status = self._kinematics.inverse_batch(rows, starts, self._options)
@@ -81,7 +83,7 @@ class CartesianControl(Layer):
             raise RuntimeError("CartesianControl.map_executed was called before map_action")
         joints = executed[JOINTS]
         solved, pose, self._status = self._solved
-        is_elsewhere = self._status != 0
+        is_elsewhere = (self._status != IkStatus.ok.value) | self._leans
         if joints is not solved:
             is_elsewhere = is_elsewhere | (joints != solved).any(axis=-1)
         if is_elsewhere.any():

@@ -19,7 +19,8 @@ class LimitStep(Layer):
     """Bound every joint target against the last target and against the measured joints.
 
     The first bound is the joint velocity limit times the control period. The second keeps the target from running away
-    while the arm is blocked. A target farther away is clipped joint by joint; `info["is_limited"]` reports it.
+    while the arm is blocked. To a target farther away all joints go the same share of the way, so that the TCP keeps
+    its direction; a joint that is blocked at the end of its lead stops them all. `info["is_limited"]` reports it.
     """
 
     def __init__(self, max_step: NDArray[np.float64], *, max_lead: float = 0.6) -> None:
@@ -55,13 +56,13 @@ class LimitStep(Layer):
         return observation
 
     def map_action(self, action: Action) -> Action:
-        """Clip the joint targets."""
+        """Cut the joint targets."""
         if self._target is None or self._measured is None:
             raise RuntimeError("LimitStep.map_action was called before reset")
         asked = action[JOINTS]
         cut = limit_rows(asked, self._target, self._measured, self.max_step, self._max_lead, ROUNDING)
         if cut is None:
-            # Returning the same array tells the layers above that nothing was clipped.
+            # Returning the same array tells the layers above that nothing was cut.
             self._is_cut = np.zeros_like(self._is_limited)
             return action
         target, self._is_cut = cut
@@ -74,5 +75,5 @@ class LimitStep(Layer):
         return executed
 
     def info(self) -> dict[str, NDArray[Any]]:
-        """Return whether the last action was clipped."""
+        """Return whether the last action was cut."""
         return {"is_limited": self._is_limited}

@@ -6,21 +6,26 @@ from typing import Literal
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
-from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, Action, Control, Observation, xyzrpy_space
+from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, Action, Control, Observation, require_direction, xyzrpy_space
 from rcs.spatial import compose, distance, interpolate, normalize, xyzrpy_to_tquat
 
 Reference = Literal["last_step", "origin"]
 """The reference of a relative action: the target of the last step, or an origin set by the user."""
 
 
+LARGEST_TURN = 2.5
+"""Largest rotation of one action [rad], however slow the control: nearer to a half turn, its sense is not certain."""
+
+
 class Relative(Layer):
     """Take differences and pass on absolute targets.
 
     Joints add up. A pose difference moves the TCP by its translation along the axes of the base frame and turns it by
-    its rotation about those axes. The reference of `last_step` is the last *target*, so that servo lag does not
+    its rotation about those axes; the quaternion of no rotation is (0, 0, 0, 1), and that of a difference to the last
+    step has a positive last entry. The reference of `last_step` is the last *target*, so that servo lag does not
     accumulate.
     """
 
@@ -28,25 +33,27 @@ class Relative(Layer):
         self,
         control: Control,
         *,
+        frequency: float,
         to: Reference = "last_step",
-        max_joint_step: float | NDArray[np.float64] = np.deg2rad(5.0),
-        max_translation: float = 0.05,
-        max_rotation: float = np.deg2rad(15.0),
+        joint_speed: ArrayLike = 2.5,
+        translation_speed: float = 0.5,
+        rotation_speed: float = 2.0,
     ) -> None:
-        """Set the bounds of one action.
+        """Set the bounds of one action: speeds times the control period, so that every rate moves equally fast.
 
         Args:
             control: Key of the arm's action: `joints`, `tquat` or `xyzrpy`.
-            to: The reference of differences.
-            max_joint_step: Largest joint difference [rad], a number or shape (dof,).
-            max_translation: Largest translation along each axis [m].
-            max_rotation: Largest rotation [rad].
+            frequency: Control steps per second [Hz].
+            to: The reference of differences. The bounds hold for `last_step` alone.
+            joint_speed: Largest joint speed [rad/s], a number or shape (dof,).
+            translation_speed: Largest speed of the TCP along each axis [m/s].
+            rotation_speed: Largest rotational speed of the TCP [rad/s].
         """
         self._control: Control = control
         self._to: Reference = to
-        self._max_joint_step = max_joint_step
-        self._max_translation = max_translation
-        self._max_rotation = max_rotation
+        self._max_joint_step = np.asarray(joint_speed, np.float64) / frequency
+        self._max_translation = translation_speed / frequency
+        self._max_rotation = min(rotation_speed / frequency, LARGEST_TURN)
         self._key = JOINTS if control == JOINTS else TQUAT
         self._reference: NDArray[np.float64] | None = None
         self._last: NDArray[np.float64] | None = None
@@ -62,10 +69,14 @@ class Relative(Layer):
         elif self._control == JOINTS:
             bound = np.broadcast_to(self._max_joint_step, box.shape).astype(np.float64)
         elif self._control == TQUAT:
-            bound = np.array([self._max_translation] * 3 + [1.0] * 4)
+            bound = np.array([self._max_translation] * 3 + [np.sin(self._max_rotation / 2)] * 3 + [1.0])
         else:
             bound = np.array([self._max_translation] * 3 + [self._max_rotation] * 3)
-        difference = spaces.Box(-bound, bound, dtype=np.float64)
+        lower = -bound
+        if self._control == TQUAT and self._to == "last_step":
+            # Of the two quaternions of a small rotation, the one near 1: every member of the space has a direction.
+            lower[6] = np.cos(self._max_rotation / 2)
+        difference = spaces.Box(lower, bound, dtype=np.float64)
         return {
             (self._control if key == self._key else key): (difference if key == self._key else value)
             for key, value in inner.items()
@@ -87,7 +98,11 @@ class Relative(Layer):
         self._reference = self._last.copy()
 
     def map_action(self, action: Action) -> Action:
-        """Add the difference to the reference, within the bounds of the level below."""
+        """Add the difference to the reference, within the bounds of the level below.
+
+        Raises:
+            InvalidAction: A quaternion has no direction.
+        """
         if self._reference is None:
             raise RuntimeError("Relative.map_action was called before reset")
         difference = action[self._control]
@@ -109,6 +124,7 @@ class Relative(Layer):
 
     def _move(self, start: NDArray[np.float64], difference: NDArray[np.float64]) -> NDArray[np.float64]:
         step = xyzrpy_to_tquat(difference) if self._control == XYZRPY else difference
+        require_direction(step)
         return shift(start, step, self._max_rotation if self._to == "last_step" else np.inf)
 
     def __str__(self) -> str:

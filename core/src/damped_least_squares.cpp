@@ -1,0 +1,420 @@
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "rcs/kinematics.hpp"
+
+namespace rcs {
+
+namespace {
+
+constexpr double kMaxJointStep = 0.5;  // rad per iteration; larger steps leave the range where the Jacobian holds
+constexpr double kStandstill = 1e-4;   // rad per iteration; a smaller step changes nothing that matters
+constexpr double kFollowStep = 0.2;    // rad per iteration when following, so that the TCP's way there is straight
+constexpr double kBoundedStep = 0.05;  // rad likewise, where the end is bounded and may lie anywhere on the way
+constexpr double kMoreDamping = 8.0;   // factor after a step that came no nearer
+constexpr double kFulfilled = 0.25;    // of the promised decrease of the squared error; less needs more damping
+constexpr double kStretched = 1e-3;    // m^2/rad^2; below, an arm is near a singular posture: 3 cm per radian
+constexpr double kCurvature = 0.5;     // m/rad^2, of the TCP's path when one joint turns: about half an arm's length
+constexpr double kNullSpaceDamping = 1e-8;
+constexpr double kLargestReturn = 0.5;  // share of the way to the preferred joints per iteration
+constexpr double kNear = 1e-3;          // m; an arm that meets the translation alone comes this near at any price
+constexpr double kSmallest = 1e-300;
+// A radian against a metre when following: what the target leaves as it is weighs up to a hundred times more.
+constexpr double kLightest = 0.03, kHeaviest = 10.0;
+constexpr int kTask = 6;
+
+// SplitMix64 (Steele, Lea, Flood 2014): a restart's joints depend on the seed alone, so the same call gives the same
+// answer.
+double next_uniform(std::uint64_t& state) {
+  state += 0x9E3779B97F4A7C15ULL;
+  std::uint64_t z = state;
+  z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ULL;
+  z = (z ^ (z >> 27)) * 0x94D049BB133111EBULL;
+  return static_cast<double>((z ^ (z >> 31)) >> 11) * 0x1.0p-53;
+}
+
+// Cholesky factor of a symmetric positive definite 6 × 6 matrix, in place of its lower triangle.
+void factor_cholesky(std::array<double, kTask * kTask>& a) {
+  for (int j = 0; j < kTask; ++j) {
+    for (int k = 0; k < j; ++k)
+      for (int i = j; i < kTask; ++i) a[i * kTask + j] -= a[i * kTask + k] * a[j * kTask + k];
+    const double scale = 1.0 / std::sqrt(a[j * kTask + j]);
+    for (int i = j; i < kTask; ++i) a[i * kTask + j] *= scale;
+  }
+}
+
+// Solve the system of a factor in place.
+void solve_cholesky(const std::array<double, kTask * kTask>& a, std::array<double, kTask>& b) {
+  for (int i = 0; i < kTask; ++i) {
+    for (int k = 0; k < i; ++k) b[i] -= a[i * kTask + k] * b[k];
+    b[i] /= a[i * kTask + i];
+  }
+  for (int i = kTask - 1; i >= 0; --i) {
+    for (int k = i + 1; k < kTask; ++k) b[i] -= a[k * kTask + i] * b[k];
+    b[i] /= a[i * kTask + i];
+  }
+}
+
+// An estimate of the smallest eigenvalue of the leading rows of the matrix of a Cholesky factor, at most as many times
+// too small as there are rows.
+double smallest_of(const std::array<double, kTask * kTask>& a, int rows) {
+  double trace = 0.0;  // of the inverse
+  for (int c = 0; c < rows; ++c) {
+    std::array<double, kTask> column{};
+    column[c] = 1.0;
+    for (int i = c; i < rows; ++i) {
+      for (int k = c; k < i; ++k) column[i] -= a[i * kTask + k] * column[k];
+      column[i] /= a[i * kTask + i];
+      trace += column[i] * column[i];
+    }
+  }
+  return 1.0 / trace;
+}
+
+double norm3(const double* v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
+
+}  // namespace
+
+struct DampedLeastSquares::Scratch {
+  Scratch(const mjModel* model, std::size_t dof)
+      : data(mj_makeData(model)),
+        jacobian_translation(static_cast<std::size_t>(3 * model->nv)),
+        jacobian_rotation(static_cast<std::size_t>(3 * model->nv)),
+        step(static_cast<std::size_t>(dof)),
+        candidate(static_cast<std::size_t>(dof)),
+        is_free(static_cast<std::size_t>(dof)) {}
+  ~Scratch() { mj_deleteData(data); }
+  Scratch(const Scratch&) = delete;
+  Scratch& operator=(const Scratch&) = delete;
+
+  mjData* data;
+  std::vector<double> jacobian_translation;
+  std::vector<double> jacobian_rotation;
+  std::array<double, kTask> error{};  // from the joints of the Jacobian to the target
+  std::vector<double> step;           // rad
+  std::vector<double> candidate;      // rad
+  std::vector<char> is_free;          // joints that are not fixed at a limit
+};
+
+DampedLeastSquares::DampedLeastSquares(const mjModel* model, std::vector<int> joints, int tcp_site, int base_body)
+    : joints_(std::move(joints)), tcp_site_(tcp_site), base_body_(base_body) {
+  if (tcp_site < 0 || tcp_site >= model->nsite || base_body < 0 || base_body >= model->nbody)
+    throw InvalidSetup("inverse kinematics: the TCP site or the base body is not in the model");
+  if (joints_.empty()) throw InvalidSetup("inverse kinematics: no joints given");
+  for (const int joint : joints_) {
+    if (joint < 0 || joint >= model->njnt)
+      throw InvalidSetup("inverse kinematics: joint id " + std::to_string(joint) + " is not in the model");
+    if (model->jnt_type[joint] != mjJNT_HINGE && model->jnt_type[joint] != mjJNT_SLIDE)
+      throw InvalidSetup("inverse kinematics: only hinge and slide joints are supported");
+    qpos_.push_back(model->jnt_qposadr[joint]);
+    dofs_.push_back(model->jnt_dofadr[joint]);
+    const bool is_limited = model->jnt_limited[joint] != 0;
+    lower_.push_back(is_limited ? model->jnt_range[2 * joint] : -2 * mjPI);
+    upper_.push_back(is_limited ? model->jnt_range[2 * joint + 1] : 2 * mjPI);
+  }
+  model_ = mj_copyModel(nullptr, model);
+  borrow();
+}
+
+DampedLeastSquares::~DampedLeastSquares() { mj_deleteModel(model_); }
+
+DampedLeastSquares::Lease DampedLeastSquares::borrow() const {
+  {
+    const std::lock_guard lock(mutex_);
+    if (!unused_.empty()) {
+      Lease lease(unused_.back().release(), GiveBack{this});
+      unused_.pop_back();
+      return lease;
+    }
+    unused_.reserve(++scratch_count_);  // giving back must not fail
+  }
+  return Lease(new Scratch(model_, joints_.size()), GiveBack{this});
+}
+
+void DampedLeastSquares::GiveBack::operator()(Scratch* scratch) const {
+  const std::lock_guard lock(owner->mutex_);
+  owner->unused_.emplace_back(scratch);
+}
+
+void DampedLeastSquares::check_options(const IkOptions& options) const {
+  const std::size_t n = joints_.size();
+  for (const auto* rows : {&options.max_step, &options.preferred})
+    if (!rows->empty() && rows->size() != n)
+      throw InvalidSetup("inverse kinematics: max_step and preferred must have one entry for each of the " +
+                         std::to_string(n) + " joints or none, one has " + std::to_string(rows->size()));
+}
+
+void DampedLeastSquares::set_joints(Scratch& scratch, std::span<const double> joints) const {
+  for (std::size_t i = 0; i < joints.size(); ++i) scratch.data->qpos[qpos_[i]] = joints[i];
+  mj_kinematics(model_, scratch.data);
+}
+
+Pose DampedLeastSquares::forward(std::span<const double> joints) {
+  check_joints(joints);
+  const Lease scratch = borrow();
+  set_joints(*scratch, joints);
+  double site_quat[4], base_inverse[4], quat[4], offset[3], translation[3];
+  mju_mat2Quat(site_quat, scratch->data->site_xmat + 9 * tcp_site_);
+  mju_negQuat(base_inverse, scratch->data->xquat + 4 * base_body_);
+  mju_mulQuat(quat, base_inverse, site_quat);
+  mju_sub3(offset, scratch->data->site_xpos + 3 * tcp_site_, scratch->data->xpos + 3 * base_body_);
+  mju_rotVecQuat(translation, offset, base_inverse);
+  return Pose({translation[0], translation[1], translation[2]}, {quat[1], quat[2], quat[3], quat[0]});
+}
+
+std::vector<double> DampedLeastSquares::jacobian(std::span<const double> joints) {
+  check_joints(joints);
+  const Lease scratch = borrow();
+  set_joints(*scratch, joints);
+  mj_comPos(model_, scratch->data);
+  mj_jacSite(model_, scratch->data, scratch->jacobian_translation.data(), scratch->jacobian_rotation.data(), tcp_site_);
+  const std::size_t n = joints_.size();
+  std::vector<double> jacobian(6 * n);
+  const double* base = scratch->data->xmat + 9 * base_body_;
+  for (std::size_t c = 0; c < n; ++c)
+    for (int r = 0; r < 3; ++r)
+      for (int k = 0; k < 3; ++k) {  // base^T * world axes
+        jacobian[r * n + c] += base[3 * k + r] * scratch->jacobian_translation[k * model_->nv + dofs_[c]];
+        jacobian[(r + 3) * n + c] += base[3 * k + r] * scratch->jacobian_rotation[k * model_->nv + dofs_[c]];
+      }
+  return jacobian;
+}
+
+void DampedLeastSquares::error_to(const Scratch& scratch, const std::array<double, 7>& target,
+                                  std::array<double, 6>& error) const {
+  mju_sub3(error.data(), target.data(), scratch.data->site_xpos + 3 * tcp_site_);
+  double quat[4], inverse[4], difference[4];
+  mju_mat2Quat(quat, scratch.data->site_xmat + 9 * tcp_site_);
+  mju_negQuat(inverse, quat);
+  mju_mulQuat(difference, target.data() + 3, inverse);
+  mju_quat2Vel(error.data() + 3, difference, 1.0);
+}
+
+DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, const std::vector<double>& q,
+                                                          const std::vector<double>& start,
+                                                          std::span<const double> max_step, const IkOptions& options,
+                                                          double weight, double damping) const {
+  const int n = dof(), nv = model_->nv;
+  const double furthest = !options.best_effort ? kMaxJointStep : max_step.empty() ? kFollowStep : kBoundedStep;
+  const auto column = [&](int c, std::array<double, kTask>& entries) {
+    for (int r = 0; r < 3; ++r) {
+      entries[r] = scratch.jacobian_translation[r * nv + dofs_[c]];
+      entries[r + 3] = weight * scratch.jacobian_rotation[r * nv + dofs_[c]];
+    }
+  };
+  std::array<double, kTask> entries;
+  std::vector<double>& step = scratch.step;
+  std::fill(step.begin(), step.end(), 0.0);
+  std::fill(scratch.is_free.begin(), scratch.is_free.end(), 1);
+  Stride stride;
+  // Every further round solves again for the joints that the last one leaves inside their range; the others stay at
+  // their limits.
+  for (int round = 0;; ++round) {
+    std::array<double, kTask * kTask> a{};
+    std::array<double, kTask> b = scratch.error;
+    for (int r = 3; r < kTask; ++r) b[r] *= weight;
+    for (int c = 0; c < n; ++c) {
+      column(c, entries);
+      if (scratch.is_free[c]) {
+        for (int i = 0; i < kTask; ++i)
+          for (int j = 0; j <= i; ++j) a[i * kTask + j] += entries[i] * entries[j];
+        step[c] = 0.0;
+      } else if (step[c] != 0.0) {
+        for (int r = 0; r < kTask; ++r) b[r] -= entries[r] * step[c];
+      }
+    }
+    std::array<double, kTask * kTask> exact = a;
+    for (int i = 0; i < kTask; ++i) a[i * kTask + i] += damping;
+    factor_cholesky(a);
+    solve_cholesky(a, b);
+    const auto add_transposed = [&](double sign) {
+      for (int c = 0; c < n; ++c) {
+        if (!scratch.is_free[c]) continue;
+        column(c, entries);
+        for (int r = 0; r < kTask; ++r) step[c] += sign * entries[r] * b[r];
+      }
+    };
+    add_transposed(1.0);
+    if (!options.preferred.empty()) {
+      double fastest = 0.0;
+      for (const double s : step) fastest = std::max(fastest, std::abs(s));
+      const double share = std::min(options.preferred_weight * fastest, kLargestReturn);
+      b.fill(0.0);
+      for (int c = 0; c < n; ++c) {
+        if (!scratch.is_free[c]) continue;
+        const double pull = share * (options.preferred[c] - q[c]);
+        column(c, entries);
+        for (int r = 0; r < kTask; ++r) b[r] += entries[r] * pull;
+        step[c] += pull;
+      }
+      // Nearly undamped, since what leaks out of the null space would pull against the target where the arm is
+      // stretched.
+      for (int i = 0; i < kTask; ++i) exact[i * kTask + i] += kNullSpaceDamping;
+      factor_cholesky(exact);
+      solve_cholesky(exact, b);
+      add_transposed(-1.0);
+    }
+    stride = {};
+    for (const double s : step) stride.largest = std::max(stride.largest, std::abs(s));
+    if (stride.largest > furthest) stride.scale = furthest / stride.largest;
+    for (std::size_t c = 0; c < max_step.size(); ++c) {
+      const double room = max_step[c] - std::copysign(1.0, step[c]) * (q[c] - start[c]);
+      if (stride.scale * std::abs(step[c]) <= room) continue;
+      stride.scale = room / std::abs(step[c]);  // one factor for all joints keeps the direction of the TCP
+      stride.is_at_edge = true;
+    }
+    bool is_blocked = false;
+    for (int c = 0; c < n; ++c) {
+      if (!scratch.is_free[c] || step[c] == 0.0) continue;
+      const double limit = step[c] < 0.0 ? lower_[c] : upper_[c];
+      // A search for any solution only minds joints that are at their limits already: it may well come back.
+      const double reach = options.best_effort ? stride.scale * step[c] : 0.0;
+      if (step[c] < 0.0 ? q[c] + reach > limit : q[c] + reach < limit) continue;
+      scratch.is_free[c] = 0;
+      step[c] = stride.scale > 0.0 ? (limit - q[c]) / stride.scale : 0.0;
+      is_blocked = true;
+    }
+    if (is_blocked && round < (options.best_effort ? n : 1)) continue;
+    if (stride.scale < 1.0) stride.stiffness = smallest_of(a, options.rotation_weight < 1.0 ? 3 : kTask);
+    return stride;
+  }
+}
+
+double DampedLeastSquares::promised(const Scratch& scratch, double weight, double scale) const {
+  double before = 0.0, after = 0.0;
+  for (int r = 0; r < kTask; ++r) {
+    const double* row = (r < 3 ? scratch.jacobian_translation.data() : scratch.jacobian_rotation.data()) +
+                        static_cast<std::ptrdiff_t>(r % 3) * model_->nv;
+    double left = scratch.error[r];
+    for (int c = 0; c < dof(); ++c) left -= scale * row[dofs_[c]] * scratch.step[c];
+    const double factor = r < 3 ? 1.0 : weight * weight;
+    before += factor * scratch.error[r] * scratch.error[r];
+    after += factor * left * left;
+  }
+  return std::max(before - after, 0.0);
+}
+
+DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std::array<double, 7>& target,
+                                                    std::vector<double>& q, std::span<const double> max_step,
+                                                    const IkOptions& options, IkResult& result) const {
+  const int n = dof();
+  const bool is_relaxed = options.rotation_weight < 1.0;
+  const std::vector<double> start = q;
+  std::vector<double>& candidate = scratch.candidate;
+  set_joints(scratch, q);
+  error_to(scratch, target, scratch.error);
+  double translation = norm3(scratch.error.data()), rotation = norm3(scratch.error.data() + 3);
+  // What the target leaves as it is weighs most; an arm that meets the translation alone does not turn its tool far for
+  // the last millimetres of a translation that it cannot meet.
+  const double asked = std::clamp(translation / std::max(rotation, 1e-12), kLightest, kHeaviest);
+  const auto weight_at = [&](double miss) {
+    if (!options.best_effort) return options.rotation_weight;
+    return options.rotation_weight * (is_relaxed ? std::sqrt(std::clamp(miss / kNear, 1.0, 10.0)) : asked);
+  };
+  double weight = weight_at(translation);
+  double damping = options.damping, largest = kMaxJointStep;
+  bool is_new = true;  // there is no Jacobian of q yet
+  End end = End::nearest;
+  for (int iteration = 0;; ++iteration) {
+    const bool is_reached = translation <= options.translation_tolerance && rotation <= options.rotation_tolerance;
+    // A relaxed rotation goes on to the nearest one instead of stopping at the first that is near enough.
+    if (is_reached && (!is_relaxed || largest < kStandstill || iteration == options.iterations)) end = End::reached;
+    if (end != End::nearest || largest < kStandstill || iteration == options.iterations) break;
+    ++result.iterations;
+    if (is_new) {
+      mj_comPos(model_, scratch.data);
+      mj_jacSite(model_, scratch.data, scratch.jacobian_translation.data(), scratch.jacobian_rotation.data(),
+                 tcp_site_);
+    }
+    Stride stride = solve_step(scratch, q, start, max_step, options, weight, damping);
+    // Where the arm is nearly stretched, the part of the error that it cannot follow would use up the step.
+    if (options.best_effort && stride.scale < 1.0 && stride.stiffness < kStretched) {
+      const double miss = std::sqrt(translation * translation + weight * weight * rotation * rotation);
+      const double extra = kCurvature * miss * (1.0 - stride.stiffness / kStretched);
+      if (extra > damping) stride = solve_step(scratch, q, start, max_step, options, weight, damping = extra);
+    }
+    largest = stride.largest;
+    for (int c = 0; c < n; ++c) candidate[c] = std::clamp(q[c] + stride.scale * scratch.step[c], lower_[c], upper_[c]);
+    set_joints(scratch, candidate);
+    std::array<double, kTask> error;
+    error_to(scratch, target, error);
+    const double new_translation = norm3(error.data()), new_rotation = norm3(error.data() + 3);
+    const double cost = translation * translation + weight * weight * rotation * rotation;
+    const double new_cost = new_translation * new_translation + weight * weight * new_rotation * new_rotation;
+    // A search for any solution does not mind a step that goes wrong: it may lead out of where it is stuck.
+    is_new = !options.best_effort || cost - new_cost > kFulfilled * promised(scratch, weight, stride.scale);
+    if (!is_new) {
+      damping = std::max(damping, options.damping) * kMoreDamping;
+      continue;
+    }
+    std::swap(q, candidate);
+    scratch.error = error;
+    translation = new_translation, rotation = new_rotation, weight = weight_at(translation);
+    damping = std::max(damping / kMoreDamping, options.damping);
+    if (stride.is_at_edge) end = End::at_max_step;
+  }
+  result.translation_error = translation;
+  result.rotation_error = rotation;
+  return end;
+}
+
+IkResult DampedLeastSquares::inverse(const Pose& target, std::span<const double> start, const IkOptions& options) {
+  check_joints(start);
+  check_options(options);
+  const int n = dof();
+  IkResult result;
+  result.joints.assign(start.begin(), start.end());
+  for (int i = 0; i < n; ++i) result.joints[i] = std::clamp(start[i], lower_[i], upper_[i]);
+
+  // The solve is in world axes, where MuJoCo's Jacobian is; the base may stand anywhere.
+  const Lease scratch = borrow();
+  set_joints(*scratch, result.joints);
+  std::array<double, 7> goal;
+  const double* base_quat = scratch->data->xquat + 4 * base_body_;
+  const auto& translation = target.translation();
+  const auto& quaternion = target.quaternion();
+  const double wxyz[4] = {quaternion[3], quaternion[0], quaternion[1], quaternion[2]};
+  mju_rotVecQuat(goal.data(), translation.data(), base_quat);
+  mju_addTo3(goal.data(), scratch->data->xpos + 3 * base_body_);
+  mju_mulQuat(goal.data() + 3, base_quat, wxyz);
+
+  std::vector<double> q = result.joints, followed;
+  const std::span<const double> bound = options.best_effort ? std::span(options.max_step) : std::span<const double>();
+  std::uint64_t random = options.seed;
+  End end = attempt(*scratch, goal, q, bound, options, result);
+  if (options.best_effort) followed = q;
+  double best_translation = result.translation_error, best_rotation = result.rotation_error;
+  for (int restart = 0; end == End::nearest && restart < options.restarts; ++restart) {
+    for (int i = 0; i < n; ++i) q[i] = lower_[i] + (upper_[i] - lower_[i]) * next_uniform(random);
+    end = attempt(*scratch, goal, q, {}, options, result);
+    if (result.translation_error + result.rotation_error < best_translation + best_rotation) {
+      best_translation = result.translation_error;
+      best_rotation = result.rotation_error;
+    }
+  }
+  if (end == End::nearest) {
+    result.translation_error = best_translation;
+    result.rotation_error = best_rotation;
+    if (!options.best_effort) return result;
+    result.joints = followed;
+    result.status = IkStatus::nearest;
+    return result;
+  }
+  double share = 1.0;
+  for (std::size_t i = 0; i < options.max_step.size(); ++i)
+    share = std::min(share, options.max_step[i] / std::max(std::abs(q[i] - result.joints[i]), kSmallest));
+  const bool is_far = share < 1.0;
+  for (int i = 0; i < n; ++i) result.joints[i] = is_far ? result.joints[i] + share * (q[i] - result.joints[i]) : q[i];
+  result.status = is_far || end == End::at_max_step ? IkStatus::clamped : IkStatus::ok;
+  return result;
+}
+
+void DampedLeastSquares::inverse_batch(std::span<const double> targets, std::span<const double> starts,
+                                       const IkOptions& options, int threads, std::span<double> joints,
+                                       std::span<std::uint8_t> status) {
+  check_options(options);
+  solve_rows(targets, starts, options, threads, joints, status);
+}
+
+}  // namespace rcs
