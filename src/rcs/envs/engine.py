@@ -26,9 +26,10 @@ from rcs.errors import DeviceFault, InvalidAction, Refused, WrongOrder
 from rcs.sim.world import Copies
 
 DIVERGED, FAULT = "diverged", "fault"
-"""What `info["end"]` says of a simulation that left the range of finite numbers, and of a device that failed."""
+"""What `info["end"]` says of a simulation that left the range of finite numbers, and of a device that failed, or of a
+simulated arm that collided."""
 
-_FAILED = StepEnd.failed.value
+_FAILED, _FAULT = StepEnd.failed.value, StepEnd.fault.value
 _ENDS = {end.value: end.name for end in StepEnd}
 END_NAMES = np.array([{**_ENDS, _FAILED: DIVERGED}.get(i, "") for i in range(1 + max(_ENDS))])
 """What `info["end"]` says of a step, by the value of `StepEnd`."""
@@ -223,7 +224,7 @@ class Engine:
             self.audience.tell_starts(step.observation, step.info, self._seeds_of(ids))
         self.audience.tell_step(step, action, starting)
         if faults := step.info.get("faults", {}):
-            self.audience.tell_end(str(step.info["end"]), faults)
+            self._tell_ends(step, faults)
         return step
 
     def _judge(
@@ -236,17 +237,18 @@ class Engine:
         if self.scenario is not None:
             outcome = self.scenario.evaluate()
             reward, terminated, info = outcome.reward, outcome.terminated, outcome.info
-        truncated = diverged = self._ends == _FAILED
+        truncated = self._ends >= _FAILED
         if starting is None:
             self._steps = self._steps + 1
         else:
             self._steps = self._steps + ~starting
-            diverged = truncated = diverged & ~starting
+            truncated = truncated & ~starting
             reward, terminated = np.where(starting, 0.0, reward), terminated & ~starting
-        if diverged.any() if self.leading else diverged:
-            reward, terminated = np.where(diverged, 0.0, reward), terminated & ~diverged
-            if not self.leading and self.scenario is not None:
-                told["faults"] = {"simulation": self.scenario.world.why_diverged() or "a step failed"}
+        if (truncated.any() if self.leading else truncated) and self.scenario is not None:
+            terminated = terminated & ~truncated
+            diverged = truncated & (self._ends == _FAILED)
+            reward = np.where(diverged, 0.0, reward)
+            told["faults"] = self._faults_of_simulation(self.scenario, truncated & ~diverged)
         if self._max_episode_steps is not None:
             truncated = truncated | ((self._steps >= self._max_episode_steps) & ~terminated)
             truncated = truncated if starting is None else truncated & ~starting
@@ -266,6 +268,16 @@ class Engine:
         self.is_over = terminated | truncated
         return Step(observation=observation, reward=reward, terminated=terminated, truncated=truncated, info=info)
 
+    def _faults_of_simulation(self, scenario: Scenario, is_faulty: NDArray[np.bool_]) -> dict[str, Any]:
+        """Return the reasons by robot, or `simulation` where that diverged; of a batch, texts per copy."""
+        if not self.leading:
+            if not is_faulty:
+                return {"simulation": scenario.world.why_diverged() or "a step failed"}
+            if any(port.can_fail for port in self.stack.ports):
+                self._hold_in_fault({})  # real devices; in a simulation alone, no time passes any more
+            return {name: own.item() for name, own in scenario.faults(np.zeros(1, np.intp)).items()}
+        return scenario.faults(np.flatnonzero(is_faulty))
+
     def _time(self) -> Any:
         """Return the time of the present observation [s]: that of the simulation, or the host's monotonic clock."""
         if self.scenario is None:
@@ -279,6 +291,15 @@ class Engine:
         return {int(copy): None if episodes[copy] else int(seeds[copy]) for copy in copies}
 
     # --- When something goes wrong ------------------------------------------------------------------------------------
+
+    def _tell_ends(self, step: Step, faults: dict[str, Any]) -> None:
+        """Tell the observers of an episode that ended in a fault; of a batch, those of the copies that did."""
+        if not self.leading:
+            self.audience.tell_end(str(step.info["end"]), faults)
+            return
+        for copy in np.flatnonzero(step.truncated & (self._ends == _FAULT)):
+            reasons = {name: str(own[copy]) for name, own in faults.items() if own[copy]}
+            self.audience.tell_end(FAULT, reasons, copy=int(copy))
 
     def _hold_in_fault(self, faults: dict[str, str]) -> None:
         """Have all devices hold; one that refuses in its fault state is told in `faults`."""

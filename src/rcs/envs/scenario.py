@@ -14,6 +14,7 @@ from rcs.envs.spaces import GRIPPER, HAND, JOINTS
 from rcs.envs.start import Start, in_frame_of
 from rcs.envs.task import Judgement, Task
 from rcs.sim.frame_clock import FrameClock
+from rcs.sim.loads import CollisionGuard
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import Copies, World
 
@@ -42,6 +43,8 @@ class Scenario:
         self._randomisers = [] if randomiser is None else [randomiser]
         self._frame_clock = frame_clock
         self.robots = robots
+        self.guards: dict[str, CollisionGuard] = {}
+        """The reactions to collisions, by robot."""
         self.task = task
         task.bind(world, robots)
         for robot in robots:
@@ -90,6 +93,20 @@ class Scenario:
         in `outcome["objects"]`.
         """
         return in_frame_of(self.robots, self.task.object_poses())
+
+    def faults(self, copies: NDArray[np.intp]) -> dict[str, NDArray[np.object_]]:
+        """Return why robots are in their fault state, by robot, as texts per copy; empty where one is not.
+
+        Args:
+            copies: The copies whose step ended with a fault.
+        """
+        reasons: dict[str, NDArray[np.object_]] = {}
+        for name, guard in self.guards.items():
+            own = np.full(self.world.copies, "", object)
+            own[copies] = [guard.reason(int(copy)) for copy in copies]
+            if any(own):
+                reasons[name] = own.reshape(self.world.leading)
+        return reasons
 
     def evaluate(self) -> Judgement:
         """Judge the present state."""
