@@ -73,8 +73,6 @@ class Engine:
         self._is_commanded = False
         self._last_observation: Observation = {}
 
-    # --- Who watches, what is closed in the end -----------------------------------------------------------------------
-
     def close_too(self, close: Callable[[], None]) -> None:
         """Have something closed after the observers."""
         self._resources.insert(0, close)
@@ -289,6 +287,33 @@ class Engine:
         copies = range(max(1, self.seeds.size)) if started is None else started
         seeds, episodes = self.seeds.reshape(-1), self.episodes.reshape(-1)
         return {int(copy): None if episodes[copy] else int(seeds[copy]) for copy in copies}
+
+    # --- The whole state ----------------------------------------------------------------------------------------------
+
+    def rebase_if_held(self) -> None:
+        """Do now what the next step would do first."""
+        if self._must_rebase:
+            self._must_rebase = False
+            self.stack.rebase()
+
+    def counters(self) -> dict[str, Any]:
+        """Return what is counted of the episodes, each (*leading,)."""
+        return {"seeds": self.seeds, "episodes": self.episodes, "steps": self._steps, "is_over": self.is_over}
+
+    def set_counters(self, rows: Mapping[str, NDArray[Any]], copies: NDArray[np.int32]) -> None:
+        """Set what is counted of some copies' episodes, (copies,) each."""
+        where: Any = copies if self.leading else ...
+        self._steps, self.is_over = np.array(self._steps), np.array(self.is_over)
+        for name, counted in self.counters().items():
+            counted[where] = rows[name] if self.leading else rows[name][0]
+
+    def go_on(self, copies: NDArray[np.int32]) -> Observation:
+        """Observe after the state of some copies was set; their recordings end."""
+        for copy in copies:
+            self.audience.tell_end("set_state", {"set_state": "A state was set."}, copy=int(copy))
+        self._clock.reset()
+        self._last_observation = self.stack.lift(self.stack.measure())
+        return self._last_observation
 
     # --- When something goes wrong ------------------------------------------------------------------------------------
 

@@ -33,6 +33,8 @@ class Port(ABC):
     """Space of every key that the port gives."""
     timed: tuple[str, ...] = ()
     """What `capture_times` has an entry for, such as `joints` or `frames/wrist`."""
+    memory: tuple[str, ...] = ()
+    """Attributes that decide what follows, of a simulated device; see `Layer.memory`."""
     stale_after: float | None = None
     """Age from which what the port reads counts as stale [s]; None for never."""
     device: Arm | Gripper | Hand | None = None

@@ -27,6 +27,8 @@ Write = Callable[[dict[str, Values], Copies], None]
 class Randomiser:
     """Varies one world from episode to episode."""
 
+    memory = ("values",)
+
     def __init__(
         self,
         world: World,
@@ -80,16 +82,22 @@ class Randomiser:
             drawn[field] = streams.branch(field).uniform(low, high)
             if field == "textures":
                 drawn[field] = np.floor(drawn[field])
-        for write in self._writes:
-            write(drawn, copies)
-        if self._changes_constants:
-            self._world.update_constants(copies)
         if copies is None:
             self.values = drawn
         else:
             self.values = {field: values.copy() for field, values in self.values.items()}
             for field, values in drawn.items():
                 self.values[field][copies] = values
+        self.apply(copies)
+
+    def apply(self, copies: Copies = None) -> None:
+        """Write the present `values` of some copies into the world again, after they were set."""
+        where = ... if copies is None else copies
+        drawn = {field: values[where] if self._world.leading else values for field, values in self.values.items()}
+        for write in self._writes:
+            write(drawn, copies)
+        if self._changes_constants:
+            self._world.update_constants(copies)
 
     def _draw(self, field: str, shape: tuple[int, ...], names: Sequence[str] = ()) -> bool:
         """Enable a field if its range has a width and there is something to vary; return whether."""

@@ -40,8 +40,10 @@ class Scenario:
             frame_clock: The cameras' clock, which needs the episode's random numbers; None without cameras.
         """
         self.world = world
-        self._randomisers = [] if randomiser is None else [randomiser]
-        self._frame_clock = frame_clock
+        self.randomisers = [] if randomiser is None else [randomiser]
+        """What varies the world, in this order."""
+        self.frame_clock = frame_clock
+        """The cameras' clock; None without cameras."""
         self.robots = robots
         self.guards: dict[str, CollisionGuard] = {}
         """The reactions to collisions, by robot."""
@@ -54,7 +56,7 @@ class Scenario:
 
     def add_randomiser(self, randomiser: Randomiser) -> None:
         """Add a randomiser after the present one; it must be made for this world before the first episode."""
-        self._randomisers.append(randomiser)
+        self.randomisers.append(randomiser)
 
     def begin(self, draws: Draws, copies: Copies = None) -> None:
         """Start episodes: all robots at home, objects placed by the task, all else randomised.
@@ -64,10 +66,10 @@ class Scenario:
             copies: Which copies; None for all.
         """
         where: Where = ... if copies is None else copies
-        for randomiser in self._randomisers:
+        for randomiser in self.randomisers:
             randomiser.begin(draws, copies)
-        if self._frame_clock is not None:
-            self._frame_clock.begin(draws.branch("frames").bits(), copies)
+        if self.frame_clock is not None:
+            self.frame_clock.begin(draws.branch("frames").bits(), copies)
         self.world.reset(copies)
         self.task.reset(draws, where)
         self.world.refresh(copies)
@@ -115,12 +117,12 @@ class Scenario:
     @property
     def randomisation(self) -> dict[str, NDArray[np.float64]]:
         """The draws of the present episodes, by field of `Randomisation`, (*leading, ...)."""
-        return {field: drawn for randomiser in self._randomisers for field, drawn in randomiser.values.items()}
+        return {field: drawn for randomiser in self.randomisers for field, drawn in randomiser.values.items()}
 
     def describe(self) -> dict[str, Any]:
         """Return the info of the first observation of an episode."""
         told: dict[str, Any] = dict(self.task.describe())
-        if self._randomisers:
+        if self.randomisers:
             told["randomisation"] = self.randomisation
         return told
 

@@ -92,6 +92,8 @@ class SimHandPort(Port):
 class SimCameraPort(Port):
     """All cameras of a scene, drawn together, each at its own frame rate."""
 
+    memory = ("_feed",)
+
     def __init__(self, cameras: SimCameras, clock: FrameClock | None = None) -> None:
         """Use the cameras of a world.
 
@@ -106,6 +108,8 @@ class SimCameraPort(Port):
         self.timed = tuple(f"{keys.FRAMES}/{name}" for name in cameras.names)
         is_beside_the_loop = cameras.world.stepping == "realtime" and not cameras.world.leading
         self._feed = RenderThread(cameras, clock) if is_beside_the_loop else CameraFeed(cameras, clock)
+        if is_beside_the_loop:
+            self.memory = ()  # it draws at times of its own
         self.action_spaces = {}
         self.observation_spaces = {keys.FRAMES: cameras_space(cameras)}
 

@@ -38,6 +38,7 @@ class LiftBar(Task):
     The reward is 1 per step at success, below that the mean over the arms of reaching, grasping and lifting.
     """
 
+    memory = ("_rest_height", "_grasp_offset", "_ends", "_held")
     instruction = "lift the bar with both arms"
     expert = "LiftExpert"
     Options = LiftOptions

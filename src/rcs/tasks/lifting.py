@@ -41,6 +41,8 @@ class LiftOptions(Task.Options):
 class HoldCounter:
     """Counts how many steps in a row something was held, for each copy."""
 
+    memory = ("steps",)
+
     def __init__(self, world: World, hold_time: float) -> None:
         """Count from 0 for a world; `hold_time` is the required time [s]."""
         self.steps: NDArray[np.int64] = np.zeros(world.leading, np.int64)

@@ -33,6 +33,7 @@ class PickCuboid(Task):
     while grasping, in the form of ManiSkill 3's PickCube-v1 (`1 - tanh(5 d)`).
     """
 
+    memory = ("_rest_height", "_held")
     instruction = "pick up the green cuboid"
     expert = "PickExpert"
     Options = LiftOptions

@@ -58,6 +58,7 @@ class PickToy(Task):
     while squeezing.
     """
 
+    memory = ("_nodes", "_rest_height", "_distances", "_held")
     instruction = "pick up the toy"
     expert = "ToyExpert"
     Options = LiftOptions

@@ -21,6 +21,8 @@ class CartesianControl(Layer):
     `info["ik_status"]` reports it (values of `IkStatus`).
     """
 
+    memory = ("_joints", "_status")
+
     def __init__(self, kinematics: DampedLeastSquares, *, max_step: float = np.inf) -> None:
         """Use a solver.
 

@@ -22,6 +22,8 @@ class LimitStep(Layer):
     while the arm is blocked. A target farther away is clipped joint by joint; `info["is_limited"]` reports it.
     """
 
+    memory = ("_target", "_measured", "_is_cut", "_is_limited")
+
     def __init__(self, max_step: NDArray[np.float64], *, max_lead: float = 0.6) -> None:
         """Set the bounds.
 

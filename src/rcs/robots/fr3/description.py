@@ -26,12 +26,13 @@ FR3: Final = ArmDescription(
     # libfranka, rate_limiting.h: the same for all joints; the library itself stays 1e-3 below.
     acceleration_limit=(10.0,) * 7,
     jerk_limit=(5000.0,) * 7,
-    # franka_ros franka_control_node.yaml and the examples of libfranka, setCollisionBehavior: per joint and per axis.
-    # The vendor publishes no figure of its observer; the time constant is ours.
+    # Torques: the vendor's franka_ros franka_control_node.yaml and libfranka's examples of motions. Forces and moments:
+    # libfranka's examples with contact; those of free motion, 20 N and 25 Nm, end a grasp of one object by two arms. The
+    # vendor publishes no figure of its observer; the time constant is ours.
     collision=CollisionLimits(
         joint_torque=(20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0),
-        force=(20.0,) * 3,
-        moment=(25.0,) * 3,
+        force=(100.0,) * 3,
+        moment=(100.0,) * 3,
         time_constant=0.02,
     ),
     # Vendor's data sheet: maximum reach 855 mm.
@@ -39,7 +40,7 @@ FR3: Final = ArmDescription(
     sources=(
         "franka_description 1.0.1 (Apache-2.0): kinematics, limits, inertia of the base, collision capsules",
         "libfranka include/franka/rate_limiting.h (Apache-2.0): acceleration and jerk limits",
-        "franka_ros franka_control_node.yaml, libfranka examples (Apache-2.0): limits of its reflex to collisions",
+        "franka_ros franka_control_node.yaml, libfranka examples (Apache-2.0): collision thresholds",
         "mujoco_menagerie franka_fr3 (Apache-2.0): inertias, armature, friction, servo gains",
     ),
     menagerie=MenagerieVisuals.of("franka_fr3", "fr3", {f"link{i}": f"fr3_link{i}" for i in range(8)}),
