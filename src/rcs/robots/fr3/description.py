@@ -33,7 +33,7 @@ FR3: Final = ArmDescription(
         joint_torque=(20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0),
         force=(100.0,) * 3,
         moment=(100.0,) * 3,
-        time_constant=0.02,
+        time_constant=0.005,
     ),
     # Vendor's data sheet: maximum reach 855 mm.
     workspace_reach=0.855,

@@ -31,7 +31,7 @@ XARM7: Final = ArmDescription(
     jerk_limit=(500.0,) * 7,
     # The vendor watches the joints' torques with a sensitivity of 1 to 5, and publishes no torques. Ours for its usual
     # sensitivity of 3: 40 % of the effort limits; the time constant is ours too.
-    collision=CollisionLimits(joint_torque=(20.0, 20.0, 12.0, 12.0, 12.0, 8.0, 8.0), time_constant=0.02),
+    collision=CollisionLimits(joint_torque=(20.0, 20.0, 12.0, 12.0, 12.0, 8.0, 8.0), time_constant=0.005),
     # Vendor's data sheet: reach 700 mm.
     workspace_reach=0.7,
     sources=(
