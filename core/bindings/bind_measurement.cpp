@@ -29,10 +29,10 @@ void bind_measurement(nb::module_& m) {
           "Joint ids from base to tip, the TCP's site, and the body whose axes wrenches have.");
   nb::class_<rcs::Measurement>(m, "Measurement", "Values that a world reads out of every copy after each step.")
       .def_prop_ro("size", &rcs::Measurement::size, "Number of values.");
-  nb::class_<rcs::ArmLoads, rcs::Measurement>(
-      m, "ArmLoads",
-      "The torques of an arm's drives [Nm], then force [N] and moment about the TCP [Nm] of what presses on its tool, in "
-      "the axes of the frame body.")
+  nb::class_<rcs::ArmLoads, rcs::Measurement>(m, "ArmLoads",
+                                              "The torques of an arm's drives [Nm], then force [N] and moment about "
+                                              "the TCP [Nm] of what presses on its tool, in "
+                                              "the axes of the frame body.")
       .def(nb::init<rcs::ArmBody>(), "arm"_a);
   nb::class_<rcs::FingerContacts, rcs::Measurement>(
       m, "FingerContacts",
@@ -48,8 +48,8 @@ void bind_measurement(nb::module_& m) {
           },
           "model"_a, "fingers"_a, "own"_a, "force"_a,
           "One uint8 flag per geom for each finger, and for the robot's own geoms, which do not count as touched.");
-  nb::class_<rcs::CollisionReaction, rcs::StepCallback>(
-      m, "CollisionReaction", "True when what presses on an arm is more than a limit.")
+  nb::class_<rcs::CollisionReaction, rcs::StepCallback>(m, "CollisionReaction",
+                                                        "True when what presses on an arm is more than a limit.")
       .def(
           "__init__",
           [](rcs::CollisionReaction* self, rcs::ArmBody arm, std::vector<double> torques, std::array<double, 6> wrench,

@@ -57,8 +57,7 @@ bool CollisionReaction::call(const StepView& view) {
   const std::span<double> own = memory(view.copy);
   double loads[kMostLoads], on_tool[6];
   const std::span<double> torques(loads, dof);
-  arm_.outer_loads(view.model, view.data, torques, std::span<double, 6>(on_tool),
-                   std::span<double, 6>(loads + dof, 6));
+  arm_.outer_loads(view.model, view.data, torques, std::span<double, 6>(on_tool), std::span<double, 6>(loads + dof, 6));
   if (limits_.is_of_drives) arm_.drive_torques(view.model, view.data, torques);
   const double step = view.model->opt.timestep;
   const double share = limits_.time_constant > 0.0 ? -std::expm1(-step / limits_.time_constant) : 1.0;

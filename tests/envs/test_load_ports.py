@@ -19,8 +19,7 @@ from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.robots.fr3.description import FR3
-from rcs.testing.env_contract import EnvContract
-from rcs.testing.env_contract import require_same_bits
+from rcs.testing.env_contract import EnvContract, require_same_bits
 
 ALL = ("torques", "wrench", "contacts", "privileged")
 

@@ -1,4 +1,4 @@
-"""Forces on a simulated robot, against statics: what its drives exert, what presses on its tool, which fingers touch."""
+"""Forces on a simulated robot, against statics: what its drives exert, what presses on its tool, who touches what."""
 
 from __future__ import annotations
 

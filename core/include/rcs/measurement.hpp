@@ -22,8 +22,8 @@ class Measurement {
   virtual void check(const mjModel* model) const = 0;
 };
 
-/// A serial arm in a model, and what presses on it from outside: contacts with anything but the arm and its tool, and the
-/// forces of `xfrc_applied`. The forces with which a gripper holds an object cancel out; the object's weight stays.
+/// A serial arm in a model, and what presses on it from outside: contacts with anything but the arm and its tool, and
+/// the forces of `xfrc_applied`. The forces with which a gripper holds an object cancel out; the object's weight stays.
 class ArmBody {
  public:
   /// `joints` are hinge or slide joint ids from base to tip, `tcp_site` is beyond the last one, and `frame_body` is the
@@ -67,8 +67,9 @@ class ArmLoads final : public Measurement {
 /// Which fingers touch something with at least a force (1 or 0 each), then whether two of them touch the same object.
 class FingerContacts final : public Measurement {
  public:
-  /// `fingers` hold one flag per geom each, `own` flags of the robot's own geoms, which do not count as touched; `force` is
-  /// in N. What cannot move is touched, but is no object to be grasped. Throws `InvalidSetup` for flags of another model.
+  /// `fingers` hold one flag per geom each, `own` flags of the robot's own geoms, which do not count as touched;
+  /// `force` is in N. What cannot move is touched, but is no object to be grasped. Throws `InvalidSetup` for flags of
+  /// another model.
   FingerContacts(const mjModel* model, const std::vector<std::vector<std::uint8_t>>& fingers,
                  const std::vector<std::uint8_t>& own, double force);
   int size() const override { return fingers_ + 1; }

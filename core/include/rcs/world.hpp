@@ -118,8 +118,9 @@ class World {
   void set_state(int copy, std::span<const double> state);
   int state_size() const { return state_size_; }
 
-  /// Everything that decides the future of one copy, and what was read out: its state, counters, the memory of callbacks
-  /// and readouts. A copy of any world of the same model with the same callbacks and readouts can go on from it.
+  /// Everything that decides the future of one copy, and what was read out: its state, counters, the memory of
+  /// callbacks and readouts. A copy of any world of the same model with the same callbacks and readouts can go on from
+  /// it.
   std::vector<double> save(int copy) const;
   /// Throws `InvalidSetup` when it does not have `save_size` values.
   void load(int copy, std::span<const double> saved);
@@ -146,11 +147,11 @@ class World {
   std::vector<double>& poses() { return out_->poses; }    ///< copies × readouts × 7: translation [m], quaternion xyzw
   std::vector<double>& xyzrpy() { return out_->xyzrpy; }  ///< copies × readouts × 6: as roll, pitch, yaw [rad]
   std::vector<double>& forces() { return out_->forces; }  ///< copies × readouts [N], of the last physics step
-  std::vector<float>& openings() { return out_->openings; }  ///< copies × readouts, 0 … 1
+  std::vector<float>& openings() { return out_->openings; }           ///< copies × readouts, 0 … 1
   std::vector<double>& measurements() { return out_->measurements; }  ///< copies × values of all measurements
-  std::vector<std::uint8_t>& ends() { return out_->ends; }          ///< copies: StepEnd of the last step
-  std::vector<std::int32_t>& substeps() { return out_->substeps; }  ///< copies: physics steps of the last step
-  std::vector<std::int64_t>& steps() { return out_->steps; }        ///< copies: control steps since reset
+  std::vector<std::uint8_t>& ends() { return out_->ends; }            ///< copies: StepEnd of the last step
+  std::vector<std::int32_t>& substeps() { return out_->substeps; }    ///< copies: physics steps of the last step
+  std::vector<std::int64_t>& steps() { return out_->steps; }          ///< copies: control steps since reset
   /// Keeps alive the arrays above, beyond the world itself.
   std::shared_ptr<const void> readouts() const { return out_; }
   int pose_count() const { return static_cast<int>(pose_readouts_.size()); }

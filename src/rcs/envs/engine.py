@@ -246,7 +246,9 @@ class Engine:
             terminated = terminated & ~truncated
             diverged = truncated & (self._ends == _FAILED)
             reward = np.where(diverged, 0.0, reward)
-            told["faults"] = self._faults_of_simulation(self.scenario, truncated & ~diverged)
+            told["faults"] = self.scenario.faults(truncated & ~diverged)
+            if any(port.can_fail for port in self.stack.ports):
+                self._hold_in_fault(told["faults"])  # real devices; in simulation alone, no time passes any more
         if self._max_episode_steps is not None:
             truncated = truncated | ((self._steps >= self._max_episode_steps) & ~terminated)
             truncated = truncated if starting is None else truncated & ~starting
@@ -265,16 +267,6 @@ class Engine:
             terminated, truncated = np.False_, np.True_
         self.is_over = terminated | truncated
         return Step(observation=observation, reward=reward, terminated=terminated, truncated=truncated, info=info)
-
-    def _faults_of_simulation(self, scenario: Scenario, is_faulty: NDArray[np.bool_]) -> dict[str, Any]:
-        """Return the reasons by robot, or `simulation` where that diverged; of a batch, texts per copy."""
-        if not self.leading:
-            if not is_faulty:
-                return {"simulation": scenario.world.why_diverged() or "a step failed"}
-            if any(port.can_fail for port in self.stack.ports):
-                self._hold_in_fault({})  # real devices; in a simulation alone, no time passes any more
-            return {name: own.item() for name, own in scenario.faults(np.zeros(1, np.intp)).items()}
-        return scenario.faults(np.flatnonzero(is_faulty))
 
     def _time(self) -> Any:
         """Return the time of the present observation [s]: that of the simulation, or the host's monotonic clock."""

@@ -172,7 +172,7 @@ def _mean(values: NDArray[np.float64], axes: int = 1) -> NDArray[np.float64]:
     total = nodes[0].copy()
     for node in nodes[1:]:
         total += node
-    return total / count
+    return total * (1.0 / count)
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

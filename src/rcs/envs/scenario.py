@@ -96,18 +96,24 @@ class Scenario:
         """
         return in_frame_of(self.robots, self.task.object_poses())
 
-    def faults(self, copies: NDArray[np.intp]) -> dict[str, NDArray[np.object_]]:
-        """Return why robots are in their fault state, by robot, as texts per copy; empty where one is not.
+    def faults(self, is_faulty: NDArray[np.bool_]) -> dict[str, Any]:
+        """Return why the last step ended early, by robot, or as `simulation` where a world of one diverged.
 
         Args:
-            copies: The copies whose step ended with a fault.
+            is_faulty: In which copies a robot went into its fault state, (*leading,).
+
+        Returns:
+            A text per robot; of a batch, a text per copy, empty where a robot is well.
         """
-        reasons: dict[str, NDArray[np.object_]] = {}
+        if not self.world.leading:
+            if not is_faulty:
+                return {"simulation": self.world.why_diverged() or "a step failed"}
+            return {name: reason for name, guard in self.guards.items() if (reason := guard.reason(0))}
+        reasons: dict[str, Any] = {}
         for name, guard in self.guards.items():
-            own = np.full(self.world.copies, "", object)
-            own[copies] = [guard.reason(int(copy)) for copy in copies]
+            own = [guard.reason(copy) if faulty else "" for copy, faulty in enumerate(is_faulty)]
             if any(own):
-                reasons[name] = own.reshape(self.world.leading)
+                reasons[name] = np.array(own, object)
         return reasons
 
     def evaluate(self) -> Judgement:

@@ -167,9 +167,7 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
         with self._engine.turn.take("get_state"):
             return read_state(self._engine, self._check_copies(copies))
 
-    def set_state(
-        self, state: EnvState, copies: Sequence[int] | NDArray[np.integer] | None = None
-    ) -> Observation:
+    def set_state(self, state: EnvState, copies: Sequence[int] | NDArray[np.integer] | None = None) -> Observation:
         """Have some copies go on from states, also from those of other copies or of a single environment.
 
         Args:

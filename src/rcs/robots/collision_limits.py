@@ -24,9 +24,9 @@ class CollisionLimits:
     """Largest torque at each joint [Nm]; infinite for none."""
     loads: Loads = "outer"
     """Which torques are meant."""
-    force: tuple[float, float, float] = (math.inf,) * 3
+    force: float = math.inf
     """Largest outer force along each axis of the base [N]."""
-    moment: tuple[float, float, float] = (math.inf,) * 3
+    moment: float = math.inf
     """Largest outer moment about the TCP along each axis of the base [Nm]."""
     time_constant: float = 0.0
     """Of the observer [s]; 0 for none."""
@@ -39,11 +39,10 @@ class CollisionLimits:
         Raises:
             InvalidSetup: A limit is not above 0, or a time is negative or not finite.
         """
-        limits = (*self.joint_torque, *self.force, *self.moment)
-        if len(self.force) != 3 or len(self.moment) != 3 or not all(limit > 0.0 for limit in limits):
+        if not all(limit > 0.0 for limit in (*self.joint_torque, self.force, self.moment)):
             raise InvalidSetup(
-                f"Collision limits must be above 0, three each for force and moment; got torques {self.joint_torque} Nm, "
-                f"forces {self.force} N and moments {self.moment} Nm."
+                f"Collision limits must be above 0; got torques of {self.joint_torque} Nm, a force of {self.force} N "
+                f"and a moment of {self.moment} Nm."
             )
         for name in ("time_constant", "duration"):
             if not 0.0 <= getattr(self, name) < math.inf:

@@ -85,11 +85,11 @@ class CollisionGuard:
         """Watch a robot from now on, in every copy of its world."""
         core = robot.world.core
         self._joints = robot.placement.arm.joints
-        self._limits = (*limits.joint_torque, *limits.force, *limits.moment)
+        self._limits = (*limits.joint_torque, *[limits.force] * 3, *[limits.moment] * 3)
         self._reaction = CollisionReaction(
             _body(robot),
             list(limits.joint_torque),
-            (*limits.force, *limits.moment),
+            [limits.force] * 3 + [limits.moment] * 3,
             limits.loads == "drive",
             limits.time_constant,
             limits.duration,

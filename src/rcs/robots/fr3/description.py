@@ -27,12 +27,12 @@ FR3: Final = ArmDescription(
     acceleration_limit=(10.0,) * 7,
     jerk_limit=(5000.0,) * 7,
     # Torques: the vendor's franka_ros franka_control_node.yaml and libfranka's examples of motions. Forces and moments:
-    # libfranka's examples with contact; those of free motion, 20 N and 25 Nm, end a grasp of one object by two arms. The
-    # vendor publishes no figure of its observer; the time constant is ours.
+    # libfranka's examples with contact; those of free motion are 20 N and 25 Nm. The vendor publishes no figure of its
+    # observer; the time constant is ours.
     collision=CollisionLimits(
         joint_torque=(20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0),
-        force=(100.0,) * 3,
-        moment=(100.0,) * 3,
+        force=100.0,
+        moment=100.0,
         time_constant=0.005,
     ),
     # Vendor's data sheet: maximum reach 855 mm.

@@ -28,7 +28,7 @@ SO101: Final = ArmDescription(
     # Not published. Ours: a fifth of what the torque does to the servo's own armature, reached within 20 ms.
     acceleration_limit=(20.0,) * 5,
     jerk_limit=(1000.0,) * 5,
-    # Feetech's table of registers, factory values: a servo that exerts more than 80 % of its stall torque (36) for 2 s (35)
+    # Feetech's table of registers, factory values: a servo that exerts over 80 % (36) of its stall torque for 2 s (35)
     # goes into its overload protection.
     collision=CollisionLimits(joint_torque=(0.8 * 2.94,) * 5, loads="drive", duration=2.0),
     # From the shoulder lift to the flange with the arm stretched out: 0.116 + 0.135 + 0.061 m.

@@ -59,7 +59,7 @@ UR5E: Final = ArmDescription(
     jerk_limit=(100.0,) * 6,
     # Safety function "force limit" of the vendor's user manual for tool and elbow, 150 N in the factory's settings; the
     # limits of its joints are not published. The time constant is ours.
-    collision=CollisionLimits(joint_torque=(inf,) * 6, force=(150.0,) * 3, time_constant=0.005),
+    collision=CollisionLimits(joint_torque=(inf,) * 6, force=150.0, time_constant=0.005),
     # Vendor's data sheet: reach 850 mm.
     workspace_reach=0.85,
     sources=(
