@@ -18,8 +18,14 @@ void check_model(const char* name, std::uint64_t made_for, const mjModel* model)
 }  // namespace
 
 ArmBody::ArmBody(const mjModel* model, std::vector<int> joints, int tcp_site, int frame_body)
-    : signature_(model->signature), joints_(std::move(joints)), tcp_site_(tcp_site), frame_body_(frame_body) {
-  if (joints_.empty()) throw InvalidSetup("ArmBody: an arm needs a joint");
+    : signature_(model->signature),
+      timestep_(model->opt.timestep),
+      joints_(std::move(joints)),
+      tcp_site_(tcp_site),
+      frame_body_(frame_body) {
+  if (joints_.empty() || joints_.size() > kMostJoints)
+    throw InvalidSetup("ArmBody: an arm has 1 to " + std::to_string(kMostJoints) + " joints, not " +
+                       std::to_string(joints_.size()));
   for (const int joint : joints_)
     if (joint < 0 || joint >= model->njnt ||
         (model->jnt_type[joint] != mjJNT_HINGE && model->jnt_type[joint] != mjJNT_SLIDE))
@@ -36,6 +42,10 @@ ArmBody::ArmBody(const mjModel* model, std::vector<int> joints, int tcp_site, in
   }
   if (level_[static_cast<std::size_t>(model->site_bodyid[tcp_site])] != dof())
     throw InvalidSetup("ArmBody: the joints must follow each other from the frame's body to the TCP");
+  for (int body = 1; body < model->nbody; ++body)
+    if (level_[static_cast<std::size_t>(body)] > 0) moving_.push_back(body);
+  for (int geom = 0; geom < model->ngeom; ++geom)
+    level_of_geom_.push_back(level_[static_cast<std::size_t>(model->geom_bodyid[geom])]);
 }
 
 void ArmBody::check(const mjModel* model) const { check_model("ArmBody", signature_, model); }
@@ -49,58 +59,68 @@ void ArmBody::drive_torques(const mjModel* model, const mjData* data, std::span<
   }
 }
 
-void ArmBody::outer_loads(const mjModel* model, const mjData* data, std::span<double> torques,
+bool ArmBody::outer_loads(const mjModel* model, const mjData* data, std::span<double> torques,
                           std::span<double, 6> on_tool, std::span<double, 6> on_arm) const {
-  std::ranges::fill(torques, 0.0);
-  double tool[6] = {}, arm[6] = {};
-  const auto level = [&](int body) { return level_[static_cast<std::size_t>(body)]; };
+  // Forces and moments about the TCP in the scene, by the number of joints that move what they press on.
+  double sums[kMostJoints + 1][6];
+  bool is_pressed = false;
+  const double* tcp = data->site_xpos + 3 * tcp_site_;
+  const auto add = [&](int level, const double* force, const double* moment, const double* point, double sign) {
+    if (level < 1) return;
+    if (!is_pressed) std::fill_n(sums[0], 6 * (joints_.size() + 1), 0.0);
+    is_pressed = true;
+    double lever[3], turn[3];
+    mju_sub3(lever, point, tcp);
+    mju_cross(turn, lever, force);
+    double* sum = sums[level];
+    for (int k = 0; k < 3; ++k) {
+      sum[k] += sign * force[k];
+      sum[3 + k] += sign * (turn[k] + moment[k]);
+    }
+  };
   for (int i = 0; i < data->ncon; ++i) {
     const mjContact& contact = data->contact[i];
-    if (contact.efc_address < 0) continue;
-    int levels[2];
-    for (int side = 0; side < 2; ++side)
-      levels[side] = contact.geom[side] < 0 ? -1 : level(model->geom_bodyid[contact.geom[side]]);
-    if (levels[0] == levels[1] || std::max(levels[0], levels[1]) < 1) continue;
+    const int first = contact.geom[0] < 0 ? -1 : level_of_geom_[static_cast<std::size_t>(contact.geom[0])];
+    const int second = contact.geom[1] < 0 ? -1 : level_of_geom_[static_cast<std::size_t>(contact.geom[1])];
+    if (first == second || (first < 1 && second < 1) || contact.efc_address < 0) continue;
     double local[6], force[3], moment[3];
     mj_contactForce(model, data, i, local);
     mju_mulMatTVec3(force, contact.frame, local);
     mju_mulMatTVec3(moment, contact.frame, local + 3);
-    add(data, levels[1], levels[0], force, moment, contact.pos, torques, tool, arm);
-    mju_scl3(force, force, -1.0);
-    mju_scl3(moment, moment, -1.0);
-    add(data, levels[0], levels[1], force, moment, contact.pos, torques, tool, arm);
+    add(second, force, moment, contact.pos, 1.0);
+    add(first, force, moment, contact.pos, -1.0);
   }
-  for (int body = 1; body < model->nbody; ++body) {
+  for (const int body : moving_) {
     const double* applied = data->xfrc_applied + 6 * body;
-    if (level(body) < 1 || mju_isZero(applied, 6)) continue;
-    add(data, level(body), -1, applied, applied + 3, data->xipos + 3 * body, torques, tool, arm);
+    if (std::any_of(applied, applied + 6, [](double value) { return value != 0.0; }))
+      add(level_[static_cast<std::size_t>(body)], applied, applied + 3, data->xipos + 3 * body, 1.0);
   }
-  double axes[4];
+  if (!is_pressed) {
+    std::ranges::fill(torques, 0.0);
+    std::ranges::fill(on_tool, 0.0);
+    std::ranges::fill(on_arm, 0.0);
+    return false;
+  }
+  double axes[4], total[6] = {};
   mju_negQuat(axes, data->xquat + 4 * frame_body_);
-  mju_rotVecQuat(on_tool.data(), tool, axes);
-  mju_rotVecQuat(on_tool.data() + 3, tool + 3, axes);
-  mju_rotVecQuat(on_arm.data(), arm, axes);
-  mju_rotVecQuat(on_arm.data() + 3, arm + 3, axes);
-}
-
-void ArmBody::add(const mjData* data, int level, int other, const double* force, const double* moment,
-                  const double* point, std::span<double> torques, double* on_tool, double* on_arm) const {
-  for (int j = 0; j < level; ++j) {
-    const double* axis = data->xaxis + 3 * joints_[static_cast<std::size_t>(j)];
-    double arm[3], turn[3];
-    mju_sub3(arm, point, data->xanchor + 3 * joints_[static_cast<std::size_t>(j)]);
-    mju_cross(turn, arm, force);
-    mju_addTo3(turn, moment);
-    torques[static_cast<std::size_t>(j)] += mju_dot3(axis, turn);
+  mju_rotVecQuat(on_tool.data(), sums[joints_.size()], axes);
+  mju_rotVecQuat(on_tool.data() + 3, sums[joints_.size()] + 3, axes);
+  for (std::size_t j = joints_.size(); j-- > 0;) {
+    mju_addTo(total, sums[j + 1], 6);
+    const double* axis = data->xaxis + 3 * joints_[j];
+    if (model->jnt_type[joints_[j]] == mjJNT_SLIDE) {
+      torques[j] = mju_dot3(axis, total);
+      continue;
+    }
+    double lever[3], turn[3];
+    mju_sub3(lever, tcp, data->xanchor + 3 * joints_[j]);
+    mju_cross(turn, lever, total);
+    mju_addTo3(turn, total + 3);
+    torques[j] = mju_dot3(axis, turn);
   }
-  if (level < 1) return;
-  double lever[3], wrench[6];
-  mju_sub3(lever, point, data->site_xpos + 3 * tcp_site_);
-  mju_copy3(wrench, force);
-  mju_cross(wrench + 3, lever, force);
-  mju_addTo3(wrench + 3, moment);
-  if (level == dof()) mju_addTo(on_tool, wrench, 6);
-  if (other < 1) mju_addTo(on_arm, wrench, 6);
+  mju_rotVecQuat(on_arm.data(), total, axes);
+  mju_rotVecQuat(on_arm.data() + 3, total + 3, axes);
+  return true;
 }
 
 void ArmLoads::read(const mjModel* model, const mjData* data, std::span<double> values) const {

@@ -39,6 +39,7 @@ class CollisionReaction final : public StepCallback {
 
  private:
   std::size_t size() const { return limits_.torques.size() + 6; }
+  std::size_t width() const { return 2 * size() + 3; }
   double limit(std::size_t i) const {
     const std::size_t dof = limits_.torques.size();
     return i < dof ? limits_.torques[i] : limits_.wrench[i - dof];
@@ -46,7 +47,8 @@ class CollisionReaction final : public StepCallback {
 
   ArmBody arm_;
   CollisionLimits limits_;
-  // Per copy: the filtered loads, for how long each is above its limit [s], and the cause.
+  double share_ = 1.0;  // of a new value in the filtered one
+  // Per copy: the filtered loads, for how long each is above its limit [s], the cause, and whether any is not 0.
   std::vector<double> memory_;
 };
 

@@ -31,23 +31,26 @@ class ArmBody {
   ArmBody(const mjModel* model, std::vector<int> joints, int tcp_site, int frame_body);
 
   int dof() const { return static_cast<int>(joints_.size()); }
+  double timestep() const { return timestep_; }  ///< s, of the model
   /// Throws `InvalidSetup` if it was made for another model.
   void check(const mjModel* model) const;
   /// Torques [Nm, N] that hold the arm against its own weight and whatever presses on it: what its drives exert.
   void drive_torques(const mjModel* model, const mjData* data, std::span<double> torques) const;
   /// Torques [Nm, N] of outer forces at the joints (transposed Jacobian), and two wrenches (force [N], moment about the
-  /// TCP [Nm]) in the axes of the frame body: of what presses on the tool, and on all moving links.
-  void outer_loads(const mjModel* model, const mjData* data, std::span<double> torques, std::span<double, 6> on_tool,
+  /// TCP [Nm]) in the axes of the frame body: of what presses on the tool, and on all moving links. Returns whether
+  /// anything does; without it all values are 0.
+  bool outer_loads(const mjModel* model, const mjData* data, std::span<double> torques, std::span<double, 6> on_tool,
                    std::span<double, 6> on_arm) const;
 
- private:
-  // Add a force on a link that `level` joints move, exerted by something that `other` joints move.
-  void add(const mjData* data, int level, int other, const double* force, const double* moment, const double* point,
-           std::span<double> torques, double* on_tool, double* on_arm) const;
+  static constexpr std::size_t kMostJoints = 32;
 
+ private:
   std::uint64_t signature_;  // of the model
+  double timestep_;
   std::vector<int> joints_;
   std::vector<int> level_;  // of each body: how many of the joints move it; -1 for bodies that are not the arm's
+  std::vector<int> level_of_geom_;
+  std::vector<int> moving_;  // bodies that a joint moves
   int tcp_site_;
   int frame_body_;
 };
