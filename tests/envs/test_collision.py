@@ -140,6 +140,7 @@ def test_one_copy_collides_and_the_others_go_on() -> None:
     calm = Breaks()
     batch.add_observer(calm, copy=0)
     open_hands = np.ones((3, 1), np.float32)
+    told: Any = {}
     for _ in range(300):
         target[2] = max(target[2] - SPEED / single.frequency, -DEPTH)
         targets[1] = target

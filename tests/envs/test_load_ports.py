@@ -32,12 +32,14 @@ class TestEverythingObserved(EnvContract):
 
 
 def test_nothing_more_is_observed_by_default() -> None:
-    keys = {*rcs.make("PickCuboid").observation_space.spaces}
+    env: Any = rcs.make("PickCuboid")
+    keys = {*env.observation_space.spaces}
     assert keys == {"joints", "joint_velocities", "tquat", "xyzrpy", "gripper"}
 
 
 def test_keys_follow_the_setup() -> None:
-    plain = {*rcs.make("PickCuboid").observation_space.spaces}
+    env: Any = rcs.make("PickCuboid")
+    plain = {*env.observation_space.spaces}
     wanted = {
         "torques": {"joint_torques"},
         "wrench": {"tcp_wrench"},
@@ -51,25 +53,25 @@ def test_keys_follow_the_setup() -> None:
 
 
 def test_robots_have_their_own_and_the_objects_are_in_the_scene() -> None:
-    env = rcs.make("LiftBar", robot="dual_fr3", observe=ALL)
+    env: Any = rcs.make("LiftBar", robot="dual_fr3", observe=ALL)
     observation, info = env.reset(seed=0)
     assert {"joint_torques", "tcp_wrench", "finger_contacts", "is_grasped"} < {*observation["left"]}
     np.testing.assert_array_equal(observation["privileged"]["bar"]["tquat"], info["bar_in_scene"])
 
 
 def test_a_policy_can_be_trained_on_the_state() -> None:
-    env = rcs.make("PickCuboid", observe=("contacts", "privileged"), collision_reaction=False)
+    env: Any = rcs.make("PickCuboid", observe=("contacts", "privileged"), collision_reaction=False)
     flat = flatten_space(env.observation_space)
     assert isinstance(flat, spaces.Box)
     observation, _ = env.reset(seed=0)
-    vector = flatten(env.observation_space, observation)
+    vector: Any = flatten(env.observation_space, observation)
     assert flat.contains(vector.astype(flat.dtype))
     # All that decides the task is in it: where the arm is and how fast, and the same of the cuboid.
     assert vector.size == 7 + 7 + 7 + 6 + 1 + 2 + 1 + 7 + 6
 
 
 def test_gymnasiums_checker_finds_nothing() -> None:
-    env = rcs.make("PickCuboid", observe=ALL)
+    env: Any = rcs.make("PickCuboid", observe=ALL)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         check_env(env, skip_render_check=True)
@@ -77,7 +79,7 @@ def test_gymnasiums_checker_finds_nothing() -> None:
 
 @pytest.mark.parametrize(("task", "robot", "name"), [("PickCuboid", "ur5e", "cuboid"), ("PickToy", "fr3", "toy")])
 def test_velocities_of_objects_are_the_rates_of_their_poses(task: str, robot: str, name: str) -> None:
-    env = rcs.make(task, robot=robot, observe=("privileged",), frequency=500.0, max_episode_steps=None)
+    env: Any = rcs.make(task, robot=robot, observe=("privileged",), frequency=500.0, max_episode_steps=None)
     observation, _ = env.reset(seed=0)
     world = env.scenario.world
     random = np.random.default_rng(0)
@@ -110,7 +112,7 @@ def test_velocities_of_objects_are_the_rates_of_their_poses(task: str, robot: st
 
 
 def test_poses_are_those_of_the_task_in_the_base_frame() -> None:
-    env = rcs.make("PickCuboid", robot="ur5e", observe=("privileged",))
+    env: Any = rcs.make("PickCuboid", robot="ur5e", observe=("privileged",))
     observation, info = env.reset(seed=3)
     np.testing.assert_allclose(observation["privileged"]["cuboid"]["tquat"], info["cuboid"], atol=1e-12)
     np.testing.assert_array_equal(observation["privileged"]["cuboid"]["velocity"], np.zeros(6))
@@ -186,6 +188,6 @@ def test_a_real_arm_gives_what_it_measures() -> None:
 
 
 def test_the_port_of_objects_needs_a_task_with_objects() -> None:
-    env = rcs.make("Free")
+    env: Any = rcs.make("Free")
     with pytest.raises(InvalidSetup, match="has no objects"):
         PrivilegedPort(env.scenario.world, env.scenario.robots, env.scenario.task)
