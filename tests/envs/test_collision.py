@@ -116,7 +116,7 @@ def test_a_servo_that_is_overloaded_for_two_seconds_gives_up() -> None:
     env = make("so101")
     observation, _ = env.reset(seed=0)
     target = observation["tquat"].copy()
-    touched, is_over = None, False
+    touched, is_over, info = None, False, {}
     while not is_over:
         target[2] = max(target[2] - SPEED / env.frequency, -DEPTH)
         observation, _, _, is_over, info = env.step({"tquat": target, "gripper": np.ones(1, np.float32)})
@@ -129,6 +129,8 @@ def test_a_servo_that_is_overloaded_for_two_seconds_gives_up() -> None:
 
 
 def test_one_copy_collides_and_the_others_go_on() -> None:
+    info: Any
+    told: Any
     single = make()
     batch = rcs.make_vec(single.setup, copies=3, threads=2)
     seen, _ = single.reset(seed=1)
@@ -140,7 +142,7 @@ def test_one_copy_collides_and_the_others_go_on() -> None:
     calm = Breaks()
     batch.add_observer(calm, copy=0)
     open_hands = np.ones((3, 1), np.float32)
-    told: Any = {}
+    info, told = {}, {}
     for _ in range(300):
         target[2] = max(target[2] - SPEED / single.frequency, -DEPTH)
         targets[1] = target

@@ -149,7 +149,8 @@ class _SoftMotion:
         products = places[..., :, None] * places[..., None, :]
         trace = places[..., 0] ** 2 + places[..., 1] ** 2 + places[..., 2] ** 2
         inertia = _mean(trace[..., None, None] * np.eye(3) - products, axes=2)
-        return np.concatenate([mean, np.linalg.solve(inertia, spin[..., None])[..., 0]], -1)
+        angular: NDArray[np.float64] = np.linalg.solve(inertia, spin[..., None])[..., 0]
+        return np.concatenate([mean, angular], -1)
 
 
 def _motion_of(world: World, name: str) -> Any:
