@@ -149,7 +149,7 @@ class _SoftMotion:
         products = places[..., :, None] * places[..., None, :]
         trace = places[..., 0] ** 2 + places[..., 1] ** 2 + places[..., 2] ** 2
         inertia = _mean(trace[..., None, None] * np.eye(3) - products, axes=2)
-        angular: NDArray[np.float64] = np.linalg.solve(inertia, spin[..., None])[..., 0]
+        angular = np.linalg.solve(inertia, spin[..., None])[..., 0].astype(np.float64, copy=False)
         return np.concatenate([mean, angular], -1)
 
 
