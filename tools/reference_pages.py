@@ -53,7 +53,7 @@ MEANINGS = {
     "is_grasped": "whether the object is grasped: both pads of the gripper press on it (of two arms: of both)",
     "is_touched": "whether any part of the robot presses on the object",
     "cuboid": "pose of the cuboid in the robot's base frame: translation [m], quaternion xyzw",
-    "goal": "pose of the object where it belongs, at any yaw, in the robot's base frame: translation [m], quaternion xyzw",
+    "goal": "pose of the object where it belongs, at any yaw, in the robot's base frame: as above",
     "edges": "edges of the object along its x, y, z [m]",
     "was_lifted": "whether the block was lifted or grasped, by which the episode is lost",
     "block": "pose of the block in the robot's base frame: translation [m], quaternion xyzw",
@@ -375,7 +375,7 @@ def options_page() -> str:
         "They are about this run, and are not stored.\n",
         table(("argument", "meaning"), rows),
         "## Ranges of `Randomisation`\n",
-        "`randomisation=True` or `\"default\"` takes these, `\"mild\"` about half and `\"strong\"` about twice as much; "
+        "`randomisation=True` or `\"default\"` takes these, `\"mild\"` half and `\"strong\"` about twice as much; "
         "`rcs.Randomisation(...)` changes some, and `rcs.Randomisation.off(...)` varies nothing but what is given.\n",
         options_table(rcs.Randomisation),
     ]

@@ -136,7 +136,8 @@ void bind_world(nb::module_& m) {
       .value("converged", rcs::StepEnd::converged, "Synchronous: every convergence callback agreed.")
       .value("interrupted", rcs::StepEnd::interrupted, "A callback interrupted the step.")
       .value("limit", rcs::StepEnd::limit, "Synchronous: the substep limit came before convergence.")
-      .value("failed", rcs::StepEnd::failed, "A state or control that is not a finite number, or an exception.");
+      .value("failed", rcs::StepEnd::failed, "A state or control that is not a finite number, or an exception.")
+      .value("fault", rcs::StepEnd::fault, "A robot went into its fault state, as after a collision.");
 
   nb::class_<rcs::World>(m, "World", nb::type_slots(world_slots),
                          "N copies of one MuJoCo scene, advanced together by one control step at a time. Another call "
@@ -178,6 +179,14 @@ void bind_world(nb::module_& m) {
            "A synchronous step ends when all of these are true.")
       .def("interrupt_when", &rcs::World::interrupt_when, "callback"_a,
            "A synchronous step ends when any of these is true; an asynchronous one lasts its period and says so.")
+      .def("fault_when", &rcs::World::fault_when, "callback"_a,
+           "A step of any kind ends at once when any of these is true: a robot went into its fault state.")
+      .def(
+          "measure",
+          [](rcs::World& w, std::shared_ptr<rcs::Measurement> measurement) { return w.measure(measurement); },
+          "measurement"_a,
+          "Have something measured after every step, and after `refresh`. Returns the index of its first value in "
+          "`measurements`.")
       .def("read_pose", &rcs::World::read_pose, "site"_a, "frame_body"_a,
            "Have the pose of a site in the frame of a body read out after every call. Returns its index in `poses`.")
       .def("read_body_pose", &rcs::World::read_body_pose, "body"_a, "frame_body"_a,
@@ -237,6 +246,13 @@ void bind_world(nb::module_& m) {
       .def(
           "set_state", [](rcs::World& w, Vector state, int copy) { w.set_state(copy, to_span(state)); }, "state"_a,
           "copy"_a = 0, "Write the whole integration state of one copy.")
+      .def(
+          "save", [](const rcs::World& w, int copy) { return to_array(w.save(copy)); }, "copy"_a = 0,
+          "Everything that decides the future of one copy, and what was read out, (save_size,).")
+      .def(
+          "load", [](rcs::World& w, Vector saved, int copy) { w.load(copy, to_span(saved)); }, "saved"_a, "copy"_a = 0,
+          "Write back what `save` returned, into any copy of a world with the same model, callbacks and readouts.")
+      .def_prop_ro("save_size", &rcs::World::save_size, "Number of values of `save`.")
       .def_prop_ro(
           "states",
           [](rcs::World& w) {
@@ -310,6 +326,15 @@ void bind_world(nb::module_& m) {
                 w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r} : std::vector<std::size_t>{r});
           },
           kOwned, "Opening readouts ([copies,] readouts) float32, 0 … 1. Ask again after adding one.")
+      .def_prop_ro(
+          "measurements",
+          [](rcs::World& w) {
+            const auto r = static_cast<std::size_t>(w.measurement_count());
+            return view_of(
+                w, w.measurements(),
+                w.is_batch() ? std::vector<std::size_t>{std::size_t(w.copies()), r} : std::vector<std::size_t>{r});
+          },
+          kOwned, "Values of all measurements ([copies,] values). Ask again after adding one.")
       .def_prop_ro(
           "ends", [](rcs::World& w) { return view_of(w, w.ends(), {std::size_t(w.copies())}); }, kOwned,
           "StepEnd of the last step (copies,) uint8.")

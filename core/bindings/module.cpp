@@ -16,6 +16,7 @@ void bind_hand(nb::module_& m);
 void bind_camera(nb::module_& m);
 void bind_kinematics(nb::module_& m);
 void bind_callback(nb::module_& m);
+void bind_measurement(nb::module_& m);
 void bind_world(nb::module_& m);
 void bind_sim_devices(nb::module_& m);
 void bind_render(nb::module_& m);
@@ -68,6 +69,7 @@ NB_MODULE(_core, m) {
   bind_camera(m);
   bind_kinematics(m);
   bind_callback(m);
+  bind_measurement(m);
   bind_world(m);
   bind_sim_devices(m);
   bind_render(m);

@@ -120,7 +120,7 @@ World::World(const mjModel* model, int copies, int threads, StepTiming timing)
 
 void World::close() {
   std::vector<Periodic> periodic;
-  std::vector<std::shared_ptr<StepCallback>> converge, interrupt;
+  std::vector<std::shared_ptr<StepCallback>> converge, interrupt, fault;
   std::shared_ptr<const void> memory;
   if (!is_open()) return;
   if (is_forked()) call_ = nullptr;  // a call that was under way is one of the parent's
@@ -130,6 +130,7 @@ void World::close() {
   periodic.swap(periodic_);
   converge.swap(converge_);
   interrupt.swap(interrupt_);
+  fault.swap(fault_);
   memory.swap(memory_);
   poll_ = nullptr;
 }
@@ -209,10 +210,16 @@ void World::interrupt_when(std::shared_ptr<StepCallback> callback) {
   interrupt_.push_back(std::move(callback));
 }
 
+void World::fault_when(std::shared_ptr<StepCallback> callback) {
+  const Taken taken(*this, "fault_when");
+  check_callback(callback.get());
+  fault_.push_back(std::move(callback));
+}
+
 std::vector<const StepCallback*> World::callbacks() const {
   std::vector<const StepCallback*> all;
   for (const auto& entry : periodic_) all.push_back(entry.callback.get());
-  for (const auto* list : {&converge_, &interrupt_})
+  for (const auto* list : {&converge_, &interrupt_, &fault_})
     for (const auto& entry : *list) all.push_back(entry.get());
   return all;
 }
@@ -267,6 +274,17 @@ int World::read_opening(std::vector<int> joints, double closed, double open) {
   opening_readouts_.push_back(std::move(readout));
   renew(out_->openings, static_cast<std::size_t>(copies_) * opening_readouts_.size());
   return opening_count() - 1;
+}
+
+int World::measure(std::shared_ptr<const Measurement> measurement) {
+  const Taken taken(*this, "measure");
+  if (!measurement) throw InvalidSetup("world: a measurement is needed, not null");
+  measurement->check(model_);
+  const int first = measured_;
+  measured_ += measurement->size();
+  measurements_.push_back(std::move(measurement));
+  renew(out_->measurements, static_cast<std::size_t>(copies_) * static_cast<std::size_t>(measured_));
+  return first;
 }
 
 void World::check_copy(int copy) const {

@@ -144,6 +144,7 @@ void World::reset_chosen(Chosen copies) {
     for (const auto& entry : periodic_) entry.callback->reset(copy);
     for (const auto& entry : converge_) entry->reset(copy);
     for (const auto& entry : interrupt_) entry->reset(copy);
+    for (const auto& entry : fault_) entry->reset(copy);
   };
   if (copies)
     std::ranges::for_each(*copies, reset_one);
@@ -167,7 +168,17 @@ Motion::Step World::motion_step(std::int64_t step, double physics_step) const {
 }
 
 void World::refresh_copy(const mjModel* model, mjData* data, int copy) {
-  mj_kinematics(model, data);
+  if (measurements_.empty()) {
+    mj_kinematics(model, data);
+  } else {
+    // Forces are part of what is measured. The solver's warm start is part of the state, which stays as it is.
+    mj_markStack(data);
+    double* const warm = mj_stackAllocNum(data, static_cast<std::size_t>(model->nv));
+    mju_copy(warm, data->qacc_warmstart, model->nv);
+    mj_forward(model, data);
+    mju_copy(data->qacc_warmstart, warm, model->nv);
+    mj_freeStack(data);
+  }
   read_out(model, data, copy, false);
 }
 
@@ -209,6 +220,12 @@ void World::step_copy(const mjModel* model, mjData* data, int copy) {
       if (is_interrupted) {
         end = StepEnd::interrupted;
         if (is_synchronous) break;
+      }
+      bool is_faulty = false;
+      for (const auto& entry : fault_) is_faulty = entry->call(view) || is_faulty;
+      if (is_faulty) {
+        end = StepEnd::fault;
+        break;
       }
       if (!is_synchronous) continue;
       // Every callback is asked at every physics step, so that those which remember see all of it.
@@ -276,6 +293,12 @@ void World::read_out(const mjModel* model, const mjData* data, int copy, bool ha
   for (std::size_t r = 0; r < force_readouts_.size(); ++r)
     out_->forces[index * force_readouts_.size() + r] =
         has_forces ? contact_force(model, data, force_readouts_[r].first, force_readouts_[r].second) : 0.0;
+  double* values = out_->measurements.data() + index * static_cast<std::size_t>(measured_);
+  for (const auto& measurement : measurements_) {
+    const auto size = static_cast<std::size_t>(measurement->size());
+    measurement->read(model, data, {values, size});
+    values += size;
+  }
 }
 
 }  // namespace rcs

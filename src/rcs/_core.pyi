@@ -827,6 +827,53 @@ class Motion(StepCallback):
         Position, velocity and acceleration that the joints are led to at present, (3, dof).
         """
 
+class ArmBody:
+    """
+    A serial arm in a model, and what presses on it from outside: contacts with anything but the arm and its tool, and the forces of `xfrc_applied`.
+    """
+
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[int], tcp_site: int, frame_body: int) -> None:
+        """
+        Joint ids from base to tip, the TCP's site, and the body whose axes wrenches have.
+        """
+
+class Measurement:
+    """Values that a world reads out of every copy after each step."""
+
+    @property
+    def size(self) -> int:
+        """Number of values."""
+
+class ArmLoads(Measurement):
+    """
+    The torques of an arm's drives [Nm], then force [N] and moment about the TCP [Nm] of what presses on its tool, in the axes of the frame body.
+    """
+
+    def __init__(self, arm: ArmBody) -> None: ...
+
+class FingerContacts(Measurement):
+    """
+    Which fingers touch something with at least a force [N] (1 or 0 each), then whether two of them touch the same object.
+    """
+
+    def __init__(self, model: mujoco.MjModel, fingers: Sequence[Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)]], own: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], force: float) -> None:
+        """
+        One uint8 flag per geom for each finger, and for the robot's own geoms, which do not count as touched.
+        """
+
+class CollisionReaction(StepCallback):
+    """True when what presses on an arm is more than a limit."""
+
+    def __init__(self, arm: ArmBody, torques: Sequence[float], wrench: Sequence[float], is_of_drives: bool, time_constant: float, duration: float, copies: int) -> None:
+        """
+        Limits per joint [Nm] and of force and moment [N, Nm]; the filter's time constant and how long a limit must be exceeded [s].
+        """
+
+    def cause(self, copy: int) -> tuple[int, float]:
+        """
+        Which limit was exceeded (joints, then the wrench's six), or -1, and by which load.
+        """
+
 class StepEnd(enum.Enum):
     """Why a control step of a simulation ended."""
 
@@ -844,6 +891,9 @@ class StepEnd(enum.Enum):
 
     failed = 4
     """A state or control that is not a finite number, or an exception."""
+
+    fault = 5
+    """A robot went into its fault state, as after a collision."""
 
 class World:
     """
@@ -894,6 +944,16 @@ class World:
     def interrupt_when(self, callback: StepCallback) -> None:
         """
         A synchronous step ends when any of these is true; an asynchronous one lasts its period and says so.
+        """
+
+    def fault_when(self, callback: StepCallback) -> None:
+        """
+        A step of any kind ends at once when any of these is true: a robot went into its fault state.
+        """
+
+    def measure(self, measurement: Measurement) -> int:
+        """
+        Have something measured after every step, and after `refresh`. Returns the index of its first value in `measurements`.
         """
 
     def read_pose(self, site: int, frame_body: int) -> int:
@@ -957,6 +1017,20 @@ class World:
     def set_state(self, state: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], copy: int = 0) -> None:
         """Write the whole integration state of one copy."""
 
+    def save(self, copy: int = 0) -> NDArray[numpy.float64]:
+        """
+        Everything that decides the future of one copy, and what was read out, (save_size,).
+        """
+
+    def load(self, saved: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], copy: int = 0) -> None:
+        """
+        Write back what `save` returned, into any copy of a world with the same model, callbacks and readouts.
+        """
+
+    @property
+    def save_size(self) -> int:
+        """Number of values of `save`."""
+
     @property
     def states(self) -> NDArray[numpy.float64]:
         """Live state rows (copies, state_size) of a batch."""
@@ -1012,6 +1086,12 @@ class World:
     def openings(self) -> NDArray[numpy.float32]:
         """
         Opening readouts ([copies,] readouts) float32, 0 … 1. Ask again after adding one.
+        """
+
+    @property
+    def measurements(self) -> NDArray[numpy.float64]:
+        """
+        Values of all measurements ([copies,] values). Ask again after adding one.
         """
 
     @property

@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <vector>
 
 namespace rcs {
@@ -26,6 +27,8 @@ class StepCallback {
   virtual bool call(const StepView& view) = 0;
   /// Forget what was remembered of a copy; its episode starts anew.
   virtual void reset(int /*copy*/) {}
+  /// What is remembered of a copy, to be saved and written back with the copy's state; of the same size at all times.
+  virtual std::span<double> memory(int /*copy*/) { return {}; }
   /// Throws `InvalidSetup` if it cannot be called in a world of this model and number of copies.
   virtual void check(const mjModel* /*model*/, int /*copies*/) const {}
 };
@@ -54,6 +57,7 @@ class JointsAtRest final : public StepCallback {
   JointsAtRest(std::vector<int> joints, double velocity_tolerance, double duration, int copies);
   bool call(const StepView& view) override;
   void reset(int copy) override { since_[static_cast<std::size_t>(copy)] = -1.0; }
+  std::span<double> memory(int copy) override { return std::span(since_).subspan(static_cast<std::size_t>(copy), 1); }
   void check(const mjModel* model, int copies) const override;
 
  private:

@@ -16,6 +16,7 @@ enum class StepEnd : std::uint8_t {
   interrupted,  ///< a callback interrupted the step
   limit,        ///< synchronous: the substep limit came before convergence
   failed,       ///< a state or control that is not a finite number, or an exception
+  fault,        ///< a robot went into its fault state, as after a collision
 };
 
 /// What inverse kinematics found.

@@ -24,6 +24,7 @@
 #include <vector>
 
 #include "rcs/callback.hpp"
+#include "rcs/measurement.hpp"
 #include "rcs/motion.hpp"
 #include "rcs/result.hpp"
 
@@ -76,6 +77,8 @@ class World {
   void converge_when(std::shared_ptr<StepCallback> callback);
   /// A synchronous step ends when any of these is true; an asynchronous one lasts its period and says so.
   void interrupt_when(std::shared_ptr<StepCallback> callback);
+  /// A step of any kind ends at once when any of these is true: a robot went into its fault state.
+  void fault_when(std::shared_ptr<StepCallback> callback);
 
   /// Have the pose of a site in the frame of a body read out after every call. Returns its index in `poses`.
   int read_pose(int site, int frame_body);
@@ -87,6 +90,10 @@ class World {
 
   /// Have the mean position of joints read out as 0 at `closed` … 1 at `open`. Returns its index in `openings`.
   int read_opening(std::vector<int> joints, double closed, double open);
+
+  /// Have something measured after every step, and after `refresh`. Returns the index of its first value in
+  /// `measurements`.
+  int measure(std::shared_ptr<const Measurement> measurement);
 
   /// All callbacks that were added, one entry for each time.
   std::vector<const StepCallback*> callbacks() const;
@@ -114,6 +121,14 @@ class World {
   void get_state(int copy, std::span<double> state) const;
   void set_state(int copy, std::span<const double> state);
   int state_size() const { return state_size_; }
+
+  /// Everything that decides the future of one copy, and what was read out: its state, counters, the memory of
+  /// callbacks and readouts. A copy of any world of the same model with the same callbacks and readouts can go on from
+  /// it.
+  std::vector<double> save(int copy) const;
+  /// Throws `InvalidSetup` when it does not have `save_size` values.
+  void load(int copy, std::span<const double> saved);
+  std::size_t save_size() const;
   /// State rows of a batch (copies × state_size); null for a world on the caller's data.
   double* states();
   /// First element of a state component (one mjtState bit) of copy 0, and its size; rows are `row_stride` apart.
@@ -136,15 +151,17 @@ class World {
   std::vector<double>& poses() { return out_->poses; }    ///< copies × readouts × 7: translation [m], quaternion xyzw
   std::vector<double>& xyzrpy() { return out_->xyzrpy; }  ///< copies × readouts × 6: as roll, pitch, yaw [rad]
   std::vector<double>& forces() { return out_->forces; }  ///< copies × readouts [N], of the last physics step
-  std::vector<float>& openings() { return out_->openings; }         ///< copies × readouts, 0 … 1
-  std::vector<std::uint8_t>& ends() { return out_->ends; }          ///< copies: StepEnd of the last step
-  std::vector<std::int32_t>& substeps() { return out_->substeps; }  ///< copies: physics steps of the last step
-  std::vector<std::int64_t>& steps() { return out_->steps; }        ///< copies: control steps since reset
+  std::vector<float>& openings() { return out_->openings; }           ///< copies × readouts, 0 … 1
+  std::vector<double>& measurements() { return out_->measurements; }  ///< copies × values of all measurements
+  std::vector<std::uint8_t>& ends() { return out_->ends; }            ///< copies: StepEnd of the last step
+  std::vector<std::int32_t>& substeps() { return out_->substeps; }    ///< copies: physics steps of the last step
+  std::vector<std::int64_t>& steps() { return out_->steps; }          ///< copies: control steps since reset
   /// Keeps alive the arrays above, beyond the world itself.
   std::shared_ptr<const void> readouts() const { return out_; }
   int pose_count() const { return static_cast<int>(pose_readouts_.size()); }
   int opening_count() const { return static_cast<int>(opening_readouts_.size()); }
   int force_count() const { return static_cast<int>(force_readouts_.size()); }
+  int measurement_count() const { return measured_; }
 
  private:
   using Chosen = std::optional<std::span<const int>>;  // nothing: all copies
@@ -185,6 +202,7 @@ class World {
     std::vector<double> xyzrpy;
     std::vector<double> forces;
     std::vector<float> openings;
+    std::vector<double> measurements;
     std::vector<std::uint8_t> ends;
     std::vector<std::int32_t> substeps;
     std::vector<std::int64_t> steps;
@@ -220,6 +238,8 @@ class World {
   void step_copy(const mjModel* model, mjData* data, int copy);
   void refresh_copy(const mjModel* model, mjData* data, int copy);
   void read_out(const mjModel* model, const mjData* data, int copy, bool has_forces);
+  template <typename Visit>
+  void visit_saved(int copy, Visit visit) const;
   std::int64_t period_of(std::int64_t step) const;
   Motion::Step motion_step(std::int64_t step, double physics_step) const;
 
@@ -239,6 +259,9 @@ class World {
   std::vector<Periodic> periodic_;
   std::vector<std::shared_ptr<StepCallback>> converge_;
   std::vector<std::shared_ptr<StepCallback>> interrupt_;
+  std::vector<std::shared_ptr<StepCallback>> fault_;
+  std::vector<std::shared_ptr<const Measurement>> measurements_;
+  int measured_ = 0;  // values of all measurements
   std::vector<PoseReadout> pose_readouts_;
   std::vector<ForceReadout> force_readouts_;
   std::vector<OpeningReadout> opening_readouts_;

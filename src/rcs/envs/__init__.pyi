@@ -21,6 +21,7 @@ from rcs.envs.ports import Port as Port
 from rcs.envs.spaces import Action as Action
 from rcs.envs.spaces import Observation as Observation
 from rcs.envs.stack import Stack as Stack
+from rcs.envs.state import EnvState as EnvState
 from rcs.envs.task import Area as Area
 from rcs.envs.task import Judgement as Judgement
 from rcs.envs.task import Task as Task

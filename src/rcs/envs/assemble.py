@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from rcs.devices import Arm, Gripper
+from rcs.envs import spaces as keys
 from rcs.envs.camera_port import CameraPort, FreshFrames
 from rcs.envs.chain import Chain
 from rcs.envs.clock import Clock
@@ -28,6 +29,7 @@ from rcs.envs.layers import (
     WristCamera,
     XyzrpyControl,
 )
+from rcs.envs.load_ports import PrivilegedPort, SimContactPort, SimLoadPort
 from rcs.envs.observers import Observer
 from rcs.envs.ports import ArmPort, GripperPort, HandPort, Port
 from rcs.envs.randomiser import Randomiser
@@ -45,6 +47,7 @@ from rcs.kinematics import kinematics_of
 from rcs.sim.action_latency import keep_history
 from rcs.sim.camera import SimCameras
 from rcs.sim.frame_clock import FrameClock, FrameRate
+from rcs.sim.loads import CollisionGuard
 from rcs.sim.picture import Picture
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import CameraPlacement, RobotPlacement, Scene
@@ -195,6 +198,8 @@ def _is_all_real(parts: Parts, cameras: Sequence[CameraPlacement]) -> bool:
 def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlacement]) -> tuple[Scenario | None, Stack]:
     """Return the simulated part, if there is one, and the stack over all parts."""
     setup, devices = parts.setup, parts.devices
+    if "privileged" in setup.observe and devices:
+        raise InvalidSetup("Poses of objects are known in simulation only; leave 'privileged' out of observe.")
     leading = () if world is None else world.leading
     simulated = [camera for camera in cameras if camera.name not in devices.cameras]
     real = [camera for camera in cameras if camera.name in devices.cameras]
@@ -210,6 +215,7 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
         clock = _frame_clock(setup, simulated, world)
         randomiser = _randomiser(parts, world)
         scenario = Scenario(world, list(bodies.values()), parts.task, randomiser, clock, parts.clutter)
+        scenario.guards = _guards(parts, bodies)
         shared += _simulated_sensors(parts, simulated, world, list(bodies.values()), clock, randomiser)
     gates = list(parts.gates)
     if real:
@@ -220,7 +226,7 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
     chains: dict[str, Chain] = {}
     for placement in parts.robots:
         name = placement.name
-        ports, layers = _ports_of(placement, devices, bodies.get(name)), layers_of(setup, placement)
+        ports, layers = _ports_of(parts, placement, bodies.get(name)), layers_of(setup, placement)
         if randomiser is not None and not devices:
             layers = [*_late_actions(randomiser, setup, leading), *layers]
         if len(parts.robots) == 1:
@@ -233,21 +239,40 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
     return scenario, Stack(chains, gates)
 
 
-def _ports_of(placement: RobotPlacement, devices: Devices, body: SimRobot | None) -> list[Port]:
+def _guards(parts: Parts, bodies: Mapping[str, SimRobot]) -> dict[str, CollisionGuard]:
+    """Have the arms that are simulated react to collisions, each at its own limits."""
+    if not parts.setup.collision_reaction:
+        return {}
+    return {
+        name: CollisionGuard(body, body.placement.arm.collision)
+        for name, body in bodies.items()
+        if name not in parts.devices.arms and body.placement.arm.collision is not None
+    }
+
+
+def _ports_of(parts: Parts, placement: RobotPlacement, body: SimRobot | None) -> list[Port]:
     """Return the ports of one robot: real devices where there are any, and its body in the world for the rest."""
+    devices, observed = parts.devices, parts.setup.observe
     arm, effector = devices.arms.get(placement.name), devices.effectors.get(placement.name)
     ports: list[Port] = []
     if arm is not None:
         _require_fit(placement, arm)
-        ports.append(ArmPort(arm, kinematics_of(placement.arm, placement.end_effector)))
+        kinematics, effort = kinematics_of(placement.arm, placement.end_effector), placement.arm.effort_limit
+        ports.append(ArmPort(arm, kinematics, observed=observed, effort=effort))
     elif body is not None:
         ports.append(SimArmPort(body))
+        if keys.LOADS.keys() & set(observed):
+            ports.append(SimLoadPort(body, observed))
     if effector is not None:
         ports.append(GripperPort(effector) if isinstance(effector, Gripper) else HandPort(effector))
     elif body is not None and placement.gripper is not None:
         ports.append(SimGripperPort(body))
     elif body is not None and placement.hand is not None:
         ports.append(SimHandPort(body))
+    if "contacts" in observed:
+        if body is None or effector is not None:
+            raise InvalidSetup("Contacts of a real gripper are not measured; leave 'contacts' out of observe.")
+        ports.append(SimContactPort(body))
     real = [port for port in ports if port.device is not None]
     if body is not None and real:
         ports = [FollowPort(body, port) if port in real else port for port in ports]
@@ -291,6 +316,8 @@ def _simulated_sensors(
         ports.append(SimCameraPort(cameras, clock, randomiser))
     if parts.tactile:
         ports.append(SimTactilePort([SimTactile(world, sensor) for sensor in parts.tactile]))
+    if "privileged" in setup.observe:
+        ports.append(PrivilegedPort(world, robots, parts.task))
     return ports
 
 

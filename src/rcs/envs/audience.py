@@ -73,9 +73,10 @@ class Audience:
                 observer.on_step(self._transition(copy, step.observation, step.info, step, action))
         self._notes = {}
 
-    def tell_end(self, end: str, reasons: Mapping[str, str]) -> None:
-        """Tell that the episodes were broken off."""
-        for_all([lambda observer=observer: observer.on_end(end, reasons) for _, observer in self._observers])
+    def tell_end(self, end: str, reasons: Mapping[str, str], *, copy: int | None = None) -> None:
+        """Tell that the episodes were broken off, or that of one copy."""
+        told = [observer for own, observer in self._observers if copy in (None, own)]
+        for_all([lambda observer=observer: observer.on_end(end, reasons) for observer in told])
 
     def closes(self) -> list[Callable[[], None]]:
         """Return the calls that close the observers."""

@@ -26,9 +26,10 @@ from rcs.errors import DeviceFault, InvalidAction, Refused, WrongOrder
 from rcs.sim.world import Copies
 
 DIVERGED, FAULT = "diverged", "fault"
-"""What `info["end"]` says of a simulation that left the range of finite numbers, and of a device that failed."""
+"""What `info["end"]` says of a simulation that left the range of finite numbers, and of a device that failed, or of a
+simulated arm that collided."""
 
-_FAILED = StepEnd.failed.value
+_FAILED, _FAULT = StepEnd.failed.value, StepEnd.fault.value
 _ENDS = {end.value: end.name for end in StepEnd}
 END_NAMES = np.array([{**_ENDS, _FAILED: DIVERGED}.get(i, "") for i in range(1 + max(_ENDS))])
 """What `info["end"]` says of a step, by the value of `StepEnd`."""
@@ -71,8 +72,6 @@ class Engine:
         self._must_rebase = False
         self._is_commanded = False
         self._last_observation: Observation = {}
-
-    # --- Who watches, what is closed in the end -----------------------------------------------------------------------
 
     def close_too(self, close: Callable[[], None]) -> None:
         """Have something closed after the observers."""
@@ -223,7 +222,7 @@ class Engine:
             self.audience.tell_starts(step.observation, step.info, self._seeds_of(ids))
         self.audience.tell_step(step, action, starting)
         if faults := step.info.get("faults", {}):
-            self.audience.tell_end(str(step.info["end"]), faults)
+            self._tell_ends(step, faults)
         return step
 
     def _judge(
@@ -236,19 +235,22 @@ class Engine:
         if self.scenario is not None:
             outcome = self.scenario.evaluate()
             reward, terminated, info = outcome.reward, outcome.terminated, outcome.info
-        truncated = diverged = self._ends == _FAILED
+        truncated = self._ends >= _FAILED
         if starting is None:
             self._steps = self._steps + 1
         else:
             self._steps = self._steps + ~starting
-            diverged = truncated = diverged & ~starting
+            truncated = truncated & ~starting
             reward, terminated = np.where(starting, 0.0, reward), terminated & ~starting
             if self.scenario is not None:
                 self.scenario.task.forget_progress(np.flatnonzero(starting))  # the start was judged, and is no step
-        if diverged.any() if self.leading else diverged:
-            reward, terminated = np.where(diverged, 0.0, reward), terminated & ~diverged
-            if not self.leading and self.scenario is not None:
-                told["faults"] = {"simulation": self.scenario.world.why_diverged() or "a step failed"}
+        if (truncated.any() if self.leading else truncated) and self.scenario is not None:
+            terminated = terminated & ~truncated
+            diverged = truncated & (self._ends == _FAILED)
+            reward = np.where(diverged, 0.0, reward)
+            told["faults"] = self.scenario.faults(truncated & ~diverged)
+            if any(port.can_fail for port in self.stack.ports):
+                self._hold_in_fault(told["faults"])  # real devices; in simulation alone, no time passes any more
         if self._max_episode_steps is not None:
             truncated = truncated | ((self._steps >= self._max_episode_steps) & ~terminated)
             truncated = truncated if starting is None else truncated & ~starting
@@ -282,7 +284,43 @@ class Engine:
         seeds, episodes = self.seeds.reshape(-1), self.episodes.reshape(-1)
         return {int(copy): None if episodes[copy] else int(seeds[copy]) for copy in copies}
 
+    # --- The whole state ----------------------------------------------------------------------------------------------
+
+    def rebase_if_held(self) -> None:
+        """Do now what the next step would do first."""
+        if self._must_rebase:
+            self._must_rebase = False
+            self.stack.rebase()
+
+    def counters(self) -> dict[str, Any]:
+        """Return what is counted of the episodes, each (*leading,)."""
+        return {"seeds": self.seeds, "episodes": self.episodes, "steps": self._steps, "is_over": self.is_over}
+
+    def set_counters(self, rows: Mapping[str, NDArray[Any]], copies: NDArray[np.int32]) -> None:
+        """Set what is counted of some copies' episodes, (copies,) each."""
+        where: Any = copies if self.leading else ...
+        self._steps, self.is_over = np.array(self._steps), np.array(self.is_over)
+        for name, counted in self.counters().items():
+            counted[where] = rows[name] if self.leading else rows[name][0]
+
+    def go_on(self, copies: NDArray[np.int32]) -> Observation:
+        """Observe after the state of some copies was set; their recordings end."""
+        for copy in copies:
+            self.audience.tell_end("set_state", {"set_state": "A state was set."}, copy=int(copy))
+        self._clock.reset()
+        self._last_observation = self.stack.lift(self.stack.measure())
+        return self._last_observation
+
     # --- When something goes wrong ------------------------------------------------------------------------------------
+
+    def _tell_ends(self, step: Step, faults: dict[str, Any]) -> None:
+        """Tell the observers of an episode that ended in a fault; of a batch, those of the copies that did."""
+        if not self.leading:
+            self.audience.tell_end(str(step.info["end"]), faults)
+            return
+        for copy in np.flatnonzero(step.truncated & (self._ends == _FAULT)):
+            reasons = {name: str(own[copy]) for name, own in faults.items() if own[copy]}
+            self.audience.tell_end(FAULT, reasons, copy=int(copy))
 
     def _hold_in_fault(self, faults: dict[str, str]) -> None:
         """Have all devices hold; one that refuses in its fault state is told in `faults`."""

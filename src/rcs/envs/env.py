@@ -20,11 +20,15 @@ from rcs.envs.setup import Setup
 from rcs.envs.spaces import Observation
 from rcs.envs.stack import Stack
 from rcs.envs.start import Start, check_start, check_state
+from rcs.envs.state import EnvState, read_state, write_state
 from rcs.errors import InvalidSetup, WrongOrder
 from rcs.sim.picture import Picture
 from rcs.sim.scene import RobotPlacement
 
 __all__ = ["DIVERGED", "FAULT", "Env"]
+
+_ONLY = np.zeros(1, np.int32)
+"""The copies of a single environment."""
 
 
 class Env(gymnasium.Env[Observation, dict[str, Any]]):
@@ -240,6 +244,36 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
             pictures, self._pictures = self._pictures, []
             return pictures
         return self._picture.draw()
+
+    def get_state(self) -> EnvState:
+        """Return everything that decides what follows, to go back to it with `set_state`; it survives pickling.
+
+        Only in simulation. That is the state of the simulation, of layers and task, of cameras, counters and random
+        numbers. What observers, agents and callbacks in Python remember is theirs.
+
+        Raises:
+            WrongOrder: The environment drives real devices, was not reset, is closed, or another thread uses it.
+        """
+        with self._engine.turn.take("get_state"):
+            return read_state(self._engine, _ONLY)
+
+    def set_state(self, state: EnvState) -> Observation:
+        """Go on from a state, also one of a copy of a batch; the same actions lead to the same bits.
+
+        An episode that is being recorded ends here, without a verdict.
+
+        Args:
+            state: What `get_state` of this environment returned, or of another one that is made from the same parts.
+
+        Returns:
+            The observation in that state.
+
+        Raises:
+            InvalidSetup: The state is that of another environment, or of several copies.
+            WrongOrder: The environment drives real devices, was not reset, is closed, or another thread uses it.
+        """
+        with self._engine.turn.take("set_state"):
+            return write_state(self._engine, state, _ONLY)
 
     def hold(self) -> None:
         """Make every device stay where it is, also when one of them fails to. May be called from any thread.

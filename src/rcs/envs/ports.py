@@ -7,15 +7,17 @@ passes only in the environment's clock. Ports of simulated devices serve one cop
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import ArrayLike
 
 from rcs.devices import Arm, Gripper, Hand
 from rcs.envs import spaces as keys
 from rcs.envs.spaces import Arrays, Observation
+from rcs.errors import InvalidSetup
 from rcs.kinematics import Kinematics
 
 OVERSHOOT = 0.1
@@ -31,6 +33,8 @@ class Port(ABC):
     """Space of every key that the port gives."""
     timed: tuple[str, ...] = ()
     """What `capture_times` has an entry for, such as `joints` or `frames/wrist`."""
+    memory: tuple[str, ...] = ()
+    """Attributes that decide what follows, of a simulated device; see `Layer.memory`."""
     stale_after: float | None = None
     """Age from which what the port reads counts as stale [s]; None for never."""
     device: Arm | Gripper | Hand | None = None
@@ -113,30 +117,46 @@ class ArmPort(Port):
 
     timed = (keys.JOINTS,)
 
-    def __init__(self, arm: Arm, kinematics: Kinematics) -> None:
+    def __init__(
+        self, arm: Arm, kinematics: Kinematics, *, observed: Collection[keys.Observed] = (), effort: ArrayLike = ()
+    ) -> None:
         """Use an arm; it is opened by `open`.
 
         Args:
             arm: The device.
             kinematics: Gives the TCP pose from the measured joints.
+            observed: `torques` and `wrench` are observed too, as the device measures them.
+            effort: Largest joint torques [Nm], (dof,), where torques are observed.
         """
         box = keys.joints_space(arm.limits.joint_lower, arm.limits.joint_upper)
         self.device = self._arm = arm
         self._kinematics = kinematics
         self._time = 0.0
         self.action_spaces = {keys.JOINTS: box}
-        self.observation_spaces = arm_observation_spaces(box)
+        self._loads = [key for name, key in keys.LOADS.items() if name in observed]
+        loads = keys.load_spaces(effort)
+        self.observation_spaces = {**arm_observation_spaces(box), **{key: loads[key] for key in self._loads}}
 
     def command(self, action: Arrays) -> None:
         """Send the joint target."""
         self._arm.command_joints(action[keys.JOINTS])
 
     def observe(self) -> Observation:
-        """Measure joints and compute the TCP pose."""
+        """Measure joints and loads, and compute the TCP pose.
+
+        Raises:
+            InvalidSetup: The arm does not measure a load.
+        """
         state = self._arm.state()
         self._time = state.time
         pose = self._kinematics.forward(state.joints)
+        loads: Observation = {}
+        for key in self._loads:
+            loads[key] = np.array(state.efforts if key == keys.JOINT_TORQUES else state.wrench, np.float64)
+            if loads[key].shape != self.observation_spaces[key].shape:
+                raise InvalidSetup(f"{self._arm.name} does not measure {key!r}; leave it out of `observe`.")
         return {
+            **loads,
             keys.JOINTS: np.array(state.joints),
             keys.TQUAT: pose.tquat,
             keys.XYZRPY: pose.xyzrpy,

@@ -15,6 +15,7 @@ from rcs.envs.spaces import GRIPPER, HAND, JOINTS
 from rcs.envs.start import Start, in_frame_of
 from rcs.envs.task import Judgement, Task
 from rcs.sim.frame_clock import FrameClock
+from rcs.sim.loads import CollisionGuard
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import Copies, World
 
@@ -42,9 +43,13 @@ class Scenario:
             clutter: What else lies about; None for nothing.
         """
         self.world = world
-        self._randomisers = [] if randomiser is None else [randomiser]
-        self._frame_clock = frame_clock
+        self.randomisers = [] if randomiser is None else [randomiser]
+        """What varies the world, in this order."""
+        self.frame_clock = frame_clock
+        """The cameras' clock; None without cameras."""
         self.robots = robots
+        self.guards: dict[str, CollisionGuard] = {}
+        """The reactions to collisions, by robot."""
         self.task = task
         task.bind(world, robots)
         self._clutter = clutter
@@ -53,14 +58,14 @@ class Scenario:
             self._taken = TakenCircles(world, task)
         for robot in robots:
             robot.go_home()
-        for one in self._randomisers:
+        for one in self.randomisers:
             one.settle()
         world.core.keep_initial_state()
         world.refresh()
 
     def add_randomiser(self, randomiser: Randomiser) -> None:
         """Add a randomiser after the present one; it must be made for this world before the first episode."""
-        self._randomisers.append(randomiser)
+        self.randomisers.append(randomiser)
 
     def begin(self, draws: Draws, copies: Copies = None) -> None:
         """Start episodes: all robots at or near home, objects placed by the task, all else randomised.
@@ -70,12 +75,12 @@ class Scenario:
             copies: Which copies; None for all.
         """
         where: Where = ... if copies is None else copies
-        for randomiser in self._randomisers:
+        for randomiser in self.randomisers:
             randomiser.begin(draws, copies)
-        if self._frame_clock is not None:
-            self._frame_clock.begin(draws.branch("frames").bits(), copies)
+        if self.frame_clock is not None:
+            self.frame_clock.begin(draws.branch("frames").bits(), copies)
         self.world.reset(copies)
-        for randomiser in self._randomisers:
+        for randomiser in self.randomisers:
             randomiser.place(self.robots, copies)
         self.task.forget_progress(where)
         self.task.reset(draws, where)
@@ -94,7 +99,7 @@ class Scenario:
             state = start.robots.get(robot.placement.name)
             if state is not None:
                 robot.put(state[JOINTS], state.get(GRIPPER), state.get(HAND))
-        for randomiser in self._randomisers:
+        for randomiser in self.randomisers:
             randomiser.settle()
         if start.objects:
             self.task.place(start.objects, ...)
@@ -108,6 +113,26 @@ class Scenario:
         """
         return in_frame_of(self.robots, self.task.object_poses())
 
+    def faults(self, is_faulty: NDArray[np.bool_]) -> dict[str, Any]:
+        """Return why the last step ended early, by robot, or as `simulation` where a world of one diverged.
+
+        Args:
+            is_faulty: In which copies a robot went into its fault state, (*leading,).
+
+        Returns:
+            A text per robot; of a batch, a text per copy, empty where a robot is well.
+        """
+        if not self.world.leading:
+            if not is_faulty:
+                return {"simulation": self.world.why_diverged() or "a step failed"}
+            return {name: reason for name, guard in self.guards.items() if (reason := guard.reason(0))}
+        reasons: dict[str, Any] = {}
+        for name, guard in self.guards.items():
+            own = [guard.reason(copy) if faulty else "" for copy, faulty in enumerate(is_faulty)]
+            if any(own):
+                reasons[name] = np.array(own, object)
+        return reasons
+
     def evaluate(self) -> Judgement:
         """Judge the present state."""
         return self.task.evaluate()
@@ -115,12 +140,12 @@ class Scenario:
     @property
     def randomisation(self) -> dict[str, NDArray[np.float64]]:
         """The draws of the present episodes, by field of `Randomisation`, (*leading, ...)."""
-        return {field: drawn for randomiser in self._randomisers for field, drawn in randomiser.values.items()}
+        return {field: drawn for randomiser in self.randomisers for field, drawn in randomiser.values.items()}
 
     def describe(self) -> dict[str, Any]:
         """Return the info of the first observation of an episode."""
         told: dict[str, Any] = dict(self.task.describe())
-        if self._randomisers:
+        if self.randomisers:
             told["randomisation"] = self.randomisation
         return told
 

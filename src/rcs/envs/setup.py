@@ -10,7 +10,7 @@ from typing import Any, Literal, TypedDict, get_args
 
 import numpy as np
 
-from rcs.envs.spaces import Control
+from rcs.envs.spaces import Control, Observed
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.camera_mode import parse_mode
 from rcs.sim.camera import MAX_SIZE, Quality
@@ -57,6 +57,12 @@ class Setup:
     """Where the robots' looks come from: built-in primitives, or `menagerie` for meshes of the package
     `mujoco-menagerie` (an extra), downloaded at first use. Physics is the same; without a GPU, drawing is tens of times
     slower."""
+    observe: tuple[Observed, ...] = ()
+    """What else is observed: `torques` (`joint_torques`), `wrench` (`tcp_wrench`), `contacts` (`finger_contacts` and
+    `is_grasped`), and in simulation `privileged`, poses and velocities of the task's objects."""
+    collision_reaction: bool = True
+    """Whether a simulated arm that collides goes into its fault state, as the real one does, at its own limits: the
+    episode ends as `fault`. Turn it off for learning by trial and error."""
     control: Control = "joints"
     """An arm's action: joint positions, or the TCP pose with a quaternion or with roll, pitch, yaw."""
     relative: RelativeTo = "last_step"
@@ -95,13 +101,15 @@ class Setup:
             raise InvalidSetup(f"tactile is {self.tactile!r}; it must be the name of a sensor, or None.")
         if not isinstance(self.calibration, str | None):
             raise InvalidSetup(f"calibration is {self.calibration!r}; it must be the path of a file as text, or None.")
-        for name in ("depth", "camera_noise", "binary_gripper"):
+        for name in ("depth", "camera_noise", "binary_gripper", "collision_reaction"):
             if not isinstance(getattr(self, name), bool):
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; valid: True, False.")
         object.__setattr__(self, "task_options", _task_options(self.task_options))
         object.__setattr__(self, "randomisation", _ranges(self.randomisation))
-        for name in ("cameras", "layers"):
+        for name in ("cameras", "layers", "observe"):
             object.__setattr__(self, name, _names(name, getattr(self, name)))
+        if unknown := [name for name in self.observe if name not in get_args(Observed)]:
+            raise InvalidSetup(f"observe has {unknown}; valid: {', '.join(map(repr, get_args(Observed)))}.")
         object.__setattr__(self, "image_size", _size_of_mode(self.camera_mode, _size(self.image_size), self.cameras))
         object.__setattr__(self, "camera_fps", _frame_rates(self.camera_fps, self.cameras))
         relative: Any = self.relative
@@ -173,6 +181,8 @@ class Options(TypedDict, total=False):
     camera_noise: bool
     render_quality: Quality
     assets: Assets
+    observe: Sequence[Observed]
+    collision_reaction: bool
     control: Control
     relative: RelativeTo | bool
     binary_gripper: bool

@@ -100,6 +100,8 @@ class SimHandPort(Port):
 class SimCameraPort(Port):
     """All cameras of a scene, drawn together, each at its own frame rate."""
 
+    memory = ("_feed",)
+
     def __init__(
         self, cameras: SimCameras, clock: FrameClock | None = None, randomiser: Randomiser | None = None
     ) -> None:
@@ -117,6 +119,8 @@ class SimCameraPort(Port):
         self.timed = tuple(f"{keys.FRAMES}/{name}" for name in cameras.names)
         is_beside_the_loop = cameras.world.stepping == "realtime" and not cameras.world.leading
         feed = RenderThread(cameras, clock) if is_beside_the_loop else CameraFeed(cameras, clock)
+        if is_beside_the_loop:
+            self.memory = ()  # it draws at times of its own
         ranges = None if randomiser is None else randomiser.ranges
         self._feed: CameraFeed | RenderThread | DelayedFrames = feed
         self._delay: DelayedFrames | None = None
@@ -126,6 +130,7 @@ class SimCameraPort(Port):
             and (ranges.varies("frame_latency") or ranges.varies("frame_jitter"))
         ):
             latency = functools.partial(randomiser.by_name, "frame_latency", tuple(cameras.names))
+            self.memory = ()  # what is on its way is not kept
             self._feed = self._delay = DelayedFrames(feed, clock, cameras.world, latency, ranges.frame_jitter)
         self.action_spaces = {}
         self.observation_spaces = {keys.FRAMES: cameras_space(cameras)}

@@ -8,6 +8,12 @@
 | `joint_velocities` | (dof,) float64 | rad/s |
 | `gripper` | (1,) float32 | 0 closed … 1 open |
 | `hand` | (n,) float32 | normalised joints 0 … 1 |
+| `joint_torques` | (dof,) float64 | Nm, what the drives exert, with what holds the arm against its weight |
+| `tcp_wrench` | (6,) float64 | N, Nm: what presses on the tool, about the TCP, in the axes of the base |
+| `finger_contacts` | (fingers,) uint8 | 1 for a finger that touches something |
+| `is_grasped` | (1,) uint8 | 1 if two fingers touch the same object |
+| `privileged`/object/`tquat` | (7,) float64 | pose in the base frame (of several robots: the scene), m, xyzw |
+| `privileged`/object/`velocity` | (6,) float64 | m/s, rad/s, in the axes of the same frame |
 | `frames`/camera/`rgb` | (H, W, 3) uint8 | |
 | `frames`/camera/`depth` | (H, W) uint16 | mm, 0 = no reading |
 | `frames`/camera/`intrinsics` | (3, 3) float64 | camera matrix, px |
@@ -29,6 +35,9 @@ from rcs.errors import InvalidAction
 Control = Literal["joints", "tquat", "xyzrpy"]
 """Kind of an arm's action."""
 
+Observed = Literal["torques", "wrench", "contacts", "privileged"]
+"""What an observation may have beside positions and frames."""
+
 Arrays = Mapping[str, NDArray[Any]]
 """An action or the robot's part of an observation: one array per key, of any leading shape."""
 
@@ -49,8 +58,27 @@ RGB = "rgb"
 DEPTH = "depth"
 INTRINSICS = "intrinsics"
 EXTRINSICS = "extrinsics"
+JOINT_TORQUES = "joint_torques"
+TCP_WRENCH = "tcp_wrench"
+FINGER_CONTACTS = "finger_contacts"
+IS_GRASPED = "is_grasped"
+PRIVILEGED = "privileged"
+VELOCITY = "velocity"
 
-UNITS = {JOINTS: "rad", TQUAT: "m, xyzw", XYZRPY: "m, rad", JOINT_VELOCITIES: "rad/s", DEPTH: "mm", INTRINSICS: "px"}
+LOADS: Mapping[Observed, str] = {"torques": JOINT_TORQUES, "wrench": TCP_WRENCH}
+"""Keys of what measures forces on an arm."""
+
+UNITS = {
+    JOINTS: "rad",
+    TQUAT: "m, xyzw",
+    XYZRPY: "m, rad",
+    JOINT_VELOCITIES: "rad/s",
+    JOINT_TORQUES: "Nm",
+    TCP_WRENCH: "N, Nm",
+    VELOCITY: "m/s, rad/s",
+    DEPTH: "mm",
+    INTRINSICS: "px",
+}
 """Unit of a key, where it has one."""
 
 REACH = 2.0
@@ -58,6 +86,9 @@ REACH = 2.0
 
 FASTEST = 100.0
 """Bound on measured joint velocities [rad/s]: collisions exceed a servo's limits, but not by this much."""
+
+STRONGEST = 1e5
+"""Bound on measured forces and moments [N, Nm], far beyond any collision."""
 
 MINIMAL_NORM = 0.1
 """Shorter quaternions are rejected as degenerate."""
@@ -97,6 +128,31 @@ def measured(space: spaces.Box, margin: float) -> spaces.Box:
 def velocities_space(dof: int) -> spaces.Box:
     """Return the space of measured joint velocities [rad/s], which only a diverged simulation exceeds."""
     return spaces.Box(-FASTEST, FASTEST, (dof,), np.float64)
+
+
+def load_spaces(effort_limit: ArrayLike) -> dict[str, spaces.Box]:
+    """Return the spaces of joint torques [Nm], up to twice the effort limits, and of the wrench at the TCP [N, Nm]."""
+    most = 2.0 * np.array(effort_limit, np.float64)
+    return {
+        JOINT_TORQUES: spaces.Box(-most, most, dtype=np.float64),
+        TCP_WRENCH: spaces.Box(-STRONGEST, STRONGEST, (6,), np.float64),
+    }
+
+
+def flags_space(size: int) -> spaces.Box:
+    """Return the space of flags, 0 or 1."""
+    return spaces.Box(0, 1, (size,), np.uint8)
+
+
+def object_space() -> spaces.Box:
+    """Return the space of poses of objects as translation [m] and quaternion xyzw."""
+    bound = np.array([FARTHEST] * 3 + [1.0] * 4)
+    return spaces.Box(-bound, bound, dtype=np.float64)
+
+
+def twist_space() -> spaces.Box:
+    """Return the space of velocities of objects [m/s] and [rad/s]; what slips out of a gripper may spin fast."""
+    return spaces.Box(-10.0 * FASTEST, 10.0 * FASTEST, (6,), np.float64)
 
 
 def normalised_space(size: int) -> spaces.Box:

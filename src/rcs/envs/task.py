@@ -84,6 +84,9 @@ class Judgement:
 class Task(ABC):
     """A task on one world; it keeps its memory per copy."""
 
+    memory: ClassVar[tuple[str, ...]] = ("_progress",)
+    """Names of the attributes in which the task remembers something between steps; see `Layer.memory`."""
+
     instruction: str = ""
     """The instruction for language-conditioned policies."""
 

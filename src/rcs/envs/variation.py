@@ -90,13 +90,21 @@ class Variation:
             uniform = streams.branch(field).uniform(low, high)
             finish = self._finishes.get(field)
             drawn[field] = uniform if finish is None else finish(uniform)
-        for write in self._writes:
-            write(drawn, copies)
-        if self.changes_constants:
-            self.world.update_constants(copies)
+        self._write(drawn, copies)
         if copies is None:
             self.values = drawn
         else:
             self.values = {field: values.copy() for field, values in self.values.items()}
             for field, values in drawn.items():
                 self.values[field][copies] = values
+
+    def apply(self, copies: Copies = None) -> None:
+        """Write the present `values` of some copies again, after they were set."""
+        where = ... if copies is None else copies
+        self._write({field: values[where] for field, values in self.values.items()}, copies)
+
+    def _write(self, drawn: dict[str, Values], copies: Copies) -> None:
+        for write in self._writes:
+            write(drawn, copies)
+        if drawn and self.changes_constants:
+            self.world.update_constants(copies)

@@ -19,6 +19,7 @@ from rcs.envs.scenario import Scenario
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import FRAMES, Observation
 from rcs.envs.stack import Stack
+from rcs.envs.state import EnvState, read_state, write_state
 from rcs.errors import InvalidSetup, WrongOrder
 from rcs.sim.scene import RobotPlacement
 
@@ -151,6 +152,49 @@ class VecEnv(VectorEnv[Observation, dict[str, Any], NDArray[np.float64]]):
                 observation = engine.restart(np.flatnonzero(finished).astype(np.int32))
                 self._tell_started(info, finished)
             return observation, step.reward, step.terminated, step.truncated, info
+
+    def get_state(self, copies: Sequence[int] | NDArray[np.integer] | None = None) -> EnvState:
+        """Return everything that decides what follows in some copies; see `Env.get_state`.
+
+        Args:
+            copies: Their numbers, each once; None for all. `state[i]` is that of the i-th of them.
+
+        Raises:
+            InvalidSetup: There is no such copy.
+            WrongOrder: The environment was not reset, an error broke the episodes off, it is closed, or another thread
+                uses it.
+        """
+        with self._engine.turn.take("get_state"):
+            return read_state(self._engine, self._check_copies(copies))
+
+    def set_state(self, state: EnvState, copies: Sequence[int] | NDArray[np.integer] | None = None) -> Observation:
+        """Have some copies go on from states, also from those of other copies or of a single environment.
+
+        Args:
+            state: States of as many copies, or of one, which all of them go on from.
+            copies: The numbers of the copies that are set, each once; None for all.
+
+        Returns:
+            The present observation of all copies.
+
+        Raises:
+            InvalidSetup: There is no such copy, or the state is that of another environment or number of copies.
+            WrongOrder: The environment was not reset, an error broke the episodes off, it is closed, or another thread
+                uses it.
+        """
+        with self._engine.turn.take("set_state"):
+            return write_state(self._engine, state, self._check_copies(copies))
+
+    def _check_copies(self, copies: Sequence[int] | NDArray[np.integer] | None) -> NDArray[np.int32]:
+        if copies is None:
+            return np.arange(self.num_envs, dtype=np.int32)
+        given = np.asarray(copies)
+        is_valid = given.ndim == 1 and given.dtype.kind in "iu" and len(set(given.tolist())) == len(given) > 0
+        if not is_valid or given.min() < 0 or given.max() >= self.num_envs:
+            raise InvalidSetup(
+                f"copies is {copies!r}; valid are some of the numbers 0 to {self.num_envs - 1}, each once."
+            )
+        return given.astype(np.int32)
 
     def _take_seeds(self, seed: int | Sequence[int | None] | None) -> None:
         if seed is None and self._has_seeds:

@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup
 from rcs.robots.camera_mode import ResolutionMode, choose_rate, find_mode
+from rcs.robots.collision_limits import CollisionLimits
 from rcs.robots.menagerie import MenagerieBody, MenagerieVisuals
 from rcs.robots.mount import Mount, require_numbers
 
 __all__ = [
     "ArmDescription",
     "CameraDescription",
+    "CollisionLimits",
     "Description",
     "GripperDescription",
     "HandDescription",
@@ -101,6 +103,8 @@ class ArmDescription(Description):
     tcp_turn_speed: float = 1.8
     """Largest rotation of the TCP in relative control [rad/s]: `velocity_limit` allows it to the slowest of them there.
     """
+    collision: CollisionLimits | None = None
+    """When it takes what it feels for a collision; None for an arm that does not react."""
     end_effectors: tuple[str, ...] | None = None
     """Names of the end effectors that fit its flange; None for any."""
     menagerie: MenagerieVisuals | None = None
@@ -127,6 +131,10 @@ class ArmDescription(Description):
         _require_positive(f"{self.name}: workspace_reach, tcp_speed, tcp_turn_speed", figures, 3)
         if self.payload is not None:
             _require_positive(f"{self.name}.payload", (self.payload,), 1)
+        if self.collision is not None and len(self.collision.joint_torque) != dof:
+            raise InvalidSetup(
+                f"{self.name}.collision has {len(self.collision.joint_torque)} joint torques for {dof} joints."
+            )
         for joint, lower, q, upper in zip(self.joints, self.joint_lower, self.home, self.joint_upper, strict=True):
             if not lower <= q <= upper:
                 raise InvalidSetup(

@@ -92,7 +92,9 @@ def run_episode(
         env.hold()  # what was commanded last must not go on without anybody who looks
         raise
     if info["end"] == FAULT:
-        return EpisodeResult(seed=seed, steps=steps, success=None, failure=FAULT, reward=total)
+        # A device that fails says nothing about the agent; a simulated arm fails because of what the agent did.
+        success = False if set(env.platform.values()) == {"simulation"} else None
+        return EpisodeResult(seed=seed, steps=steps, success=success, failure=FAULT, reward=total)
     if info["end"] == DIVERGED:
         return EpisodeResult(seed=seed, steps=steps, success=False, failure=DIVERGED, reward=total)
     told = info.get("success")

@@ -11,6 +11,8 @@ from rcs.sim.frame_clock import FrameClock
 class CameraFeed:
     """The newest frame of every camera and copy, drawn inside `read`. Only due frames are drawn."""
 
+    memory = ("held",)
+
     def __init__(self, cameras: SimCameras, clock: FrameClock) -> None:
         """Deliver the frames of some cameras.
 
@@ -50,6 +52,18 @@ class CameraFeed:
                     last[key].flags.writeable = False
                 self._last[name] = last
         return {name: dict(self._last[name]) for name in self._cameras.names}
+
+    @property
+    def held(self) -> dict[str, FrameArrays]:
+        """Frames that later steps may show again: those of cameras without a new one in each step."""
+        return {name: frame for name, frame in self._last.items() if not self._clock.has_frame_each_step(name)}
+
+    @held.setter
+    def held(self, frames: dict[str, FrameArrays]) -> None:
+        for frame in frames.values():
+            for values in frame.values():
+                values.flags.writeable = False
+        self._last.update(frames)
 
     def close(self) -> None:
         """Free the renderer. Closing twice is harmless; reading again makes a new one."""

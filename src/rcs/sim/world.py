@@ -100,6 +100,7 @@ class World:
         """Live user data, (*leading, nuserdata), with the motions of arms; None without any."""
         self.time = self.core.component(state.mjSTATE_TIME.value)[..., 0]
         """Live simulated time [s], (*leading,)."""
+        self._varied: set[str] = set()
         self._is_read_out = False
         self._scratch: mujoco.MjData | None = None
 
@@ -167,6 +168,7 @@ class World:
         """Take views of the readouts. After the first use, no readouts may be added."""
         self._poses, self._xyzrpy = self.core.poses, self.core.xyzrpy
         self._forces, self._openings = self.core.forces, self.core.openings
+        self._measurements = self.core.measurements
         self._is_read_out = True
 
     @property
@@ -196,6 +198,13 @@ class World:
         if not self._is_read_out:
             self._read_out()
         return self._openings
+
+    @property
+    def measurements(self) -> NDArray[np.float64]:
+        """Live values registered with `core.measure`, (*leading, values)."""
+        if not self._is_read_out:
+            self._read_out()
+        return self._measurements
 
     @property
     def period(self) -> float:
@@ -237,6 +246,24 @@ class World:
         else:
             self.core.refresh(copies)
 
+    def save(self, copies: Copies = None) -> NDArray[np.float64]:
+        """Return everything that decides the future of copies, and what was read out, (copies, values)."""
+        chosen = range(self.copies) if copies is None else copies
+        return np.stack([self.core.save(int(copy)) for copy in chosen])
+
+    def load(self, saved: NDArray[np.float64], copies: Copies = None) -> None:
+        """Write back what `save` returned, (copies, values), also that of another world of the same kind.
+
+        Raises:
+            InvalidSetup: It has another size.
+        """
+        chosen = range(self.copies) if copies is None else copies
+        for copy, row in zip(chosen, saved, strict=True):
+            self.core.load(row, int(copy))
+        if self.data is not None:
+            self.refresh()  # what is drawn
+            self.core.load(saved[0])  # the readouts were those of the last step
+
     def states(self) -> NDArray[np.float64]:
         """Return the whole integration state, (*leading, state_size); a live view for copies, a fresh array for one."""
         return self.core.states if self.leading else self.core.get_state(0)
@@ -252,9 +279,15 @@ class World:
         Raises:
             ValueError: The field cannot differ between copies.
         """
+        self._varied.add(field)
         if not self.leading:
             return getattr(self.model, field)
         return self.core.expand(field).reshape(*self.leading, *getattr(self.model, field).shape)
+
+    @property
+    def varied(self) -> list[str]:
+        """Names of the fields that `vary` was asked for."""
+        return sorted(self._varied)
 
     def field(self, field: str) -> NDArray[Any]:
         """Return the present values of a field of `MjModel`, read-only, (*leading, *its shape)."""

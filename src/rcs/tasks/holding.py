@@ -24,18 +24,21 @@ class HoldTimer:
     It sees the state at the end of every step, so that a longer step is judged less often, but lasts no less.
     """
 
-    def __init__(self, world: World, hold_time: float, tolerance: float = np.inf) -> None:
+    memory = ("since", "_was", "_places")
+
+    def __init__(self, world: World, hold_time: float, tolerance: float = np.inf, places: int = 0) -> None:
         """Start at 0 for a world.
 
         Args:
             world: The world.
             hold_time: The required time [s].
             tolerance: Distance that the places may move before the time starts anew [m].
+            places: Number of places.
         """
         self.since: NDArray[np.float64] = np.zeros(world.leading)
         """Time since which it has been so [s], (*leading,); means nothing where it is not."""
         self._was: NDArray[np.bool_] = np.zeros(world.leading, np.bool_)
-        self._places: NDArray[np.float64] | None = None
+        self._places: NDArray[np.float64] = np.full((*world.leading, places, 3), np.inf)
         self._world = world
         self._tolerance = tolerance
         # Simulated time is a sum of many physics steps and has its rounding errors.
@@ -59,8 +62,6 @@ class HoldTimer:
             return is_so.copy()
         starts = ~was
         if places is not None:
-            if self._places is None:
-                self._places = np.full(places.shape, np.inf)
             starts = starts | (norm(places - self._places) > self._tolerance).any(axis=-1)
             self._places = np.where(starts[..., None, None], places, self._places)
         self.since = np.where(starts, self._world.time, self.since)
@@ -73,6 +74,8 @@ class Grip:
     A gripper grasps the object when each of its two pads presses on it with more than the object's weight, and with
     more than `TOUCH_FORCE`: an object that lies on fingers, on the back of a hand or against an arm does not count.
     """
+
+    memory = ("_least",)
 
     def __init__(self, world: World, robots: Sequence[SimRobot], name: str) -> None:
         """Register forces and poses for readout.

@@ -42,6 +42,7 @@ class LiftBar(Task):
     reaching, grasping, and lifting while grasping.
     """
 
+    memory = (*Task.memory, "_half_edges", "_table", "_grasp_offset", "_ends", "_held", "_grip")
     instruction = "lift the bar with both arms"
     expert = "LiftExpert"
     Options = LiftOptions
@@ -70,7 +71,7 @@ class LiftBar(Task):
         self._tcps = [world.core.read_pose(robot.layout.tcp_site, 0) for robot in robots]
         self._grip = Grip(world, robots, BAR)
         self._body = FreeBody(world, BAR)
-        self._held = HoldTimer(world, self.options.hold_time, SLIP)
+        self._held = HoldTimer(world, self.options.hold_time, SLIP, places=len(robots))
         self._geom = int(model.geom(BAR).id)
         self._measure()
 

@@ -78,6 +78,7 @@ class PickCuboid(Task):
     [0, 1]: reaching, grasping, and lifting while grasping, in the form of ManiSkill 3's PickCube-v1 (`1 - tanh(5 d)`).
     """
 
+    memory = (*Task.memory, "_half_edges", "_table", "_held", "_grip")
     instruction = "pick up the green cuboid"
     expert = "PickExpert"
     Options = PickOptions
@@ -121,7 +122,7 @@ class PickCuboid(Task):
         self._grip = Grip(world, robots, CUBOID)
         self._touched = world.core.read_force(world.subtree_flags(placement.base_body), cuboid)
         self._body = FreeBody(world, CUBOID)
-        self._held = HoldTimer(world, self.options.hold_time, SLIP)
+        self._held = HoldTimer(world, self.options.hold_time, SLIP, places=1)
         self._geom = int(model.geom(CUBOID).id)
         self._half_edges = np.zeros((*world.leading, 3))
         self._sizes = SizedBodies(world, [CUBOID]) if self.options.edges == "random" else None

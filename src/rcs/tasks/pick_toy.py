@@ -65,6 +65,7 @@ class PickToy(Task):
     [0, 1]: reaching, grasping, and lifting while grasping.
     """
 
+    memory = (*Task.memory, "_nodes", "_rest_height", "_weight", "_held")
     instruction = "pick up the toy"
     expert = "ToyExpert"
     Options = LiftOptions
@@ -117,7 +118,7 @@ class PickToy(Task):
         self._scene_in_base = inverse(Pose(base.translation, base.quaternion).tquat)
         home = kinematics_of(placement.arm, placement.end_effector).forward(np.array(placement.arm.home))
         self._home = home.tquat[:3]
-        self._held = HoldTimer(world, self.options.hold_time, SHIFT)
+        self._held = HoldTimer(world, self.options.hold_time, SHIFT, places=1)
 
     def _measure(self, where: Where) -> NDArray[np.float64]:
         """Take over how large and heavy the toys are, which may vary between episodes.

@@ -51,6 +51,7 @@ class Place(Task):
     grasping, carrying and letting go.
     """
 
+    memory = (*Task.memory, "_delivery")
     instruction = "put the green cuboid on the red mark"
     expert = "PlaceExpert"
     Options = PlaceOptions

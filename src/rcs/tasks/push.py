@@ -79,6 +79,7 @@ class Push(Task):
     ManiSkill 3's PushCube-v1 (`1 - tanh(5 d)`). Once the block was lifted, it is 0.
     """
 
+    memory = (*Task.memory, "_lies_there", "_was_lifted", "_half_edges", "_table", "_grip")
     instruction = "push the blue block onto the red disc"
     expert = "PushExpert"
     Options = PushOptions

@@ -48,6 +48,8 @@ class RestOptions(Task.Options):
 class Delivery:
     """Judges in each copy whether a robot has carried an object to its goal, set it down there and let go of it."""
 
+    memory = ("_grip", "_rest", "_height", "_was_lifted", "_was_delivered")
+
     def __init__(
         self, world: World, robots: Sequence[SimRobot], name: str, *, on: str, at: str, rest_time: float
     ) -> None:
@@ -71,7 +73,7 @@ class Delivery:
         self._world = world
         self._name = name
         self._grip = Grip(world, robots, name)
-        self._rest = HoldTimer(world, rest_time, STIR)
+        self._rest = HoldTimer(world, rest_time, STIR, places=1)
         self._on = core.read_force(world.subtree_flags(on), surface)
         self._elsewhere = core.read_force(all_but(world, on, name), surface)
         self._touched = core.read_force(world.subtree_flags(robot.placement.base_body), surface)

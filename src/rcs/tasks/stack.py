@@ -38,6 +38,7 @@ class Stack(Task):
     grasping, carrying and letting go.
     """
 
+    memory = (*Task.memory, "_delivery")
     instruction = "put the green cuboid on the blue block"
     expert = "StackExpert"
     Options = RestOptions

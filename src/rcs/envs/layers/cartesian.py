@@ -22,6 +22,8 @@ class CartesianControl(Layer):
     than six joints meets the translation and leans as it must. `info["ik_status"]` reports it (values of `IkStatus`).
     """
 
+    memory = ("_joints", "_status")
+
     def __init__(
         self, kinematics: Kinematics, *, preferred: ArrayLike | None = None, max_step: ArrayLike | None = None
     ) -> None:

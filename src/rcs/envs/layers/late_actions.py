@@ -23,6 +23,8 @@ class LateActions(Layer):
     was sent as the executed action. The lowest layer of a simulated robot.
     """
 
+    memory = ("_keys", "_steps", "_is_late", "_last")
+
     def __init__(self, share: float, leading: tuple[int, ...] = ()) -> None:
         """Be never late before the first `begin`.
 

@@ -32,6 +32,10 @@ everywhere: Where = ...
 class Layer:
     """A layer that changes nothing; subclasses override what they change."""
 
+    memory: tuple[str, ...] = ()
+    """Names of the attributes in which the layer remembers something, for the state of an environment. Each is an array
+    (*leading, ...), None, a dictionary of such arrays, or an object that has a `memory` in turn."""
+
     def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
         """Return the spaces of the actions that the layer takes, given those of the level below."""
         return inner

@@ -23,6 +23,8 @@ class LimitStep(Layer):
     its direction; a joint that is blocked at the end of its lead stops them all. `info["is_limited"]` reports it.
     """
 
+    memory = ("_target", "_measured", "_is_cut", "_is_limited")
+
     def __init__(self, max_step: NDArray[np.float64], *, max_lead: float = 0.6) -> None:
         """Set the bounds.
 

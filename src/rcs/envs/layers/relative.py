@@ -29,6 +29,8 @@ class Relative(Layer):
     accumulate.
     """
 
+    memory = ("_reference", "_last")
+
     def __init__(
         self,
         control: Control,

@@ -214,6 +214,8 @@ class Recorder(Observer):
             InvalidSetup: A value is not what the dataset has; the row is not recorded, and the episode stays open.
             DatasetError: The disk is full or fails; the episode is aborted.
         """
+        if self._broken_off and self._episode is not None:
+            return  # a state was set; what follows is not what came of the rows so far
         if self._episode is None:
             if self._next is not None and not self._starts_at_reset:
                 # What was seen after this step is where the episode starts; what led there is not part of it.

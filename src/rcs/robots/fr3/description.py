@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import pi
 from typing import Final
 
-from rcs.robots.description import ArmDescription, MenagerieVisuals
+from rcs.robots.description import ArmDescription, CollisionLimits, MenagerieVisuals
 
 FR3: Final = ArmDescription(
     name="fr3",
@@ -26,6 +26,15 @@ FR3: Final = ArmDescription(
     # libfranka, rate_limiting.h: the same for all joints; the library itself stays 1e-3 below.
     acceleration_limit=(10.0,) * 7,
     jerk_limit=(5000.0,) * 7,
+    # Torques: the vendor's franka_ros franka_control_node.yaml and libfranka's examples of motions. Forces and moments:
+    # libfranka's examples with contact; those of free motion are 20 N and 25 Nm. The vendor publishes no figure of its
+    # observer; the time constant is ours.
+    collision=CollisionLimits(
+        joint_torque=(20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0),
+        force=100.0,
+        moment=100.0,
+        time_constant=0.005,
+    ),
     # Vendor's data sheet: maximum reach 855 mm.
     workspace_reach=0.855,
     # Vendor's data sheet: 3 kg.
@@ -34,6 +43,7 @@ FR3: Final = ArmDescription(
         "franka_description 1.0.1 (Apache-2.0): kinematics, limits, inertia of the base",
         "Franka Research 3 data sheet: reach, payload",
         "libfranka include/franka/rate_limiting.h (Apache-2.0): acceleration and jerk limits",
+        "franka_ros franka_control_node.yaml, libfranka examples (Apache-2.0): collision thresholds",
         "mujoco_menagerie franka_fr3 (Apache-2.0): inertias, armature, friction, servo gains, measures of the shapes",
     ),
     menagerie=MenagerieVisuals.of("franka_fr3", "fr3", {f"link{i}": f"fr3_link{i}" for i in range(8)}),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import pi
 from typing import Final
 
-from rcs.robots.description import ArmDescription, MenagerieVisuals
+from rcs.robots.description import ArmDescription, CollisionLimits, MenagerieVisuals
 
 SO101: Final = ArmDescription(
     name="so101",
@@ -29,6 +29,9 @@ SO101: Final = ArmDescription(
     acceleration_limit=(15.0,) * 5,
     # Not published. Ours: full acceleration after 20 ms.
     jerk_limit=(750.0,) * 5,
+    # Feetech's table of registers, factory values: a servo that exerts over 80 % (36) of its stall torque for 2 s (35)
+    # goes into its overload protection.
+    collision=CollisionLimits(joint_torque=(0.8 * 2.94,) * 5, loads="drive", duration=2.0),
     # From the shoulder lift to the flange with the arm stretched out: 0.116 + 0.135 + 0.061 m.
     workspace_reach=0.312,
     # Its wrist ends in a servo horn made for its own gripper, and lifts a few hundred grams.
@@ -36,7 +39,7 @@ SO101: Final = ArmDescription(
     sources=(
         "mujoco_menagerie robotstudio_so101 (Apache-2.0): kinematics, limits, inertias, joint dynamics",
         "TheRobotStudio SO-ARM100 (Apache-2.0): the published description that the former follows",
-        "Feetech STS3215 data sheet: speed, torque",
+        "Feetech STS3215 data sheet: speed, torque; table of registers: overload protection",
     ),
     menagerie=MenagerieVisuals.of(
         "robotstudio_so101",

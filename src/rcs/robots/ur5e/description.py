@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from math import pi, sqrt
+from math import inf, pi, sqrt
 from typing import Final
 
-from rcs.robots.description import ArmDescription, MenagerieBody, MenagerieVisuals, Mount
+from rcs.robots.description import ArmDescription, CollisionLimits, MenagerieBody, MenagerieVisuals, Mount
 
 _HALF = sqrt(0.5)
 
@@ -57,6 +57,9 @@ UR5E: Final = ArmDescription(
     # "chosen conservatively"; the jerk is ours: full acceleration after 10 ms.
     acceleration_limit=(5.0,) * 6,
     jerk_limit=(500.0,) * 6,
+    # Safety function "force limit" of the vendor's user manual for tool and elbow, 150 N in the factory's settings; the
+    # limits of its joints are not published. The time constant is ours.
+    collision=CollisionLimits(joint_torque=(inf,) * 6, force=150.0, time_constant=0.005),
     # Vendor's data sheet: reach 850 mm.
     workspace_reach=0.85,
     # Vendor's data sheet: 5 kg.
@@ -65,6 +68,7 @@ UR5E: Final = ArmDescription(
         "Universal_Robots_ROS2_Description 2.4.5 (BSD-3-Clause): kinematics, limits, masses, inertias",
         "UR5e data sheet: reach, payload",
         "Universal_Robots_ROS2_Driver ur_moveit_config (BSD-3-Clause): accelerations, a conservative choice",
+        "UR5e user manual: force limit of the safety system",
         "mujoco_menagerie universal_robots_ur5e (BSD-3-Clause): armature, servo gains, home pose",
     ),
     menagerie=_MESHES,

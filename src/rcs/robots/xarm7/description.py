@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from rcs.robots.description import ArmDescription, MenagerieVisuals
+from rcs.robots.description import ArmDescription, CollisionLimits, MenagerieVisuals
 
 _LINKS = ("link_base", "link1", "link2", "link3", "link4", "link5", "link6", "link7")
 
@@ -32,6 +32,9 @@ XARM7: Final = ArmDescription(
     acceleration_limit=(20.0,) * 7,
     # The vendor publishes no limit in the sources below. Our choice: the largest acceleration is reached in 40 ms.
     jerk_limit=(500.0,) * 7,
+    # The vendor watches the joints' torques with a sensitivity of 1 to 5, and publishes no torques. Ours for its usual
+    # sensitivity of 3: 40 % of the effort limits; the time constant is ours too.
+    collision=CollisionLimits(joint_torque=(20.0, 20.0, 12.0, 12.0, 12.0, 8.0, 8.0), time_constant=0.005),
     # Vendor's data sheet: reach 700 mm.
     workspace_reach=0.7,
     # Vendor's data sheet: 3.5 kg.
@@ -40,7 +43,7 @@ XARM7: Final = ArmDescription(
         "xarm_description (xarm_ros2, BSD-3-Clause): kinematics, limits; efforts of joints 1, 5, 6, 7",
         "UFACTORY xArm 7 data sheet: reach, payload",
         "mujoco_menagerie ufactory_xarm7 (BSD-3-Clause): inertias, armature, friction, servo gains, home pose",
-        "xArm-Python-SDK (BSD-3-Clause): largest joint acceleration",
+        "xArm-Python-SDK (BSD-3-Clause): largest joint acceleration; that the arm reacts to collisions",
     ),
     menagerie=MenagerieVisuals.of("ufactory_xarm7", "xarm7_nohand", {link: link for link in _LINKS}),
 )

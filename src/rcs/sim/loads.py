@@ -1,0 +1,113 @@
+"""Forces on a simulated robot: what its sensors measure, and its reaction to collisions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs._core import ArmBody, ArmLoads, CollisionReaction, FingerContacts
+from rcs.errors import InvalidSetup
+from rcs.robots.collision_limits import CollisionLimits
+from rcs.sim.robot import SimRobot
+
+TOUCH_FORCE = 0.5
+"""Least normal force of a finger that counts as contact [N] (ManiSkill's PickCube)."""
+
+_WRENCH = ("force along x", "force along y", "force along z", "moment about x", "moment about y", "moment about z")
+
+
+class SimLoads:
+    """Torques of an arm's drives and the wrench on its tool, of the last physics step of every copy."""
+
+    def __init__(self, robot: SimRobot) -> None:
+        """Have a robot's loads measured."""
+        self._world = robot.world
+        self._dof = robot.placement.arm.dof
+        self._first = robot.world.core.measure(ArmLoads(_body(robot)))
+
+    @property
+    def joint_torques(self) -> NDArray[np.float64]:
+        """Torques that the drives exert [Nm], with what holds the arm against its weight, (*leading, dof)."""
+        return self._world.measurements[..., self._first : self._first + self._dof].copy()
+
+    @property
+    def tcp_wrench(self) -> NDArray[np.float64]:
+        """Force [N], and moment about the TCP [Nm], of all that presses on the tool, (*leading, 6).
+
+        The axes are those of the base. The weight of the tool does not count, that of what it holds does.
+        """
+        first = self._first + self._dof
+        return self._world.measurements[..., first : first + 6].copy()
+
+
+class SimContacts:
+    """Which fingers of a robot touch something, and whether they hold an object, in every copy."""
+
+    def __init__(self, robot: SimRobot) -> None:
+        """Have the contacts of a gripper's pads, or of a hand's fingers, measured.
+
+        Raises:
+            InvalidSetup: The robot has neither.
+        """
+        world, placement = robot.world, robot.placement
+        if placement.gripper is not None:
+            fingers = list(placement.gripper.pad_geoms)
+        elif placement.hand is not None:
+            fingers = list(placement.hand.finger_geoms.values())
+        else:
+            raise InvalidSetup(f"Robot {placement.name!r} has no fingers whose contacts could be observed.")
+        prefix = placement.gripper_prefix
+        flags = [world.geom_flags(prefix + name for name in names) for names in fingers]
+        own = world.subtree_flags(placement.base_body)[: world.model.ngeom]
+        self.fingers = len(fingers)
+        """Number of fingers."""
+        self._world = world
+        self._first = world.core.measure(FingerContacts(world.model, flags, own, TOUCH_FORCE))
+
+    @property
+    def touches(self) -> NDArray[np.uint8]:
+        """Which fingers touch something that is not the robot itself, 1 or 0, (*leading, fingers)."""
+        return self._world.measurements[..., self._first : self._first + self.fingers].astype(np.uint8)
+
+    @property
+    def is_grasped(self) -> NDArray[np.uint8]:
+        """Whether two fingers touch the same object, one that can move, 1 or 0, (*leading, 1)."""
+        last = self._first + self.fingers
+        return self._world.measurements[..., last : last + 1].astype(np.uint8)
+
+
+class CollisionGuard:
+    """Has an arm react to collisions: the step ends, as `StepEnd.fault`."""
+
+    def __init__(self, robot: SimRobot, limits: CollisionLimits) -> None:
+        """Watch a robot from now on, in every copy of its world."""
+        core = robot.world.core
+        self._joints = robot.placement.arm.joints
+        self._limits = (*limits.joint_torque, *[limits.force] * 3, *[limits.moment] * 3)
+        self._reaction = CollisionReaction(
+            _body(robot),
+            list(limits.joint_torque),
+            [limits.force] * 3 + [limits.moment] * 3,
+            limits.loads == "drive",
+            limits.time_constant,
+            limits.duration,
+            core.copies,
+        )
+        core.fault_when(self._reaction)
+
+    def reason(self, copy: int) -> str:
+        """Return which limit was exceeded in a copy since its reset; empty if none was."""
+        index, load = self._reaction.cause(copy)
+        if index < 0:
+            return ""
+        dof = len(self._joints)
+        what = f"torque at {self._joints[index]}" if index < dof else _WRENCH[index - dof]
+        unit = "N" if 0 <= index - dof < 3 else "Nm"
+        return f"collision: {what} is {math.fabs(load):.1f} {unit}, the limit is {self._limits[index]:g} {unit}"
+
+
+def _body(robot: SimRobot) -> ArmBody:
+    layout = robot.layout
+    return ArmBody(robot.world.model, layout.joint_ids, layout.tcp_site, layout.base_body)
