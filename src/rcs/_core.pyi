@@ -1000,6 +1000,28 @@ def probe_gl() -> list[GlProbe]:
     Look at every OpenGL backend by making a context and dropping it. Chooses none.
     """
 
+class Lens:
+    """
+    A calibrated camera: focal lengths, principal point, distortion.
+
+    The scene is drawn on a canvas without distortion. The picture is the canvas, or is looked up in it pixel by pixel.
+    """
+
+    def __init__(self, *, scale_x: float = 1.0, scale_y: float = 1.0, cx: float, cy: float, width: int, height: int, lookup: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 2), order='C', device='cpu', writable=False)] | None = None) -> None:
+        """
+        Describe a lens. It keeps `lookup` and does not copy it: write to it no more.
+
+        Args:
+            scale_x: Focal length along x over that of the model's field of view at the picture's height.
+            scale_y: The same along y.
+            cx: Column of the principal point on the canvas [pixels]; the centre of the top left pixel is (0, 0).
+            cy: Its row.
+            width: Of the canvas [pixels]; without a lookup that of the picture.
+            height: The same.
+            lookup: Column and row on the canvas that each pixel shows, shape (height, width, 2) of the picture, float32;
+                None for the same ones.
+        """
+
 class Renderer:
     """
     Draws one scene as seen by the cameras of its model, off screen.
@@ -1040,7 +1062,7 @@ class Renderer:
             state: A row of `mjSTATE_INTEGRATION`, shape (state_size,).
         """
 
-    def render(self, camera_id: int, rgb: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, 3), order='C', device='cpu')], depth: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu')] | None = None) -> None:
+    def render(self, camera_id: int, rgb: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, 3), order='C', device='cpu')], depth: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu')] | None = None, ids: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu')] | None = None, lens: Lens | None = None) -> None:
         """
         Draw what a camera sees.
 
@@ -1048,6 +1070,9 @@ class Renderer:
             camera_id: Index of the camera in the model.
             rgb: Filled in place, shape (height, width, 3), rows from the top.
             depth: Filled in place when given, shape (height, width) [mm], 0 where nothing is or it is beyond 65.535 m.
+            ids: Filled in place when given, shape (height, width), what each pixel shows: 0 nothing, otherwise 1 + the number
+                of a geom, or of a flex, a skin or a tendon, which are counted on in this order.
+            lens: How the camera is calibrated; None for as in the model.
 
         Raises:
             ValueError: There is no such camera, or the picture does not fit.
@@ -1092,7 +1117,7 @@ class RenderPool:
             MissingDependency: There is no OpenGL; the message has the remedy.
         """
 
-    def render_states(self, states: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], camera_ids: Sequence[int], rgb: Sequence[Annotated[NDArray[numpy.uint8], dict(shape=(None, None, None, 3), order='C', device='cpu')]], depth: Sequence[Annotated[NDArray[numpy.uint16], dict(shape=(None, None, None), order='C', device='cpu')] | None] | None = None, world: World | None = None) -> None:
+    def render_states(self, states: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], camera_ids: Sequence[int], rgb: Sequence[Annotated[NDArray[numpy.uint8], dict(shape=(None, None, None, 3), order='C', device='cpu')]], depth: Sequence[Annotated[NDArray[numpy.uint16], dict(shape=(None, None, None), order='C', device='cpu')] | None] | None = None, world: World | None = None, ids: Sequence[Annotated[NDArray[numpy.uint16], dict(shape=(None, None, None), order='C', device='cpu')] | None] | None = None, lenses: Sequence[Lens | None] = []) -> None:
         """
         Draw each state with each camera.
 
@@ -1102,6 +1127,9 @@ class RenderPool:
             rgb: For each camera an array that is filled in place, shape (n, height, width, 3), rows from the top.
             depth: None, or for each camera None or an array that is filled in place, shape (n, height, width) [mm].
             world: Of as many copies, whose fields of the model row i has those of copy i; None for those of the pool's model.
+            ids: None, or for each camera None or an array that is filled in place, shape (n, height, width), as in
+                `Renderer.render`.
+            lenses: Empty, or for each camera its lens or None.
 
         Raises:
             ValueError: A shape or a camera is not valid, or the world is of another model.
