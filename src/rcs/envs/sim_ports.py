@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import Any
 
 from gymnasium import spaces
 
@@ -113,6 +114,16 @@ class SimCameraPort(Port):
         """Return the newest frame of every camera."""
         return {keys.FRAMES: self._feed.read()}
 
+    @property
+    def about(self) -> dict[str, Any]:
+        """How each camera is calibrated, and the names of the numbers in segmentation."""
+        cameras = {
+            one.name: {"source": "data sheet"} if one.calibration is None else one.calibration.to_json()
+            for one in self.cameras.placements
+        }
+        labels = {"labels": self.cameras.labels.to_json()} if self.cameras.has_segmentation else {}
+        return {"cameras": cameras, **labels}
+
     def capture_times(self) -> dict[str, float]:
         """Return when each camera's frame was drawn; one that is returned again keeps its time."""
         return {f"{keys.FRAMES}/{name}": time for name, time in self._feed.capture_times.items()}
@@ -163,7 +174,10 @@ def cameras_space(cameras: SimCameras) -> spaces.Dict:
     width, height = cameras.size
     frame: dict[str, spaces.Space[object]] = {keys.RGB: keys.rgb_space(width, height)}
     frame[keys.INTRINSICS] = keys.intrinsics_space()
+    frame[keys.DISTORTION] = keys.distortion_space()
     frame[keys.EXTRINSICS] = keys.extrinsics_space()
+    if cameras.has_segmentation:
+        frame[keys.SEGMENTATION] = frame[keys.GEOMS] = keys.labels_space(width, height)
     if cameras.has_depth:
         frame[keys.DEPTH] = keys.depth_space(width, height)
     return spaces.Dict({name: spaces.Dict(frame) for name in cameras.names})
