@@ -58,12 +58,8 @@ rcs::Picture picture(Rgb& rgb, std::optional<Depth>& depth, std::optional<Depth>
   for (const auto* values : {&depth, &ids})
     if (*values && ((*values)->shape(0) != rgb.shape(0) || (*values)->shape(1) != rgb.shape(1)))
       throw std::invalid_argument("depth and ids must have the height and width of rgb");
-  return {static_cast<int>(rgb.shape(1)),
-          static_cast<int>(rgb.shape(0)),
-          rgb.data(),
-          depth ? depth->data() : nullptr,
-          ids ? ids->data() : nullptr,
-          lens_of(lens, rgb.shape(0), rgb.shape(1))};
+  return {static_cast<int>(rgb.shape(1)),  static_cast<int>(rgb.shape(0)), rgb.data(),
+          depth ? depth->data() : nullptr, ids ? ids->data() : nullptr,    lens_of(lens, rgb.shape(0), rgb.shape(1))};
 }
 
 using Lenses = std::vector<std::optional<PyLens>>;
@@ -78,8 +74,8 @@ std::uint16_t* film_values(Lists& lists, std::size_t camera, const RgbFilm& rgb)
   return (*lists)[camera]->data();
 }
 
-std::vector<rcs::Film> films(std::size_t rows, const std::vector<int>& cameras, std::vector<RgbFilm>& rgb,
-                             Lists& depth, Lists& ids, const Lenses& lenses) {
+std::vector<rcs::Film> films(std::size_t rows, const std::vector<int>& cameras, std::vector<RgbFilm>& rgb, Lists& depth,
+                             Lists& ids, const Lenses& lenses) {
   const auto is_missing = [&](const Lists& lists) { return lists && lists->size() != cameras.size(); };
   if (rgb.size() != cameras.size() || is_missing(depth) || is_missing(ids) ||
       (!lenses.empty() && lenses.size() != cameras.size()))
@@ -87,7 +83,8 @@ std::vector<rcs::Film> films(std::size_t rows, const std::vector<int>& cameras, 
   std::vector<rcs::Film> list;
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     if (rgb[i].shape(0) != rows) throw std::invalid_argument("rgb must have one picture for each row of states");
-    const rcs::Lens* lens = lens_of(lenses.empty() || !lenses[i] ? nullptr : &*lenses[i], rgb[i].shape(1), rgb[i].shape(2));
+    const rcs::Lens* lens =
+        lens_of(lenses.empty() || !lenses[i] ? nullptr : &*lenses[i], rgb[i].shape(1), rgb[i].shape(2));
     list.push_back({cameras[i], static_cast<int>(rgb[i].shape(2)), static_cast<int>(rgb[i].shape(1)), rgb[i].data(),
                     film_values(depth, i, rgb[i]), film_values(ids, i, rgb[i]), lens});
   }
@@ -248,8 +245,7 @@ Raises:
       .def(
           "render_states",
           [](rcs::RenderPool& self, Given<const double, nb::shape<-1, -1>> states, const std::vector<int>& camera_ids,
-             std::vector<RgbFilm> rgb, Lists depth, rcs::World* world, Lists ids,
-             const Lenses& lenses) {
+             std::vector<RgbFilm> rgb, Lists depth, rcs::World* world, Lists ids, const Lenses& lenses) {
             if (states.shape(1) != static_cast<std::size_t>(self.state_size()))
               throw std::invalid_argument("states has rows of " + std::to_string(states.shape(1)) +
                                           " numbers, this model's have " + std::to_string(self.state_size()));

@@ -56,9 +56,10 @@ void look_up(const std::uint8_t* canvas, const Lens& lens, int width, int height
     const std::size_t below = top + 1 < lens.height ? 3 * static_cast<std::size_t>(lens.width) : 0;
     for (int channel = 0; channel < 3; ++channel) {
       const std::uint8_t* pixel = corner + channel;
-      const float upper = static_cast<float>(pixel[0]) * (1 - right_part) + static_cast<float>(pixel[right]) * right_part;
-      const float lower = static_cast<float>(pixel[below]) * (1 - right_part) +
-                          static_cast<float>(pixel[below + right]) * right_part;
+      const float upper =
+          static_cast<float>(pixel[0]) * (1 - right_part) + static_cast<float>(pixel[right]) * right_part;
+      const float lower =
+          static_cast<float>(pixel[below]) * (1 - right_part) + static_cast<float>(pixel[below + right]) * right_part;
       out[3 * i + channel] = static_cast<std::uint8_t>(upper * (1 - lower_part) + lower * lower_part + 0.5F);
     }
   }

@@ -97,8 +97,7 @@ void RenderPool::render_states(std::span<const double> states, std::span<const F
   if (states.size() % static_cast<std::size_t>(state_size_) != 0)
     throw std::invalid_argument("render pool: rows of states must have " + std::to_string(state_size_) + " numbers");
   if (states.empty()) return;
-  for (const Film& film : films)
-    studio.painters.front().renderer->check(film.camera, film.picture(0));
+  for (const Film& film : films) studio.painters.front().renderer->check(film.camera, film.picture(0));
 
   const std::size_t rows = states.size() / static_cast<std::size_t>(state_size_);
   if (batch != nullptr && rows != static_cast<std::size_t>(mjb_nsim(batch)))

@@ -113,8 +113,8 @@ struct Renderer::Open {
   std::vector<std::array<mjvGLCamera, 2>> cameras;  // of the last update, for the left and right eye
   Canvas canvas;                                    // of the picture at work
   std::vector<std::uint16_t> values;                // of a canvas from which a picture's are looked up
-  int slices = 0;  // of the round shapes in the context
-  int opaque = 0;  // geoms of the scene that are not transparent; they come first
+  int slices = 0;                                   // of the round shapes in the context
+  int opaque = 0;                                   // geoms of the scene that are not transparent; they come first
 };
 
 Renderer::Renderer(const mjModel* model, const RenderOptions& options)
@@ -319,8 +319,8 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
   if (lens != nullptr) canvas.rgb.resize(3 * canvas.size());
   std::uint8_t* rgb = lens != nullptr ? canvas.rgb.data() : picture.rgb;
   float* depth = picture.depth_mm != nullptr ? canvas.depth.data() : nullptr;
-  // With several samples a pixel, the depth that is read is not that of the pixel's middle, and a slope or an edge is in
-  // the wrong place. Ids are drawn with one sample, and so is the depth then.
+  // With several samples a pixel, the depth that is read is not that of the pixel's middle, and a slope or an edge is
+  // in the wrong place. Ids are drawn with one sample, and so is the depth then.
   const bool is_apart = depth != nullptr && options_.quality == Quality::full;
   trapped("renderer", [&] {
     mjr_render(area, &open.scene, &open.context);
@@ -342,8 +342,7 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
     draw_ids(open, depth);
     open.scene.ngeom = all;
   }
-  if (depth != nullptr)
-    finish(picture.depth_mm, [&](std::uint16_t* out) { to_millimetres(canvas, eye, out); });
+  if (depth != nullptr) finish(picture.depth_mm, [&](std::uint16_t* out) { to_millimetres(canvas, eye, out); });
   if (picture.ids != nullptr) {
     if (!is_apart || open.opaque != all) draw_ids(open, nullptr);
     finish(picture.ids, [&](std::uint16_t* out) { to_ids(canvas, out); });

@@ -1152,6 +1152,39 @@ class RenderPool:
     def description(self) -> str:
         """Backend, renderer and OpenGL version."""
 
+def add_colour_noise(rgb: Annotated[NDArray[numpy.uint8], dict(order='C', device='cpu')], table: Annotated[NDArray[numpy.int8], dict(shape=(None,), order='C', device='cpu', writable=False)], seed: int) -> None:
+    """
+    Add noise to colours, in place.
+
+    Args:
+        rgb: Of any shape.
+        table: Errors of 256 equally likely cases.
+        seed: Determines which ones come.
+    """
+
+def measure_stereo(depth: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu')], rgb: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], *, focal: float, middle: float, baseline: float, half_width: float, nearest: float, deviation: float, steepest: float, steep_loss: float, dark: float, normal: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], seed: int) -> None:
+    """
+    Replace true depth by what a stereo camera would measure, in place; 0 is no reading.
+
+    Args:
+        depth: Depth in the picture of the left eye [mm], shape (height, width).
+        rgb: Its colours, shape (height, width, 3).
+        focal: Focal length [pixels].
+        middle: Column of the principal point [pixels].
+        baseline: Distance from the left eye to the right one [m].
+        half_width: Tangent of half the right eye's field of view along x; 0 for no end.
+        nearest: Nearest depth that can be measured [m].
+        deviation: Standard deviation of a disparity [pixels].
+        steepest: Tangent of the angle between view and normal from which a surface is steep.
+        steep_loss: Share of steep pixels without a reading.
+        dark: Brightness below which readings get lost [of 255].
+        normal: Quantiles of the standard normal distribution of equally likely cases, as many as a power of two.
+        seed: Determines which cases come.
+
+    Raises:
+        ValueError: A shape does not fit.
+    """
+
 @overload
 def clip_rows(values: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], tolerance: float) -> NDArray[numpy.float64] | None:
     """

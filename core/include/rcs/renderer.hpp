@@ -41,8 +41,8 @@ struct Picture {
   /// height × width, distance along the optical axis; 0 where nothing is or it is beyond 65.535 m. Null: not wanted.
   std::uint16_t* depth_mm = nullptr;
   /// height × width, what each pixel shows: 0 nothing, otherwise 1 + the number of a geom, or of a flex, a skin or a
-  /// tendon, which are counted on in this order. Transparent geoms, through which depth looks, are among them. Null: not
-  /// wanted.
+  /// tendon, which are counted on in this order. Transparent geoms, through which depth looks, are among them. Null:
+  /// not wanted.
   std::uint16_t* ids = nullptr;
   /// How the camera is calibrated. Null: as in the model.
   const Lens* lens = nullptr;

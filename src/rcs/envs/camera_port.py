@@ -315,7 +315,7 @@ def intrinsics_of(
         found = calibration.intrinsics
         if abs(found.width * mode[1] - found.height * mode[0]) > max(mode):
             raise InvalidSetup(
-                f"Camera {camera.name!r} was calibrated with pictures of {found.width} x {found.height} px and delivers "
+                f"Camera {camera.name!r} was calibrated with {found.width} x {found.height} px and delivers "
                 f"{mode[0]} x {mode[1]} px, another part of its sensor; calibrate it with pictures of that shape."
             )
     elif own is not None:

@@ -7,22 +7,22 @@ the same seed gives the same frames in any copy and in every replay.
 from __future__ import annotations
 
 import hashlib
+from functools import cache
 from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs._core import add_colour_noise
 from rcs.robots.description import CameraDescription
 from rcs.sim import stereo
 
 COLOUR_DEVIATION = 2.0
 """Standard deviation of a colour value [of 255]: a small sensor in indoor light."""
 
-# The noise of a random byte: drawing bytes takes a tenth of the time of normal numbers.
-_COLOUR_NOISE = np.array(
-    [round(NormalDist(0.0, COLOUR_DEVIATION).inv_cdf((i + 0.5) / 256)) for i in range(256)], np.int16
-)
+_DEPTH_BRANCH = 0x5DEECE66D
+# Tells the errors of depth from those of colours.
 
 
 class CameraNoise:
@@ -47,24 +47,27 @@ class CameraNoise:
             frame: `rgb` (*leading, H, W, 3), `intrinsics` (*leading, 3, 3) and perhaps `depth` [mm] (*leading, H, W).
             moment: Time and positions of all joints, (*leading, 1 + nq); determines the noise.
         """
-        noisy = {**frame, "rgb": np.empty_like(frame["rgb"])}
-        if "depth" in frame:
-            noisy["depth"] = np.empty_like(frame["depth"])
+        noisy = {key: values.copy() if key in ("rgb", "depth") else values for key, values in frame.items()}
         for index in np.ndindex(moment.shape[:-1]):  # single frames have no leading axis
-            rng = self._generator(moment[index])
-            rgb = frame["rgb"][index]
-            error = _COLOUR_NOISE[np.frombuffer(rng.bytes(rgb.size), np.uint8)].reshape(rgb.shape)
-            error += rgb
-            noisy["rgb"][index] = np.clip(error, 0, 255, out=error)
+            seed = self._seed(moment[index])
             if "depth" in frame:
-                noisy["depth"][index] = stereo.measure(
-                    self._camera, frame["depth"][index], rgb, frame["intrinsics"][index], self._nearest, rng
-                )
+                true_colours, matrix = frame["rgb"][index], frame["intrinsics"][index]
+                depth: NDArray[np.uint16] = noisy["depth"][index]
+                stereo.measure(self._camera, depth, true_colours, matrix, self._nearest, seed ^ _DEPTH_BRANCH)
+            add_colour_noise(noisy["rgb"][index], _colour_errors(), seed)
         return noisy
 
-    def _generator(self, moment: NDArray[np.float64]) -> np.random.Generator:
-        digest = hashlib.blake2b(np.ascontiguousarray(moment).tobytes(), digest_size=16).digest()
-        return np.random.Generator(np.random.SFC64([int.from_bytes(digest, "little"), self._number]))
+    def _seed(self, moment: NDArray[np.float64]) -> int:
+        """Return 64 bits that are others for any other moment or camera."""
+        bits = np.ascontiguousarray(moment).tobytes() + self._number.to_bytes(8, "little")
+        return int.from_bytes(hashlib.blake2b(bits, digest_size=8).digest(), "little")
+
+
+@cache
+def _colour_errors() -> NDArray[np.int8]:
+    """Return the errors of 256 equally likely cases."""
+    quantile = NormalDist(0.0, COLOUR_DEVIATION).inv_cdf
+    return np.array([round(quantile((i + 0.5) / 256)) for i in range(256)], np.int8)
 
 
 def nearest_depth(camera: CameraDescription, size: tuple[int, int]) -> float:

@@ -48,7 +48,7 @@ class Optics:
         self._scale = (1.0, 1.0)
         self._principal = ((size[0] - 1) / 2, (size[1] - 1) / 2)
         self._distortion = np.zeros(COEFFICIENTS)
-        self._focal = float(self._model_focal(np.float64(fovy)))
+        self._focal = float(self._model_focal(np.array(fovy)))
         if calibrated is None:
             return
         cut = calibrated.cut(size)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -156,7 +156,7 @@ def _label_colours() -> NDArray[np.uint8]:
     turns = np.arange(1 << 16) * (np.sqrt(5.0) - 1.0) / 2.0
     hue = np.abs((turns[:, None] + np.array([0.0, 2.0, 1.0]) / 3.0) % 1.0 * 6.0 - 3.0) - 1.0
     brightness = np.array([1.0, 0.72, 0.5])[np.arange(1 << 16) % 3, None]
-    colours = np.uint8(255 * brightness * (0.25 + 0.75 * np.clip(hue, 0.0, 1.0)))
+    colours = (255 * brightness * (0.25 + 0.75 * np.clip(hue, 0.0, 1.0))).astype(np.uint8)
     colours[0] = 0
     return colours
 

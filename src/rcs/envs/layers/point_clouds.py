@@ -13,7 +13,7 @@ from rcs.spatial import deproject
 
 
 class PointClouds(Layer):
-    """Adds `frames`/camera/`points` to every camera with depth: for each pixel where in the base frame is what it shows.
+    """Adds `frames`/camera/`points` to cameras with depth: the point in the base frame that each pixel shows.
 
     A pixel without a depth has (0, 0, 0); its colour is that of the same pixel of `rgb`. Recordings leave the points
     out: `rcs.spatial.deproject` makes the same ones of the recorded depth and matrices.
