@@ -247,7 +247,8 @@ class SimCameras:
         }
 
     def _make_renderer(self) -> Renderer | RenderPool:
-        width, height = (max(optics.canvas[axis] for optics in self._optics) for axis in (0, 1))
+        sizes = [self.size, *(optics.canvas for optics in self._optics)]
+        width, height = (max(size[axis] for size in sizes) for axis in (0, 1))
         if self.world.leading:
             threads = self.world.core.threads
             self._renderer = RenderPool(
