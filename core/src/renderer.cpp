@@ -114,7 +114,6 @@ struct Renderer::Open {
   Canvas canvas;                                    // of the picture at work
   std::vector<std::uint16_t> values;                // of a canvas from which a picture's are looked up
   int slices = 0;                                   // of the round shapes in the context
-  int opaque = 0;                                   // geoms of the scene that are not transparent; they come first
 };
 
 Renderer::Renderer(const mjModel* model, const RenderOptions& options)
@@ -179,7 +178,6 @@ void Renderer::take_over(Open& open, const mjModel* model, mjData* data) const {
   for (mjvGeom& geom : open.geoms) geom.segid = id_of(geom, *model) - 1;  // MuJoCo draws one more
   // Floors last, so that the pixels under everything else are not shaded first.
   std::stable_partition(open.geoms.begin(), open.geoms.end(), [](const mjvGeom& g) { return g.type != mjGEOM_PLANE; });
-  std::stable_partition(open.geoms.begin(), open.geoms.end(), [](const mjvGeom& g) { return !g.transparent; });
   camera.type = mjCAMERA_FIXED;
   open.cameras.resize(static_cast<std::size_t>(model->ncam));
   trapped("renderer", [&] {
@@ -287,14 +285,10 @@ mjvGLCamera Renderer::pose(Open& open, int camera, const Picture& picture) const
     std::copy_n(eye.forward, 3, scene.lights[0].dir);
   }
   scene.ngeom = 0;
-  open.opaque = 0;
   const Frustum frustum(eye, static_cast<double>(open.canvas.width) / open.canvas.height);
-  for (const mjvGeom& geom : open.geoms) {
+  for (const mjvGeom& geom : open.geoms)
     // What is outside may still throw a shadow into the picture or be mirrored in it.
-    if (is_fast && !frustum.may_show(geom)) continue;
-    scene.geoms[scene.ngeom++] = geom;
-    open.opaque += geom.transparent == 0;
-  }
+    if (!is_fast || frustum.may_show(geom)) scene.geoms[scene.ngeom++] = geom;
   return eye;
 }
 
@@ -307,6 +301,21 @@ void Renderer::draw_ids(Open& open, float* depth) const {
     open.scene.flags[mjRND_SEGMENT] = open.scene.flags[mjRND_IDCOLOR] = 0;
     mjr_readPixels(open.canvas.codes.data(), depth, area, &open.context);
   });
+}
+
+bool Renderer::draw_opaque_ids(Open& open, float* depth) const {
+  const std::span<mjvGeom> geoms(open.scene.geoms, static_cast<std::size_t>(open.scene.ngeom));
+  // MuJoCo marked what is transparent when it drew the colours, and draws no geom whose number is negative.
+  const auto turn_sign = [&] {
+    int turned = 0;
+    for (mjvGeom& geom : geoms)
+      if (geom.transparent) geom.segid = -2 - geom.segid, ++turned;
+    return turned;
+  };
+  const bool has_all = turn_sign() == 0;
+  draw_ids(open, depth);
+  turn_sign();
+  return has_all;
 }
 
 void Renderer::show(Open& open, int camera, const Picture& picture) const {
@@ -336,15 +345,11 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
     convert(open.values.data());
     look_up(open.values.data(), *lens, picture.width, picture.height, out);
   };
-  const int all = open.scene.ngeom;
-  if (is_apart) {
-    open.scene.ngeom = open.opaque;
-    draw_ids(open, depth);
-    open.scene.ngeom = all;
-  }
+  bool has_all_ids = false;
+  if (is_apart) has_all_ids = draw_opaque_ids(open, depth);
   if (depth != nullptr) finish(picture.depth_mm, [&](std::uint16_t* out) { to_millimetres(canvas, eye, out); });
   if (picture.ids != nullptr) {
-    if (!is_apart || open.opaque != all) draw_ids(open, nullptr);
+    if (!has_all_ids) draw_ids(open, nullptr);
     finish(picture.ids, [&](std::uint16_t* out) { to_ids(canvas, out); });
   }
 }

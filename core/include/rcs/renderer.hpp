@@ -92,6 +92,7 @@ class Renderer {
   void prepare(Open& open, int width, int height) const;
   mjvGLCamera pose(Open& open, int camera, const Picture& picture) const;
   void draw_ids(Open& open, float* depth) const;
+  bool draw_opaque_ids(Open& open, float* depth) const;
 
   const mjModel* model_;
   RenderOptions options_;

@@ -48,8 +48,7 @@ class Setup:
     depth: bool = False
     """Whether frames carry depth; costs about a third of a frame's time."""
     segmentation: bool = False
-    """Whether simulated frames say which instance and which geom each pixel shows; costs about a third of a frame's
-    time."""
+    """Whether simulated frames say which instance and which geom each pixel shows; about doubles a frame's time."""
     points: bool = False
     """Whether frames have the points that their pixels show, in the base frame; needs `depth`."""
     tactile: str | None = None
