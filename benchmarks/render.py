@@ -4,8 +4,8 @@ The scene is the one that data is collected in: FR3 with hand and wrist camera, 
 arm moves between frames. The pictures are checked: arm, table and cuboid must be in them, at the place where the
 camera's own matrices say.
 
-Prints one JSON object: `fps` (by edge length in pixels, side camera, fast quality, one thread), `bare_arm_fps` (the arm
-alone), `default_fps` (the reference).
+Prints one JSON object: `fps` (by edge length in pixels, side camera, fast quality, one thread), `depth_fps` and
+`segmentation_fps` (with depth or segmentation besides), `bare_arm_fps` (the arm alone), `default_fps` (the reference).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -40,6 +41,8 @@ class Options:
 
     robot: str = "fr3"
     """The lab."""
+    task: str = "PickCuboid"
+    """The task."""
     sizes: tuple[int, ...] = (84, 224)
     """Edge lengths of the square frames [px]."""
     frames: int = 400
@@ -55,21 +58,28 @@ def main(options: Options) -> None:
     lab = lab_of(options.robot)
     # The first camera that stands still and sees the whole.
     name = next(name for name, mount in lab.cameras.items() if mount.on_gripper_of is None)
-    setup = rcs.Setup(task=lab.tasks[0], robot=options.robot, cameras=tuple(lab.cameras))
+    setup = rcs.Setup(task=options.task, robot=options.robot, cameras=tuple(lab.cameras))
     parts = resolve(setup)
     env = assemble(parts, is_blind=True)
     world = env.scenario.world
     assert world.data is not None
     states = positions_of_an_episode(env)
     camera = next(placement for placement in parts.cameras if placement.name == name)
-    result: dict[str, object] = {"benchmark": "render", "robot": options.robot, "camera": name, "fps": {}}
-    result |= {"bare_arm_fps": {}, "default_fps": {}}
+    result: dict[str, Any] = {"benchmark": "render", "robot": options.robot, "camera": name, "fps": {}}
+    result |= {"depth_fps": {}, "segmentation_fps": {}, "bare_arm_fps": {}, "default_fps": {}}
     for size in options.sizes:
         cameras = SimCameras(world, [camera], size=(size, size))
         check_pictures(cameras, world, states, is_pick_cuboid=setup.task == "PickCuboid")
         save(options.save, f"{options.robot}-{size}", cameras.read()[name]["rgb"])
         result["fps"] |= {size: rate(cameras, world, states, options)}
         cameras.close()
+        more = {
+            "depth_fps": SimCameras(world, [camera], size=(size, size), has_depth=True),
+            "segmentation_fps": SimCameras(world, [camera], size=(size, size), has_segmentation=True),
+        }
+        for key, others in more.items():
+            result[key] |= {size: rate(others, world, states, options)}
+            others.close()
         bare, bare_cameras = bare_arm(parts.robots[0].arm, size)
         show(bare, np.array(parts.robots[0].arm.home))
         save(options.save, f"bare-{options.robot}-{size}", bare_cameras.read()["side"]["rgb"])

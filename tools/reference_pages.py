@@ -46,7 +46,11 @@ MEANINGS = {
     "hand": "finger joints, normalised to their ranges",
     "rgb": "colour, rows from the top",
     "depth": "depth; 0 where there is no reading; only with `depth=True`",
+    "segmentation": "number of the instance; only with `segmentation=True`",
+    "geoms": "number of the geom; only with `segmentation=True`",
+    "points": "what each pixel shows; only with `points=True`",
     "intrinsics": "camera matrix",
+    "distortion": "k1, k2, p1, p2, k3 of the lens, as in OpenCV",
     "extrinsics": "pose of the camera as a matrix; x right, y down, z forward",
     # Keys of info.
     "success": "whether the task is done",
@@ -224,7 +228,9 @@ def camera_table(lab: Lab) -> str:
         camera: CameraDescription = lookup.find("camera", mount.camera)
         where = "fixed in the scene" if mount.on_gripper_of is None else f"on the gripper of `{mount.on_gripper_of}`"
         depth = f"{number(camera.depth_range[0])} … {number(camera.depth_range[1])} m" if camera.has_depth else "none"
-        return f"`{name}`", camera.label, where, f"{number(np.rad2deg(mount.fovy or camera.fovy))}°", depth
+        seen = None if mount.calibration is None else mount.calibration.intrinsics
+        field_of_view = camera.fovy if seen is None else 2 * np.arctan(0.5 * seen.height / seen.fy)
+        return f"`{name}`", camera.label, where, f"{number(np.rad2deg(field_of_view))}°", depth
 
     head = ("name", "camera", "where", "vertical field of view", "depth")
     return table(head, [row(name, mount) for name, mount in lab.cameras.items()])

@@ -31,6 +31,7 @@ using Rgb = Given<std::uint8_t, nb::shape<-1, -1, 3>>;
 using Depth = Given<std::uint16_t, nb::shape<-1, -1>>;
 using RgbFilm = Given<std::uint8_t, nb::shape<-1, -1, -1, 3>>;
 using DepthFilm = Given<std::uint16_t, nb::shape<-1, -1, -1>>;
+using Lookup = Given<const float, nb::shape<-1, -1, 2>>;
 using Groups = std::array<bool, mjNGROUP>;
 
 rcs::RenderOptions options(const std::string& quality, int max_width, int max_height, const std::string& backend,
@@ -40,25 +41,52 @@ rcs::RenderOptions options(const std::string& quality, int max_width, int max_he
   return {quality == "fast" ? rcs::Quality::fast : rcs::Quality::full, max_width, max_height, backend, geom_groups};
 }
 
-rcs::Picture picture(Rgb& rgb, std::optional<Depth>& depth) {
-  if (depth && (depth->shape(0) != rgb.shape(0) || depth->shape(1) != rgb.shape(1)))
-    throw std::invalid_argument("depth must have the height and width of rgb");
-  return {static_cast<int>(rgb.shape(1)), static_cast<int>(rgb.shape(0)), rgb.data(), depth ? depth->data() : nullptr};
+// A lens with the memory that it points to.
+struct PyLens {
+  rcs::Lens value;
+  std::optional<Lookup> lookup;
+};
+
+const rcs::Lens* lens_of(const PyLens* lens, std::size_t height, std::size_t width) {
+  if (lens == nullptr) return nullptr;
+  if (lens->lookup && (lens->lookup->shape(0) != height || lens->lookup->shape(1) != width))
+    throw std::invalid_argument("the lookup of a lens must have the height and width of rgb");
+  return &lens->value;
 }
 
-std::vector<rcs::Film> films(std::size_t rows, const std::vector<int>& cameras, std::vector<RgbFilm>& rgb,
-                             std::optional<std::vector<std::optional<DepthFilm>>>& depth) {
-  if (rgb.size() != cameras.size() || (depth && depth->size() != cameras.size()))
-    throw std::invalid_argument("rgb, and depth when given, must have one array for each camera");
+rcs::Picture picture(Rgb& rgb, std::optional<Depth>& depth, std::optional<Depth>& ids, const PyLens* lens) {
+  for (const auto* values : {&depth, &ids})
+    if (*values && ((*values)->shape(0) != rgb.shape(0) || (*values)->shape(1) != rgb.shape(1)))
+      throw std::invalid_argument("depth and ids must have the height and width of rgb");
+  return {static_cast<int>(rgb.shape(1)),  static_cast<int>(rgb.shape(0)), rgb.data(),
+          depth ? depth->data() : nullptr, ids ? ids->data() : nullptr,    lens_of(lens, rgb.shape(0), rgb.shape(1))};
+}
+
+using Lenses = std::vector<std::optional<PyLens>>;
+using Lists = std::optional<std::vector<std::optional<DepthFilm>>>;
+
+// The array of a camera, or null.
+std::uint16_t* film_values(Lists& lists, std::size_t camera, const RgbFilm& rgb) {
+  if (!lists || !(*lists)[camera]) return nullptr;
+  for (std::size_t axis = 0; axis < 3; ++axis)
+    if ((*lists)[camera]->shape(axis) != rgb.shape(axis))
+      throw std::invalid_argument("depth and ids must have the number, height and width of the rgb pictures");
+  return (*lists)[camera]->data();
+}
+
+std::vector<rcs::Film> films(std::size_t rows, const std::vector<int>& cameras, std::vector<RgbFilm>& rgb, Lists& depth,
+                             Lists& ids, const Lenses& lenses) {
+  const auto is_missing = [&](const Lists& lists) { return lists && lists->size() != cameras.size(); };
+  if (rgb.size() != cameras.size() || is_missing(depth) || is_missing(ids) ||
+      (!lenses.empty() && lenses.size() != cameras.size()))
+    throw std::invalid_argument("rgb, and depth, ids and lenses when given, must have one entry for each camera");
   std::vector<rcs::Film> list;
   for (std::size_t i = 0; i < cameras.size(); ++i) {
-    DepthFilm* film_depth = depth && (*depth)[i] ? &*(*depth)[i] : nullptr;
     if (rgb[i].shape(0) != rows) throw std::invalid_argument("rgb must have one picture for each row of states");
-    for (std::size_t axis = 0; film_depth != nullptr && axis < 3; ++axis)
-      if (film_depth->shape(axis) != rgb[i].shape(axis))
-        throw std::invalid_argument("depth must have the number, height and width of the rgb pictures");
+    const rcs::Lens* lens =
+        lens_of(lenses.empty() || !lenses[i] ? nullptr : &*lenses[i], rgb[i].shape(1), rgb[i].shape(2));
     list.push_back({cameras[i], static_cast<int>(rgb[i].shape(2)), static_cast<int>(rgb[i].shape(1)), rgb[i].data(),
-                    film_depth != nullptr ? film_depth->data() : nullptr});
+                    film_values(depth, i, rgb[i]), film_values(ids, i, rgb[i]), lens});
   }
   return list;
 }
@@ -88,6 +116,29 @@ void bind_render(nb::module_& m) {
       });
   m.def("probe_gl", &rcs::probe_gl, nb::call_guard<ReleasedGil>(),
         "Look at every OpenGL backend by making a context and dropping it. Chooses none.");
+
+  nb::class_<PyLens>(m, "Lens", R"(A calibrated camera: focal lengths, principal point, distortion.
+
+The scene is drawn on a canvas without distortion. The picture is the canvas, or is looked up in it pixel by pixel.)")
+      .def(
+          "__init__",
+          [](PyLens* self, double scale_x, double scale_y, double cx, double cy, int width, int height,
+             std::optional<Lookup> lookup) {
+            const float* places = lookup ? lookup->data() : nullptr;
+            new (self) PyLens{{scale_x, scale_y, cx, cy, width, height, places}, std::move(lookup)};
+          },
+          nb::kw_only(), "scale_x"_a = 1.0, "scale_y"_a = 1.0, "cx"_a, "cy"_a, "width"_a, "height"_a,
+          "lookup"_a = nb::none(), R"(Describe a lens. It keeps `lookup` and does not copy it: write to it no more.
+
+Args:
+    scale_x: Focal length along x over that of the model's field of view at the picture's height.
+    scale_y: The same along y.
+    cx: Column of the principal point on the canvas [pixels]; the centre of the top left pixel is (0, 0).
+    cy: Its row.
+    width: Of the canvas [pixels]; without a lookup that of the picture.
+    height: The same.
+    lookup: Column and row on the canvas that each pixel shows, shape (height, width, 2) of the picture, float32;
+        None for the same ones.)");
 
   nb::class_<rcs::Renderer>(m, "Renderer", R"(Draws one scene as seen by the cameras of its model, off screen.
 
@@ -140,17 +191,22 @@ Args:
     state: A row of `mjSTATE_INTEGRATION`, shape (state_size,).)")
       .def(
           "render",
-          [](rcs::Renderer& self, int camera_id, Rgb rgb, std::optional<Depth> depth) {
-            const rcs::Picture place = picture(rgb, depth);
+          [](rcs::Renderer& self, int camera_id, Rgb rgb, std::optional<Depth> depth, std::optional<Depth> ids,
+             const PyLens* lens) {
+            const rcs::Picture place = picture(rgb, depth, ids, lens);
             const ReleasedGil unlocked;
             self.render(camera_id, place);
           },
-          "camera_id"_a, "rgb"_a.noconvert(), "depth"_a.noconvert() = nb::none(), R"(Draw what a camera sees.
+          "camera_id"_a, "rgb"_a.noconvert(), "depth"_a.noconvert() = nb::none(), "ids"_a.noconvert() = nb::none(),
+          "lens"_a.none() = nb::none(), R"(Draw what a camera sees.
 
 Args:
     camera_id: Index of the camera in the model.
     rgb: Filled in place, shape (height, width, 3), rows from the top.
     depth: Filled in place when given, shape (height, width) [mm], 0 where nothing is or it is beyond 65.535 m.
+    ids: Filled in place when given, shape (height, width), what each pixel shows: 0 nothing, otherwise 1 + the number
+        of a geom, or of a flex, a skin or a tendon, which are counted on in this order.
+    lens: How the camera is calibrated; None for as in the model.
 
 Raises:
     ValueError: There is no such camera, or the picture does not fit.)")
@@ -189,11 +245,11 @@ Raises:
       .def(
           "render_states",
           [](rcs::RenderPool& self, Given<const double, nb::shape<-1, -1>> states, const std::vector<int>& camera_ids,
-             std::vector<RgbFilm> rgb, std::optional<std::vector<std::optional<DepthFilm>>> depth, rcs::World* world) {
+             std::vector<RgbFilm> rgb, Lists depth, rcs::World* world, Lists ids, const Lenses& lenses) {
             if (states.shape(1) != static_cast<std::size_t>(self.state_size()))
               throw std::invalid_argument("states has rows of " + std::to_string(states.shape(1)) +
                                           " numbers, this model's have " + std::to_string(self.state_size()));
-            const std::vector<rcs::Film> wanted = films(states.shape(0), camera_ids, rgb, depth);
+            const std::vector<rcs::Film> wanted = films(states.shape(0), camera_ids, rgb, depth, ids, lenses);
             // Models that are all alike are the pool's own, which costs no copy of them.
             mjBatch* batch = world != nullptr && world->is_varied() ? world->batch() : nullptr;
             const std::shared_ptr<const void> memory = batch != nullptr ? world->memory() : nullptr;  // beyond a close
@@ -201,7 +257,7 @@ Raises:
             self.render_states({states.data(), states.size()}, wanted, batch);
           },
           "states"_a, "camera_ids"_a, "rgb"_a.noconvert(), "depth"_a.noconvert() = nb::none(), "world"_a = nb::none(),
-          R"(Draw each state with each camera.
+          "ids"_a.noconvert() = nb::none(), "lenses"_a = Lenses(), R"(Draw each state with each camera.
 
 Args:
     states: Rows of `mjSTATE_INTEGRATION`, shape (n, state_size).
@@ -209,6 +265,9 @@ Args:
     rgb: For each camera an array that is filled in place, shape (n, height, width, 3), rows from the top.
     depth: None, or for each camera None or an array that is filled in place, shape (n, height, width) [mm].
     world: Of as many copies, whose fields of the model row i has those of copy i; None for those of the pool's model.
+    ids: None, or for each camera None or an array that is filled in place, shape (n, height, width), as in
+        `Renderer.render`.
+    lenses: Empty, or for each camera its lens or None.
 
 Raises:
     ValueError: A shape or a camera is not valid, or the world is of another model.)")

@@ -97,8 +97,7 @@ void RenderPool::render_states(std::span<const double> states, std::span<const F
   if (states.size() % static_cast<std::size_t>(state_size_) != 0)
     throw std::invalid_argument("render pool: rows of states must have " + std::to_string(state_size_) + " numbers");
   if (states.empty()) return;
-  for (const Film& film : films)
-    studio.painters.front().renderer->check(film.camera, {film.width, film.height, film.rgb, film.depth_mm});
+  for (const Film& film : films) studio.painters.front().renderer->check(film.camera, film.picture(0));
 
   const std::size_t rows = states.size() / static_cast<std::size_t>(state_size_);
   if (batch != nullptr && rows != static_cast<std::size_t>(mjb_nsim(batch)))
@@ -138,11 +137,7 @@ void RenderPool::work(Painter& painter, Job& job) {
         }
         renderer.update_from_state(state, painter.model.get());
       }
-      for (const Film& film : job.films) {
-        const std::size_t offset = row * static_cast<std::size_t>(film.width) * film.height;
-        renderer.render(film.camera, {film.width, film.height, film.rgb + 3 * offset,
-                                      film.depth_mm == nullptr ? nullptr : film.depth_mm + offset});
-      }
+      for (const Film& film : job.films) renderer.render(film.camera, film.picture(row));
     }
   } catch (...) {
     const std::lock_guard lock(job.mutex);

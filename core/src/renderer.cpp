@@ -2,12 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <sstream>
 #include <stdexcept>
 #include <vector>
 
 #include "drawing_cost.hpp"
+#include "frustum.hpp"
+#include "pixels.hpp"
 #include "rcs/result.hpp"
 #include "trap.hpp"
 
@@ -17,6 +18,7 @@ namespace {
 
 constexpr int kMaxGeomsBeyondModel = 1000;  // tendon segments, flexes, skins
 constexpr int kFullSamples = 4;
+constexpr int kMostIds = 65536;
 // Side of the shadow map [texels]: half the size, which a model may ask for, takes half the time of a whole picture.
 constexpr int kMinShadowSize = 2048, kMaxShadowSize = 4096;
 // Squares along the half side of a plane, at whose corners its lighting is computed. MuJoCo draws 200 × 200 squares for
@@ -63,75 +65,22 @@ struct DrawnModel {
   std::vector<mjtNum> geom_size;
 };
 
-// What a camera can see: a pyramid from its position, in camera axes (x right, y up, z forward).
-class Frustum {
- public:
-  Frustum(const mjvGLCamera& camera, const Picture& picture) : camera_(camera) {
-    mju_f2n(forward_, camera.forward, 3);
-    mju_f2n(up_, camera.up, 3);
-    mju_cross(right_, forward_, up_);
-    const double half_height = 0.5 * (camera.frustum_top - camera.frustum_bottom);
-    const double half_width =
-        camera.frustum_width > 0 ? camera.frustum_width : half_height * picture.width / picture.height;
-    const double scale = camera.orthographic ? 1.0 : camera.frustum_near;
-    left_ = (camera.frustum_center - half_width) / scale;
-    right_end_ = (camera.frustum_center + half_width) / scale;
-    bottom_ = camera.frustum_bottom / scale;
-    top_ = camera.frustum_top / scale;
+// What a geom of the scene is called in a picture of ids: one more than its number among geoms, flexes, skins and
+// tendons, in this order; 0 for what has none.
+int id_of(const mjvGeom& geom, const mjModel& model) {
+  const auto first = [&](mjtSize before) { return static_cast<int>(before) + geom.objid + 1; };
+  switch (geom.objtype) {
+    case mjOBJ_GEOM:
+      return first(0);
+    case mjOBJ_FLEX:
+      return first(model.ngeom);
+    case mjOBJ_SKIN:
+      return first(model.ngeom + model.nflex);
+    case mjOBJ_TENDON:
+      return first(model.ngeom + model.nflex + model.nskin);
+    default:
+      return 0;
   }
-
-  // Whether a ball around the geom, which has no known size when its radius is 0, can be in the picture.
-  bool may_show(const mjvGeom& geom) const {
-    if (geom.modelrbound <= 0) return true;
-    const double radius = 1.001 * geom.modelrbound;
-    const mjtNum offset[3] = {geom.pos[0] - camera_.pos[0], geom.pos[1] - camera_.pos[1], geom.pos[2] - camera_.pos[2]};
-    const double x = mju_dot3(offset, right_), y = mju_dot3(offset, up_), z = mju_dot3(offset, forward_);
-    if (z < camera_.frustum_near - radius) return false;
-    const auto is_outside = [&](double coordinate, double slope) {
-      if (camera_.orthographic) return coordinate - slope > radius;
-      return coordinate - slope * z > radius * std::sqrt(1 + slope * slope);
-    };
-    return !is_outside(x, right_end_) && !is_outside(-x, -left_) && !is_outside(y, top_) && !is_outside(-y, -bottom_);
-  }
-
- private:
-  const mjvGLCamera& camera_;
-  mjtNum forward_[3], up_[3], right_[3];
-  double left_, right_end_, bottom_, top_;
-};
-
-// OpenGL's first row is the bottom one.
-template <typename Pixel>
-void flip_rows(Pixel* image, int row, int rows) {
-  std::vector<Pixel> spare(static_cast<std::size_t>(row));
-  const std::size_t bytes = spare.size() * sizeof(Pixel);
-  for (int y = 0; y < rows / 2; ++y) {
-    Pixel* upper = image + static_cast<std::ptrdiff_t>(row) * y;
-    Pixel* lower = image + static_cast<std::ptrdiff_t>(row) * (rows - 1 - y);
-    std::memcpy(spare.data(), upper, bytes);
-    std::memcpy(upper, lower, bytes);
-    std::memcpy(lower, spare.data(), bytes);
-  }
-}
-
-// The depth buffer holds 1 at the near plane, 0 at the far one and where nothing is, linear in the reciprocal distance.
-// Rounding in single precision is below 0.01 mm at 65 m.
-void to_millimetres(const std::vector<float>& buffer, const mjvGLCamera& camera, const Picture& picture) {
-  const float near = 1000 * camera.frustum_near, far = 1000 * camera.frustum_far;
-  const auto convert = [&](auto distance) {
-    for (int y = 0; y < picture.height; ++y) {
-      const float* row = buffer.data() + static_cast<std::size_t>(picture.height - 1 - y) * picture.width;
-      std::uint16_t* out = picture.depth_mm + static_cast<std::size_t>(y) * picture.width;
-      for (int x = 0; x < picture.width; ++x) {
-        const float rounded = row[x] > 0 ? distance(row[x]) + 0.5F : 0.0F;
-        out[x] = static_cast<std::uint16_t>(static_cast<int>(rounded < 65536.0F ? rounded : 0.0F));
-      }
-    }
-  };
-  if (camera.orthographic)
-    convert([=](float depth) { return far - depth * (far - near); });
-  else
-    convert([=](float depth) { return near * far / (near + depth * (far - near)); });
 }
 
 }  // namespace
@@ -162,8 +111,9 @@ struct Renderer::Open {
   mjData* own_data = nullptr;                       // of `update_from_state`, made on first use
   std::vector<mjvGeom> geoms;                       // of the last update; the scene gets those that a camera may see
   std::vector<std::array<mjvGLCamera, 2>> cameras;  // of the last update, for the left and right eye
-  std::vector<float> depth;
-  int slices = 0;  // of the round shapes in the context
+  Canvas canvas;                                    // of the picture at work
+  std::vector<std::uint16_t> values;                // of a canvas from which a picture's are looked up
+  int slices = 0;                                   // of the round shapes in the context
 };
 
 Renderer::Renderer(const mjModel* model, const RenderOptions& options)
@@ -225,6 +175,7 @@ void Renderer::take_over(Open& open, const mjModel* model, mjData* data) const {
     mjv_updateScene(model, data, &open.option, nullptr, &camera, mjCAT_STATIC | mjCAT_DYNAMIC, &open.scene);
   });
   open.geoms.assign(open.scene.geoms, open.scene.geoms + open.scene.ngeom);
+  for (mjvGeom& geom : open.geoms) geom.segid = id_of(geom, *model) - 1;  // MuJoCo draws one more
   // Floors last, so that the pixels under everything else are not shaded first.
   std::stable_partition(open.geoms.begin(), open.geoms.end(), [](const mjvGeom& g) { return g.type != mjGEOM_PLANE; });
   camera.type = mjCAMERA_FIXED;
@@ -284,46 +235,123 @@ void Renderer::check(int camera, const Picture& picture) const {
                                 std::to_string(picture.height) + " pixels was asked for, valid is 1 x 1 to " +
                                 std::to_string(options_.max_width) + " x " + std::to_string(options_.max_height));
   if (picture.rgb == nullptr) throw std::invalid_argument("renderer: the picture has no place for rgb");
+  if (picture.ids != nullptr && model_->ngeom + model_->nflex + model_->nskin + model_->ntendon >= kMostIds)
+    throw std::invalid_argument("renderer: the model has more parts than a picture of ids has numbers, " +
+                                std::to_string(kMostIds - 1));
+  if (picture.lens == nullptr) return;
+  const Lens& lens = *picture.lens;
+  const bool fits = lens.lookup != nullptr ? lens.width >= 1 && lens.height >= 1
+                                           : lens.width == picture.width && lens.height == picture.height;
+  if (!fits || lens.width > options_.max_width || lens.height > options_.max_height)
+    throw std::invalid_argument("renderer: a lens has a canvas of " + std::to_string(lens.width) + " x " +
+                                std::to_string(lens.height) + " pixels, valid is " +
+                                (lens.lookup != nullptr ? "1 x 1 to " + std::to_string(options_.max_width) + " x " +
+                                                              std::to_string(options_.max_height)
+                                                        : "the size of the picture"));
+  if (!(lens.scale_x > 0 && lens.scale_y > 0 && std::isfinite(lens.scale_x + lens.scale_y + lens.cx + lens.cy)))
+    throw std::invalid_argument("renderer: a lens must have positive scales and a finite principal point");
+  if (model_->cam_projection[camera] != mjPROJ_PERSPECTIVE)
+    throw std::invalid_argument("renderer: a lens is for a camera with perspective, and this one is orthographic");
 }
 
-void Renderer::show(Open& open, int camera, const Picture& picture) const {
+void Renderer::prepare(Open& open, int width, int height) const {
   const bool is_fast = options_.quality == Quality::fast;
   mjrContext& context = open.context;
-  if (picture.width > context.offWidth || picture.height > context.offHeight) {
+  if (width > context.offWidth || height > context.offHeight) {
     // Only as large as the pictures are: clearing a part of a buffer costs more than clearing a whole one.
     trapped("renderer", [&] {
-      mjr_resizeOffscreen(std::max(picture.width, context.offWidth), std::max(picture.height, context.offHeight),
-                          &context);
+      mjr_resizeOffscreen(std::max(width, context.offWidth), std::max(height, context.offHeight), &context);
     });
     if (is_fast) drop_stencil(context, open.gl);
   }
-  if (const Roundness round = roundness(options_.quality, picture.height); open.slices != round.slices) {
+  if (const Roundness round = roundness(options_.quality, height); open.slices != round.slices) {
     use_coarse_shapes(context, open.gl, round.slices, round.stacks);
     open.slices = round.slices;
   }
+  open.canvas.width = width;
+  open.canvas.height = height;
+}
 
+mjvGLCamera Renderer::pose(Open& open, int camera, const Picture& picture) const {
+  const bool is_fast = options_.quality == Quality::fast;
   mjvScene& scene = open.scene;
   scene.camera[0] = open.cameras[camera][0];
   scene.camera[1] = open.cameras[camera][1];
+  if (picture.lens != nullptr)
+    for (mjvGLCamera& eye : scene.camera) aim(eye, *picture.lens, picture.height);
   const mjvGLCamera eye = mjv_averageCamera(scene.camera, scene.camera + 1);  // between MuJoCo's two, for stereo
   if (scene.nlight > 0 && scene.lights[0].headlight) {
     std::copy_n(eye.pos, 3, scene.lights[0].pos);
     std::copy_n(eye.forward, 3, scene.lights[0].dir);
   }
   scene.ngeom = 0;
-  const Frustum frustum(eye, picture);
+  const Frustum frustum(eye, static_cast<double>(open.canvas.width) / open.canvas.height);
   for (const mjvGeom& geom : open.geoms)
     // What is outside may still throw a shadow into the picture or be mirrored in it.
     if (!is_fast || frustum.may_show(geom)) scene.geoms[scene.ngeom++] = geom;
+  return eye;
+}
 
-  const mjrRect area{0, 0, picture.width, picture.height};
-  if (picture.depth_mm != nullptr) open.depth.resize(static_cast<std::size_t>(picture.width) * picture.height);
+void Renderer::draw_ids(Open& open, float* depth) const {
+  const mjrRect area{0, 0, open.canvas.width, open.canvas.height};
+  open.canvas.codes.resize(3 * open.canvas.size());
   trapped("renderer", [&] {
-    mjr_render(area, &scene, &context);
-    mjr_readPixels(picture.rgb, picture.depth_mm != nullptr ? open.depth.data() : nullptr, area, &context);
+    open.scene.flags[mjRND_SEGMENT] = open.scene.flags[mjRND_IDCOLOR] = 1;
+    mjr_render(area, &open.scene, &open.context);
+    open.scene.flags[mjRND_SEGMENT] = open.scene.flags[mjRND_IDCOLOR] = 0;
+    mjr_readPixels(open.canvas.codes.data(), depth, area, &open.context);
   });
-  flip_rows(picture.rgb, 3 * picture.width, picture.height);
-  if (picture.depth_mm != nullptr) to_millimetres(open.depth, eye, picture);
+}
+
+bool Renderer::draw_opaque_ids(Open& open, float* depth) const {
+  const std::span<mjvGeom> geoms(open.scene.geoms, static_cast<std::size_t>(open.scene.ngeom));
+  // MuJoCo marked what is transparent when it drew the colours, and draws no geom whose number is negative.
+  const auto turn_sign = [&] {
+    int turned = 0;
+    for (mjvGeom& geom : geoms)
+      if (geom.transparent) geom.segid = -2 - geom.segid, ++turned;
+    return turned;
+  };
+  const bool has_all = turn_sign() == 0;
+  draw_ids(open, depth);
+  turn_sign();
+  return has_all;
+}
+
+void Renderer::show(Open& open, int camera, const Picture& picture) const {
+  const Lens* lens = picture.lens != nullptr && picture.lens->lookup != nullptr ? picture.lens : nullptr;
+  prepare(open, lens != nullptr ? lens->width : picture.width, lens != nullptr ? lens->height : picture.height);
+  const mjvGLCamera eye = pose(open, camera, picture);
+  Canvas& canvas = open.canvas;
+  const mjrRect area{0, 0, canvas.width, canvas.height};
+  if (picture.depth_mm != nullptr) canvas.depth.resize(canvas.size());
+  if (lens != nullptr) canvas.rgb.resize(3 * canvas.size());
+  std::uint8_t* rgb = lens != nullptr ? canvas.rgb.data() : picture.rgb;
+  float* depth = picture.depth_mm != nullptr ? canvas.depth.data() : nullptr;
+  // With several samples a pixel, the depth that is read is not that of the pixel's middle, and a slope or an edge is
+  // in the wrong place. Ids are drawn with one sample, and so is the depth then.
+  const bool is_apart = depth != nullptr && options_.quality == Quality::full;
+  trapped("renderer", [&] {
+    mjr_render(area, &open.scene, &open.context);
+    mjr_readPixels(rgb, is_apart ? nullptr : depth, area, &open.context);
+  });
+  flip_rows(rgb, 3 * canvas.width, canvas.height);
+  if (lens != nullptr) look_up(rgb, *lens, picture.width, picture.height, picture.rgb);
+
+  // Values are written where they belong, or first to a canvas of their own and looked up there.
+  const auto finish = [&](std::uint16_t* out, auto convert) {
+    if (lens == nullptr) return convert(out);
+    open.values.resize(canvas.size());
+    convert(open.values.data());
+    look_up(open.values.data(), *lens, picture.width, picture.height, out);
+  };
+  bool has_all_ids = false;
+  if (is_apart) has_all_ids = draw_opaque_ids(open, depth);
+  if (depth != nullptr) finish(picture.depth_mm, [&](std::uint16_t* out) { to_millimetres(canvas, eye, out); });
+  if (picture.ids != nullptr) {
+    if (!has_all_ids) draw_ids(open, nullptr);
+    finish(picture.ids, [&](std::uint16_t* out) { to_ids(canvas, out); });
+  }
 }
 
 void Renderer::render(int camera, const Picture& picture) {

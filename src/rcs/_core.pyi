@@ -1144,6 +1144,28 @@ def probe_gl() -> list[GlProbe]:
     Look at every OpenGL backend by making a context and dropping it. Chooses none.
     """
 
+class Lens:
+    """
+    A calibrated camera: focal lengths, principal point, distortion.
+
+    The scene is drawn on a canvas without distortion. The picture is the canvas, or is looked up in it pixel by pixel.
+    """
+
+    def __init__(self, *, scale_x: float = 1.0, scale_y: float = 1.0, cx: float, cy: float, width: int, height: int, lookup: Annotated[NDArray[numpy.float32], dict(shape=(None, None, 2), order='C', device='cpu', writable=False)] | None = None) -> None:
+        """
+        Describe a lens. It keeps `lookup` and does not copy it: write to it no more.
+
+        Args:
+            scale_x: Focal length along x over that of the model's field of view at the picture's height.
+            scale_y: The same along y.
+            cx: Column of the principal point on the canvas [pixels]; the centre of the top left pixel is (0, 0).
+            cy: Its row.
+            width: Of the canvas [pixels]; without a lookup that of the picture.
+            height: The same.
+            lookup: Column and row on the canvas that each pixel shows, shape (height, width, 2) of the picture, float32;
+                None for the same ones.
+        """
+
 class Renderer:
     """
     Draws one scene as seen by the cameras of its model, off screen.
@@ -1184,7 +1206,7 @@ class Renderer:
             state: A row of `mjSTATE_INTEGRATION`, shape (state_size,).
         """
 
-    def render(self, camera_id: int, rgb: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, 3), order='C', device='cpu')], depth: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu')] | None = None) -> None:
+    def render(self, camera_id: int, rgb: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, 3), order='C', device='cpu')], depth: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu')] | None = None, ids: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu')] | None = None, lens: Lens | None = None) -> None:
         """
         Draw what a camera sees.
 
@@ -1192,6 +1214,9 @@ class Renderer:
             camera_id: Index of the camera in the model.
             rgb: Filled in place, shape (height, width, 3), rows from the top.
             depth: Filled in place when given, shape (height, width) [mm], 0 where nothing is or it is beyond 65.535 m.
+            ids: Filled in place when given, shape (height, width), what each pixel shows: 0 nothing, otherwise 1 + the number
+                of a geom, or of a flex, a skin or a tendon, which are counted on in this order.
+            lens: How the camera is calibrated; None for as in the model.
 
         Raises:
             ValueError: There is no such camera, or the picture does not fit.
@@ -1236,7 +1261,7 @@ class RenderPool:
             MissingDependency: There is no OpenGL; the message has the remedy.
         """
 
-    def render_states(self, states: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], camera_ids: Sequence[int], rgb: Sequence[Annotated[NDArray[numpy.uint8], dict(shape=(None, None, None, 3), order='C', device='cpu')]], depth: Sequence[Annotated[NDArray[numpy.uint16], dict(shape=(None, None, None), order='C', device='cpu')] | None] | None = None, world: World | None = None) -> None:
+    def render_states(self, states: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], camera_ids: Sequence[int], rgb: Sequence[Annotated[NDArray[numpy.uint8], dict(shape=(None, None, None, 3), order='C', device='cpu')]], depth: Sequence[Annotated[NDArray[numpy.uint16], dict(shape=(None, None, None), order='C', device='cpu')] | None] | None = None, world: World | None = None, ids: Sequence[Annotated[NDArray[numpy.uint16], dict(shape=(None, None, None), order='C', device='cpu')] | None] | None = None, lenses: Sequence[Lens | None] = []) -> None:
         """
         Draw each state with each camera.
 
@@ -1246,6 +1271,9 @@ class RenderPool:
             rgb: For each camera an array that is filled in place, shape (n, height, width, 3), rows from the top.
             depth: None, or for each camera None or an array that is filled in place, shape (n, height, width) [mm].
             world: Of as many copies, whose fields of the model row i has those of copy i; None for those of the pool's model.
+            ids: None, or for each camera None or an array that is filled in place, shape (n, height, width), as in
+                `Renderer.render`.
+            lenses: Empty, or for each camera its lens or None.
 
         Raises:
             ValueError: A shape or a camera is not valid, or the world is of another model.
@@ -1267,6 +1295,39 @@ class RenderPool:
     @property
     def description(self) -> str:
         """Backend, renderer and OpenGL version."""
+
+def add_colour_noise(rgb: Annotated[NDArray[numpy.uint8], dict(order='C', device='cpu')], table: Annotated[NDArray[numpy.int8], dict(shape=(None,), order='C', device='cpu', writable=False)], seed: int) -> None:
+    """
+    Add noise to colours, in place.
+
+    Args:
+        rgb: Of any shape.
+        table: Errors of 256 equally likely cases.
+        seed: Determines which ones come.
+    """
+
+def measure_stereo(depth: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu')], rgb: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], *, focal: float, middle: float, baseline: float, half_width: float, nearest: float, deviation: float, steepest: float, steep_loss: float, dark: float, normal: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], seed: int) -> None:
+    """
+    Replace true depth by what a stereo camera would measure, in place; 0 is no reading.
+
+    Args:
+        depth: Depth in the picture of the left eye [mm], shape (height, width).
+        rgb: Its colours, shape (height, width, 3).
+        focal: Focal length [pixels].
+        middle: Column of the principal point [pixels].
+        baseline: Distance from the left eye to the right one [m].
+        half_width: Tangent of half the right eye's field of view along x; 0 for no end.
+        nearest: Nearest depth that can be measured [m].
+        deviation: Standard deviation of a disparity [pixels].
+        steepest: Tangent of the angle between view and normal from which a surface is steep.
+        steep_loss: Share of steep pixels without a reading.
+        dark: Brightness below which readings get lost [of 255].
+        normal: Quantiles of the standard normal distribution of equally likely cases, as many as a power of two.
+        seed: Determines which cases come.
+
+    Raises:
+        ValueError: A shape does not fit.
+    """
 
 @overload
 def clip_rows(values: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], tolerance: float) -> NDArray[numpy.float64] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,15 @@ import numpy as np
 import pytest
 
 import rcs
+from rcs.data import Dataset
+from rcs.devices import CameraCalibration, CameraMode
+from rcs.devices.fakes import FakeCamera
+from rcs.envs.observers.record import record
 from rcs.errors import InvalidSetup
+from rcs.hardware import Site
 from rcs.setups.calibration import calibrated, read_calibration
 from rcs.setups.labs.fr3 import LAB
+from rcs.spatial import Intrinsics
 
 SIDE: dict[str, Any] = {
     "translation": [0.4, 0.9, 0.6],
@@ -33,7 +40,9 @@ def write(folder: Path, camera: dict[str, Any], name: str = "side") -> Path:
 def test_a_calibrated_camera_is_where_the_file_says_and_sees_as_it_says(tmp_path: Path) -> None:
     lab = calibrated(LAB, write(tmp_path, SIDE))
     assert lab.cameras["side"].optical.translation == (0.4, 0.9, 0.6)
-    assert lab.cameras["side"].fovy == pytest.approx(2 * np.arctan(240 / 500))
+    calibration = lab.cameras["side"].calibration
+    assert calibration is not None
+    assert calibration.intrinsics == Intrinsics(width=640, height=480, fx=500.0, fy=500.0, cx=319.5, cy=239.5)
     assert lab.cameras["wrist"] == LAB.cameras["wrist"], "what the file does not name stays"
 
 
@@ -51,8 +60,14 @@ def test_frames_carry_the_calibrated_matrices(tmp_path: Path) -> None:
     ("changes", "text"),
     [
         ({"quaternion": [1.0, 1.0, 0.0, 0.0]}, "norm"),
-        ({"fx": 600.0}, "square"),
-        ({"fy": -1.0}, "square"),
+        ({"fy": -1.0}, "side.*positive"),
+        ({"cx": 700.0}, "side.*principal point"),
+        ({"distortion": [0.1, 0.2]}, "side.*k1, k2, p1, p2 and k3"),
+        ({"distortion": [0.1] * 8}, "side.*k1, k2, p1, p2 and k3"),
+        ({"k1": 0.1}, "side.*unknown key.*'k1'|side.*k1"),
+        ({"pose_covariance": [[1.0]]}, "side.*6 x 6"),
+        ({"pose_covariance": (-np.eye(6)).tolist()}, "side.*negative variance"),
+        ({"width": 640.5}, "side.*whole number"),
         ({"translation": [0.0, 1.0]}, "not a calibration file"),
         ({"quaternion": None}, "not a calibration file"),
     ],
@@ -70,3 +85,96 @@ def test_missing_files_and_unknown_cameras_are_told(tmp_path: Path) -> None:
     (tmp_path / "broken.json").write_text("{")
     with pytest.raises(InvalidSetup, match="not a calibration file"):
         read_calibration(tmp_path / "broken.json")
+
+
+LENS = {"fx": 480.0, "fy": 470.0, "cx": 335.0, "cy": 228.0, "distortion": [-0.2, 0.05, 0.001, -0.001]}
+COVARIANCE = np.diag([1e-6] * 3 + [1e-5] * 3).tolist()
+
+
+def test_lens_keys_without_a_focal_length_are_refused_and_not_dropped(tmp_path: Path) -> None:
+    for key in ("cx", "cy", "distortion", "fx"):
+        about = {name: SIDE[name] for name in ("translation", "quaternion")} | {key: LENS[key]}
+        with pytest.raises(InvalidSetup, match=f"'{key}' is given without 'fy'"):
+            read_calibration(write(tmp_path, about))
+
+
+def test_an_unknown_key_at_the_top_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps({"cameras": {"side": SIDE}, "units": "mm"}))
+    with pytest.raises(InvalidSetup, match="units"):
+        read_calibration(path)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("size", [(640, 480), (224, 224), (320, 180)])
+def test_simulation_and_device_tell_the_same_matrices_and_distortion(tmp_path: Path, size: tuple[int, int]) -> None:
+    path = str(write(tmp_path, {**SIDE, **LENS}))
+    simulated = rcs.make("Free", robot="fr3", cameras=("side",), image_size=size, calibration=path)
+    device = FakeCamera(CameraMode(640, 480, 30.0, False), name="side")
+    site = Site(arms={"fr3": "fake"}, grippers={"fr3": "fake"}, cameras={"side": device})
+    real = rcs.make("Free", robot="fr3", cameras=("side",), image_size=size, calibration=path, hardware=site)
+    frames = [env.reset(seed=0)[0]["frames"]["side"] for env in (simulated, real)]
+    for key in ("intrinsics", "distortion", "extrinsics"):
+        np.testing.assert_allclose(frames[0][key], frames[1][key], rtol=1e-12, atol=1e-12)
+    assert frames[0].keys() == frames[1].keys()
+    assert frames[0]["intrinsics"][0, 0] == pytest.approx(480.0 * size[0] / min(640, 480 * size[0] / size[1]))
+    np.testing.assert_array_equal(frames[0]["distortion"], [*LENS["distortion"], 0.0])
+    assert simulated.stack.about == real.stack.about
+    simulated.close()
+    real.close()
+
+
+def test_a_devices_own_calibration_is_used_whole_also_when_it_is_known_only_after_opening() -> None:
+    matrix = np.array([[600.0, 0.0, 331.0], [0.0, 602.0, 236.0], [0.0, 0.0, 1.0]])
+    lens = [0.1, -0.2, 0.001, 0.0005, 0.05]
+
+    class LateCamera(FakeCamera):
+        def _calibration(self) -> CameraCalibration | None:
+            return CameraCalibration(matrix, lens) if self.is_open else None
+
+    device = LateCamera(CameraMode(640, 480, 30.0, False), name="overhead")
+    site = Site(arms={"ur5e": "fake"}, grippers={"ur5e": "fake"}, cameras={"overhead": device})
+    env = rcs.make("Free", robot="ur5e", cameras=("overhead",), image_size=(320, 240), hardware=site)
+    frame = env.reset(seed=0)[0]["frames"]["overhead"]
+    half = [[300.0, 0.0, 165.25], [0.0, 301.0, 117.75], [0.0, 0.0, 1.0]]
+    np.testing.assert_allclose(frame["intrinsics"], half)
+    np.testing.assert_allclose(frame["distortion"], lens)
+    for _ in range(20):
+        frame = env.step({"joints": np.zeros(6), "gripper": np.ones(1, np.float32)})[0]["frames"]["overhead"]
+        np.testing.assert_allclose(frame["distortion"], lens)
+    about = env.stack.about["cameras"]["overhead"]
+    assert about == {"source": "device", "size": [640, 480], "matrix": matrix.tolist(), "distortion": lens}
+    env.close()
+
+
+def test_a_calibration_of_another_shape_than_the_devices_pictures_is_refused(tmp_path: Path) -> None:
+    device = FakeCamera(CameraMode(640, 360, 30.0, False), name="side")
+    site = Site(arms={"fr3": "fake"}, grippers={"fr3": "fake"}, cameras={"side": device})
+    with pytest.raises(InvalidSetup, match="640 x 480 px and delivers 640 x 360 px"):
+        rcs.make("Free", robot="fr3", cameras=("side",), calibration=str(write(tmp_path, SIDE)), hardware=site)
+
+
+@pytest.mark.gl
+def test_a_recording_keeps_matrix_distortion_covariance_and_the_files_hash(tmp_path: Path) -> None:
+    path = write(tmp_path, {**SIDE, **LENS, "pose_covariance": COVARIANCE})
+    env = rcs.make("Free", robot="fr3", cameras=("side", "wrist"), image_size=(64, 48), calibration=str(path))
+    with record(env, tmp_path / "takes") as takes:
+        takes.start(at_reset=True)
+        frame = env.reset(seed=0)[0]["frames"]["side"]
+        env.step({"joints": np.zeros(7), "gripper": np.ones(1, np.float32)})
+        takes.stop(None)
+    env.close()
+    dataset = Dataset.open(tmp_path / "takes")
+    about = dataset.info.origin["cameras"]["side"]
+    assert about == {
+        "source": "calibration",
+        "size": [640, 480],
+        "matrix": [[480.0, 0.0, 335.0], [0.0, 470.0, 228.0], [0.0, 0.0, 1.0]],
+        "distortion": [*LENS["distortion"], 0.0],
+        "pose_covariance": COVARIANCE,
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+    }
+    episode = dataset.episodes[0]
+    for key in ("intrinsics", "distortion"):
+        stored = episode.column(f"observation/frames/side/{key}")
+        np.testing.assert_array_equal(stored, np.broadcast_to(frame[key], stored.shape))

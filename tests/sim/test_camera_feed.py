@@ -139,7 +139,7 @@ def test_what_is_done_to_the_dictionaries_of_a_frame_is_not_seen_again(
     newest, _ = feed
     newest.read()["slow"].clear()
     world.advance()
-    assert set(newest.read()["slow"]) == {"rgb", "depth", "intrinsics", "extrinsics"}
+    assert set(newest.read()["slow"]) == {"rgb", "depth", "intrinsics", "distortion", "extrinsics"}
 
 
 @pytest.mark.parametrize("is_varied", [False, True])

@@ -1,4 +1,4 @@
-"""Camera noise: as large as stated, the same for the same state, and nothing nearer than the camera can see."""
+"""Camera noise: as large as stated, the same for the same moment, and nothing nearer than the camera can see."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import rcs
 from rcs.robots.realsense_d405.description import REALSENSE_D405
 from rcs.robots.realsense_d435.description import REALSENSE_D435
 from rcs.robots.usb_webcam.description import USB_WEBCAM
-from rcs.sim.noise import COLOUR_DEVIATION, SUBPIXEL, CameraNoise, nearest_depth
+from rcs.sim.noise import COLOUR_DEVIATION, CameraNoise, nearest_depth
+from rcs.sim.stereo import SUBPIXEL
 from rcs.testing.env_contract import require_same_bits
 
 SIZE = (320, 240)
@@ -20,7 +21,7 @@ def frame(depth_mm: int) -> dict[str, np.ndarray]:
     return {
         "rgb": np.full((240, 320, 3), 128, np.uint8),
         "depth": np.full((240, 320), depth_mm, np.uint16),
-        "intrinsics": np.diag([FOCAL, FOCAL, 1.0]),
+        "intrinsics": np.array([[FOCAL, 0.0, 159.5], [0.0, FOCAL, 119.5], [0.0, 0.0, 1.0]]),
     }
 
 
@@ -29,13 +30,15 @@ def test_the_noise_has_the_deviation_that_is_stated() -> None:
     noisy = noise.add(frame(2000), np.arange(5.0))
     assert noisy["rgb"].std() == pytest.approx(COLOUR_DEVIATION, rel=0.05)
     expected = 1e3 * 2.0**2 / (FOCAL * 0.05) * SUBPIXEL
-    assert noisy["depth"].std() == pytest.approx(expected, rel=0.05)
-    assert noisy["depth"].mean() == pytest.approx(2000.0, rel=0.01)
+    depth = noisy["depth"][noisy["depth"] > 0]
+    assert depth.size > 0.9 * noisy["depth"].size
+    assert depth.std() == pytest.approx(expected, rel=0.05)
+    assert depth.mean() == pytest.approx(2000.0, rel=0.001)
 
 
 def test_depth_noise_grows_with_the_square_of_the_distance() -> None:
     noise = CameraNoise(REALSENSE_D435, SIZE, 0)
-    near, far = (noise.add(frame(depth), np.zeros(3))["depth"].std() for depth in (1000, 3000))
+    near, far = (noise.add(frame(depth), np.zeros(3))["depth"][:, 50:].std() for depth in (1000, 3000))
     assert far / near == pytest.approx(9.0, rel=0.05)
 
 
@@ -43,7 +46,7 @@ def test_nothing_nearer_than_the_nearest_depth_is_seen_and_nothing_stays_nothing
     nearest = nearest_depth(REALSENSE_D405, (640, 360))
     assert nearest == pytest.approx(0.055)
     noise = CameraNoise(REALSENSE_D405, (640, 360), 0)
-    shape = {"rgb": np.zeros((360, 640, 3), np.uint8), "intrinsics": np.diag([430.0, 430.0, 1.0])}
+    shape = {"rgb": np.full((360, 640, 3), 128, np.uint8), "intrinsics": np.diag([430.0, 430.0, 1.0])}
     assert not noise.add({**shape, "depth": np.full((360, 640), 40, np.uint16)}, np.zeros(2))["depth"].any()
     assert not noise.add({**shape, "depth": np.zeros((360, 640), np.uint16)}, np.zeros(2))["depth"].any()
 
@@ -57,13 +60,37 @@ def test_the_nearest_depth_is_that_of_the_smallest_format_around_a_frame() -> No
     assert nearest_depth(USB_WEBCAM, (640, 480)) == 0.0
 
 
-def test_the_argument_stays_as_it_is_and_another_state_has_other_noise() -> None:
+def test_the_argument_stays_as_it_is_and_another_moment_or_camera_has_other_noise() -> None:
     noise = CameraNoise(REALSENSE_D435, SIZE, 0)
     given = frame(1000)
     one = noise.add(given, np.array([0.1, 0.2]))
     assert (given["rgb"] == 128).all()
+    assert (given["depth"] == 1000).all()
     require_same_bits(one, noise.add(given, np.array([0.1, 0.2])))
     assert not np.array_equal(one["rgb"], noise.add(given, np.array([0.1, 0.3]))["rgb"])
+    other = CameraNoise(REALSENSE_D435, SIZE, 1).add(given, np.array([0.1, 0.2]))
+    assert not np.array_equal(one["rgb"], other["rgb"])
+
+
+def test_the_noise_of_a_scene_that_stands_still_is_another_in_every_frame() -> None:
+    noise = CameraNoise(REALSENSE_D435, SIZE, 0)
+    given, joints = frame(2000), np.arange(5.0)
+    frames = [noise.add(given, np.array([step / 30, *joints])) for step in range(20)]
+    errors = np.stack([one["rgb"].astype(float) - 128 for one in frames]).reshape(20, -1)
+    correlation = np.corrcoef(errors)[np.triu_indices(20, 1)]
+    assert np.abs(correlation).max() < 0.02  # a shift of one field has 1 for two frames in 4096
+    mean = np.mean([one["depth"][one["depth"] > 0].mean() for one in frames])
+    assert mean == pytest.approx(2000, abs=0.5)
+    depth = np.stack([one["depth"].astype(float) for one in frames])[:, 60:180, 80:240]
+    one_pixel = depth.std(axis=0).mean()
+    assert one_pixel == pytest.approx(1e3 * 2.0**2 / (FOCAL * 0.05) * SUBPIXEL, rel=0.05), "a pixel's own error varies"
+
+
+def test_a_shift_of_another_frames_noise_is_not_the_noise_of_this_one() -> None:
+    noise = CameraNoise(REALSENSE_D435, SIZE, 0)
+    one, two = (noise.add(frame(1000), np.array([time, 0.0]))["rgb"][..., 0].astype(float) - 128 for time in (0.0, 0.1))
+    found = np.fft.ifft2(np.fft.fft2(one) * np.conj(np.fft.fft2(two))).real / one.size / one.var()
+    assert np.abs(found).max() < 0.05
 
 
 @pytest.mark.gl

@@ -21,6 +21,15 @@ struct Film {
   int height = 0;                     ///< pixels
   std::uint8_t* rgb = nullptr;        ///< states × height × width × 3
   std::uint16_t* depth_mm = nullptr;  ///< states × height × width, as in `Picture`; null: not wanted
+  std::uint16_t* ids = nullptr;       ///< the same
+  const Lens* lens = nullptr;         ///< as in `Picture`
+
+  /// That of one state.
+  Picture picture(std::size_t state) const {
+    const std::size_t offset = state * static_cast<std::size_t>(width) * height;
+    const auto shifted = [offset](std::uint16_t* values) { return values == nullptr ? nullptr : values + offset; };
+    return {width, height, rgb == nullptr ? nullptr : rgb + 3 * offset, shifted(depth_mm), shifted(ids), lens};
+  }
 };
 
 /// Renderers that share out the states of a call. The pictures are those of a single `Renderer`, bit for bit.

@@ -12,6 +12,7 @@
 #include <string>
 
 #include "rcs/gl_context.hpp"
+#include "rcs/lens.hpp"
 
 namespace rcs {
 
@@ -39,6 +40,12 @@ struct Picture {
   std::uint8_t* rgb = nullptr;  ///< height × width × 3
   /// height × width, distance along the optical axis; 0 where nothing is or it is beyond 65.535 m. Null: not wanted.
   std::uint16_t* depth_mm = nullptr;
+  /// height × width, what each pixel shows: 0 nothing, otherwise 1 + the number of a geom, or of a flex, a skin or a
+  /// tendon, which are counted on in this order. Transparent geoms, through which depth looks, are among them. Null:
+  /// not wanted.
+  std::uint16_t* ids = nullptr;
+  /// How the camera is calibrated. Null: as in the model.
+  const Lens* lens = nullptr;
 };
 
 /// Draws one scene as seen by the cameras of its model. Calls may come from any thread; they wait for each other.
@@ -82,6 +89,10 @@ class Renderer {
   Open& require_open(const char* call) const;
   void take_over(Open& open, const mjModel* model, mjData* data) const;
   void show(Open& open, int camera, const Picture& picture) const;
+  void prepare(Open& open, int width, int height) const;
+  mjvGLCamera pose(Open& open, int camera, const Picture& picture) const;
+  void draw_ids(Open& open, float* depth) const;
+  bool draw_opaque_ids(Open& open, float* depth) const;
 
   const mjModel* model_;
   RenderOptions options_;

@@ -59,6 +59,8 @@ class SetupOptions:
     """Give frames the noise of real cameras."""
     depth: bool = False
     """Frames have depth too."""
+    segmentation: bool = False
+    """Frames say which instance and which geom each pixel shows."""
     tactile: str | None = None
     """Tactile sensor in the place of the gripper's pads, such as `digit`, which has frames too."""
     control: Control = "joints"
@@ -93,6 +95,7 @@ class SetupOptions:
             camera_fps=self.camera_fps,
             camera_noise=self.camera_noise,
             depth=self.depth and bool(cameras),
+            segmentation=self.segmentation and bool(cameras),
             tactile=self.tactile,
             control=self.control,
             relative="absolute" if self.absolute else "last_step",

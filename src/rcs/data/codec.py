@@ -28,7 +28,7 @@ def encode_frame(feature: Feature, image: NDArray[Any], info: DatasetInfo) -> by
         image: Of the feature's shape and dtype.
         info: For the quality of a JPEG.
     """
-    if feature.encoding == "depth":
+    if feature.encoding in ("depth", "labels"):
         return encode_depth(image)
     if feature.encoding == "lossless":
         return encode_lossless(image)
@@ -49,7 +49,7 @@ def decode_frame(feature: Feature, data: bytes, out: NDArray[Any] | None = None)
     """
     if feature.encoding == "jpeg":
         return decode_jpeg(data, feature.shape, out)
-    decode = decode_depth if feature.encoding == "depth" else decode_lossless
+    decode = decode_lossless if feature.encoding == "lossless" else decode_depth
     image = decode(data, feature.shape)
     if out is None:
         return image

@@ -13,7 +13,7 @@ import pyarrow as pa
 from rcs.data.text import check_text
 from rcs.errors import InvalidSetup
 
-Encoding = Literal["plain", "held", "jpeg", "lossless", "depth"]
+Encoding = Literal["plain", "held", "jpeg", "lossless", "depth", "labels"]
 
 DTYPES = (
     "bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float32", "float64",
@@ -25,7 +25,7 @@ _UNKNOWN_AT_RESET = ("action/", "executed/", "reward")
 _OPTIONAL_AT_RESET = ("terminated", "truncated", "time/")
 # How the recording went, not what was recorded: these differ between otherwise equal runs.
 _CIRCUMSTANCES = ("time/", "flags/")
-_IMAGES = ("jpeg", "lossless", "depth")
+_IMAGES = ("jpeg", "lossless", "depth", "labels")
 # Limit per row: an image of 6 000 x 7 000 pixels. A damaged description could claim any size, and memory is allocated.
 _MOST_BYTES = 1 << 27
 _MOST_AXES = 32
@@ -50,8 +50,9 @@ class Feature:
     """The unit in words, such as "rad"; only for people."""
     encoding: Encoding = "plain"
     """How it is stored. "plain": numbers. "held": numbers that rarely change, stored only where they do. "jpeg": an (H,
-    W, 3) uint8 image; "lossless": the same without loss. "depth": an (H, W) uint16 image without loss. Only new images
-    are stored: a row without one has that of the row before."""
+    W, 3) uint8 image; "lossless": the same without loss. "depth": an (H, W) uint16 image without loss. "labels": the
+    same of numbers that name what a pixel shows. Only new images are stored: a row without one has that of the row
+    before."""
 
     def __post_init__(self) -> None:
         """Refuse what could not be stored."""
@@ -72,8 +73,10 @@ class Feature:
         is_colour = self.dtype == "uint8" and len(self.shape) == 3 and self.shape[2] == 3
         if self.encoding in ("jpeg", "lossless") and not is_colour:
             raise InvalidSetup(f"Feature {self.key!r} is a colour image and must be (H, W, 3) uint8, not {self._form}.")
-        if self.encoding == "depth" and (self.dtype != "uint16" or len(self.shape) != 2):
-            raise InvalidSetup(f"Feature {self.key!r} is a depth image and must be (H, W) uint16, not {self._form}.")
+        if self.encoding in ("depth", "labels") and (self.dtype != "uint16" or len(self.shape) != 2):
+            raise InvalidSetup(
+                f"Feature {self.key!r} is an image of {self.encoding} and must be (H, W) uint16, not {self._form}."
+            )
         if self.is_time and (self.dtype != "float64" or self.shape != ()):
             raise InvalidSetup(f"Feature {self.key!r} is a time and must be a single float64, not {self._form}.")
         if self.is_flags and (self.dtype != "uint8" or self.shape != () or self.encoding != "plain"):

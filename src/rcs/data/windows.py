@@ -311,7 +311,7 @@ def _chosen_cameras(dataset: Dataset, names: Sequence[str] | None) -> dict[str, 
 def _scalers(cameras: Mapping[str, Feature], image_size: tuple[int, int] | None) -> dict[str, Scaler]:
     if image_size is None:
         return {}
-    depth = [name for name, feature in cameras.items() if feature.encoding == "depth"]
+    depth = [name for name, feature in cameras.items() if feature.encoding in ("depth", "labels")]
     if depth:
         raise InvalidSetup(f"{', '.join(depth)} cannot be scaled: depth cannot be averaged; leave image_size out.")
     height, width = image_size[::-1]

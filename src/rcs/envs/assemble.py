@@ -25,6 +25,7 @@ from rcs.envs.layers import (
     LateActions,
     Layer,
     LimitStep,
+    PointClouds,
     Relative,
     WristCamera,
     XyzrpyControl,
@@ -218,6 +219,11 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
         scenario.guards = _guards(parts, bodies)
         shared += _simulated_sensors(parts, simulated, world, list(bodies.values()), clock, randomiser)
     gates = list(parts.gates)
+    if real and setup.segmentation:
+        raise InvalidSetup(
+            f"Real cameras ({', '.join(camera.name for camera in real)}) have no segmentation; use segmentation=False."
+        )
+    points = [PointClouds()] if setup.points else []
     if real:
         port = _real_cameras(parts, real)
         shared.append(port)
@@ -232,10 +238,10 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
         if len(parts.robots) == 1:
             name, ports = NAMELESS, [*ports, *shared]
             mounts = [WristCamera(camera.name, _in_tcp(camera, placement)) for camera in real if _moves(camera)]
-            layers = [*mounts, *layers]
+            layers = [*mounts, *points, *layers]
         chains[name] = Chain(ports, [*layers, *parts.layers.get(placement.name, ())], leading)
     if len(parts.robots) != 1:
-        chains[NAMELESS] = Chain(shared, [], leading)
+        chains[NAMELESS] = Chain(shared, points, leading)
     return scenario, Stack(chains, gates)
 
 
@@ -309,6 +315,7 @@ def _simulated_sensors(
             observed,
             size=setup.image_size,
             has_depth=setup.depth,
+            has_segmentation=setup.segmentation,
             quality=setup.render_quality,
             has_noise=setup.camera_noise,
             frame_body=robots[0].layout.base_body if len(robots) == 1 else 0,
@@ -334,7 +341,7 @@ def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPor
         {camera.name: parts.devices.cameras[camera.name] for camera in cameras},
         {camera.name: camera.camera for camera in cameras},
         size=parts.setup.image_size,
-        fovy={camera.name: camera.fovy for camera in cameras},
+        calibrations={camera.name: camera.calibration for camera in cameras if camera.calibration is not None},
         extrinsics=fixed,
         stale_after=parts.devices.stale_after,
         on_stale=parts.devices.on_stale,

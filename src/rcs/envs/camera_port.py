@@ -18,9 +18,11 @@ from rcs.envs import spaces as keys
 from rcs.envs.gate import Gate
 from rcs.envs.ports import Port
 from rcs.envs.spaces import Action, Arrays, Observation
-from rcs.errors import DeviceFault, Refused
+from rcs.errors import DeviceFault, InvalidSetup, Refused
 from rcs.hardware.site import OnStale
+from rcs.robots.calibration import CameraCalibration, describe
 from rcs.robots.description import CameraDescription
+from rcs.spatial.pinhole import Intrinsics, cropped
 
 _log = logging.getLogger(__name__)
 
@@ -117,7 +119,7 @@ class CameraPort(Port):
         descriptions: Mapping[str, CameraDescription],
         *,
         size: tuple[int, int],
-        fovy: Mapping[str, float | None] | None = None,
+        calibrations: Mapping[str, CameraCalibration] | None = None,
         extrinsics: Mapping[str, NDArray[np.float64]] | None = None,
         stale_after: float = 0.5,
         on_stale: OnStale = "fault",
@@ -129,7 +131,7 @@ class CameraPort(Port):
             cameras: The devices by name.
             descriptions: Their figures by name.
             size: Width and height of every frame [px]; larger pictures are cut to its shape and made smaller.
-            fovy: Vertical fields of view as calibrated [rad], by name; None for that of the device or the data sheet.
+            calibrations: From a file, by name; cameras without one see as the device says, or the data sheet.
             extrinsics: Poses of cameras that stand still, (4, 4), OpenCV axes; those of others come from a layer.
             stale_after: Age of a frame from which a camera is stale [s].
             on_stale: `fault` ends the episode when a camera is stale; see `Site`.
@@ -141,18 +143,23 @@ class CameraPort(Port):
         self._now = now
         self.timed = tuple(f"{keys.FRAMES}/{name}" for name in cameras)
         self.action_spaces = {}
+        self._cameras = dict(cameras)
+        self._descriptions = dict(descriptions)
+        self._calibrations = dict(calibrations or {})
         self._feeds: dict[str, CameraFeedThread] = {}
+        self._takers: dict[str, _Taker] = {}
         frames: dict[str, spaces.Space[Any]] = {}
         for name, camera in cameras.items():
-            fixed = {keys.INTRINSICS: intrinsics_of(camera, descriptions[name], size, (fovy or {}).get(name))}
+            fixed: dict[str, NDArray[np.float64]] = {}
             if extrinsics is not None and name in extrinsics:
                 fixed[keys.EXTRINSICS] = extrinsics[name]
-            for matrix in fixed.values():
-                matrix.flags.writeable = False
-            self._feeds[name] = CameraFeedThread(name, camera, _Taker(camera, size, fixed))
+                fixed[keys.EXTRINSICS].flags.writeable = False
+            self._takers[name] = _Taker(camera, size, fixed)
+            self._feeds[name] = CameraFeedThread(name, camera, self._takers[name])
             own: dict[str, spaces.Space[Any]] = {
                 keys.RGB: keys.rgb_space(*size),
                 keys.INTRINSICS: keys.intrinsics_space(),
+                keys.DISTORTION: keys.distortion_space(),
             }
             if keys.EXTRINSICS in fixed:
                 own[keys.EXTRINSICS] = keys.extrinsics_space()
@@ -161,11 +168,45 @@ class CameraPort(Port):
             frames[name] = spaces.Dict(own)
         self.observation_spaces = {keys.FRAMES: spaces.Dict(frames)}
         self._seen: dict[str, tuple[dict[str, Any], float]] = {}
+        self._learn()
 
     def open(self) -> None:
-        """Connect all cameras and wait for a frame of each."""
+        """Connect all cameras and wait for a frame of each.
+
+        Raises:
+            DeviceFault: A camera gives no frame.
+            InvalidSetup: A camera has a calibration that is not valid.
+        """
         for feed in self._feeds.values():
             feed.open()
+        self._learn()
+        for name, feed in self._feeds.items():
+            # The first frame came before the device was asked how it sees.
+            assert feed.newest is not None, "open waits for a frame"
+            feed.newest = {**feed.newest[0], **self._takers[name].fixed}, feed.newest[1]
+
+    def _learn(self) -> None:
+        """Ask how the cameras see, which a device may know only when it is open."""
+        for name, camera in self._cameras.items():
+            seen = intrinsics_of(camera, self._descriptions[name], self._size, self._calibrations.get(name))
+            matrices = {keys.INTRINSICS: seen.matrix, keys.DISTORTION: np.array(seen.distortion)}
+            for matrix in matrices.values():
+                matrix.flags.writeable = False
+            self._takers[name].fixed = {**self._takers[name].fixed, **matrices}
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """How each camera is calibrated, as far as it is known; a device may know it only when it is open."""
+        cameras: dict[str, Any] = {}
+        for name, camera in self._cameras.items():
+            own, mode = camera.calibration, (camera.mode.width, camera.mode.height)
+            if name in self._calibrations:
+                cameras[name] = self._calibrations[name].to_json()
+            elif own is not None:
+                cameras[name] = {"source": "device", **describe(Intrinsics.of_matrix(own.matrix, mode, own.distortion))}
+            else:
+                cameras[name] = {"source": "data sheet"}
+        return {"cameras": cameras}
 
     def command(self, action: Arrays) -> None:
         """Do nothing: a camera takes no commands."""
@@ -230,7 +271,8 @@ class _Taker:
     """Makes the observation of a device's frame: cut to the shape that is asked for, and scaled."""
 
     def __init__(self, camera: Camera, size: tuple[int, int], fixed: Mapping[str, NDArray[np.float64]]) -> None:
-        self._fixed = dict(fixed)
+        self.fixed = dict(fixed)
+        """What every frame has besides pixels; replaced as a whole."""
         self._size = size
         self._crop = cropped((camera.mode.width, camera.mode.height), size)
         height, width = (edge.stop - edge.start for edge in self._crop)
@@ -250,45 +292,34 @@ class _Taker:
                 taken[keys.DEPTH] = taken[keys.DEPTH][np.ix_(self._rows.astype(int), self._columns.astype(int))]
         for array in taken.values():
             array.flags.writeable = False
-        return {**taken, **self._fixed}
-
-
-def cropped(source: tuple[int, int], target: tuple[int, int]) -> tuple[slice, slice]:
-    """Return the rows and columns of the largest middle part of a picture that has another picture's shape.
-
-    Args:
-        source: Width and height of the picture [px].
-        target: Width and height of the other one [px].
-    """
-    scale = min(source[0] / target[0], source[1] / target[1])
-    width, height = round(target[0] * scale), round(target[1] * scale)
-    left, top = (source[0] - width) // 2, (source[1] - height) // 2
-    return slice(top, top + height), slice(left, left + width)
+        return {**taken, **self.fixed}
 
 
 def intrinsics_of(
-    camera: Camera, about: CameraDescription, size: tuple[int, int], fovy: float | None = None
-) -> NDArray[np.float64]:
-    """Return the camera matrix of frames that are cut out of a device's and scaled [px], (3, 3).
+    camera: Camera, about: CameraDescription, size: tuple[int, int], calibration: CameraCalibration | None = None
+) -> Intrinsics:
+    """Return the intrinsics of frames that are cut out of a device's and scaled.
 
     Args:
         camera: The device; its own calibration counts for more than the data sheet.
         about: The data sheet.
         size: Width and height of the frames [px].
-        fovy: Vertical field of view as calibrated [rad]; counts for more than both.
+        calibration: From a file; counts for more than both, where it has intrinsics.
+
+    Raises:
+        InvalidSetup: The file's pictures have another shape than the device's, or a distortion is not valid.
     """
-    width, height = camera.mode.width, camera.mode.height
-    if fovy is not None:
-        focal = 0.5 * height / np.tan(0.5 * fovy)
-        matrix = np.array([[focal, 0.0, (width - 1) / 2], [0.0, focal, (height - 1) / 2], [0.0, 0.0, 1.0]])
-    elif camera.calibration is not None:
-        matrix = np.array(camera.calibration.matrix, np.float64)
+    mode = (camera.mode.width, camera.mode.height)
+    own = camera.calibration
+    if calibration is not None and calibration.intrinsics is not None:
+        found = calibration.intrinsics
+        if abs(found.width * mode[1] - found.height * mode[0]) > max(mode):
+            raise InvalidSetup(
+                f"Camera {camera.name!r} was calibrated with {found.width} x {found.height} px and delivers "
+                f"{mode[0]} x {mode[1]} px, another part of its sensor; calibrate it with pictures of that shape."
+            )
+    elif own is not None:
+        found = Intrinsics.of_matrix(own.matrix, mode, own.distortion)
     else:
-        matrix = np.array(about.intrinsics(width, height))
-    rows, columns = cropped((width, height), size)
-    scale = size[0] / (columns.stop - columns.start)
-    matrix[0, 2] = (matrix[0, 2] - columns.start + 0.5) * scale - 0.5
-    matrix[1, 2] = (matrix[1, 2] - rows.start + 0.5) * scale - 0.5
-    matrix[0, 0] *= scale
-    matrix[1, 1] *= scale
-    return matrix
+        found = Intrinsics.of_matrix(about.intrinsics(*mode), mode)
+    return found.cut(size)

@@ -40,6 +40,11 @@ class Port(ABC):
     device: Arm | Gripper | Hand | None = None
     """The device that the port opens, holds and closes, where it is one behind a device interface."""
 
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """What recordings keep about the port's sensors, as JSON values: dictionaries by name under each key."""
+        return {}
+
     @abstractmethod
     def command(self, action: Arrays) -> None:
         """Set the device's targets from the port's keys in a checked action."""

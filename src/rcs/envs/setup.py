@@ -37,7 +37,7 @@ class Setup:
     cameras: tuple[str, ...] = ()
     """Names of camera mounts of the robot's lab, such as `wrist` and `side`; more cameras, slower steps."""
     calibration: str | None = None
-    """Calibration file with the poses and fields of view of cameras; None for those of the lab."""
+    """Calibration file with poses and intrinsics of cameras; None for those of the lab."""
     image_size: tuple[int, int] = (224, 224)
     """Width and height of every frame [px]; other sizes than those of a camera's modes are cropped and scaled."""
     camera_mode: str | None = None
@@ -47,10 +47,15 @@ class Setup:
     slower than `frequency` repeats its last frame until the next is due."""
     depth: bool = False
     """Whether frames carry depth; costs about a third of a frame's time."""
+    segmentation: bool = False
+    """Whether simulated frames say which instance and which geom each pixel shows; about doubles a frame's time."""
+    points: bool = False
+    """Whether frames have the points that their pixels show, in the base frame; needs `depth`."""
     tactile: str | None = None
     """Name of a tactile sensor, such as `digit`, to replace the gripper's pads; None for plain pads."""
     camera_noise: bool = False
-    """Whether frames have the noise of real cameras; the same state has the same noise."""
+    """Whether frames have the noise of real cameras, and depth the gaps of a stereo camera: shadows of near objects,
+    edges, grazing views, darkness. The same state has the same noise."""
     render_quality: Quality = "fast"
     """`full` draws shadows, reflections and smooth edges, and is about fifty times slower without a GPU."""
     assets: Assets = "builtin"
@@ -101,9 +106,11 @@ class Setup:
             raise InvalidSetup(f"tactile is {self.tactile!r}; it must be the name of a sensor, or None.")
         if not isinstance(self.calibration, str | None):
             raise InvalidSetup(f"calibration is {self.calibration!r}; it must be the path of a file as text, or None.")
-        for name in ("depth", "camera_noise", "binary_gripper", "collision_reaction"):
+        for name in ("depth", "segmentation", "points", "camera_noise", "binary_gripper", "collision_reaction"):
             if not isinstance(getattr(self, name), bool):
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; valid: True, False.")
+        if self.points and not self.depth:
+            raise InvalidSetup("points is True and depth is False; points come from depth, so give depth=True too.")
         object.__setattr__(self, "task_options", _task_options(self.task_options))
         object.__setattr__(self, "randomisation", _ranges(self.randomisation))
         for name in ("cameras", "layers", "observe"):
@@ -177,6 +184,8 @@ class Options(TypedDict, total=False):
     camera_mode: str | None
     camera_fps: float | Mapping[str, float] | None
     depth: bool
+    segmentation: bool
+    points: bool
     tactile: str | None
     camera_noise: bool
     render_quality: Quality

@@ -139,6 +139,16 @@ class SimCameraPort(Port):
         """Return the newest frame of every camera."""
         return {keys.FRAMES: self._feed.read()}
 
+    @property
+    def about(self) -> dict[str, Any]:
+        """How each camera is calibrated, and the names of the numbers in segmentation."""
+        cameras = {
+            one.name: {"source": "data sheet"} if one.calibration is None else one.calibration.to_json()
+            for one in self.cameras.placements
+        }
+        labels = {"labels": self.cameras.labels.to_json()} if self.cameras.has_segmentation else {}
+        return {"cameras": cameras, **labels}
+
     def ages(self) -> dict[str, Any]:
         """Return how old each camera's frame is in simulated time, where frames arrive late [s], (*leading,)."""
         return {} if self._delay is None else {f"{keys.FRAMES}/{name}": age for name, age in self._delay.ages.items()}
@@ -196,7 +206,10 @@ def cameras_space(cameras: SimCameras) -> spaces.Dict:
     width, height = cameras.size
     frame: dict[str, spaces.Space[object]] = {keys.RGB: keys.rgb_space(width, height)}
     frame[keys.INTRINSICS] = keys.intrinsics_space()
+    frame[keys.DISTORTION] = keys.distortion_space()
     frame[keys.EXTRINSICS] = keys.extrinsics_space()
+    if cameras.has_segmentation:
+        frame[keys.SEGMENTATION] = frame[keys.GEOMS] = keys.labels_space(width, height)
     if cameras.has_depth:
         frame[keys.DEPTH] = keys.depth_space(width, height)
     return spaces.Dict({name: spaces.Dict(frame) for name in cameras.names})

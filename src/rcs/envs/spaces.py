@@ -16,7 +16,11 @@
 | `privileged`/object/`velocity` | (6,) float64 | m/s, rad/s, in the axes of the same frame |
 | `frames`/camera/`rgb` | (H, W, 3) uint8 | |
 | `frames`/camera/`depth` | (H, W) uint16 | mm, 0 = no reading |
+| `frames`/camera/`segmentation` | (H, W) uint16 | number of the instance, 0 = background |
+| `frames`/camera/`geoms` | (H, W) uint16 | number of the geom, 0 = background |
+| `frames`/camera/`points` | (H, W, 3) float32 | m in the frame of `extrinsics`, (0, 0, 0) = no reading |
 | `frames`/camera/`intrinsics` | (3, 3) float64 | camera matrix, px |
+| `frames`/camera/`distortion` | (5,) float64 | OpenCV's k1, k2, p1, p2, k3 |
 | `frames`/camera/`extrinsics` | (4, 4) float64 | camera in the base frame (of several robots: the scene), OpenCV |
 """
 
@@ -31,6 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcs._core import clip_rows
 from rcs.errors import InvalidAction
+from rcs.spatial.pinhole import COEFFICIENTS
 
 Control = Literal["joints", "tquat", "xyzrpy"]
 """Kind of an arm's action."""
@@ -56,6 +61,10 @@ HAND = "hand"
 FRAMES = "frames"
 RGB = "rgb"
 DEPTH = "depth"
+SEGMENTATION = "segmentation"
+GEOMS = "geoms"
+POINTS = "points"
+DISTORTION = "distortion"
 INTRINSICS = "intrinsics"
 EXTRINSICS = "extrinsics"
 JOINT_TORQUES = "joint_torques"
@@ -98,6 +107,12 @@ LONGEST_FOCAL_LENGTH = 1e5
 
 FARTHEST = 100.0
 """Bound on the coordinates of a camera [m]."""
+
+FARTHEST_POINT = 1000.0
+"""Bound on the coordinates of a point that a camera sees [m]; depth ends at 65.535 m."""
+
+STRONGEST_DISTORTION = 1e6
+"""Bound on the coefficients of a lens's distortion."""
 
 TOLERANCE = 1e-6
 """Tolerance of bounds for rounding: a bound converted to float32 is off by up to 1e-7."""
@@ -192,6 +207,21 @@ def require_direction(tquat: NDArray[np.float64]) -> None:
             f"The quaternion of {TQUAT!r} has norm {norms.min():.3g}; valid is a unit quaternion xyzw, "
             "and (0, 0, 0, 1) for no rotation. Nothing was sent to the device."
         )
+
+
+def labels_space(width: int, height: int) -> spaces.Box:
+    """Return the space of segmentation: numbers of instances or geoms."""
+    return spaces.Box(0, 65535, (height, width), np.uint16)
+
+
+def points_space(width: int, height: int) -> spaces.Box:
+    """Return the space of the points that pixels show [m]."""
+    return spaces.Box(-FARTHEST_POINT, FARTHEST_POINT, (height, width, 3), np.float32)
+
+
+def distortion_space() -> spaces.Box:
+    """Return the space of distortions k1, k2, p1, p2, k3."""
+    return spaces.Box(-STRONGEST_DISTORTION, STRONGEST_DISTORTION, (COEFFICIENTS,), np.float64)
 
 
 class ActionCheck:

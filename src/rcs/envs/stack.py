@@ -61,6 +61,15 @@ class Stack:
         return [port for chain in self.chains.values() for port in chain.ports]
 
     @property
+    def about(self) -> dict[str, dict[str, Any]]:
+        """What recordings keep about sensors: `cameras`, how each is calibrated; `labels`, names in segmentation."""
+        merged: dict[str, dict[str, Any]] = {}
+        for port in self.ports:
+            for key, values in port.about.items():
+                merged[key] = {**merged.get(key, {}), **values}
+        return merged
+
+    @property
     def layers(self) -> list[Layer]:
         """All layers, chain by chain, from the lowest to the highest."""
         return [layer for chain in self.chains.values() for layer in chain.layers]

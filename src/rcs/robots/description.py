@@ -278,6 +278,8 @@ class CameraDescription(Description):
     """Nearest depth by depth format: width [px], height [px], depth [m]."""
     stereo_baseline: float = 0.05
     """Distance between the two eyes of a depth camera [m]; depth noise grows as depth squared over it."""
+    stereo_fovx: float = 0.0
+    """Horizontal field of view of the eyes [rad]; what the right one does not see has no depth. 0 if it is unknown."""
     longest_exposure: float = 0.0
     """Longest exposure for which the camera slows down [s]; if it exceeds the frame period, intervals vary between the
     two. 0 for a camera that keeps its rate."""

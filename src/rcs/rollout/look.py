@@ -30,6 +30,10 @@ LOOKS = (
     "camera_translation", "camera_rotation", "field_of_view",
 )  # fmt: skip
 """Fields of a randomisation that change only pictures."""
+KEPT = (
+    "image_size", "camera_fps", "depth", "segmentation", "render_quality", "assets", "camera_noise", "calibration",
+)  # fmt: skip
+"""Fields of a look that are those of a setup."""
 RECORDED = "recorded"
 """Key in a dataset's setup: the setup that its states are from, if its frames were drawn with another one."""
 
@@ -46,6 +50,8 @@ class Look:
     """Frames per second of all cameras; one slower than the recording repeats its last frame."""
     depth: bool | None = None
     """Whether frames carry depth."""
+    segmentation: bool | None = None
+    """Whether frames say which instance and which geom each pixel shows."""
     render_quality: Quality | None = None
     """`full` draws shadows, reflections and smooth edges; without a GPU, a frame takes some fifty times longer."""
     assets: Assets | None = None
@@ -53,7 +59,7 @@ class Look:
     camera_noise: bool | None = None
     """Whether frames have the noise of real cameras."""
     calibration: str | None = None
-    """Calibration file with poses and fields of view of cameras."""
+    """Calibration file with poses and intrinsics of cameras."""
     randomise: bool = False
     """Randomise lights, colours, textures and camera poses in every episode."""
     looks_seed: int = 0
@@ -67,11 +73,7 @@ class Look:
         Raises:
             InvalidSetup: A value is not valid.
         """
-        changes: dict[str, Any] = {
-            name: getattr(self, name)
-            for name in ("image_size", "camera_fps", "depth", "render_quality", "assets", "camera_noise", "calibration")
-            if getattr(self, name) is not None
-        }
+        changes: dict[str, Any] = {name: getattr(self, name) for name in KEPT if getattr(self, name) is not None}
         if "image_size" in changes:
             changes["image_size"] = (self.image_size, self.image_size)
             changes["camera_mode"] = None

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from rcs.devices import lookup
 from rcs.envs.task import Area
 from rcs.errors import UnknownName
+from rcs.robots.calibration import CameraCalibration
 from rcs.robots.description import ArmDescription, Mount
 from rcs.spatial import Pose
 
@@ -36,8 +37,8 @@ class CameraMount:
     """Pose of the optical frame (x right, y down, z forward) in the parent's frame."""
     on_gripper_of: str | None = None
     """Name of the robot whose gripper's base body is the parent; None for the scene."""
-    fovy: float | None = None
-    """Vertical field of view as calibrated [rad]; None for that of the data sheet."""
+    calibration: CameraCalibration | None = None
+    """How it sees as calibrated; None for as in the data sheet."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -308,5 +308,9 @@ def _mount(name: str, setup: Setup, lab: Lab, robots: tuple[RobotPlacement, ...]
     if setup.camera_mode is not None:
         description.mode(setup.camera_mode)
     return CameraPlacement(
-        name=name, camera=description, parent_body=parent, optical_in_parent=mount.optical, fovy=mount.fovy
+        name=name,
+        camera=description,
+        parent_body=parent,
+        optical_in_parent=mount.optical,
+        calibration=mount.calibration,
     )

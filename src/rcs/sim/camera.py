@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from rcs._core import Camera, CameraMode, Frame, Renderer, RenderPool
 from rcs.errors import InvalidSetup
 from rcs.sim.frame_clock import FrameClock, FrameRate
+from rcs.sim.labels import Labels
 from rcs.sim.noise import CameraNoise
+from rcs.sim.optics import Optics
 from rcs.sim.scene import CameraPlacement
 from rcs.sim.world import Copies, World
 from rcs.spatial import tquat_to_matrix
@@ -26,7 +28,8 @@ MAX_SIZE = 4096
 """Largest edge of a frame [px]."""
 
 FrameArrays = dict[str, NDArray[Any]]
-"""The output of a camera: `rgb`, `depth` if it has one, `intrinsics`, `extrinsics`. The arrays are read-only."""
+"""The output of a camera: `rgb`, `depth`, `segmentation` and `geoms` where they are wanted, `intrinsics`, `distortion`,
+`extrinsics`. The arrays are read-only."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,9 +41,27 @@ class Snapshot:
     time: float
     """When the simulation was in this state [s], on the monotonic clock."""
     calibrations: Mapping[str, FrameArrays]
-    """`intrinsics` and `extrinsics` of each camera to be drawn."""
-    positions: NDArray[np.float64]
-    """Positions of all joints, (nq,), which determine the noise."""
+    """`intrinsics`, `distortion` and `extrinsics` of each camera to be drawn."""
+    moment: NDArray[np.float64]
+    """Time and positions of all joints, (1 + nq,), which determine the noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """What the renderer fills in for one camera."""
+
+    rgb: NDArray[np.uint8]
+    depth: NDArray[np.uint16] | None
+    geoms: NDArray[np.uint16] | None
+
+    @staticmethod
+    def empty(shape: tuple[int, ...], *, has_depth: bool, has_geoms: bool) -> _Drawn:
+        depth, geoms = (np.empty(shape, np.uint16) if wanted else None for wanted in (has_depth, has_geoms))
+        return _Drawn(np.empty((*shape, 3), np.uint8), depth, geoms)
+
+    def __getitem__(self, rows: Any) -> _Drawn:
+        depth, geoms = (None if values is None else values[rows] for values in (self.depth, self.geoms))
+        return _Drawn(self.rgb[rows], depth, geoms)
 
 
 class SimCameras:
@@ -56,6 +77,7 @@ class SimCameras:
         *,
         size: tuple[int, int] = (224, 224),
         has_depth: bool = False,
+        has_segmentation: bool = False,
         quality: Quality = "fast",
         frame_body: int = 0,
         has_noise: bool = False,
@@ -67,12 +89,13 @@ class SimCameras:
             cameras: Cameras of its scene.
             size: Width and height of every frame [px].
             has_depth: Whether to draw depth too.
+            has_segmentation: Whether to draw instances and geoms too.
             quality: Rendering quality.
             has_noise: Whether to add the noise of real cameras.
             frame_body: Body that is the reference frame of extrinsics: the robot's base, or 0 for the scene.
 
         Raises:
-            InvalidSetup: The size is out of range, or a camera has no depth.
+            InvalidSetup: The size is out of range, a camera has no depth, or its distortion cannot be drawn.
         """
         if not all(1 <= edge <= MAX_SIZE for edge in size):
             raise InvalidSetup(f"The size of a frame is {size}; valid is 1 to {MAX_SIZE} px for width and height.")
@@ -84,8 +107,15 @@ class SimCameras:
         self.names = [camera.name for camera in cameras]
         self.size = size
         self.has_depth = has_depth
+        self.has_segmentation = has_segmentation
+        self.labels = Labels(world.model)
+        """Names of the numbers in segmentation."""
         self._quality: Quality = quality
         self._ids = [world.model.camera(camera.camera_name).id for camera in cameras]
+        self._optics = [
+            Optics(camera, size, float(world.model.cam_fovy[number]))
+            for camera, number in zip(cameras, self._ids, strict=True)
+        ]
         # A camera's body has the optical frame: x right, y down, z forward.
         bodies = [f"{camera.name}/{camera.camera.base_body}" for camera in cameras]
         self._poses = [world.core.read_body_pose(world.model.body(body).id, frame_body) for body in bodies]
@@ -104,17 +134,17 @@ class SimCameras:
 
         Returns:
             Per camera `rgb` (*leading, H, W, 3) uint8; with depth, `depth` (*leading, H, W) uint16 [mm], 0 = no
-            reading; `intrinsics` (*leading, 3, 3) [px]; `extrinsics` (*leading, 4, 4), its pose in OpenCV axes.
+            reading; with segmentation, `segmentation` and `geoms` (*leading, H, W) uint16, numbers of instances and
+            geoms as in `labels`; `intrinsics` (*leading, 3, 3) [px]; `distortion` (*leading, 5), k1, k2, p1, p2, k3;
+            `extrinsics` (*leading, 4, 4), its pose in OpenCV axes.
         """
         chosen = [self.names.index(name) for name in (self.names if names is None else names)]
         rows = slice(None) if copies is None else copies
-        rgb, depth = self._draw(chosen, copies)
-        frames: dict[str, FrameArrays] = {}
-        for drawn, i in enumerate(chosen):
-            drawn_depth = None if depth is None else depth[drawn]
-            calibration = self._calibration(i, rows)
-            frames[self.names[i]] = self._frame(i, rgb[drawn], drawn_depth, calibration, self.world.qpos[rows])
-        return frames
+        moment = self._moment()[rows]
+        return {
+            self.names[i]: self._frame(i, drawn, self._calibration(i, rows), moment)
+            for i, drawn in zip(chosen, self._draw(chosen, copies), strict=True)
+        }
 
     def snapshot(self, names: Sequence[str]) -> Snapshot:
         """Return a snapshot from which frames of the present moment can be drawn later; for a world of one copy.
@@ -126,7 +156,7 @@ class SimCameras:
             state=self.world.states(),
             time=time.perf_counter(),
             calibrations={name: self._calibration(self.names.index(name), slice(None)) for name in names},
-            positions=self.world.qpos.copy(),
+            moment=self._moment(),
         )
 
     def draw(self, snapshot: Snapshot, names: Sequence[str]) -> Iterator[tuple[str, FrameArrays]]:
@@ -145,33 +175,36 @@ class SimCameras:
         renderer.update_from_state(snapshot.state)
         for name in names:
             i = self.names.index(name)
-            rgb = np.empty((height, width, 3), np.uint8)
-            depth = np.empty((height, width), np.uint16) if self.has_depth else None
-            renderer.render(self._ids[i], rgb, depth)
-            yield name, self._frame(i, rgb, depth, snapshot.calibrations[name], snapshot.positions)
+            drawn = _Drawn.empty((height, width), has_depth=self.has_depth, has_geoms=self.has_segmentation)
+            renderer.render(self._ids[i], drawn.rgb, drawn.depth, drawn.geoms, self._optics[i].lens)
+            yield name, self._frame(i, drawn, snapshot.calibrations[name], snapshot.moment)
+
+    def _moment(self) -> NDArray[np.float64]:
+        """Return time and positions of every copy, which determine the noise, (*leading, 1 + nq)."""
+        time = np.broadcast_to(np.asarray(self.world.time, np.float64), self.world.leading)
+        return np.concatenate([time[..., None], self.world.qpos], axis=-1)
 
     def _frame(
         self,
         i: int,
-        rgb: NDArray[np.uint8],
-        depth: NDArray[np.uint16] | None,
+        drawn: _Drawn,
         calibration: FrameArrays,
-        positions: NDArray[np.float64],
+        moment: NDArray[np.float64],
     ) -> FrameArrays:
         """Return the whole frame of a camera, with noise if enabled."""
-        frame: FrameArrays = {"rgb": rgb, **calibration}
-        if depth is not None:
-            frame["depth"] = depth
+        frame: FrameArrays = {"rgb": drawn.rgb, **calibration}
+        if drawn.depth is not None:
+            frame["depth"] = drawn.depth
         if self._noise:
-            frame = self._noise[i].add(frame, positions)
+            frame = self._noise[i].add(frame, moment)
+        if drawn.geoms is not None:  # what noise does not touch
+            frame |= {"segmentation": self.labels.instances_of(drawn.geoms), "geoms": drawn.geoms}
         for values in frame.values():
             values.flags.writeable = False
         return frame
 
-    def _draw(
-        self, chosen: Sequence[int], copies: Copies
-    ) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint16]] | None]:
-        """Return the pictures and depths of some cameras."""
+    def _draw(self, chosen: Sequence[int], copies: Copies) -> list[_Drawn]:
+        """Return what some cameras see."""
         width, height = self.size
         core = self.world.core
         ids = [self._ids[i] for i in chosen]
@@ -179,43 +212,43 @@ class SimCameras:
         picks = copies is not None and not core.is_varied
         states = core.states[copies] if picks else None
         leading = self.world.leading if states is None else (len(states),)
-        rgb = [np.empty((*leading, height, width, 3), np.uint8) for _ in ids]
-        depth = [np.empty((*leading, height, width), np.uint16) for _ in ids] if self.has_depth else None
+        shape = (*leading, height, width)
+        drawn = [_Drawn.empty(shape, has_depth=self.has_depth, has_geoms=self.has_segmentation) for _ in ids]
+        lenses = [self._optics[i].lens for i in chosen]
         renderer = self._renderer or self._make_renderer()
         if isinstance(renderer, RenderPool):
+            rgb, depth, geoms = ([getattr(one, part) for one in drawn] for part in ("rgb", "depth", "geoms"))
             if states is None:
-                renderer.render_states(core.states, ids, rgb, depth, core)
+                renderer.render_states(core.states, ids, rgb, depth, core, geoms, lenses)
             else:
-                renderer.render_states(states, ids, rgb, depth)
+                renderer.render_states(states, ids, rgb, depth, None, geoms, lenses)
             self.capture_times.update(dict.fromkeys([self.names[i] for i in chosen], time.perf_counter()))
         else:
             data = self.world.data
             assert data is not None
             mujoco.mj_camlight(self.world.model, data)
             renderer.update(data)
-            for drawn, camera in enumerate(ids):
-                renderer.render(camera, rgb[drawn], None if depth is None else depth[drawn])
-                self.capture_times[self.names[chosen[drawn]]] = time.perf_counter()
-        if copies is None or picks:
-            return rgb, depth
-        return [part[copies] for part in rgb], None if depth is None else [part[copies] for part in depth]
+            for i, one in zip(chosen, drawn, strict=True):
+                renderer.render(self._ids[i], one.rgb, one.depth, one.geoms, self._optics[i].lens)
+                self.capture_times[self.names[i]] = time.perf_counter()
+        return drawn if copies is None or picks else [one[copies] for one in drawn]
 
     def _calibration(self, i: int, rows: slice | NDArray[np.integer[Any]]) -> FrameArrays:
         """Return the present matrices of a camera, which may move and vary its field of view."""
-        width, height = self.size
         fovy = self.world.field("cam_fovy")[..., self._ids[i]]
         poses = self.world.poses[..., self._poses[i], :]
         if self.world.leading:
             fovy, poses = fovy[rows], poses[rows]
-        focal = 0.5 * height / np.tan(0.5 * np.deg2rad(fovy))
-        intrinsics = np.zeros((*np.shape(focal), 3, 3))
-        intrinsics[..., 0, 0] = intrinsics[..., 1, 1] = focal
-        # The centre of the top left pixel is (0, 0), as in OpenCV.
-        intrinsics[..., 0, 2], intrinsics[..., 1, 2], intrinsics[..., 2, 2] = (width - 1) / 2, (height - 1) / 2, 1.0
-        return {"intrinsics": intrinsics, "extrinsics": tquat_to_matrix(poses)}
+        optics = self._optics[i]
+        return {
+            "intrinsics": optics.intrinsics(fovy),
+            "distortion": optics.distortion(fovy),
+            "extrinsics": tquat_to_matrix(poses),
+        }
 
     def _make_renderer(self) -> Renderer | RenderPool:
-        width, height = self.size
+        sizes = [self.size, *(optics.canvas for optics in self._optics)]
+        width, height = (max(size[axis] for size in sizes) for axis in (0, 1))
         if self.world.leading:
             threads = self.world.core.threads
             self._renderer = RenderPool(

@@ -1,69 +1,73 @@
-"""Noise of cameras: of colour sensors, and of stereo depth.
+"""Noise of cameras: of colour sensors here, and of stereo depth in `stereo`.
 
-The noise of a frame depends only on the visible state, so the same seed gives the same frames in any copy.
+The noise of a frame depends only on the camera, the time and the positions of all joints: every frame has its own, and
+the same seed gives the same frames in any copy and in every replay.
 """
 
 from __future__ import annotations
 
+import hashlib
+from functools import cache
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs._core import add_colour_noise
 from rcs.robots.description import CameraDescription
+from rcs.sim import stereo
 
 COLOUR_DEVIATION = 2.0
 """Standard deviation of a colour value [of 255]: a small sensor in indoor light."""
-SUBPIXEL = 0.08
-"""Standard deviation of a disparity [px], as Intel states for D400 cameras on textured scenes."""
-EDGE = 64
-"""Margin of a noise field over a frame, which allows to shift it [px]."""
+
+_DEPTH_BRANCH = 0x5DEECE66D
+# Tells the errors of depth from those of colours.
 
 
 class CameraNoise:
     """Noise of one camera, added to rendered frames."""
 
     def __init__(self, camera: CameraDescription, size: tuple[int, int], number: int) -> None:
-        """Prepare fields of noise.
+        """Prepare the noise.
 
         Args:
             camera: Its figures.
             size: Width and height of frames [px].
             number: Number of the camera in its scene, as each has different noise.
         """
-        width, height = size
-        rng = np.random.default_rng(number)
-        shape = (height + EDGE, width + EDGE)
-        self._colour = np.rint(rng.normal(0.0, COLOUR_DEVIATION, (*shape, 3))).astype(np.int16)
-        self._disparity = rng.normal(0.0, SUBPIXEL, shape)
-        self._baseline = camera.stereo_baseline
+        self._camera = camera
+        self._number = number
         self._nearest = nearest_depth(camera, size)
 
-    def add(self, frame: dict[str, NDArray[Any]], state: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+    def add(self, frame: dict[str, NDArray[Any]], moment: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
         """Return a frame with noise.
 
         Args:
             frame: `rgb` (*leading, H, W, 3), `intrinsics` (*leading, 3, 3) and perhaps `depth` [mm] (*leading, H, W).
-            state: Positions of all joints, (*leading, nq); determines the part of the noise field.
+            moment: Time and positions of all joints, (*leading, 1 + nq); determines the noise.
         """
-        leading = state.shape[:-1]
-        noisy = {key: value.copy() for key, value in frame.items()}
-        for index in np.ndindex(leading):  # single frames have no leading axis
-            row, column = _shift(state[index])
-            height, width = frame["rgb"][index].shape[:2]
-            part = np.s_[row : row + height, column : column + width]
-            noisy["rgb"][index] = np.clip(frame["rgb"][index] + self._colour[part], 0, 255)
+        noisy = {key: values.copy() if key in ("rgb", "depth") else values for key, values in frame.items()}
+        for index in np.ndindex(moment.shape[:-1]):  # single frames have no leading axis
+            seed = self._seed(moment[index])
             if "depth" in frame:
-                focal = float(frame["intrinsics"][index][0, 0])
-                noisy["depth"][index] = self._depth(frame["depth"][index], focal, self._disparity[part])
+                true_colours, matrix = frame["rgb"][index], frame["intrinsics"][index]
+                depth: NDArray[np.uint16] = noisy["depth"][index]
+                stereo.measure(self._camera, depth, true_colours, matrix, self._nearest, seed ^ _DEPTH_BRANCH)
+            add_colour_noise(noisy["rgb"][index], _colour_errors(), seed)
         return noisy
 
-    def _depth(self, depth_mm: NDArray[np.uint16], focal: float, disparity: NDArray[np.float64]) -> NDArray[np.uint16]:
-        """Return depth with the error of a disparity, dz = z^2 / (f b) dd, and without readings that are too near."""
-        depth = 1e-3 * depth_mm
-        measured = depth + depth * depth / (focal * self._baseline) * disparity
-        is_seen = (depth_mm > 0) & (measured >= self._nearest)
-        return np.where(is_seen, np.clip(np.rint(1e3 * measured), 0, 65535), 0).astype(np.uint16)
+    def _seed(self, moment: NDArray[np.float64]) -> int:
+        """Return 64 bits that are others for any other moment or camera."""
+        bits = np.ascontiguousarray(moment).tobytes() + self._number.to_bytes(8, "little")
+        return int.from_bytes(hashlib.blake2b(bits, digest_size=8).digest(), "little")
+
+
+@cache
+def _colour_errors() -> NDArray[np.int8]:
+    """Return the errors of 256 equally likely cases."""
+    quantile = NormalDist(0.0, COLOUR_DEVIATION).inv_cdf
+    return np.array([round(quantile((i + 0.5) / 256)) for i in range(256)], np.int8)
 
 
 def nearest_depth(camera: CameraDescription, size: tuple[int, int]) -> float:
@@ -71,12 +75,3 @@ def nearest_depth(camera: CameraDescription, size: tuple[int, int]) -> float:
     around = [entry for entry in sorted(camera.min_depth) if entry[0] >= size[0] and entry[1] >= size[1]]
     formats = around[:1] or sorted(camera.min_depth)[-1:]
     return formats[0][2] if formats else 0.0
-
-
-def _shift(state: NDArray[np.float64]) -> tuple[int, int]:
-    """Return the offset of a state's noise in its field, a hash of the state's bits."""
-    bits = np.ascontiguousarray(state).view(np.uint64)
-    with np.errstate(over="ignore"):
-        weights = np.arange(1, len(bits) + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
-        mixed = int(np.bitwise_xor.reduce(bits * (weights | np.uint64(1))))
-    return (mixed >> 20) % EDGE, (mixed >> 40) % EDGE

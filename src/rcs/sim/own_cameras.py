@@ -71,7 +71,6 @@ def _cameras_in(part: Description, prefix: str) -> Iterator[tuple[str, CameraPla
                 camera=camera,
                 parent_body=prefix + body,
                 optical_in_parent=Mount.of(optical),
-                fovy=camera.fovy,
             ),
         )
 

@@ -14,6 +14,7 @@ import numpy as np
 from rcs._core import Motion
 from rcs.errors import InvalidSetup
 from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, load, mount_frame
+from rcs.robots.calibration import CameraCalibration
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
 from rcs.sim.detail import Assets, exchange_visuals
 from rcs.sim.robot_check import check_robot
@@ -102,8 +103,14 @@ class CameraPlacement:
     """Body of the scene that carries it; `world` if it is fixed."""
     optical_in_parent: Mount
     """Pose of the optical frame (x right, y down, z forward) in the parent body's frame."""
-    fovy: float | None = None
-    """Vertical field of view as calibrated [rad]; None for that of the data sheet."""
+    calibration: CameraCalibration | None = None
+    """How it sees as calibrated; None for as in the data sheet."""
+
+    @property
+    def fovy(self) -> float:
+        """Vertical field of view of the whole calibrated picture, or of the data sheet's [rad]."""
+        intrinsics = None if self.calibration is None else self.calibration.intrinsics
+        return self.camera.fovy if intrinsics is None else 2.0 * np.arctan(0.5 * intrinsics.height / intrinsics.fy)
 
     @property
     def camera_name(self) -> str:
@@ -274,8 +281,9 @@ class Scene:
         housing = load(camera.camera)
         has_housing = bool(housing.geoms)
         self.spec.attach(housing, frame=frame, prefix=f"{camera.name}/")
-        if camera.fovy is not None:
-            self.spec.camera(camera.camera_name).fovy = np.degrees(camera.fovy)
+        eye = self.spec.camera(camera.camera_name)
+        if not np.isclose(eye.fovy, np.degrees(camera.fovy), rtol=1e-12):  # other than that of the model file
+            eye.fovy = np.degrees(camera.fovy)
         self.cameras.append(camera)
         if not has_housing:
             return  # nothing visible would float

@@ -13,3 +13,10 @@ from rcs.spatial.arrays import tquat_to_xyzrpy as tquat_to_xyzrpy
 from rcs.spatial.arrays import wxyz_to_xyzw as wxyz_to_xyzw
 from rcs.spatial.arrays import xyzrpy_to_tquat as xyzrpy_to_tquat
 from rcs.spatial.arrays import xyzw_to_wxyz as xyzw_to_wxyz
+from rcs.spatial.pinhole import Intrinsics as Intrinsics
+from rcs.spatial.pinhole import distort as distort
+from rcs.spatial.pinhole import pixel_rays as pixel_rays
+from rcs.spatial.pinhole import undistort as undistort
+from rcs.spatial.points import PointCloud as PointCloud
+from rcs.spatial.points import deproject as deproject
+from rcs.spatial.points import point_cloud as point_cloud

@@ -150,7 +150,8 @@ class EpisodeBytes:
             is_black = False
             if data is not None and self._decode_frames:
                 try:
-                    is_black = int(decode_frame(feature, data).max()) <= (0 if feature.encoding == "depth" else _BLACK)
+                    darkest = 0 if feature.encoding in ("depth", "labels") else _BLACK
+                    is_black = int(decode_frame(feature, data).max()) <= darkest
                     self.frames += 1
                 except CorruptEpisode as err:
                     place = (first + row, first + row)

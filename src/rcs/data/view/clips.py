@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -91,7 +92,8 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
     """
     import av  # half a tenth of a second to import, for those who look only
 
-    limits = None if feature.shape[-1:] == (3,) and len(feature.shape) == 3 else _limits(episode, feature)
+    is_colour = feature.shape[-1:] == (3,) and len(feature.shape) == 3
+    limits = None if is_colour or feature.encoding == "labels" else _limits(episode, feature)
     encoder, fixed = _ENCODERS[options.codec]
     settings = {**fixed, "crf": str(options.quality), "g": str(options.whole_frame_every)}
     rate = Fraction(episode.info.frequency).limit_denominator(1000)
@@ -131,6 +133,9 @@ def _images(episode: EpisodeRecord, feature: Feature, limits: _Limits | None, ro
             low, high = limits[min(row, len(limits) - 1)]
             yield coloured(values, (low, high))
         return
+    if feature.encoding == "labels":
+        yield from (_label_colours()[labels] for labels in episode.frames(feature.key))
+        return
     if feature.encoding != "jpeg":
         yield from episode.frames(feature.key)
         return
@@ -143,6 +148,17 @@ def _images(episode: EpisodeRecord, feature: Feature, limits: _Limits | None, ro
                 raise CorruptEpisode(f"{feature.key}, row {row}: {err}") from err
             last = data
         yield image
+
+
+@cache
+def _label_colours() -> NDArray[np.uint8]:
+    """Return a colour for each number, black for 0: hues a golden section apart, so that neighbours differ."""
+    turns = np.arange(1 << 16) * (np.sqrt(5.0) - 1.0) / 2.0
+    hue = np.abs((turns[:, None] + np.array([0.0, 2.0, 1.0]) / 3.0) % 1.0 * 6.0 - 3.0) - 1.0
+    brightness = np.array([1.0, 0.72, 0.5])[np.arange(1 << 16) % 3, None]
+    colours = (255 * brightness * (0.25 + 0.75 * np.clip(hue, 0.0, 1.0))).astype(np.uint8)
+    colours[0] = 0
+    return colours
 
 
 def _values(episode: EpisodeRecord, feature: Feature) -> Iterator[NDArray[Any]]:

@@ -125,6 +125,8 @@ class _Episode:
                 self._log(feature.key, self._rr.EncodedImage(contents=data, media_type="image/jpeg"))
             elif feature.encoding == "depth":
                 self._log(feature.key, self._rr.DepthImage(image, meter=1000.0))
+            elif feature.encoding == "labels":
+                self._log(feature.key, self._rr.SegmentationImage(image))
             else:
                 self._log(feature.key, self._rr.Image(image))
 

@@ -87,7 +87,7 @@ def dataset_info(
         jpeg_quality=jpeg_quality,
         sim_state_size=None if simulated is None else simulated.world.core.state_size,
         versions=versions(),
-        origin={"platform": dict(env.platform)},
+        origin={"platform": dict(env.platform), **env.stack.about},
     )
 
 
@@ -106,13 +106,16 @@ def _features(prefix: str, entries: Mapping[str, spaces.Space[Any]], colour: Col
     """Return a feature per array, with `/` between the levels of nested spaces."""
     features: list[Feature] = []
     for key, space in entries.items():
+        if _is_derived(prefix, key):
+            continue
         if isinstance(space, spaces.Dict):
             features += _features(f"{prefix}/{key}", space.spaces, colour)
             continue
         assert isinstance(space, spaces.Box)
         # A camera on a table has the same matrices in every row, one on a wrist has not.
         encodings: dict[str, Encoding] = {
-            keys.RGB: colour, keys.DEPTH: "depth", keys.INTRINSICS: "held", keys.EXTRINSICS: "held",
+            keys.RGB: colour, keys.DEPTH: "depth", keys.SEGMENTATION: "labels", keys.GEOMS: "labels",
+            keys.INTRINSICS: "held", keys.DISTORTION: "held", keys.EXTRINSICS: "held",
         }  # fmt: skip
         encoding = encodings.get(key, "plain")
         unit = keys.UNITS.get(key, "")
@@ -352,12 +355,17 @@ class Recorder(Observer):
         self.discard()
 
 
+def _is_derived(prefix: str, key: str) -> bool:
+    """Return whether a value is left out: points follow from depth and matrices, and are several times as large."""
+    return key == keys.POINTS and prefix.startswith(f"{OBSERVATION}/{_FRAMES}")
+
+
 def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     flat: dict[str, NDArray[Any]] = {}
     for key, value in values.items():
         if isinstance(value, Mapping):
             flat.update(_flat(f"{prefix}/{key}", value))
-        else:
+        elif not _is_derived(prefix, key):
             flat[f"{prefix}/{key}"] = value
     return flat
 

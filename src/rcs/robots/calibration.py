@@ -1,0 +1,41 @@
+"""What was measured of a mounted camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from rcs.spatial import Intrinsics
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraCalibration:
+    """How a camera sees, as a calibration found it, and what a recording keeps of that."""
+
+    intrinsics: Intrinsics | None = None
+    """Focal lengths, principal point and distortion; None for those of the data sheet."""
+    pose_covariance: tuple[tuple[float, ...], ...] | None = None
+    """Covariance of the pose, 6 x 6: translation [m], rotation vector [rad], in the camera's optical frame. It is kept
+    with recordings and changes no picture; None if it is not known."""
+    sha256: str = ""
+    """Hash of the file that this is from; empty for none."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what a recording keeps, as JSON values."""
+        about: dict[str, Any] = {"source": "calibration"}
+        if self.intrinsics is not None:
+            about |= describe(self.intrinsics)
+        if self.pose_covariance is not None:
+            about["pose_covariance"] = [list(row) for row in self.pose_covariance]
+        if self.sha256:
+            about["sha256"] = self.sha256
+        return about
+
+
+def describe(intrinsics: Intrinsics) -> dict[str, Any]:
+    """Return intrinsics as JSON values: `size` [px], `matrix` [px], `distortion` (k1, k2, p1, p2, k3)."""
+    return {
+        "size": [intrinsics.width, intrinsics.height],
+        "matrix": intrinsics.matrix.tolist(),
+        "distortion": list(intrinsics.distortion),
+    }
