@@ -106,7 +106,9 @@ def six_cameras() -> Parts:
     parts = resolve(setup)
     side = parts.cameras[1]
     more = [
-        replace(side, name=name, parent_body="world", optical_in_parent=looking(place, (0.4, 0.0, 0.0)), calibration=None)
+        replace(
+            side, name=name, parent_body="world", optical_in_parent=looking(place, (0.4, 0.0, 0.0)), calibration=None
+        )
         for name, place in VIEWS.items()
     ]
     return replace(parts, cameras=(*parts.cameras, *more))

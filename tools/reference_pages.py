@@ -381,7 +381,7 @@ def options_page() -> str:
         "They are about this run, and are not stored.\n",
         table(("argument", "meaning"), rows),
         "## Ranges of `Randomisation`\n",
-        "`randomisation=True` or `\"default\"` takes these, `\"mild\"` half and `\"strong\"` about twice as much; "
+        '`randomisation=True` or `"default"` takes these, `"mild"` half and `"strong"` about twice as much; '
         "`rcs.Randomisation(...)` changes some, and `rcs.Randomisation.off(...)` varies nothing but what is given.\n",
         options_table(rcs.Randomisation),
     ]

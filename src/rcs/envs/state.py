@@ -110,7 +110,8 @@ def write_state(engine: Engine, state: EnvState, copies: NDArray[np.int32]) -> O
 
 
 def _write_fields(world: World, state: EnvState, copies: NDArray[np.int32]) -> None:
-    for name, rows in state.fields.items():
+    fields: dict[str, Any] = state.fields
+    for name, rows in fields.items():
         world.vary(name)[copies if world.leading else ...] = rows if world.leading else rows[0]
     if state.fields:
         world.update_constants(copies if world.leading else None)
