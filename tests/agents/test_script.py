@@ -100,7 +100,7 @@ def test_elapsed_time_is_that_of_the_environment_and_not_a_count_of_steps() -> N
         script = Wave(env)
         observation, info = env.reset(seed=0)
         script.reset(observation, info)
-        for _ in range(5):
+        for _ in range(2):
             observation, _, _, _, info = env.step(script.act(observation, info))
         script.act(observation, info)
         assert script.phase == "up"
