@@ -34,7 +34,8 @@ from rcs.data import DatasetInfo, DatasetWriter, Feature
 from rcs.data.background import BackgroundEpisode
 from rcs.data.encoders import Encoders
 from rcs.data.flags import FrameFlag, flags_key, time_key
-from rcs.envs.assemble import Parts, assemble
+from rcs.envs.assemble import assemble
+from rcs.envs.parts import Parts
 from rcs.setups.lab import looking
 from rcs.setups.make import resolve
 from rcs.sim.camera import SimCameras

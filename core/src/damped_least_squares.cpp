@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "rcs/kinematics.hpp"
+#include "task_matrix.hpp"
 
 namespace rcs {
 
@@ -22,7 +23,6 @@ constexpr double kNear = 1e-3;          // m; an arm that meets the translation 
 constexpr double kSmallest = 1e-300;
 // A radian against a metre when following: what the target leaves as it is weighs up to a hundred times more.
 constexpr double kLightest = 0.03, kHeaviest = 10.0;
-constexpr int kTask = 6;
 
 // SplitMix64 (Steele, Lea, Flood 2014): a restart's joints depend on the seed alone, so the same call gives the same
 // answer.
@@ -33,46 +33,6 @@ double next_uniform(std::uint64_t& state) {
   z = (z ^ (z >> 27)) * 0x94D049BB133111EBULL;
   return static_cast<double>((z ^ (z >> 31)) >> 11) * 0x1.0p-53;
 }
-
-// Cholesky factor of a symmetric positive definite 6 × 6 matrix, in place of its lower triangle.
-void factor_cholesky(std::array<double, kTask * kTask>& a) {
-  for (int j = 0; j < kTask; ++j) {
-    for (int k = 0; k < j; ++k)
-      for (int i = j; i < kTask; ++i) a[i * kTask + j] -= a[i * kTask + k] * a[j * kTask + k];
-    const double scale = 1.0 / std::sqrt(a[j * kTask + j]);
-    for (int i = j; i < kTask; ++i) a[i * kTask + j] *= scale;
-  }
-}
-
-// Solve the system of a factor in place.
-void solve_cholesky(const std::array<double, kTask * kTask>& a, std::array<double, kTask>& b) {
-  for (int i = 0; i < kTask; ++i) {
-    for (int k = 0; k < i; ++k) b[i] -= a[i * kTask + k] * b[k];
-    b[i] /= a[i * kTask + i];
-  }
-  for (int i = kTask - 1; i >= 0; --i) {
-    for (int k = i + 1; k < kTask; ++k) b[i] -= a[k * kTask + i] * b[k];
-    b[i] /= a[i * kTask + i];
-  }
-}
-
-// An estimate of the smallest eigenvalue of the leading rows of the matrix of a Cholesky factor, at most as many times
-// too small as there are rows.
-double smallest_of(const std::array<double, kTask * kTask>& a, int rows) {
-  double trace = 0.0;  // of the inverse
-  for (int c = 0; c < rows; ++c) {
-    std::array<double, kTask> column{};
-    column[c] = 1.0;
-    for (int i = c; i < rows; ++i) {
-      for (int k = c; k < i; ++k) column[i] -= a[i * kTask + k] * column[k];
-      column[i] /= a[i * kTask + i];
-      trace += column[i] * column[i];
-    }
-  }
-  return 1.0 / trace;
-}
-
-double norm3(const double* v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); }
 
 }  // namespace
 

@@ -12,7 +12,8 @@ import pytest
 
 import rcs
 from rcs._core import Renderer
-from rcs.envs.assemble import Parts, assemble, compose
+from rcs.envs.assemble import assemble, compose
+from rcs.envs.parts import Parts
 from rcs.errors import InvalidSetup
 from rcs.robots.description import ArmDescription
 from rcs.setups.make import resolve

@@ -31,7 +31,7 @@ from rcs.envs.layers import (
     XyzrpyControl,
 )
 from rcs.envs.load_ports import PrivilegedPort, SimContactPort, SimLoadPort
-from rcs.envs.observers import Observer
+from rcs.envs.parts import Parts
 from rcs.envs.ports import ArmPort, GripperPort, HandPort, Port
 from rcs.envs.randomiser import Randomiser
 from rcs.envs.scenario import Scenario
@@ -60,35 +60,6 @@ from rcs.spatial import Pose, inverse, tquat_to_matrix
 
 GRASP = "power"
 """The grasp of a hand that is used like a gripper."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Parts:
-    """What an environment is put together from: what a setup names, looked up, and what a user adds."""
-
-    setup: Setup
-    """The setup itself: numbers and options."""
-    robots: tuple[RobotPlacement, ...]
-    cameras: tuple[CameraPlacement, ...]
-    tactile: tuple[TactilePlacement, ...] = ()
-    task: Task
-    clutter: Clutter | None = None
-    """What lies about besides the objects of the task; None for nothing."""
-    devices: Devices = field(default_factory=Devices)
-    """What is real; all else is simulated."""
-    layers: Mapping[str, Sequence[Layer]] = field(default_factory=dict[str, Sequence[Layer]])
-    """The user's own layers by robot, on top of those of the setup."""
-    gates: Sequence[Gate] = ()
-    observers: Sequence[Observer] = ()
-    now: Callable[[], float] | None = None
-    """Returns the monotonic time [s]; None for the host's."""
-    sleep: Callable[[float], None] | None = None
-    """Waits for some seconds of that time; None for the host's."""
-
-    @property
-    def title(self) -> str:
-        """First line of the printed environment."""
-        return f"rcs {self.setup.task} with {self.setup.robot}"
 
 
 def assemble(

@@ -97,7 +97,7 @@ class Engine:
                 self.scenario.world.refresh()
             if self.scenario is not None and start is not None:
                 self.scenario.start_at(start)
-            self._open_ports()
+            self.stack.open()
             if faults := self.stack.faults():
                 raise DeviceFault(f"Devices are in their fault state: {_listed(faults)}. Clear it with env.recover().")
             self._clock.reset()
@@ -357,18 +357,6 @@ class Engine:
             for_all(calls)
         except Exception as err:  # noqa: BLE001  the first error is the one to be raised
             error.add_note(f"While the devices were told to hold: {type(err).__name__}: {err}")
-
-    def _open_ports(self) -> None:
-        """Open all ports; where one fails, no device stays open."""
-        try:
-            for port in self.stack.ports:
-                port.open()
-        except BaseException as err:
-            try:
-                self.stack.close()
-            except Exception as also:  # noqa: BLE001  why a device could not be opened is the error to be raised
-                err.add_note(f"While the other devices were closed: {type(also).__name__}: {also}")
-            raise
 
     def hold(self) -> None:
         """Make every device stay where it is; what follows counts from there. May be called from any thread."""

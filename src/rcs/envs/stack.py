@@ -198,6 +198,18 @@ class Stack:
             for key, when in port.capture_times().items()
         }
 
+    def open(self) -> None:
+        """Connect all devices; where one fails, none stays open."""
+        try:
+            for port in self.ports:
+                port.open()
+        except BaseException as err:
+            try:
+                self.close()
+            except Exception as also:  # noqa: BLE001  why a device could not be opened is the error to be raised
+                err.add_note(f"While the other devices were closed: {type(also).__name__}: {also}")
+            raise
+
     def hold(self) -> None:
         """Make every device stay where it is, also when one of them fails to."""
         for_all([port.hold for port in self.ports])

@@ -10,10 +10,11 @@ from typing import Any
 
 from rcs.data import Dataset, DatasetInfo
 from rcs.data.info import MERGED
-from rcs.envs.assemble import Parts, assemble
+from rcs.envs.assemble import assemble
 from rcs.envs.draws import Draws
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import dataset_info
+from rcs.envs.parts import Parts
 from rcs.envs.randomiser import Randomiser
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup

@@ -13,11 +13,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
-from rcs.envs.assemble import Parts, assemble, assemble_vec
+from rcs.envs.assemble import assemble, assemble_vec
 from rcs.envs.env import Env
 from rcs.envs.gate import Gate
 from rcs.envs.layers import Layer
 from rcs.envs.observers import Observer
+from rcs.envs.parts import Parts
 from rcs.envs.setup import Options, Setup
 from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv

@@ -1,0 +1,45 @@
+"""What an environment is put together from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from rcs.envs.clutter import Clutter
+from rcs.envs.gate import Gate
+from rcs.envs.layers import Layer
+from rcs.envs.observers import Observer
+from rcs.envs.setup import Setup
+from rcs.envs.task import Task
+from rcs.hardware.site import Devices
+from rcs.sim.scene import CameraPlacement, RobotPlacement
+from rcs.sim.tactile_placement import TactilePlacement
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parts:
+    """What an environment is put together from: what a setup names, looked up, and what a user adds."""
+
+    setup: Setup
+    """The setup itself: numbers and options."""
+    robots: tuple[RobotPlacement, ...]
+    cameras: tuple[CameraPlacement, ...]
+    tactile: tuple[TactilePlacement, ...] = ()
+    task: Task
+    clutter: Clutter | None = None
+    """What lies about besides the objects of the task; None for nothing."""
+    devices: Devices = field(default_factory=Devices)
+    """What is real; all else is simulated."""
+    layers: Mapping[str, Sequence[Layer]] = field(default_factory=dict[str, Sequence[Layer]])
+    """The user's own layers by robot, on top of those of the setup."""
+    gates: Sequence[Gate] = ()
+    observers: Sequence[Observer] = ()
+    now: Callable[[], float] | None = None
+    """Returns the monotonic time [s]; None for the host's."""
+    sleep: Callable[[float], None] | None = None
+    """Waits for some seconds of that time; None for the host's."""
+
+    @property
+    def title(self) -> str:
+        """First line of the printed environment."""
+        return f"rcs {self.setup.task} with {self.setup.robot}"
