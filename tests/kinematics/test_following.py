@@ -78,7 +78,8 @@ def test_on_straight_paths_no_joint_exceeds_its_speed_and_the_tcp_stays_on_the_l
             beside = miss - (miss @ way)[:, None] / (way @ way) * way
             # Near singular postures, what would take too long is given up; elsewhere the line is exact.
             exact = 1e-5 if description.dof >= 6 else 5e-4
-            assert np.abs(beside).max() < (exact if (status == IkStatus.ok.value).all() else 5e-3)
+            slow = 5e-3 if description.dof >= 6 else 1e-2
+            assert np.abs(beside).max() < (exact if (status == IkStatus.ok.value).all() else slow)
             straight += 1
     assert straight >= 3
 
