@@ -26,7 +26,7 @@ from rcs.sim.world import Copies, World
 class Randomiser:
     """Varies one world from episode to episode."""
 
-    memory = ("values",)
+    memory = ("_vary",)
 
     def __init__(
         self,
@@ -98,10 +98,6 @@ class Randomiser:
             copies: Which copies; None for all.
         """
         self._vary.begin(draws, copies)
-
-    def apply(self, copies: Copies = None) -> None:
-        """Write the present `values` of some copies into the world again, after they were set."""
-        self._vary.apply(copies)
 
     def place(self, robots: Sequence[SimRobot], copies: Copies = None) -> None:
         """Put the robots of some copies where their present episodes start, once the world is reset."""

@@ -99,8 +99,6 @@ def write_state(engine: Engine, state: EnvState, copies: NDArray[np.int32]) -> O
     assert engine.scenario is not None, "read_state has checked it"
     # Randomised figures of the models come first: what is computed from the state depends on them.
     _write_memory(engine, state, copies)
-    for randomiser in engine.scenario.randomisers:
-        randomiser.apply(copies)
     _write_fields(engine.scenario.world, state, copies)
     engine.scenario.world.load(state.world, copies)
     engine.set_counters({name: np.asarray(rows) for name, rows in state.episode.items()}, copies)

@@ -21,6 +21,8 @@ Finish = Callable[[Values], Values]
 class Variation:
     """Draws the enabled fields of one world, each from a stream of its own, and has them written."""
 
+    memory = ("values",)
+
     def __init__(self, world: World, ranges: Randomisation) -> None:
         """Enable nothing yet; the world is fresh from its model."""
         self.world = world
@@ -90,21 +92,13 @@ class Variation:
             uniform = streams.branch(field).uniform(low, high)
             finish = self._finishes.get(field)
             drawn[field] = uniform if finish is None else finish(uniform)
-        self._write(drawn, copies)
+        for write in self._writes:
+            write(drawn, copies)
+        if self.changes_constants:
+            self.world.update_constants(copies)
         if copies is None:
             self.values = drawn
         else:
             self.values = {field: values.copy() for field, values in self.values.items()}
             for field, values in drawn.items():
                 self.values[field][copies] = values
-
-    def apply(self, copies: Copies = None) -> None:
-        """Write the present `values` of some copies again, after they were set."""
-        where = ... if copies is None else copies
-        self._write({field: values[where] for field, values in self.values.items()}, copies)
-
-    def _write(self, drawn: dict[str, Values], copies: Copies) -> None:
-        for write in self._writes:
-            write(drawn, copies)
-        if drawn and self.changes_constants:
-            self.world.update_constants(copies)

@@ -61,7 +61,7 @@ class FrameRate:
 class FrameClock:
     """Says for each camera and copy whether it has a new frame. Episodes begin with one."""
 
-    memory = ("numbers", "_keys", "_start_times", "_next_times")
+    memory = ("numbers", "_start_times", "_next_times")
 
     def __init__(self, world: World, rates: Mapping[str, FrameRate]) -> None:
         """Start counting.
