@@ -23,7 +23,7 @@ constexpr double kMargin = 1e-3;
 // How far a stream that ends abruptly may be overshot [rad], up to this share of the velocity limit; none at twice of
 // it.
 constexpr double kOvershoot = 0.03;
-constexpr double kSlow = 0.3;
+constexpr double kSlow = 0.5;
 // Steps within which a stream of targets is met. Only the first is made before the next target comes: what a noisy
 // target asks for is met in part, at a fraction of the acceleration.
 constexpr double kHorizon = 2.0;

@@ -27,8 +27,8 @@ SO101: Final = ArmDescription(
     velocity_limit=(2.8,) * 5,
     effort_limit=(2.94,) * 5,
     acceleration_limit=(15.0,) * 5,
-    # Not published. Ours: full acceleration after 20 ms.
-    jerk_limit=(750.0,) * 5,
+    # Not published. Ours: full acceleration after 5 ms.
+    jerk_limit=(3000.0,) * 5,
     # Feetech's table of registers, factory values: a servo that exerts over 80 % (36) of its stall torque for 2 s (35)
     # goes into its overload protection.
     collision=CollisionLimits(joint_torque=(0.8 * 2.94,) * 5, loads="drive", duration=2.0),
