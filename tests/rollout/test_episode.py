@@ -48,10 +48,12 @@ def test_a_task_that_is_not_done_in_time_has_failed() -> None:
 
 
 @pytest.mark.parametrize("task", ["PickCuboid", "Free"])
-def test_an_episode_that_a_fault_ends_is_not_judged(task: str) -> None:
-    env = rcs.make(task)
-    result = run_episode(env, Wait(env, has_fault=True), seed=0)
-    assert (result.success, result.failure, result.steps) == (None, "fault", 3)
+def test_an_episode_that_a_fault_ends_has_failed_in_simulation_and_is_not_judged_on_devices(task: str) -> None:
+    for hardware, success in ((None, False), ("fake", None)):
+        env = rcs.make(task, hardware=hardware)
+        result = run_episode(env, Wait(env, has_fault=True), seed=0)
+        env.close()
+        assert (result.success, result.failure, result.steps) == (success, "fault", 3)
 
 
 class Slow(Wait):

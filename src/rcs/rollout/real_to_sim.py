@@ -129,8 +129,8 @@ class RealToSim(Derivation):
         return self.gripper or ("trend" if setup.binary_gripper else "opening")
 
     def stage(self, dataset: Dataset) -> Stage:
-        """Return the stage to replay on."""
-        setup = self.setup(dataset)
+        """Return the stage to replay on; the real arm has gone on where a simulated one would take a touch for more."""
+        setup = replace(self.setup(dataset), collision_reaction=False)
         return Stage.of(setup, setup, self.look)
 
     def info(self, dataset: Dataset, stage: Stage, env: Env) -> DatasetInfo:

@@ -59,7 +59,7 @@ def test_the_expert_brings_the_episode_to_its_end_and_a_reset_begins_the_next() 
             session.step()
             assert session.steps < 600
         assert session.verdict == "success"
-        assert session.reward == 1.0
+        assert session.reward >= 1.0
         steps = session.steps
         session.step()
         assert session.steps == steps
