@@ -62,5 +62,5 @@ def test_scenes_with_other_joints_are_refused() -> None:
 
 def test_a_state_of_another_size_is_refused() -> None:
     scene = model()
-    with pytest.raises(InvalidSetup, match="numbers"):
+    with pytest.raises(InvalidSetup, match=r"3 numbers.*moves differently"):
         StateTransfer(scene, scene)(np.zeros(3))

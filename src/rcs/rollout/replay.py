@@ -16,8 +16,10 @@ from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import ACTION
 from rcs.envs.spaces import Observation
+from rcs.errors import InvalidSetup
 from rcs.rollout.look import physics_of, require_rate, require_states, setup_of
 from rcs.setups.make import resolve
+from rcs.sim.state_transfer import of_another_simulation
 
 __all__ = ["ReplayResult", "Step", "physics_of", "play", "recorded", "replay", "replay_episode", "setup_of"]
 
@@ -55,6 +57,8 @@ def replay(path: str | Path, *, trust: Collection[str] = ()) -> Iterator[ReplayR
     # Neither cameras nor looks change the physics, and without frames a replay is ten times faster.
     env = assemble(resolve(setup), is_blind=True)
     try:
+        if dataset.info.sim_state_size != (own := env.scenario.world.core.state_size):
+            raise InvalidSetup(of_another_simulation(dataset.info.sim_state_size or 0, own))
         for episode in dataset.episodes:
             yield replay_episode(env, episode)
     finally:

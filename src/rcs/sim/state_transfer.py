@@ -68,10 +68,19 @@ class StateTransfer:
             InvalidSetup: Their size differs from the source's.
         """
         if states.shape[-1] != self._source_size:
-            raise InvalidSetup(f"A state has {states.shape[-1]} numbers; this scene's have {self._source_size}.")
+            raise InvalidSetup(of_another_simulation(states.shape[-1], self._source_size))
         carried = np.zeros((*states.shape[:-1], self._size))
         carried[..., self._writes] = states[..., self._reads]
         return carried
+
+
+def of_another_simulation(given: int, own: int) -> str:
+    """Return the words for states whose size is not that of the same scene's."""
+    return (
+        f"The recorded states have {given} numbers; states of this scene have {own}. Another version of this package has "
+        "recorded them, whose simulation moves differently, so their actions would end elsewhere. The recording can be "
+        "read, viewed and exported; `rcs data replay --kind states` has simulated robots follow its joints."
+    )
 
 
 def _parts() -> list[tuple[str, int]]:
