@@ -23,18 +23,20 @@ SPEED = 0.1
 """How fast it goes there [m/s]."""
 
 
-def make(robot: str = "fr3", end_effector: str | None = None, **options: Any) -> Any:
+def make(robot: str = "fr3", end_effector: str | None = None, *, task: str = "PickCuboid", **options: Any) -> Any:
     form: dict[str, Any] = {"control": "tquat", "relative": False, "max_episode_steps": None}
     observe = ("torques", "wrench", "contacts", "privileged")
     form |= {"robot": robot, "end_effector": end_effector, "observe": observe, **options}
-    return rcs.make("PickCuboid", **form)
+    return rcs.make(task, **form)
 
 
-def go_down(env: Any, observation: Any, to: float, *, gripper: float, steps: int = 400) -> tuple[float, list[Any]]:
+def go_down(
+    env: Any, observation: Any, to: float, *, gripper: float, steps: int = 400, speed: float = SPEED
+) -> tuple[float, list[Any]]:
     """Send the tool straight down; return the largest force on it after a step [N], and the last step."""
     target, peak, last = observation["tquat"].copy(), 0.0, [observation]
     for _ in range(steps):
-        target[2] = max(target[2] - SPEED / env.frequency, to)
+        target[2] = max(target[2] - speed / env.frequency, to)
         last = list(env.step({"tquat": target, "gripper": np.full(1, gripper, np.float32)}))
         peak = max(peak, float(np.linalg.norm(last[0]["tcp_wrench"][:3])))
         if last[2] or last[3]:
@@ -62,12 +64,13 @@ def test_an_arm_that_presses_on_the_table_goes_into_its_fault_state(
     assert env.step({"tquat": again["tquat"], "gripper": np.ones(1, np.float32)})[-1]["end"] == "period"
 
 
-def test_the_reaction_limits_the_force() -> None:
+def test_the_reaction_limits_the_force_of_a_press() -> None:
+    """At a low speed: the force of an impact, over within a physics step, is what it is before any reaction."""
     peaks: dict[bool, float] = {}
     for reacts in (True, False):
         env = make(collision_reaction=reacts)
         observation, _ = env.reset(seed=0)
-        peaks[reacts], (_, _, _, truncated, _) = go_down(env, observation, -DEPTH, gripper=1.0, steps=200)
+        peaks[reacts], (_, _, _, truncated, _) = go_down(env, observation, -DEPTH, gripper=1.0, steps=1000, speed=0.02)
         assert truncated == reacts
     assert peaks[True] < 0.7 * peaks[False]
 
@@ -83,21 +86,17 @@ def test_a_step_that_ends_in_a_collision_ends_at_once(stepping: Any) -> None:
 
 @pytest.mark.parametrize(("robot", "end_effector"), ARMS)
 def test_a_grasp_and_setting_down_what_is_held_are_no_collisions(robot: str, end_effector: str | None) -> None:
-    control = "joints" if robot == "so101" else "tquat"
-    env = make(robot, end_effector, control=control, task_options={"hold_time": 100.0})
+    env = make(robot, end_effector, task="Place", control="joints" if robot == "so101" else "tquat")
     expert = agent_for(env)
     observation, info = env.reset(seed=2)
     expert.reset(observation, info)
-    way: list[Any] = []
-    while not (observation["is_grasped"].all() and info["cuboid"][2] > 0.1):
-        way.append(expert.act(observation, info))
-        observation, _, _, _, info = env.step(way[-1])
+    was_grasped, is_over = False, False
+    while not is_over:
+        observation, _, is_over, _, info = env.step(expert.act(observation, info))
         assert info["end"] == "period", info
-    for action in [action for action in way if action["gripper"][0] < 0.5][::-1]:
-        observation, _, _, _, info = env.step(action)
-        assert info["end"] == "period", info
-    observation, _, _, _, info = env.step({**way[-1], control: observation[control], "gripper": np.ones(1, np.float32)})
-    assert info["end"] == "period", info
+        was_grasped = was_grasped or bool(observation["is_grasped"].all())
+    assert was_grasped
+    assert info["success"]
 
 
 def test_a_firm_push_is_no_collision() -> None:

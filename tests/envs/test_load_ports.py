@@ -70,6 +70,14 @@ def test_a_policy_can_be_trained_on_the_state() -> None:
     assert vector.size == 7 + 7 + 7 + 6 + 1 + 2 + 1 + 7 + 6
 
 
+@pytest.mark.parametrize(("task", "name"), [("Place", "mark"), ("Push", "goal")])
+def test_a_mark_that_only_the_task_places_is_observed_at_rest(task: str, name: str) -> None:
+    envs: Any = rcs.make_vec(task, copies=2, observe=("privileged",))
+    seen, _ = envs.reset(seed=0)
+    np.testing.assert_array_equal(seen["privileged"][name]["tquat"], envs.scenario.object_poses()[name])
+    np.testing.assert_array_equal(seen["privileged"][name]["velocity"], np.zeros((2, 6)))
+
+
 def test_gymnasiums_checker_finds_nothing() -> None:
     env: Any = rcs.make("PickCuboid", observe=ALL)
     with warnings.catch_warnings():

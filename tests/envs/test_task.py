@@ -71,11 +71,12 @@ def test_what_is_no_options_of_the_task_is_refused(options: Any) -> None:
         Sorting.parse_options(options)
 
 
-def test_a_sparse_reward_is_success_and_a_dense_one_is_never_below_it() -> None:
+def test_a_sparse_reward_is_success_and_a_dense_one_adds_the_progress_that_was_made() -> None:
     progress, success = np.array([0.0, 0.4, 0.4, 1.0]), np.array([False, False, True, True])
-    sparse, dense = (Sorting(Area(), {"reward": kind}).reward(progress, success) for kind in ("sparse", "dense"))
-    np.testing.assert_array_equal(sparse, success.astype(np.float64))
-    np.testing.assert_array_equal(dense, [0.0, 0.4, 1.0, 1.0])
+    sparse, dense = (Sorting(Area(), {"reward": kind}) for kind in ("sparse", "dense"))
+    for gain in ([0.0, 0.4, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]):  # success is the whole progress
+        np.testing.assert_array_equal(sparse.reward(progress, success), success)
+        np.testing.assert_array_equal(dense.reward(progress, success), gain + success)
 
 
 def test_places_lie_in_the_area_and_differ_between_copies() -> None:

@@ -58,7 +58,7 @@ def test_a_hold_of_one_second_lasts_one_second_however_the_world_is_stepped(step
 
 def test_a_timer_starts_anew_when_a_place_moves_too_far() -> None:
     world = rcs.make("Free").scenario.world
-    timer = HoldTimer(world, 1.0, 0.01)
+    timer = HoldTimer(world, 1.0, 0.01, places=1)
     yes, ends = np.True_, []
     for step in range(40):
         world.time[...] = 0.1 * step

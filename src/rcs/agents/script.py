@@ -22,6 +22,9 @@ from rcs.spatial import distance, limit_step
 PATIENCE = 4.0
 """Longest time that a phase waits at its goal, such as for arms to arrive; then the script goes on regardless [s]."""
 
+BRAKING = 1.0
+"""Deceleration of a streamed target before its goal [m/s^2]: an arm overshoots a stream that ends abruptly."""
+
 STILL = 0.005
 """Speed of the TCP below which an arm stands still [m/s]."""
 
@@ -93,8 +96,9 @@ class Script(Agent):
 
     def __init__(self, env: Env) -> None:
         self._period = 1.0 / env.setup.frequency
+        self._ends_at_rest = env.setup.stepping == "sync"
         # A synchronous step ends at its target, so bigger steps only mean fewer of them.
-        self._pace = self._period * (1.0 if env.setup.stepping != "sync" else 3.0)
+        self._pace = self._period * (3.0 if self._ends_at_rest else 1.0)
         is_single = len(env.robots) == 1
         self.arms = [ScriptedArm(env, None if is_single else name, robot) for name, robot in env.robots.items()]
         self._retreat = replace(self.phases[0], name="retreat")
@@ -193,7 +197,12 @@ class Script(Agent):
     def _step(self, arm: ScriptedArm) -> Action:
         phase = self._phase
         turn_speed = min(phase.turn_speed, self.turn_speed)
-        arm.target = limit_step(arm.target, self._place(arm), phase.speed * self._pace, turn_speed * self._pace)
+        place = self._place(arm)
+        speed = phase.speed
+        if not self._ends_at_rest:
+            way = float(distance(arm.target, place)[0])
+            speed = min(speed, max(np.sqrt(2.0 * BRAKING * way), BRAKING * self._period))
+        arm.target = limit_step(arm.target, place, speed * self._pace, turn_speed * self._pace)
         action = arm.writer.write(arm.target, phase.opening)
         if action is None:
             self._failure = self._failure or "ik"

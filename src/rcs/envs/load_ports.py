@@ -128,6 +128,17 @@ class _RigidMotion:
         return velocity
 
 
+class _NoMotion:
+    """Velocity of a body that only the task places, such as a mark."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def twist(self) -> NDArray[np.float64]:
+        """Return zeros, (*leading, 6)."""
+        return np.zeros((*self._world.leading, 6))
+
+
 class _SoftMotion:
     """Velocity of a soft body whose nodes slide along the scene's axes: mean velocity and mean spin of its nodes."""
 
@@ -159,9 +170,13 @@ def _motion_of(world: World, name: str) -> Any:
     joint = int(model.body_jntadr[body])
     if joint >= 0 and model.jnt_type[joint] == 0:  # mjJNT_FREE
         return _RigidMotion(world, joint)
+    if model.body_mocapid[body] >= 0:
+        return _NoMotion(world)
     nodes = np.flatnonzero((model.body_parentid == body) & (model.body_jntnum == 3))
     if not len(nodes):
-        raise InvalidSetup(f"The object {name!r} neither has a free joint nor is soft; its velocity is not known.")
+        raise InvalidSetup(
+            f"The object {name!r} has no free joint, and is neither soft nor a mocap body; its velocity is not known."
+        )
     return _SoftMotion(world, nodes)
 
 
