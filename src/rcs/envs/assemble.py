@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -14,10 +13,8 @@ from rcs.envs import spaces as keys
 from rcs.envs.camera_port import CameraPort, FreshFrames
 from rcs.envs.chain import Chain
 from rcs.envs.clock import Clock
-from rcs.envs.clutter import Clutter
 from rcs.envs.env import Env
 from rcs.envs.follow_port import FollowPort
-from rcs.envs.gate import Gate
 from rcs.envs.layers import (
     BinaryGripper,
     CartesianControl,
@@ -40,10 +37,8 @@ from rcs.envs.sim_ports import SimArmPort, SimCameraPort, SimGripperPort, SimHan
 from rcs.envs.spaces import TQUAT, XYZRPY
 from rcs.envs.stack import NAMELESS, Stack
 from rcs.envs.start import base_in_scene
-from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
-from rcs.hardware.site import Devices
 from rcs.kinematics import kinematics_of
 from rcs.sim.action_latency import keep_history
 from rcs.sim.camera import SimCameras
@@ -53,7 +48,6 @@ from rcs.sim.picture import Picture
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import CameraPlacement, RobotPlacement, Scene
 from rcs.sim.tactile import SimTactile
-from rcs.sim.tactile_placement import TactilePlacement
 from rcs.sim.textures import add_textures
 from rcs.sim.world import World
 from rcs.spatial import Pose, inverse, tquat_to_matrix
