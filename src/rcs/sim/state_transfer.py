@@ -78,8 +78,8 @@ def of_another_simulation(given: int, own: int) -> str:
     """Return the words for states whose size is not that of the same scene's."""
     return (
         f"The recorded states have {given} numbers; states of this scene have {own}. They are of another version of "
-        "this package, whose simulation moves differently: the recorded actions would end elsewhere. The recording can be "
-        "read, viewed and exported; `rcs data replay --kind states` has simulated robots follow its joints."
+        "this package, whose simulation moves differently: the recorded actions would end elsewhere. The recording can "
+        "be read, viewed and exported; `rcs data replay --kind states` has simulated robots follow its joints."
     )
 
 
