@@ -358,7 +358,7 @@ class Stage:
             # What draws, and what starts threads, is slow; the share of calls is small, not that of time.
             is_slow = target.name.startswith(("Render", "probe_gl")) or target.name in ("World.of_copies", "sim.World")
             if not is_slow or self.r.random() < (
-                0.002 if target.name in ("Renderer", "RenderPool", "probe_gl") else 0.1
+                0.002 if target.name in ("Renderer", "RenderPool", "probe_gl") else 0.3
             ):
                 return self.core_call(target)
 
