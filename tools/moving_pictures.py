@@ -35,7 +35,7 @@ SHOWN = {
     "pick_toy_xarm7": ("PickToy", "xarm7", 1, 1.1),
     "lift_bar_dual_fr3": ("LiftBar", "dual_fr3", 1, 1.0),
     "place_ur5e": ("Place", "ur5e", 1, 1.2),
-    "stack_fr3": ("Stack", "fr3", 1, 1.0),
+    "stack_fr3": ("StackCuboid", "fr3", 1, 1.0),
     "push_so101": ("Push", "so101", 1, 2.6),
 }
 """Task, robot, seed and magnification by the file's name; the middle of a magnified picture is shown."""

@@ -34,7 +34,7 @@ from rcs.tasks.lift_bar import MAX_YAW
 
 DOCS = Path(__file__).parents[1] / "docs"
 CONTROLS = ("joints", "tquat", "xyzrpy")
-TASKS = ("PickCuboid", "Place", "Stack", "Push", "PickToy", "LiftBar", "Free")
+TASKS = ("PickCuboid", "Place", "StackCuboid", "Push", "PickToy", "LiftBar", "Free")
 NOTE = "<!-- Written by tools/reference_pages.py from the code; do not edit. -->\n"
 
 MEANINGS = {

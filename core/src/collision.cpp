@@ -42,6 +42,10 @@ void CollisionReaction::reset(int copy) {
 }
 
 CollisionReaction::Cause CollisionReaction::cause(int copy) const {
+  const auto copies = memory_.size() / width();
+  if (copy < 0 || static_cast<std::size_t>(copy) >= copies)
+    throw InvalidSetup("CollisionReaction: there is no copy " + std::to_string(copy) + ", valid is 0 to " +
+                       std::to_string(copies - 1));
   const double* own = memory_.data() + static_cast<std::size_t>(copy) * width() + 2 * size();
   return {static_cast<int>(own[0]), own[1]};
 }

@@ -85,7 +85,7 @@ def test_a_pool_refuses_arrays_that_do_not_belong_together() -> None:
         pool.render_states(states[:, 1:], [0], [rgb])
     with pytest.raises(ValueError, match="one picture for each row"):
         pool.render_states(states, [0], [rgb[:1]])
-    with pytest.raises(ValueError, match="one array for each camera"):
+    with pytest.raises(ValueError, match="one entry for each camera"):
         pool.render_states(states, [0, 1], [rgb])
     with pytest.raises(ValueError, match="height and width"):
         pool.render_states(states, [0], [rgb], [np.zeros((2, 8, 9), np.uint16)])

@@ -129,7 +129,7 @@ def test_without_a_first_frame_nothing_stays_open(camera: FakeCamera, monkeypatc
 def test_cut_and_scaled_frames_have_the_matrix_of_simulated_ones(size: tuple[int, int]) -> None:
     camera = FakeCamera(CameraMode(640, 480, 30.0, False))
     expected = REALSENSE_D435.intrinsics(*size)
-    np.testing.assert_allclose(intrinsics_of(camera, REALSENSE_D435, size), expected, rtol=0.01)
+    np.testing.assert_allclose(intrinsics_of(camera, REALSENSE_D435, size).matrix, expected, rtol=0.01)
     rows, columns = cropped((640, 480), size)
     assert (columns.stop - columns.start) / (rows.stop - rows.start) == pytest.approx(size[0] / size[1], rel=0.01)
 

@@ -180,8 +180,9 @@ def test_each_physical_range_changes_the_motion(field: str) -> None:
         world.qpos[first + 2] += 0.01
         world.qvel[-6:] = [0.5, 0.0, 0.0, 0.0, 1.0, 0.0]
         for _ in range(10):
+            robot = env.scenario.robots[0]
+            robot.command_joints(robot.joint_targets + 0.01)
             world.core.advance()
-            world.ctrl[:7] += 0.01
         drop.append(world.qpos[first:].copy())
         push.append(world.qpos[:first].copy())
     assert not (np.array_equal(*drop) and np.array_equal(*push))

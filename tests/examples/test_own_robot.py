@@ -75,7 +75,7 @@ def test_the_tests_of_the_package_pass(installed: dict[str, str]) -> None:
 def test_all_that_it_has_is_listed(installed: dict[str, str]) -> None:
     told = run(installed, *RCS, "list")
     robots = ("My robot, 6 joints", "My robot, from its URDF", "rcs/PickCuboid-MyRobot-v0", "rcs/PickCuboid-FR3-v0")
-    for text in (*robots, "PushToLine", "PushExpert", "Wander", "HalfSpeed", "my_driver", "rcs/PushToLine-MyRobot-v0"):
+    for text in (*robots, "PushToLine", "LineExpert", "Wander", "HalfSpeed", "my_driver", "rcs/PushToLine-MyRobot-v0"):
         assert text in told
 
 

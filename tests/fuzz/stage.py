@@ -21,6 +21,7 @@ from .targets import Argument, Target
 MODEL = """
 <mujoco>
   <option timestep="0.002"/>
+  <size nuserdata="60"/>
   <worldbody>
     <camera name="eye" pos="0 -2 1" xyaxes="1 0 0 0 0.4 0.9"/>
     <geom type="plane" size="1 1 0.1"/>
@@ -97,6 +98,10 @@ class Stage:
         self.kept: list[Any] = []
         self.describe: Callable[[str], None] = lambda text: None
         limits = _core.ArmLimits([-2.0] * 3, [2.0] * 3, [1.0] * 3)
+        motion_limits = _core.MotionLimits([-2.0] * 3, [2.0] * 3, [1.0] * 3, [10.0] * 3, [100.0] * 3)
+        motion = _core.Motion([0, 1, 2], [0, 1, 2], 0, motion_limits, 3)
+        body = _core.ArmBody(self.model, [0, 1, 2], 0, 1)
+        flags = np.arange(self.model.ngeom) == self.model.ngeom - 1
         one = World(self.model, stepping="sync", max_substeps=40)
         many = World(self.model, copies=3, threads=2, frequency=60.0)
         state = many.core
@@ -119,13 +124,21 @@ class Stage:
             FakeGripper(),
             FakeHand(4),
             FakeCamera(_core.CameraMode(4, 2, 30.0, True)),
-            _core.SimArm("arm", limits, state, 1, [0, 1, 2], [0, 1, 2]),
+            _core.SimArm("arm", limits, state, 1, motion),
             _core.SimGripper("gripper", 0.1, 10.0, state, 2, [2], 2, gripper),
             _core.JointsArrived([0, 1], [0, 1], 1e-3, 1e-2),
             _core.JointsAtRest([0, 1], 1e-2, 0.01, 3),
+            motion_limits,
+            motion,
+            body,
+            _core.ArmLoads(body),
+            _core.FingerContacts(self.model, [flags.astype(np.uint8)], (~flags).astype(np.uint8), 0.1),
+            _core.CollisionReaction(body, [5.0] * 3, [20.0] * 6, True, 0.01, 0.01, 3),
+            _core.Lens(cx=3.5, cy=3.5, width=8, height=8),
             Kept(self),
             Callback(lambda view: view.time > 1e9),
         ]
+        self.lasting = len(self.objects)
         self.devices = [thing for thing in self.objects if isinstance(thing, _core.Device)]
         for device in self.devices:
             if self.r.random() < 0.8:
@@ -148,7 +161,7 @@ class Stage:
             if isinstance(value, _core.Device):
                 self.devices.append(value)
             if len(self.objects) > 60:
-                del self.objects[self.r.randrange(22, len(self.objects))]
+                del self.objects[self.r.randrange(self.lasting, len(self.objects))]
 
     def instance(self, owner: type) -> Any:
         """Return an object of a class, mostly."""
@@ -170,6 +183,10 @@ class Stage:
                 return r.choice([self.data, self.data, self.other_data]) if target != "sim.World" else None
             case "site" | "frame_body" | "body" | "copy" | "actuator" | "tcp_site" | "base_body" | "camera_id" | "id":
                 return "base" if target.startswith("sim.") else r.randrange(2)
+            case "copies" if target in ("Motion", "CollisionReaction"):
+                return 3
+            case "address":
+                return r.choice([0, 0, 26, 30, 34, 60])
             case "copies" if annotation == "int" or target == "sim.World":
                 return 2
             case "copies":
@@ -207,22 +224,40 @@ class Stage:
                 return np.zeros((2, 3))
             case "joints" if "Sequence[int]" in annotation or "list[int]" in annotation:
                 return [0, 1, 2]
+            case "wrench" if target == "CollisionReaction":
+                return [r.uniform(1, 50) for _ in range(6)]
+            case "joint_lower" | "lower" if "Sequence[float]" in annotation:
+                return [-1.0, -1.0, -1.0]
+            case _ if "Sequence[float]" in annotation:
+                return [r.uniform(0.1, 10) for _ in range(3)]
             case "joints" | "lower" | "upper" | "max_step" | "values" | "asked" | "last" | "measured":
                 return np.array([r.uniform(0, 1) for _ in range(3)])
             case "actuators":
                 return [0, 1, 2]
-            case "joint_lower":
-                return [-1.0, -1.0, -1.0]
-            case "joint_upper" | "joint_velocity":
-                return [1.0, 1.0, 1.0]
-            case "first" | "second":
+            case "first" | "second" | "own":
                 return np.ones(self.model.ngeom, np.uint8)
+            case "fingers":
+                return [np.eye(self.model.ngeom, dtype=np.uint8)[r.randrange(self.model.ngeom)] for _ in range(2)]
+            case "lookup":
+                return np.array([r.uniform(-1, 9) for _ in range(8 * 8 * 2)], np.float32).reshape(8, 8, 2)
+            case "cx" | "cy":
+                return 3.5
+            case "width" | "height":
+                return 8
+            case "table":
+                return np.arange(256, dtype=np.uint8).view(np.int8)
+            case "normal":
+                return np.linspace(-2, 2, 16, dtype=np.float32)
             case "state":
                 return np.zeros(mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION))
             case "states":
                 return np.zeros((2, mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)))
             case "camera_ids":
                 return [0]
+            case "depth" if target == "measure_stereo":
+                return np.array([r.randrange(3000) for _ in range(4 * 6)], np.uint16).reshape(4, 6)
+            case "rgb" if target == "measure_stereo":
+                return np.zeros((4, 6, 3), np.uint8)
             case "rgb" if "Pool" in target:
                 return [np.zeros((2, 8, 8, 3), np.uint8)]
             case "depth" | "world" if target.startswith("Render"):
@@ -323,7 +358,7 @@ class Stage:
             # What draws, and what starts threads, is slow; the share of calls is small, not that of time.
             is_slow = target.name.startswith(("Render", "probe_gl")) or target.name in ("World.of_copies", "sim.World")
             if not is_slow or self.r.random() < (
-                0.002 if target.name in ("Renderer", "RenderPool", "probe_gl") else 0.1
+                0.002 if target.name in ("Renderer", "RenderPool", "probe_gl") else 0.3
             ):
                 return self.core_call(target)
 

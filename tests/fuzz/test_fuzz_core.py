@@ -12,7 +12,7 @@ RARE = ("Render", "probe_gl")
 
 
 def test_no_call_ends_the_process_or_hangs_or_raises_what_nobody_named() -> None:
-    result = fuzz(6000, seed=1)
+    result = fuzz(12000, seed=1)
     assert result["findings"] == []
     missing = {t.name for t in targets_of_core() if not t.name.startswith(RARE)} - set(result["seen"])
     assert not missing, "some functions of the core were not called"

@@ -25,7 +25,7 @@ if __name__ == "__main__":
     class Watch(Layer):
         "A layer of the script."
 
-    PushToLine.expert = PushExpert
+    PushToLine.expert = LineExpert
     env = rcs.make(PushToLine, layers=[Watch])
     print(env.setup.task, *env.setup.layers, run_episode(env, agent_for(env), seed=0).success)
     print(rcs.make_vec(PushToLine, copies=2).reset(seed=0)[1]["block"].shape)
@@ -56,11 +56,11 @@ def test_classes_of_a_script_are_a_task_an_expert_and_a_layer(folder: Path) -> N
 
 
 def test_collect_and_eval_take_the_classes_of_a_file_in_the_folder(folder: Path) -> None:
-    named = ("pushing:PushToLine", "--agent", "pushing:PushExpert", "--cameras", "none", "--episodes", "2")
+    named = ("pushing:PushToLine", "--agent", "pushing:LineExpert", "--cameras", "none", "--episodes", "2")
     run(folder, *RCS, "collect", *named, "--workers", "2", "--out", "pushed", "--no-report")
     dataset = Dataset.open(folder / "pushed")
     assert dataset.info.setup["task"] == "pushing:PushToLine"
-    assert dataset.info.origin["collection"]["agent"] == "pushing:PushExpert"
+    assert dataset.info.origin["collection"]["agent"] == "pushing:LineExpert"
     assert len(dataset) == 2
     told = run(folder, *RCS, "eval", *named, "--workers", "1", "--out", "judged")
     assert (folder / "judged" / "evaluation.json").is_file()

@@ -198,3 +198,6 @@ def test_what_does_not_fit_the_model_is_refused() -> None:
         CollisionReaction(arm, [0.0] * 7, *limits[1:], 1)
     with pytest.raises(InvalidSetup, match="copies"):
         CollisionReaction(arm, *limits, 0)
+    for copy in (-1, 1, 2**31 - 1):
+        with pytest.raises(InvalidSetup, match=f"no copy {copy}, valid is 0 to 0"):
+            CollisionReaction(arm, *limits, 1).cause(copy)

@@ -1,4 +1,4 @@
-"""Place and Stack: what counts as set down, what does not, and experts that do it on every arm."""
+"""Place and StackCuboid: what counts as set down, what does not, and experts that do it on every arm."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.episode import run_episode
 from rcs.rollout.replay import replay
 from rcs.spatial import Pose
-from rcs.tasks import Place, Stack
+from rcs.tasks import Place, StackCuboid
 from rcs.tasks.place import APART
 from rcs.testing.env_contract import require_same_bits
 
-both = pytest.mark.parametrize("task", ["Place", "Stack"])
+both = pytest.mark.parametrize("task", ["Place", "StackCuboid"])
 ARMS = [("fr3", None), ("so101", None), ("ur5e", None), ("xarm7", "robotiq_2f85")]
 
 
@@ -138,7 +138,7 @@ def test_places_are_random_in_the_area_and_apart_from_each_other() -> None:
 
 def test_the_goal_is_as_high_as_the_cuboids_of_the_episode() -> None:
     ranges = rcs.Randomisation.off(object_size=(1.1, 1.1))
-    for task, layers in (("Place", 1), ("Stack", 3)):
+    for task, layers in (("Place", 1), ("StackCuboid", 3)):
         _, info = rcs.make(task, randomisation=ranges).reset(seed=0)
         assert info["goal"][2] == pytest.approx(layers * 1.1 * 0.0576 / 2)
 
@@ -156,7 +156,7 @@ def test_both_objects_can_be_put_somewhere(task: str) -> None:
 
 @pytest.mark.parametrize("value", [0.0, -1.0])
 def test_times_and_tolerances_that_make_no_sense_are_refused(value: float) -> None:
-    for task, names in ((Place, ("rest_time", "tolerance")), (Stack, ("rest_time",))):
+    for task, names in ((Place, ("rest_time", "tolerance")), (StackCuboid, ("rest_time",))):
         for name in names:
             with pytest.raises(InvalidSetup, match=f"{name} is .*above 0"):
                 task.parse_options({name: value})

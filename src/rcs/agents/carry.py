@@ -90,7 +90,7 @@ class PlaceExpert(Script):
 class StackExpert(Script):
     """Carries the cuboid at `info["cuboid"]` to `info["goal"]` and turns it along what is below, if the arm can."""
 
-    task = "Stack"
+    task = "StackCuboid"
     needs = ("cuboid", "goal")
     phases = CARRY
 

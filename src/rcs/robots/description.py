@@ -99,7 +99,8 @@ class ArmDescription(Description):
     """Rated load at the flange, the end effector included [kg]; None if none is published."""
     tcp_speed: float = 0.5
     """Largest translation of the TCP along each axis in relative control [m/s]. Our choice: in nine of ten postures
-    within 0.6 rad of home, `velocity_limit` allows all built-in arms 0.6 m/s along every axis."""
+    within 0.6 rad of home, `velocity_limit` allows all built-in arms with six or seven joints 0.6 m/s along every axis.
+    """
     tcp_turn_speed: float = 1.8
     """Largest rotation of the TCP in relative control [rad/s]: `velocity_limit` allows it to the slowest of them there.
     """

@@ -11,4 +11,4 @@ from rcs.tasks.pick_cuboid import PickCuboid as PickCuboid
 from rcs.tasks.pick_toy import PickToy as PickToy
 from rcs.tasks.place import Place as Place
 from rcs.tasks.push import Push as Push
-from rcs.tasks.stack import Stack as Stack
+from rcs.tasks.stack_cuboid import StackCuboid as StackCuboid

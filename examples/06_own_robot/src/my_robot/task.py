@@ -27,7 +27,7 @@ class PushToLine(Task):
     """
 
     instruction = "push the block over the line"
-    expert = "PushExpert"
+    expert = "LineExpert"
 
     def furnish(self, scene: Scene) -> None:
         """Add a table, the block and the line."""
@@ -87,7 +87,7 @@ class PushToLine(Task):
         return self._world.poses[..., self._pose, :].copy()
 
 
-class PushExpert(Script):
+class LineExpert(Script):
     """Goes down behind the block with the fingers closed, and pushes."""
 
     task = "PushToLine"

@@ -1,4 +1,4 @@
-"""Stack: put one cuboid on another."""
+"""StackCuboid: put one cuboid on another."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ APART = 0.16
 """Least distance between the cuboids at the start [m]: an open gripper fits around one without touching the other."""
 
 
-class Stack(Task):
+class StackCuboid(Task):
     """Put the green cuboid on the blue block, a cuboid of the same size, and let go of it.
 
     It is a success when the cuboid lies on the block, flat, and touched by nothing else, and has been at rest there for
