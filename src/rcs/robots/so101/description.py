@@ -32,14 +32,10 @@ SO101: Final = ArmDescription(
     # Feetech's table of registers, factory values: a servo that exerts over 80 % (36) of its stall torque for 2 s (35)
     # goes into its overload protection.
     collision=CollisionLimits(joint_torque=(0.8 * 2.94,) * 5, loads="drive", duration=2.0),
-<<<<<<< HEAD
-    # Reach from the shoulder lift to the flange with the arm stretched out: 0.116 + 0.135 + 0.061 m.
-=======
     # Ours: of uniformly random relative poses near home, one in five asks for more than the joints can do.
     tcp_speed=0.25,
     tcp_turn_speed=1.0,
-    # From the shoulder lift to the flange with the arm stretched out: 0.116 + 0.135 + 0.061 m.
->>>>>>> 91e4b5a15210643b11fc3d89a435100c5a3c6fb5
+    # Reach from the shoulder lift to the flange with the arm stretched out: 0.116 + 0.135 + 0.061 m.
     workspace_reach=0.312,
     # Its wrist ends in a servo horn made for its own gripper, and lifts a few hundred grams.
     end_effectors=("so101_gripper",),
