@@ -161,7 +161,7 @@ FingerContacts::Touch FingerContacts::touch_of(const mjModel* model, const mjCon
     const int geom = contact.geom[side], other = contact.geom[1 - side];
     const int finger = geom < 0 ? -1 : finger_of_geom_[static_cast<std::size_t>(geom)];
     if (finger < 0) continue;
-    if (other < 0) return {finger, model->ntree + contact.flex[1 - side]};
+    if (other < 0) return {finger, static_cast<int>(model->ntree) + contact.flex[1 - side]};
     if (own_[static_cast<std::size_t>(other)]) continue;
     return {finger, model->body_treeid[model->geom_bodyid[other]]};
   }

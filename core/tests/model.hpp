@@ -28,9 +28,10 @@ inline Model make_model(const char* mjcf) {
   return model;
 }
 
-/// A cart on a rail with a position servo.
+/// A cart on a rail with a position servo, and user data for its motion.
 inline constexpr const char* kCart = R"(
 <mujoco>
+  <size nuserdata="10"/>
   <option timestep="0.002" gravity="0 0 0"/>
   <worldbody>
     <body name="cart">

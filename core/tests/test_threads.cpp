@@ -61,7 +61,9 @@ void every_thread_steps_a_world_of_one_with_an_arm_of_its_own() {
   in_threads([&](int) {
     const Data data(mj_makeData(model.get()));
     const auto world = std::make_shared<World>(model.get(), data.get(), k30Hz);
-    rcs::SimArm arm("cart", {{-10.0}, {10.0}, {1.0}}, world, 0, {0}, {0});
+    const rcs::MotionLimits limits{{-10.0}, {10.0}, {1.0}, {10.0}, {1000.0}};
+    const auto motion = std::make_shared<rcs::Motion>(std::vector{0}, std::vector{0}, 0, limits, 1);
+    rcs::SimArm arm("cart", {{-10.0}, {10.0}, {1.0}}, world, 0, motion);
     arm.open();
     for (int step = 0; step < 30; ++step) {
       arm.command_joints(std::vector<double>{0.1});

@@ -52,7 +52,7 @@ def run(installed: dict[str, str], *arguments: str) -> str:
         env=installed,
         cwd=PACKAGE,
         check=False,
-        timeout=60,
+        timeout=300,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
