@@ -180,7 +180,7 @@ def test_a_changed_state_is_found_by_replay(dataset: Path) -> None:
 
 def test_only_success_keeps_trying_until_there_are_enough(tmp_path: Path) -> None:
     # Too few steps for a pick that starts far away: some attempts fail.
-    collection = plan(tmp_path / "good", setup=rcs.Setup(max_episode_steps=115), episodes=3, only_success=True)
+    collection = plan(tmp_path / "good", setup=rcs.Setup(max_episode_steps=112), episodes=3, only_success=True)
     progress = run(collection)
     episodes = Dataset.open(tmp_path / "good").episodes
     assert len(episodes) == 3
@@ -190,7 +190,7 @@ def test_only_success_keeps_trying_until_there_are_enough(tmp_path: Path) -> Non
 
 
 def test_only_success_keeps_the_same_episodes_with_any_number_of_workers(tmp_path: Path) -> None:
-    setup = rcs.Setup(max_episode_steps=115)
+    setup = rcs.Setup(max_episode_steps=112)
     for workers in (1, 3):
         run(plan(tmp_path / str(workers), setup=setup, episodes=3, only_success=True, workers=workers))
     assert hashes(tmp_path / "3") == hashes(tmp_path / "1")

@@ -57,9 +57,10 @@ def replay(path: str | Path, *, trust: Collection[str] = ()) -> Iterator[ReplayR
     # Neither cameras nor looks change the physics, and without frames a replay is ten times faster.
     env = assemble(resolve(setup), is_blind=True)
     try:
-        if dataset.info.sim_state_size != (own := env.scenario.world.core.state_size):
-            raise InvalidSetup(of_another_simulation(dataset.info.sim_state_size or 0, own))
+        own = env.scenario.world.core.state_size
         for episode in dataset.episodes:
+            if dataset.info.sim_state_size != own:
+                raise InvalidSetup(of_another_simulation(dataset.info.sim_state_size or 0, own))
             yield replay_episode(env, episode)
     finally:
         env.close()
