@@ -37,7 +37,7 @@ CONTROLS = ("joints", "tquat", "xyzrpy")
 TASKS = ("PickCuboid", "Place", "StackCuboid", "Push", "PickToy", "LiftBar", "Free")
 NOTE = "<!-- Written by tools/reference_pages.py from the code; do not edit. -->\n"
 
-MEANINGS = {
+MEANINGS = {  # keys of observations, then those of info
     "joints": "joint positions",
     "tquat": "TCP in the base frame: translation, quaternion xyzw",
     "xyzrpy": "TCP in the base frame: translation; roll, pitch, yaw about the fixed x, y, z axes",
@@ -52,7 +52,6 @@ MEANINGS = {
     "intrinsics": "camera matrix",
     "distortion": "k1, k2, p1, p2, k3 of the lens, as in OpenCV",
     "extrinsics": "pose of the camera as a matrix; x right, y down, z forward",
-    # Keys of info.
     "success": "whether the task is done",
     "is_grasped": "whether the object is grasped: both pads of the gripper press on it (of two arms: of both)",
     "is_touched": "whether any part of the robot presses on the object",
@@ -390,14 +389,12 @@ def options_page() -> str:
 
 def pages() -> dict[Path, str]:
     """Return every page by its path."""
-    made = {DOCS / "options.md": options_page()}
-    made |= {DOCS / "tasks" / f"{slug(name)}.md": task_page(name) for name in TASKS}
-    made |= {DOCS / "robots" / f"{robot}.md": robot_page(robot) for robot in lookup.names("lab")}
-    return {path: text.rstrip() + "\n" for path, text in made.items()}
+    made = {"options": options_page(), **{f"tasks/{slug(name)}": task_page(name) for name in TASKS}}
+    made |= {f"robots/{robot}": robot_page(robot) for robot in lookup.names("lab")}
+    return {DOCS / f"{name}.md": text.rstrip() + "\n" for name, text in made.items()}
 
 
 if __name__ == "__main__":
     for path, text in pages().items():
-        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, "utf-8")
         print(path.relative_to(DOCS.parent))

@@ -62,14 +62,13 @@ class Randomisation:
     """Factor on what each end effector's drives can do: their gains and the limits of their force."""
     robot_start: float = 0.05
     """Largest deviation of each joint of an arm from home at the start [rad]. Deviations that would touch anything are
-    drawn again. robosuite and ManiSkill have 0.02 rad as the standard deviation."""
+    drawn again."""
     gripper_opening: Range = (0.7, 1.0)
     """Opening of each gripper at the start, 0 closed … 1 open. Hands start open."""
     table_height: float = 0.005
     """Largest shift of the table up or down, with everything on it [m]; robots and cameras stay."""
     action_latency: Range = (0.0, 0.05)
-    """Time from the start of a step to when the servos get what it sends, in whole physics steps [s]. UMI (Chi et al.
-    2024) has 0.1 s for its UR5, which includes the lag of the servos."""
+    """Time from the start of a step to when the servos get what it sends, in whole physics steps [s]."""
     late_actions: float = 0.01
     """Share of the steps whose action does not arrive in time: what was sent before is sent again, and the action comes
     with the next step. Synchronous steps are never late."""
@@ -266,7 +265,7 @@ STRONG = Randomisation(
     robot_start=0.1,
     gripper_opening=(0.4, 1.0),
     table_height=0.015,
-    # UMI (Chi et al. 2024) measured 0.1 s from command to motion for a UR5 and 0.125 s for its cameras.
+    # Our choice: a slow controller and a slow camera.
     action_latency=(0.0, 0.1),
     late_actions=0.05,
     frame_latency=(0.0, 0.125),
