@@ -1,0 +1,41 @@
+"""How fast something steps: shared by the programs beside it, which run in Pythons that do not have rcs."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+
+def report(step: Callable[[], Any], *, copies: int, control_period: float, physics_step: float, **more: Any) -> None:
+    """Warm up, step for two seconds, and print one JSON line.
+
+    Args:
+        step: Makes one control step of all copies, with random actions and new episodes where due.
+        copies: How many environments a step is of.
+        control_period: Simulated time of a control step [s].
+        physics_step: Time step of the physics [s].
+        more: More to print.
+    """
+    warm = time.perf_counter() + 1.0
+    while time.perf_counter() < warm:
+        step()
+    steps, start = 0, time.perf_counter()
+    while (seconds := time.perf_counter() - start) < 2.0:
+        step()
+        steps += copies
+    rate = steps / seconds
+    print(
+        json.dumps(
+            {
+                "steps_per_s": rate,
+                "physics_steps_per_s": rate * control_period / physics_step,
+                "simulated_s_per_s": rate * control_period,
+                "control_hz": 1 / control_period,
+                "physics_hz": 1 / physics_step,
+                "copies": copies,
+                **more,
+            }
+        )
+    )
