@@ -196,6 +196,8 @@ _STATE = Setup(
     max_episode_steps=75,
     observe=("privileged", "contacts"),
     collision_reaction=False,
+    reward="dense",
+    discount=0.97,
 )
 """The robot's proprioception and the objects' poses; ten decisions a second, and 7.5 s for an episode."""
 

@@ -135,6 +135,14 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         self._returns[ended] = 0.0
         self._lengths[ended] = 0
 
+    def statistics(self) -> dict[str, NDArray[Any]]:
+        """Return what was counted of the episodes at work, to go on with them later: returns and steps, (copies,)."""
+        return {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
+
+    def set_statistics(self, statistics: Mapping[str, NDArray[Any]]) -> None:
+        """Go on with what `statistics` returned; the copies themselves go on from `VecEnv.set_state`."""
+        self._returns[:], self._lengths[:] = statistics["returns"], statistics["lengths"]
+
     def close(self) -> None:
         """Close the copies; twice is harmless."""
         self.envs.close()
