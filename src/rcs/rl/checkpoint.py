@@ -4,7 +4,7 @@ A run's folder has
 
     training.json             what is trained
     checkpoints/<steps>/      complete when it is there
-        checkpoint.json       what was trained, how a policy's vectors are to be read, how well it did, hashes of the files
+        checkpoint.json       what was trained, what the policy's vectors are, how it did, hashes of the files
         policy.pt             the weights that act
         learner.pt            the rest that training goes on from; of the newest checkpoints alone
     replay/<first>-<last>.pt  transitions that off-policy learners remember, each written once
@@ -231,8 +231,8 @@ def find_checkpoint(path: str | Path) -> Checkpoint:
     folders = checkpoints_of(place)
     if not folders:
         raise InvalidSetup(
-            f"There is no checkpoint in {place}. Valid is the folder of a run, as `rcs train --out` makes it, or one of "
-            f"its folders {CHECKPOINTS}/<steps>."
+            f"There is no checkpoint in {place}. Valid is the folder of a run, as `rcs train --out` makes it, or one "
+            f"of its folders {CHECKPOINTS}/<steps>."
         )
     found: list[Checkpoint] = []
     for folder in folders:

@@ -11,9 +11,9 @@ import numpy as np
 
 from rcs.envs.state import EnvState
 from rcs.errors import CorruptCheckpoint
+from rcs.rl.algorithms import Sac
 from rcs.rl.networks import make_model
 from rcs.rl.packages import package
-from rcs.rl.recipes import Sac
 from rcs.rl.sb3 import Sb3VecEnv
 from rcs.rl.training import Training
 

@@ -6,9 +6,9 @@ from typing import Any
 
 from gymnasium import spaces
 
+from rcs.rl.algorithms import Algorithm, Ppo
 from rcs.rl.flat import Flat
 from rcs.rl.packages import package
-from rcs.rl.recipes import Algorithm, Ppo
 from rcs.rl.sb3 import Sb3VecEnv
 from rcs.rl.training import Training
 

@@ -9,7 +9,8 @@ from typing import Any
 
 from rcs.envs.setup import Setup
 from rcs.errors import CorruptCheckpoint, InvalidSetup
-from rcs.rl.recipes import Algorithm, Recipe, Sac, algorithm_from_json, algorithm_to_json
+from rcs.rl.algorithms import Algorithm, Sac, algorithm_from_json, algorithm_to_json
+from rcs.rl.recipes import Recipe
 from rcs.rollout.look import require_trusted
 
 VERSION = 1
@@ -151,4 +152,3 @@ def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
     for name, value in values.items():
         flat.update(_flat(value) if isinstance(value, dict) and name != "task_options" else {name: value})
     return flat
-
