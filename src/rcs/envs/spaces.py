@@ -5,6 +5,7 @@
 | `joints` | (dof,) float64 | rad |
 | `tquat` | (7,) float64 | TCP translation m, quaternion xyzw |
 | `xyzrpy` | (6,) float64 | TCP translation m, roll-pitch-yaw rad (extrinsic xyz) |
+| `xyzyaw` | (4,) float64 | change of the TCP's translation m and of its yaw rad, with the layer `KeepTilt` |
 | `joint_velocities` | (dof,) float64 | rad/s |
 | `gripper` | (1,) float32 | 0 closed … 1 open |
 | `hand` | (n,) float32 | normalised joints 0 … 1 |
@@ -55,6 +56,7 @@ Observation = dict[str, Any]
 JOINTS = "joints"
 TQUAT = "tquat"
 XYZRPY = "xyzrpy"
+XYZYAW = "xyzyaw"
 JOINT_VELOCITIES = "joint_velocities"
 GRIPPER = "gripper"
 HAND = "hand"
@@ -81,6 +83,7 @@ UNITS = {
     JOINTS: "rad",
     TQUAT: "m, xyzw",
     XYZRPY: "m, rad",
+    XYZYAW: "m, rad",
     JOINT_VELOCITIES: "rad/s",
     JOINT_TORQUES: "Nm",
     TCP_WRENCH: "N, Nm",

@@ -1,6 +1,7 @@
 from rcs.envs.layers.binary_gripper import BinaryGripper as BinaryGripper
 from rcs.envs.layers.cartesian import CartesianControl as CartesianControl
 from rcs.envs.layers.grasp_hand import GraspHand as GraspHand
+from rcs.envs.layers.keep_tilt import KeepTilt as KeepTilt
 from rcs.envs.layers.late_actions import LateActions as LateActions
 from rcs.envs.layers.layer import ActionSpaces as ActionSpaces
 from rcs.envs.layers.layer import Layer as Layer
