@@ -16,7 +16,16 @@ from pathlib import Path
 from rcs.envs.observers.recorder import versions
 from rcs.envs.stack import for_all
 from rcs.errors import CorruptCheckpoint
-from rcs.rl.checkpoint import Checkpoint, Score, best_of, checkpoints_of, open_checkpoint, remove_old, write_checkpoint
+from rcs.rl.checkpoint import (
+    REPLAY,
+    Checkpoint,
+    Score,
+    best_of,
+    checkpoints_of,
+    open_checkpoint,
+    remove_old,
+    write_checkpoint,
+)
 from rcs.rl.examiner import VIDEOS, Examiner, score_of
 from rcs.rl.flat import Flat
 from rcs.rl.learner import Learner
@@ -211,9 +220,8 @@ class _Run:
         files: dict[str, str] = {}
         piece = None
         if learner.has_replay:
-            files = (
-                {} if last is None else {name: own for name, own in last.files.items() if name.startswith("replay/")}
-            )
+            earlier = {} if last is None else last.files
+            files = {name: digest for name, digest in earlier.items() if name.startswith(f"{REPLAY}/")}
             piece = learner.replay_piece(0 if last is None else last.steps // self._training.copies)
         about = Checkpoint(
             path=self._run,

@@ -22,8 +22,8 @@ def run_batch(
 ) -> Iterator[Attempt]:
     """Run episodes in all copies of an environment, and yield each as it ends.
 
-    A copy whose episode is over starts the next one at once. An episode depends on its seed alone: its result is that of
-    `run_episode`, if the agent does in a batch what it does alone.
+    A copy whose episode is over starts the next one at once. An episode depends on its seed alone: its result is that
+    of `run_episode`, if the agent does in a batch what it does alone.
 
     Args:
         envs: Copies, made with `autoreset="Disabled"`.
@@ -57,13 +57,15 @@ def run_batch(
         for copy in np.flatnonzero(is_over).tolist():
             ended = number[copy]
             if ended is not None:
-                result = _result(info, copy, bool(was_touched[copy]), agent)
-                yield Attempt(
-                    number=ended,
-                    result=EpisodeResult(
-                        seed=seeds[copy], steps=int(steps[copy]), reward=float(total[copy]), **result
-                    ),  # fmt: skip
+                success, failure = _verdict(info, copy, bool(was_touched[copy]), agent)
+                result = EpisodeResult(
+                    seed=seeds[copy],
+                    steps=int(steps[copy]),
+                    success=success,
+                    failure=failure,
+                    reward=float(total[copy]),
                 )
+                yield Attempt(number=ended, result=result)
             number[copy] = next(waiting, None)
             if (begun := number[copy]) is not None:
                 next_seeds[copy] = seeds[copy] = seed_of(begun)
@@ -71,15 +73,14 @@ def run_batch(
         observation, info = envs.reset(seed=next_seeds, options={"reset_mask": is_over})
 
 
-def _result(info: Mapping[str, Any], copy: int, was_touched: bool, agent: Agent) -> dict[str, Any]:
+def _verdict(info: Mapping[str, Any], copy: int, was_touched: bool, agent: Agent) -> tuple[bool | None, str | None]:
     """Return success and failure of a copy's episode, as `run_episode` tells them."""
     end = str(info["end"][copy])
     if end in (FAULT, DIVERGED):
-        return {"success": False, "failure": end}
+        return False, end
     told = info.get("success")
     success = None if told is None else bool(told[copy])
-    failure = (agent.failure or ("collision" if was_touched else "timeout")) if success is False else None
-    return {"success": success, "failure": failure}
+    return success, (agent.failure or ("collision" if was_touched else "timeout")) if success is False else None
 
 
 def _is_open(action: Mapping[str, Any], copies: int) -> NDArray[np.bool_]:
