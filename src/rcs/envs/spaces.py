@@ -13,6 +13,7 @@
 | `tcp_wrench` | (6,) float64 | N, Nm: what presses on the tool, about the TCP, in the axes of the base |
 | `finger_contacts` | (fingers,) uint8 | 1 for a finger that touches something |
 | `is_grasped` | (1,) uint8 | 1 if two fingers touch the same object |
+| `target`/`tquat` | (7,) float64 | the last target of the TCP, with the layer `ObserveTarget`: m, xyzw |
 | `privileged`/object/`tquat` | (7,) float64 | pose in the base frame (of several robots: the scene), m, xyzw |
 | `privileged`/object/`velocity` | (6,) float64 | m/s, rad/s, in the axes of the same frame |
 | `frames`/camera/`rgb` | (H, W, 3) uint8 | |
@@ -74,6 +75,7 @@ TCP_WRENCH = "tcp_wrench"
 FINGER_CONTACTS = "finger_contacts"
 IS_GRASPED = "is_grasped"
 PRIVILEGED = "privileged"
+TARGET = "target"
 VELOCITY = "velocity"
 
 LOADS: Mapping[Observed, str] = {"torques": JOINT_TORQUES, "wrench": TCP_WRENCH}

@@ -15,10 +15,10 @@ from rcs.errors import InvalidSetup
 from rcs.rl.layout import LARGEST, Entry, FlatLayout, Image, Kind, Path
 from rcs.rl.scales import NEAR, Scale, Workplace, bounds_of, scale_of
 
-Feature = Literal["offset", "relative_turn"]
+Feature = Literal["offset", "relative_turn", "half_turn"]
 """What is told of pairs of poses beside the poses: TCP to object, object to object."""
 
-FEATURES: tuple[Feature, ...] = ("offset", "relative_turn")
+FEATURES: tuple[Feature, ...] = ("offset", "relative_turn", "half_turn")
 
 DEPTH_LEVEL_MM = 8
 """Depth of one level of a depth image [mm]: 255 levels reach 2 m, which is beyond a table."""
@@ -138,6 +138,8 @@ def _state_entries(boxes: Mapping[Path, spaces.Box], workplace: Workplace, featu
             yield _entry(here, boxes[here], scale, slice(0, 3), kind="offset", to=there, bounds=bounds, unit="m")
         if "relative_turn" in features:
             yield _turn(here, boxes[here], "relative_turn", there)
+        if "half_turn" in features:
+            yield _turn(here, boxes[here], "half_turn", there)
 
 
 def _pairs(poses: Sequence[Path], workplace: Workplace) -> Iterator[tuple[Path, Path]]:
@@ -157,8 +159,9 @@ def _reach(bounds: tuple[float, float, float, float]) -> float:
 
 
 def _turn(path: Path, box: spaces.Box, kind: Kind, to: Path = ()) -> Entry:
-    scale = Scale(np.zeros(6), np.ones(6), "a rotation matrix")
-    return _entry(path, box, scale, slice(0, 6), kind=kind, to=to, bounds=(-np.ones(6), np.ones(6)), unit="1")
+    size = 2 if kind == "half_turn" else 6
+    one = np.ones(size)
+    return _entry(path, box, Scale(0.0 * one, one, "a rotation matrix"), slice(0, size), kind=kind, to=to, bounds=(-one, one), unit="1")
 
 
 def _entry(

@@ -47,7 +47,7 @@ class Flat:
             keys: Keys of the state, such as `joints`, `privileged/cuboid` or, of several robots, `left`; a key with
                 others inside means all of these. None for all but `xyzrpy`, which says the same as `tquat`.
             features: What is told of pairs of poses, from each TCP to each object and from an object to the next:
-                `offset` the way, `relative_turn` the rotation. It follows from the poses, but is hard to learn.
+                `offset` the way, `relative_turn` the rotation, `half_turn` the angle up to half a turn. It follows from the poses, but is hard to learn.
             cameras: Names of the cameras whose frames are observed; None for all.
 
         Raises:
@@ -233,6 +233,7 @@ class _PosePlan:
         pairs = of("relative_turn")
         self._first, self._second = [number[one.path] for one in pairs], [number[one.to] for one in pairs]
         self._relative = [entry.slice for entry in pairs]
+        self._half_turns = [(number[one.path], number[one.to], one.slice) for one in of("half_turn")]
 
     def write(self, observation: Mapping[str, Any], raw: NDArray[np.float64]) -> None:
         """Write the entries into a vector (..., n)."""
@@ -250,6 +251,10 @@ class _PosePlan:
                 in_scene[..., i, :] = compose(base, poses[..., i, :])
         for first, second, place in self._offsets:
             raw[..., place] = in_scene[..., second, :3] - in_scene[..., first, :3]
+        for first, second, place in self._half_turns:
+            turn = tquat_to_matrix(relative(in_scene[..., first, :], in_scene[..., second, :]))
+            x, y = turn[..., 0, 0], turn[..., 1, 0]
+            raw[..., place] = np.stack([x * x - y * y, 2.0 * x * y], -1)
         places = [place for _, place in self._turns] + self._relative
         if not places:
             return

@@ -19,9 +19,9 @@ LARGEST = float(2.0**127)
 Path = tuple[str, ...]
 """Keys from the outermost to the innermost, such as ("privileged", "cuboid", "tquat")."""
 
-Kind = Literal["value", "turn", "offset", "relative_turn"]
+Kind = Literal["value", "turn", "offset", "relative_turn", "half_turn"]
 """What an entry has of its key: numbers as they are; a rotation; the way from one pose to another; the rotation of one
-pose relative to another."""
+pose relative to another; the same about the vertical of the first, up to half a turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,8 @@ class Entry:
     """`value` has numbers of the key. `turn` has the first two columns of the rotation matrix of a pose (6 numbers
     without jumps; Zhou et al. 2019, arXiv:1812.07035). `offset` is the translation from one pose to another, in the
     axes of the base (of several robots: the scene); `relative_turn` has the columns of the rotation of the other pose
-    in the frame of the first. The last two follow from other numbers, and the way back does without them."""
+    in the frame of the first; `half_turn` has cosine and sine of twice the angle of the other's x axis about the z axis
+    of the first: a box, and a gripper with two fingers, are the same after half a turn. The last three follow from other numbers, and the way back does without them."""
     to: Path = ()
     """Of an `offset` and a `relative_turn`, the key of the pose to which is measured."""
     place: tuple[int, int]
