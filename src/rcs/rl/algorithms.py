@@ -21,7 +21,7 @@ class Ppo:
     n_steps: int = 64
     """Steps of every copy between two updates."""
     batch_size: int = 1024
-    """Steps per gradient step; `copies * n_steps` should be a multiple of it."""
+    """Steps per gradient step; fewer where `copies * n_steps` is no multiple of it, so that all have as many."""
     n_epochs: int = 8
     """How often an update goes through its steps."""
     learning_rate: float = 3e-4

@@ -71,6 +71,11 @@ class Learner:
         model._update_current_progress_remaining(model.num_timesteps, self.training.steps)
         model.train()
 
+    @property
+    def has_figures(self) -> bool:
+        """Whether there are figures of an update that `figures` has not returned yet."""
+        return bool(self.model.logger.name_to_value)
+
     def figures(self) -> dict[str, float]:
         """Return the figures of the last update and of the last 100 episodes, by name, and forget those of the update.
 
