@@ -285,8 +285,8 @@ def task_page(name: str) -> str:
     parts += ["## Success and reward\n", " ".join(reward) + "\n"]
     if name != "Free":
         parts += [
-            "An episode is terminated by success, and truncated after `max_episode_steps` (300). "
-            "Options are given as `task_options={…}`:\n",
+            "`reward=` says [what a step pays](../guide.md#rewards). An episode is terminated by success, and "
+            "truncated after `max_episode_steps` (300). Options are given as `task_options={…}`:\n",
             options_table(kind.Options),
         ]
     parts += ["## Start\n", paragraphs(kind.reset)[0] + " " + STARTS.get(name, "") + "\n"]

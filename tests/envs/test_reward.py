@@ -20,7 +20,7 @@ AUTORESETS = ["NextStep", "SameStep", "Disabled"]
 
 
 class Wander(Task):
-    """Has a progress that goes up and down, succeeds where the first joint is far to one side, ends far to the other."""
+    """Progress goes up and down; far to one side of the first joint is success, far to the other the end."""
 
     def bind(self, world: Any, robots: Any) -> None:
         self._robot = robots[0]
