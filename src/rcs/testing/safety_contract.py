@@ -162,21 +162,21 @@ class SafetyContract:
             self.push(env)
             self.require_that_stay_moves_nothing(env, joints_of(env))
 
-    @pytest.mark.parametrize("error", [Broken("broken on purpose"), KeyboardInterrupt()], ids=["error", "Ctrl-C"])
+    @pytest.mark.parametrize("kind", [Broken, KeyboardInterrupt], ids=["error", "Ctrl-C"])
     @pytest.mark.parametrize("where", PLACES)
-    def test_an_error_in_a_step_holds_all_devices(self, where: str, error: BaseException) -> None:
+    def test_an_error_in_a_step_holds_all_devices(self, where: str, kind: type[BaseException]) -> None:
         """Wherever it comes from; the episode is over, its observers are told, and a reset starts anew."""
         with self.env() as env:
             breaks = self.set_in_motion(env)
             observation = lift(env)
-            undo = _arm(env, breaks, where, error)
-            with pytest.raises(type(error)):
+            undo = _arm(env, breaks, where, kind("broken on purpose"))
+            with pytest.raises(kind):
                 env.step(go(env, observation))
             undo()
             self.require_that_all_stand_still(env)
             assert [end for end, _ in breaks.ends] == ["exception"]
-            assert list(breaks.ends[0][1]) == [type(error).__name__]
-            with pytest.raises(WrongOrder, match=type(error).__name__):
+            assert list(breaks.ends[0][1]) == [kind.__name__]
+            with pytest.raises(WrongOrder, match=kind.__name__):
                 env.step(go(env, observation))
             env.reset(seed=3)
             env.step(stay(env, lift(env)))
@@ -204,8 +204,8 @@ class SafetyContract:
             assert "no answer" in "".join(caught.value.__notes__)
             restore()
 
-    @pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt()], ids=["error", "Ctrl-C"])
-    def test_close_closes_everything_whatever_fails(self, error: BaseException) -> None:
+    @pytest.mark.parametrize("kind", [OSError, KeyboardInterrupt], ids=["error", "Ctrl-C"])
+    def test_close_closes_everything_whatever_fails(self, kind: type[BaseException]) -> None:
         """Devices first: what goes wrong beside a robot must not leave it open."""
         env = self.make_env()
         breaks, other = self.set_in_motion(env), _BreaksAt()
@@ -213,8 +213,8 @@ class SafetyContract:
         order: list[str] = []
         for i, port in enumerate(env.stack.ports):
             _note(port, "close", order, f"port {i}")
-        breaks.where, breaks.error = "close of an observer", error
-        with pytest.raises(type(error)):
+        breaks.where, breaks.error = "close of an observer", kind("broken on purpose")
+        with pytest.raises(kind):
             env.close()
         expected = [f"port {i}" for i in range(len(env.stack.ports))]
         assert order[: len(expected)] == expected
@@ -222,8 +222,8 @@ class SafetyContract:
         assert other.is_closed
         env.close()
 
-    @pytest.mark.parametrize("error", [OSError("no answer"), KeyboardInterrupt()], ids=["error", "Ctrl-C"])
-    def test_a_device_that_fails_to_close_keeps_no_other_open(self, error: BaseException) -> None:
+    @pytest.mark.parametrize("kind", [OSError, KeyboardInterrupt], ids=["error", "Ctrl-C"])
+    def test_a_device_that_fails_to_close_keeps_no_other_open(self, kind: type[BaseException]) -> None:
         """And observers are closed all the same."""
         env = self.make_env()
         breaks = self.set_in_motion(env)
@@ -234,10 +234,10 @@ class SafetyContract:
 
         def fail() -> None:
             failing()
-            raise error
+            raise kind("broken on purpose")
 
         env.stack.ports[0].close = fail
-        with pytest.raises(type(error)):
+        with pytest.raises(kind):
             env.close()
         assert set(order) == {f"port {i}" for i in range(len(env.stack.ports))}
         assert breaks.is_closed
