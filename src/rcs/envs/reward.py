@@ -76,7 +76,7 @@ class Rewards:
         *,
         terminated: Any,
         failed: Any = np.False_,
-        diverged: Any = np.False_,
+        diverged: NDArray[np.bool_] | None = None,
         starting: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float64]:
         """Return the reward of the step that led to the present state, (*leading,). Call it once per step.
@@ -85,21 +85,25 @@ class Rewards:
             judgement: The task's.
             terminated: Which episodes the step terminates.
             failed: Which episodes a fault or divergence truncates; a success in the same step does not count.
-            diverged: In which of these the simulation diverged.
+            diverged: In which of these the simulation diverged; None for none.
             starting: Copies whose episode starts in the place of a step, which pays nothing; None for none.
         """
         success = np.False_ if judgement.success is None else judgement.success & ~failed
-        progress = np.where(diverged, self._potential, self._progress(judgement))
+        progress = self._progress(judgement)
+        if diverged is not None:
+            progress = np.where(diverged, self._potential, progress)
         potential = np.where(terminated, 0.0, progress)
         if judgement.reward is not None:
-            reward = np.where(diverged, 0.0, judgement.reward)
+            reward = self._none + judgement.reward
         elif self._kind == "shaped":
             reward = self._discount * potential - self._potential + success
         elif self._kind == "dense":
             worth = np.where(terminated, 1.0 / (1.0 - self._discount), 1.0)
-            reward = np.where(diverged, 0.0, np.where(success, worth, self._of_state(progress, judgement.is_placed)))
+            reward = np.where(success, worth, self._of_state(progress, judgement.is_placed))
         else:
             reward = self._none + success
+        if diverged is not None and (judgement.reward is not None or self._kind != "shaped"):
+            reward = np.where(diverged, 0.0, reward)
         if starting is not None:
             reward, potential = np.where(starting, 0.0, reward), np.where(starting, progress, potential)
         self._potential = potential
