@@ -243,7 +243,7 @@ class Engine:
             truncated = truncated & ~starting
         if self.scenario is not None:
             judgement = self.scenario.evaluate()
-            info, failed, diverged = judgement.info, truncated | bool(faults), np.False_
+            info, failed, diverged = judgement.info, truncated | bool(faults), None
             if judgement.terminated is not None:
                 terminated = judgement.terminated if starting is None else judgement.terminated & ~starting
             if truncated.any() if self.leading else truncated:

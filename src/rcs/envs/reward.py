@@ -27,13 +27,13 @@ STILLNESS = 5.0
 class Rewards:
     """Pays for each step, in each copy, by one of three rules; the discount is the learner's.
 
-    - `shaped` pays 1 at success, and in every step `discount · Φ(s') - Φ(s)`, where the potential Φ is the progress. That
-      changes no optimal policy (Ng, Harada and Russell 1999, "Policy invariance under reward transformations"). In an
-      episode that the task terminates, Φ of the last state is 0. In one that is truncated it is the progress, because
-      there the learner goes on with its estimate. So what shaping pays in T steps is `discount^T · Φ_T - Φ_0`,
-      discounted, and to stay where one is costs something, however near the goal.
-    - `dense` pays for where the state is, 0 … 0.8 per step: the reward of ManiSkill 3's PickCube-v1, divided by 5. Success
-      ends the episode here, and pays what 1 per step would be worth for ever: `1 / (1 - discount)`.
+    - `shaped` pays 1 at success, and in every step `discount · Φ(s') - Φ(s)`, where the potential Φ is the progress.
+      That changes no optimal policy (Ng, Harada and Russell 1999, "Policy invariance under reward transformations").
+      In an episode that the task terminates, Φ of the last state is 0. In one that is truncated it is the progress,
+      because there the learner goes on with its estimate. So what shaping pays in T steps is, discounted,
+      `discount^T · Φ_T - Φ_0`, and to stay where one is costs something, however near the goal.
+    - `dense` pays for where the state is, 0 … 0.8 per step: the reward of ManiSkill 3's PickCube-v1, divided by 5.
+      Success ends the episode here, and pays what 1 per step would be worth for ever: `1 / (1 - discount)`.
     - `sparse` pays 1 at success.
 
     A copy whose simulation diverges keeps its potential, for the state is lost, and is paid nothing else.
@@ -76,7 +76,7 @@ class Rewards:
         *,
         terminated: Any,
         failed: Any = np.False_,
-        diverged: Any = np.False_,
+        diverged: NDArray[np.bool_] | None = None,
         starting: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float64]:
         """Return the reward of the step that led to the present state, (*leading,). Call it once per step.
@@ -85,21 +85,25 @@ class Rewards:
             judgement: The task's.
             terminated: Which episodes the step terminates.
             failed: Which episodes a fault or divergence truncates; a success in the same step does not count.
-            diverged: In which of these the simulation diverged.
+            diverged: In which of these the simulation diverged; None for none.
             starting: Copies whose episode starts in the place of a step, which pays nothing; None for none.
         """
         success = np.False_ if judgement.success is None else judgement.success & ~failed
-        progress = np.where(diverged, self._potential, self._progress(judgement))
+        progress = self._progress(judgement)
+        if diverged is not None:
+            progress = np.where(diverged, self._potential, progress)
         potential = np.where(terminated, 0.0, progress)
         if judgement.reward is not None:
-            reward = np.where(diverged, 0.0, judgement.reward)
+            reward = self._none + judgement.reward
         elif self._kind == "shaped":
             reward = self._discount * potential - self._potential + success
         elif self._kind == "dense":
             worth = np.where(terminated, 1.0 / (1.0 - self._discount), 1.0)
-            reward = np.where(diverged, 0.0, np.where(success, worth, self._of_state(progress, judgement.is_placed)))
+            reward = np.where(success, worth, self._of_state(progress, judgement.is_placed))
         else:
             reward = self._none + success
+        if diverged is not None and (judgement.reward is not None or self._kind != "shaped"):
+            reward = np.where(diverged, 0.0, reward)
         if starting is not None:
             reward, potential = np.where(starting, 0.0, reward), np.where(starting, progress, potential)
         self._potential = potential
