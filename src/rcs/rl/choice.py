@@ -122,7 +122,7 @@ def _state_entries(boxes: Mapping[Path, spaces.Box], workplace: Workplace, featu
     for path, box in boxes.items():
         scale = scale_of(path, box, workplace)
         if path[-1] == keys.TQUAT and box.shape == (7,):
-            poses[path] = _entry(path, box, scale, slice(0, 3))
+            poses[path] = _entry(path, box, scale, slice(0, 3), unit="m")
             yield poses[path]
             yield _turn(path, box, "turn")
         else:
@@ -158,7 +158,7 @@ def _reach(bounds: tuple[float, float, float, float]) -> float:
 
 def _turn(path: Path, box: spaces.Box, kind: Kind, to: Path = ()) -> Entry:
     scale = Scale(np.zeros(6), np.ones(6), "a rotation matrix")
-    return _entry(path, box, scale, slice(0, 6), kind=kind, to=to, bounds=(-np.ones(6), np.ones(6)), unit="1")
+    return _entry(path, box, scale, slice(0, 6), kind=kind, to=to, bounds=(-np.ones(6), np.ones(6)), unit="")
 
 
 def _entry(
@@ -188,7 +188,7 @@ def _entry(
         scale=tuple(by.tolist()),
         low=tuple(np.asarray(bounds[0]).tolist()),
         high=tuple(np.asarray(bounds[1]).tolist()),
-        unit=keys.UNITS.get(path[-1], "1") if unit is None else unit,
+        unit=keys.UNITS.get(path[-1], "") if unit is None else unit,
         source=scale.source,
     )
 

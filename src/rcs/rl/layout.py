@@ -132,6 +132,10 @@ class FlatLayout:
             )
         except (KeyError, TypeError, ValueError, AttributeError) as err:
             raise InvalidSetup(f"The layout is damaged: {type(err).__name__}: {err}.") from err
+        for image in layout.images:
+            sizes = (*image.shape, image.level_mm)
+            if len(sizes) != 4 or not all(isinstance(one, int) and one > 0 for one in sizes):
+                raise InvalidSetup(f"The layout is damaged: its image {image.name!r} has the shape {image.shape}.")
         for entries in (layout.action, layout.state):
             end = 0
             for entry in entries:
@@ -142,15 +146,22 @@ class FlatLayout:
         """Return a line per entry."""
         lines = ["observation"]
         lines += [_line(entry) for entry in self.state]
-        lines += [f"  {image.name:44}{'x'.join(map(str, image.shape)):>10} uint8" for image in self.images]
+        lines += [f"  {'':8}{image.name:66}{'x'.join(map(str, image.shape)):8} uint8" for image in self.images]
         return "\n".join([*lines, "action", *(_line(entry) for entry in self.action)])
 
 
 def _line(entry: Entry) -> str:
     first, end = entry.place
-    scale = f"{min(entry.scale):.3g}" + (f"-{max(entry.scale):.3g}" if min(entry.scale) != max(entry.scale) else "")
+    offset, scale = (_range(table) for table in (entry.offset, entry.scale))
     what = "" if entry.kind == "value" else f" ({entry.kind.replace('_', ' ')})"
-    return f"  {first:3}:{end:<4}{entry.name + what:44} 1 = {scale} {entry.unit}; {entry.source}"
+    numbers = f"{first}" if end == first + 1 else f"{first}-{end - 1}"
+    formula = f"(value - {offset}) / {scale} {entry.unit}".rstrip()
+    return f"  {numbers:8}{entry.name + what:66}{formula}; {entry.source}"
+
+
+def _range(numbers: Sequence[float]) -> str:
+    low, high = min(numbers), max(numbers)
+    return f"{low:.3g}" if low == high else f"[{low:.3g} … {high:.3g}]"
 
 
 def _entry(values: Any) -> Entry:
@@ -170,6 +181,7 @@ def _check(entry: Entry, first: int) -> int:
         entry.place[0] == first
         and size > 0
         and all(len(table) == size and all(isinstance(one, float) for one in table) for table in tables)
+        and all(one > 0 for one in entry.scale)
         and entry.kind in get_args(Kind)
         and (entry.kind != "value" or entry.picked[1] - entry.picked[0] == size)
     )

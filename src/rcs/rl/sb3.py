@@ -36,8 +36,8 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
 
     The infos of a step are empty but for copies whose episode ended. Those have what SB3 and its monitors look for:
     `terminal_observation`, `TimeLimit.truncated`, `episode` (`r` return, `l` steps, `t` seconds since the start), and
-    `is_success`, besides `end`, which says how the last step ended. A copy whose simulation diverged has no value to go
-    on from, and counts as terminated.
+    `is_success`, besides `end`, which says how the last step ended. A copy whose simulation diverged counts as terminated: its
+    last observation is of no episode, and has no value.
 
     Arrays that a step returns are new, and stay as they are; frames are those of the environment if it gives them with
     channels first.
@@ -125,7 +125,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
             own = {key: value[row] for key, value in last.items()} if has_images else last[row]
             end = str(ends[copy])
             infos[copy] = {
-                "terminal_observation": _finite(own) if end == DIVERGED else own,
+                "terminal_observation": own,
                 "TimeLimit.truncated": bool(truncated[copy]) and end != DIVERGED,
                 "episode": {"r": float(self._returns[copy]), "l": int(self._lengths[copy]), "t": seconds},
                 "end": end,
@@ -198,9 +198,3 @@ def _rows(observation: Mapping[str, Any], paths: Iterable[Path], rows: NDArray[n
             found, inner = found[key], inner.setdefault(key, {})
         inner[path[-1]] = found[path[-1]][rows]
     return chosen
-
-
-def _finite(observation: Any) -> Any:
-    if isinstance(observation, Mapping):
-        return {key: _finite(value) for key, value in observation.items()}
-    return np.nan_to_num(observation, nan=0.0, posinf=0.0, neginf=0.0)
