@@ -20,7 +20,7 @@ from rcs.agents import agent_for
 from rcs.envs.env import Env
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidAction, InvalidSetup
-from rcs.rl import Flat, FlatLayout
+from rcs.rl import Flat, FlatLayout, Selection
 
 SETUPS: dict[str, dict[str, Any]] = {
     "joints": {"observe": ("privileged", "contacts", "torques", "wrench")},
@@ -236,6 +236,24 @@ def test_offsets_and_relative_turns_are_those_of_the_poses() -> None:
             turn = vector[entry(flat, f"{here} to {there}", "relative_turn")]
             expected = (first.inverse() * second).matrix[:3, :2].T.ravel()
             np.testing.assert_allclose(turn, expected, atol=1e-6)
+            near, way = vector[entry(flat, f"{here} to {there}", "near")], second.translation - first.translation
+            np.testing.assert_allclose(near, way / np.sqrt(way**2 + 0.03**2), atol=1e-6)
+
+
+def test_a_box_turned_by_half_a_turn_looks_the_same_to_a_gripper() -> None:
+    _, flat = made("joints")
+    observation = rolled_out("joints")[3]
+    half = entry(flat, "tquat to privileged/cuboid/tquat", "half_turn")
+
+    def seen(yaw: float) -> NDArray[Any]:
+        turned = {**observation["privileged"]["cuboid"]}
+        turned["tquat"] = np.array([0.5, 0.1, 0.03, 0, 0, np.sin(yaw / 2), np.cos(yaw / 2)])
+        straight_down = np.array([0.5, 0, 0.2, 1, 0, 0, 0])
+        return flat.state({**observation, "tquat": straight_down, "privileged": {"cuboid": turned}})[half]
+
+    for yaw in np.linspace(-3, 3, 7):
+        np.testing.assert_allclose(seen(yaw), [np.cos(2 * yaw), -np.sin(2 * yaw)], atol=1e-6)  # seen from above
+        np.testing.assert_allclose(seen(yaw), seen(yaw + np.pi), atol=1e-6)
 
 
 def test_offsets_of_two_arms_are_from_where_their_bases_stand() -> None:
@@ -271,25 +289,46 @@ def test_what_an_expert_sees_is_about_1_in_size(kind: str) -> None:
 def test_keys_choose_what_is_observed() -> None:
     env, whole = made("joints")
     observation = rolled_out("joints")[0]
-    flat = Flat(env, keys=("joints", "privileged"), features=())
+    flat = Flat(env, Selection(keys=("joints", "privileged"), features=()))
     assert leaves(flat.observation_dict(flat.observation(observation))).keys() == {
         "/joints",
         "/privileged/cuboid/tquat",
         "/privileged/cuboid/velocity",
     }
-    redundant = Flat(env, keys=("xyzrpy",), features=())
+    redundant = Flat(env, Selection(keys=("xyzrpy",), features=()))
     np.testing.assert_allclose(
         redundant.observation_dict(redundant.observation(observation))["xyzrpy"], observation["xyzrpy"], atol=1e-6
     )
     assert flat.layout.state_size < whole.layout.state_size
     with pytest.raises(InvalidSetup, match="no key 'joint' of numbers in the observation; valid: finger_contacts"):
-        Flat(env, keys=("joint",))
-    with pytest.raises(InvalidSetup, match=r"keys is the text 'joints'; give a sequence"):
-        Flat(env, keys="joints")
-    with pytest.raises(InvalidSetup, match=r"features has \['goal'\]; valid: 'offset', 'relative_turn'"):
-        Flat(env, features=("goal",))  # pyright: ignore[reportArgumentType]
+        Flat(env, Selection(keys=("joint",)))
     with pytest.raises(InvalidSetup, match=r"no cameras \['wrist'\]; valid: none"):
-        Flat(env, cameras=("wrist",))
+        Flat(env, Selection(cameras=("wrist",)))
+    with pytest.raises(InvalidSetup, match="A layout was given and also a selection"):
+        Flat(whole.layout, Selection())
+
+
+def test_numbers_of_an_action_that_are_not_selected_stay_in_the_middle() -> None:
+    env, whole = made("xyzrpy")
+    flat = Flat(env, Selection(actions=("xyzrpy[5]", "gripper", "xyzrpy[0:3]")))
+    assert flat.action_space.shape == (5,)
+    vectors = np.random.default_rng(0).uniform(-1, 1, (4, 5)).astype(np.float32)
+    every = np.zeros((4, 7))  # the gripper first, then x, y, z, roll, pitch, yaw
+    every[:, [6, 0, 1, 2, 3]] = vectors
+    assert same_bits(flat.action(vectors), whole.action(every))
+    np.testing.assert_allclose(flat.action_vector(whole.action(every)), vectors, atol=1e-6)
+    stored = Flat(FlatLayout.from_json(json.loads(json.dumps(flat.layout.to_json()))))
+    assert same_bits(stored.action(vectors[1]), flat.action(vectors[1]))
+    for actions, message in (
+        (("xyzrpy",), "actions has nothing of gripper"),
+        (("xyzrpy", "gripper", "xyzrpy[2]"), r"'xyzrpy\[2\]', numbers of which it has before"),
+        (("xyzrpy[4:7]", "gripper"), r"'xyzrpy\[4:7\]'; the key has the numbers 0 to 5"),
+        (("xyzrpy[3:3]", "gripper"), "the key has the numbers 0 to 5"),
+        (("yaw", "gripper"), r"actions has 'yaw'; valid are gripper, xyzrpy, or numbers of them"),
+        (("xyzrpy[", "gripper"), r"actions has 'xyzrpy\['; valid are"),
+    ):
+        with pytest.raises(InvalidSetup, match=message):
+            Flat(env, Selection(actions=actions))
 
 
 def test_spaces_alone_make_maps_with_general_scales() -> None:
@@ -340,7 +379,7 @@ def test_gymnasium_s_wrappers_and_checks_take_the_maps() -> None:
         flat.observation_space,
     )
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*is different from the unwrapped version")
+        warnings.filterwarnings("ignore", message="(?s).*is different from the unwrapped version")
         check_env(wrapped, skip_render_check=True)
     assert Flat(wrapped.env.env).layout == flat.layout
     env.close()
@@ -376,7 +415,7 @@ def test_frames_are_planes_of_uint8_beside_the_state(copies: int | None) -> None
         assert flat.observation_space.contains(vectors)
     stored = Flat(FlatLayout.from_json(json.loads(json.dumps(flat.layout.to_json()))))
     assert same_bits(stored.observation(observation), vectors)
-    one = Flat(env, cameras=("side",))
+    one = Flat(env, Selection(cameras=("side",)))
     assert set(one.observation(observation)) == {"state", "side", "side_depth"}
     env.close()
 

@@ -29,6 +29,8 @@ FORCE, MOMENT = 30.0, 5.0
 """Force and moment on the tool that are 1 [N, Nm]. Our choice: the weight of a payload of 3 kg, and a sixth of that."""
 NEAR = 0.1
 """Offset from pose to pose that is 1 [m]. Our choice: about the width of an opened gripper."""
+CLOSE = 0.03
+"""Offset that is 0.7 in what tells of the last centimetres [m]. Our choice: about half the width of a cuboid."""
 CENTRE, AROUND = (0.5, 0.0, 0.0), 0.5
 """Middle and half width of the space of poses where the arm is not known [m]."""
 
@@ -70,7 +72,8 @@ class Workplace:
         base = base_in_scene(robots) if own is None else base_in_scene([own])
         half = max(0.5 * float(np.hypot(*self.area.size)), 0.25 * reach)
         source = "half the diagonal of the task's area, or a quarter of the arm's reach"
-        return Scale(compose(inverse(base), centre)[:3].copy(), np.full(3, half), source)
+        middle = np.round(compose(inverse(base), centre)[:3], 9) + 0.0  # no rounding of a turned base, no -0
+        return Scale(middle, np.full(3, half), source)
 
 
 def scale_of(path: Path, box: spaces.Box, workplace: Workplace) -> Scale:
