@@ -3,7 +3,7 @@ from __future__ import annotations
 import functools
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium
@@ -286,77 +286,6 @@ def test_what_an_expert_sees_is_about_1_in_size(kind: str) -> None:
     assert np.quantile(sizes, 0.99) < 6.0
 
 
-def test_keys_choose_what_is_observed() -> None:
-    env, whole = made("joints")
-    observation = rolled_out("joints")[0]
-    flat = Flat(env, Selection(keys=("joints", "privileged"), features=()))
-    assert leaves(flat.observation_dict(flat.observation(observation))).keys() == {
-        "/joints",
-        "/privileged/cuboid/tquat",
-        "/privileged/cuboid/velocity",
-    }
-    redundant = Flat(env, Selection(keys=("xyzrpy",), features=()))
-    np.testing.assert_allclose(
-        redundant.observation_dict(redundant.observation(observation))["xyzrpy"], observation["xyzrpy"], atol=1e-6
-    )
-    assert flat.layout.state_size < whole.layout.state_size
-    with pytest.raises(InvalidSetup, match="no key 'joint' of numbers in the observation; valid: finger_contacts"):
-        Flat(env, Selection(keys=("joint",)))
-    with pytest.raises(InvalidSetup, match=r"no cameras \['wrist'\]; valid: none"):
-        Flat(env, Selection(cameras=("wrist",)))
-    with pytest.raises(InvalidSetup, match="A layout was given and also a selection"):
-        Flat(whole.layout, Selection())
-
-
-def test_numbers_of_an_action_that_are_not_selected_stay_in_the_middle() -> None:
-    env, whole = made("xyzrpy")
-    flat = Flat(env, Selection(actions=("xyzrpy[5]", "gripper", "xyzrpy[0:3]")))
-    assert flat.action_space.shape == (5,)
-    vectors = np.random.default_rng(0).uniform(-1, 1, (4, 5)).astype(np.float32)
-    every = np.zeros((4, 7))  # the gripper first, then x, y, z, roll, pitch, yaw
-    every[:, [6, 0, 1, 2, 3]] = vectors
-    assert same_bits(flat.action(vectors), whole.action(every))
-    np.testing.assert_allclose(flat.action_vector(whole.action(every)), vectors, atol=1e-6)
-    stored = Flat(FlatLayout.from_json(json.loads(json.dumps(flat.layout.to_json()))))
-    assert same_bits(stored.action(vectors[1]), flat.action(vectors[1]))
-    for actions, message in (
-        (("xyzrpy",), "actions has nothing of gripper"),
-        (("xyzrpy", "gripper", "xyzrpy[2]"), r"'xyzrpy\[2\]', numbers of which it has before"),
-        (("xyzrpy[4:7]", "gripper"), r"'xyzrpy\[4:7\]'; the key has the numbers 0 to 5"),
-        (("xyzrpy[3:3]", "gripper"), "the key has the numbers 0 to 5"),
-        (("yaw", "gripper"), r"actions has 'yaw'; valid are gripper, xyzrpy, or numbers of them"),
-        (("xyzrpy[", "gripper"), r"actions has 'xyzrpy\['; valid are"),
-    ):
-        with pytest.raises(InvalidSetup, match=message):
-            Flat(env, Selection(actions=actions))
-
-
-def test_spaces_alone_make_maps_with_general_scales() -> None:
-    env, known = made("joints")
-    flat = Flat.from_spaces(env.action_space, env.observation_space)
-    observation = rolled_out("joints")[1]
-    assert flat.layout.state_size == known.layout.state_size
-    np.testing.assert_allclose(
-        flat.observation_dict(flat.observation(observation))["joints"], observation["joints"], atol=1e-6
-    )
-    two, _ = made("two arms")
-    flat = Flat.from_spaces(two.action_space, two.observation_space)
-    assert {one.kind for one in flat.layout.state} == {"value", "turn"}  # where the bases stand is not known
-
-
-def test_spaces_without_numbers_or_bounds_are_refused() -> None:
-    box = spaces.Box(-1, 1, (2,))
-    with pytest.raises(InvalidSetup, match="'mode' has the space Discrete"):
-        Flat.from_spaces(spaces.Dict(mode=spaces.Discrete(3)), spaces.Dict(a=box))
-    with pytest.raises(InvalidSetup, match="'force' has no finite bounds"):
-        Flat.from_spaces(spaces.Dict(force=spaces.Box(-np.inf, np.inf, (1,))), spaces.Dict(a=box))
-    with pytest.raises(InvalidSetup, match="Nothing is left to observe"):
-        Flat.from_spaces(spaces.Dict(a=box), spaces.Dict())
-    unbounded = spaces.Dict(a=spaces.Box(np.array([-np.inf, 0]), np.array([np.inf, 4]), dtype=np.float64), b=box)
-    flat = Flat.from_spaces(spaces.Dict(a=box), unbounded)
-    np.testing.assert_array_equal(flat.observation({"a": np.array([30.0, 4.0]), "b": np.zeros(2)}), [30, 1, 0, 0])
-
-
 def test_observations_that_do_not_fit_are_refused() -> None:
     _, flat = made("joints")
     observation = rolled_out("joints")[0]
@@ -420,31 +349,13 @@ def test_frames_are_planes_of_uint8_beside_the_state(copies: int | None) -> None
     env.close()
 
 
-def test_a_layout_prints_every_number_with_its_unit_and_source() -> None:
-    _, flat = made("joints")
-    text = str(flat.layout)
-    assert "(value - [0 … 0.5]) / 0.25 m; half the diagonal of the task's area" in text
-    assert "rad/s; the arm's velocity limits" in text
-    assert repr(flat) == f"Flat({flat.layout.state_size} numbers -> 8 numbers)"
+def test_a_real_robot_has_the_layout_of_the_simulated_one() -> None:
+    simulated, real = rcs.make("Free"), rcs.make("Free", hardware="fake")
+    assert Flat(simulated).layout == Flat(real).layout
+    tilted, same = rcs.make("Free", robot="ur5e"), rcs.make("Free", robot="ur5e", hardware="fake")
+    assert Flat(tilted).layout == Flat(same).layout != Flat(real).layout
 
 
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
-        (lambda values: values.update(version=99), "version 99; this program reads version 1"),
-        (lambda values: values.pop("state"), "The layout is damaged: KeyError"),
-        (lambda values: values["state"][1].update(colour="red"), "The layout is damaged: TypeError"),
-        (lambda values: values["state"][1]["scale"].append(1.0), "'gripper' does not fit its place"),
-        (lambda values: values["state"][1].update(kind="guess"), "'gripper' does not fit its place"),
-        (lambda values: values["state"].pop(0), "'gripper' does not fit its place"),
-        (lambda values: values["state"][1].update(scale=[0.0]), "'gripper' does not fit its place"),
-        (lambda values: values.update(images=[{"path": ["a"], "name": "a", "shape": [3, 4]}]), "image 'a'"),
-    ],
-)
-def test_a_damaged_layout_is_refused(damage: Any, message: str) -> None:
-    values = made("joints")[1].layout.to_json()
-    damage(values)
-    with pytest.raises(InvalidSetup, match=message):
-        FlatLayout.from_json(values)
-    with pytest.raises(InvalidSetup, match="The layout has version 'list'"):
-        FlatLayout.from_json([])
+def test_the_maps_need_no_torch(run_program: Callable[..., Any]) -> None:
+    done = run_program("import sys, rcs; rcs.rl.Flat, rcs.rl.Selection; print('torch' in sys.modules)")
+    assert done.stdout.strip() == "False", done.stderr

@@ -45,9 +45,10 @@ class Flat:
             InvalidSetup: A space is not one of numbers, a key or a camera is unknown, or nothing is left.
         """
         if not isinstance(of, FlatLayout):
+            workplace = workplace_of(of)
             action = getattr(of, "single_action_space", of.action_space)
             observation = getattr(of, "single_observation_space", of.observation_space)
-            of = layout_of(action, observation, workplace_of(of), selection or Selection())
+            of = layout_of(action, observation, workplace, selection or Selection())
         elif selection is not None:
             raise InvalidSetup("A layout was given and also a selection; the layout says what the vectors have.")
         self.layout: FlatLayout = of

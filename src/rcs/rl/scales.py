@@ -15,9 +15,13 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from rcs.envs import spaces as keys
+from rcs.envs.env import Env
 from rcs.envs.start import base_in_scene
 from rcs.envs.task import Area
+from rcs.envs.vector import VecEnv
+from rcs.errors import InvalidSetup
 from rcs.rl.layout import Path
+from rcs.setups.make import resolve
 from rcs.sim.scene import RobotPlacement
 from rcs.spatial import compose, inverse
 
@@ -113,17 +117,20 @@ def bounds_of(box: spaces.Box) -> Scale:
 
 
 def workplace_of(env: Any) -> Workplace:
-    """Return what scales depend on, of an `Env` or `VecEnv`, also under gymnasium's wrappers."""
-    inner = getattr(env, "unwrapped", env)
-    robots = dict(getattr(inner, "robots", {}))
-    area: Area | None = None
-    if getattr(inner, "is_simulated", hasattr(inner, "scenario")):
-        area = inner.scenario.task.area
-    elif getattr(inner, "has_setup", False):
-        from rcs.setups.make import resolve
+    """Return what scales depend on, of an `Env` or `VecEnv`, also under gymnasium's wrappers.
 
+    Raises:
+        InvalidSetup: It is none.
+    """
+    inner = getattr(env, "unwrapped", env)
+    if not isinstance(inner, Env | VecEnv):
+        raise InvalidSetup(f"{env!r} is no environment of rcs; make the maps with Flat.from_spaces.")
+    area: Area | None = None
+    if isinstance(inner, VecEnv) or inner.is_simulated:
+        area = inner.scenario.task.area
+    elif inner.has_setup:
         area = resolve(inner.setup).task.area
-    return Workplace(robots=robots, area=area)
+    return Workplace(robots=inner.robots, area=area)
 
 
 def _about_zero(scale: ArrayLike, size: int, source: str) -> Scale:
