@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from gymnasium import spaces
@@ -53,6 +54,11 @@ def batch_size(training: Training) -> int:
     return steps // next(batches for batches in range(fewest, steps + 1) if steps % batches == 0)
 
 
+def reward_scale(training: Training) -> float:
+    """Return the factor on the rewards that a learner sees."""
+    return training.algorithm.reward_scale if isinstance(training.algorithm, Ppo) else 1.0
+
+
 def make_policy(algorithm: Algorithm, flat: Flat) -> Any:
     """Return the policy of an algorithm as a torch module on the CPU, with weights to be loaded.
 
@@ -89,9 +95,27 @@ def _network(algorithm: Algorithm, *, has_images: bool) -> dict[str, Any]:
     }
     if isinstance(algorithm, Ppo):
         how["log_std_init"] = algorithm.log_std_init
+        if algorithm.near_and_far and not has_images:
+            how["features_extractor_class"] = _near_and_far()
     if has_images:
         how["features_extractor_kwargs"] = {"cnn_output_dim": FEATURES_PER_CAMERA}
     return how
+
+
+@cache
+def _near_and_far() -> Any:
+    """Return the class of features that tell every number x twice, as 2 tanh(x / 2) and as tanh(4 x)."""
+    torch = package("torch")
+    base: Any = package("stable_baselines3.common.torch_layers").BaseFeaturesExtractor
+
+    class NearAndFar(base):
+        def __init__(self, space: spaces.Box) -> None:
+            super().__init__(space, 2 * space.shape[0])
+
+        def forward(self, observations: Any) -> Any:
+            return torch.cat([2.0 * torch.tanh(0.5 * observations), torch.tanh(4.0 * observations)], -1)
+
+    return NearAndFar
 
 
 def _rate(algorithm: Algorithm) -> Any:

@@ -43,12 +43,13 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
     channels first.
     """
 
-    def __init__(self, envs: VecEnv, flat: Flat | None = None) -> None:
+    def __init__(self, envs: VecEnv, flat: Flat | None = None, *, reward_scale: float = 1.0) -> None:
         """Wrap copies.
 
         Args:
             envs: Made by `rcs.make_vec` with `autoreset="SameStep"`.
             flat: The maps; None for `Flat(envs)`.
+            reward_scale: Factor on the rewards of a step; the returns that infos tell are without it.
 
         Raises:
             MissingDependency: Stable-Baselines3 is not installed.
@@ -68,6 +69,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         super().__init__(envs.num_envs, self.flat.observation_space, self.flat.action_space)
         self._keys = [entry.path for entry in self.flat.layout.state if entry.kind == "value"]
         self._keys += [image.path for image in self.flat.layout.images]
+        self._reward_scale = reward_scale
         self._returns = np.zeros(envs.num_envs)
         self._lengths = np.zeros(envs.num_envs, np.int64)
         self._start = time.monotonic()
@@ -111,7 +113,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if done.any():
             self._tell_ended(infos, info, np.flatnonzero(done), truncated)
-        return self.flat.observation(observation), reward.astype(np.float32), done, infos
+        return self.flat.observation(observation), (reward * self._reward_scale).astype(np.float32), done, infos
 
     def _tell_ended(
         self, infos: list[dict[str, Any]], info: Mapping[str, Any], ended: NDArray[np.intp], truncated: NDArray[Any]
