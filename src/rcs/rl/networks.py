@@ -14,6 +14,8 @@ from rcs.rl.packages import package
 from rcs.rl.sb3 import Sb3VecEnv
 from rcs.rl.training import Training
 
+_FIRST_VALUES = 0.02
+"""Factor on the weights of the first values: our choice; with it, PickCuboid reached the cuboid in half the steps."""
 FEATURES_PER_CAMERA = 256
 """Numbers that the convolutions (Mnih et al. 2015) make of each frame; Stable-Baselines3's usual figure."""
 
@@ -38,7 +40,11 @@ def make_model(training: Training, envs: Sb3VecEnv) -> Any:
     }
     if isinstance(algorithm, Ppo):
         names = ("n_steps", "n_epochs", "gae_lambda", "clip_range", "ent_coef", "vf_coef", "max_grad_norm", "target_kl")
-        return sb3.PPO(**common, **{name: getattr(algorithm, name) for name in names})
+        model = sb3.PPO(**common, **{name: getattr(algorithm, name) for name in names})
+        # The first values are noise of about 1 otherwise, which hides what far from an object is paid for coming nearer.
+        with package("torch").no_grad():
+            model.policy.value_net.weight.mul_(_FIRST_VALUES)
+        return model
     names = ("gradient_steps", "buffer_size", "learning_starts", "tau")
     ent_coef = "auto" if algorithm.ent_coef is None else algorithm.ent_coef
     return sb3.SAC(**common, ent_coef=ent_coef, **{name: getattr(algorithm, name) for name in names})
