@@ -172,7 +172,9 @@ class Task(ABC):
             )
         valid = [option.name for option in dataclasses.fields(cls.Options)]
         if "reward" in (values or ()) and "reward" not in valid:
-            raise InvalidSetup("The reward is no option of a task but of the setup: reward='sparse', as `rcs.Setup` says.")
+            raise InvalidSetup(
+                "The reward is no option of a task but of the setup: reward='sparse', as `rcs.Setup` says."
+            )
         if unknown := sorted(set(values or ()) - set(valid), key=str):
             raise InvalidSetup(f"The task {cls.__name__} has no options {unknown}; valid: {', '.join(valid)}.")
         return cls.Options(**(values or {}))

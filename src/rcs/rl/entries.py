@@ -153,14 +153,13 @@ def _state_entries(
             if feature == "relative_turn":
                 yield _turn(here, boxes[here], feature, there)
             elif feature == "half_turn":
-                if here[0] != keys.PRIVILEGED:
-                    yield _turn(here, boxes[here], feature, there, size=2)
+                yield _turn(here, boxes[here], feature, there, size=2)
             else:
                 yield _way(here, boxes[here], feature, poses[here], poses[there], workplace)
 
 
 def _pairs(poses: Sequence[Path], workplace: Workplace) -> Iterator[tuple[Path, Path]]:
-    """Return which poses are told relative to which: every TCP to every object, and an object to the next."""
+    """Return which poses are told relative to which: TCPs and targets to every object, and an object to the next."""
     objects = [path for path in poses if path[0] == keys.PRIVILEGED]
     tcps = [path for path in poses if path[0] != keys.PRIVILEGED]
     if not workplace.robots and len(tcps) > 1:

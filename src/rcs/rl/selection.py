@@ -10,8 +10,8 @@ from typing import Any, Literal, get_args
 from rcs.errors import InvalidSetup, UnknownName
 
 Feature = Literal["offset", "near", "relative_turn", "half_turn"]
-"""What is told of pairs of poses beside the poses, from each TCP to each object and from an object to the next; see
-`rcs.rl.layout.Kind`."""
+"""What is told of pairs of poses beside the poses, from each TCP, and from its target where that is observed, to each
+object, and from an object to the next; see `rcs.rl.layout.Kind`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class Selection:
     actions: tuple[str, ...] | None = None
     """Numbers of the action, such as `gripper`, `xyzrpy[0:3]`, `xyzrpy[5]` or `left/joints`, at least one of each key.
     The others are always in the middle of their bounds: of relative actions, 0. None for all."""
-    features: tuple[Feature, ...] = get_args(Feature)
+    features: tuple[Feature, ...] = ("offset", "relative_turn", "half_turn")
     """What is told of pairs of poses. It follows from the poses, but is hard to learn."""
     cameras: tuple[str, ...] | None = None
     """Names of the cameras whose frames are observed; None for all."""
