@@ -192,9 +192,7 @@ def test_values_survive_a_file() -> None:
     assert read["list"] == [float(np.float32(0.1))]
 
 
-def test_without_torch_the_error_names_the_extra(
-    small: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_torch_the_error_names_the_extra(small: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(MissingDependency, match=r"need torch: pip install 'robot-control-stack\[rl\]'"):
         small.run(small.training(), tmp_path / "run")
