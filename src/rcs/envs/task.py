@@ -73,9 +73,7 @@ class Area:
 
 @dataclass(kw_only=True)
 class Judgement:
-    """A task's verdict on the present state, from which `Setup.reward` makes the reward. Arrays have the world's
-    leading shape.
-    """
+    """A task's verdict on the present state, which the reward is made of. Arrays have the world's leading shape."""
 
     success: NDArray[np.bool_] | None = None
     """Whether the task is done, which `info` tells too; None where there is nothing to judge."""

@@ -44,17 +44,17 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
     """
 
     def __init__(
-        self, envs: VecEnv, flat: Flat | None = None, *, spread: bool = False, reward_scale: float = 1.0
+        self, envs: VecEnv, flat: Flat | None = None, *, reward_scale: float = 1.0, spread: bool = False
     ) -> None:
         """Wrap copies.
 
         Args:
             envs: Made by `rcs.make_vec` with `autoreset="SameStep"`.
             flat: The maps; None for `Flat(envs)`.
+            reward_scale: Factor on the rewards of a step; the returns that infos tell are without it.
             spread: Whether the first episodes are cut short, each after another number of steps, as truncated ones
                 whose info has no `episode`. Otherwise, all copies go through the same part of an episode together as
                 long as none succeeds, and a learner sees a part at a time.
-            reward_scale: Factor on the rewards of a step; the returns that infos tell are without it.
 
         Raises:
             MissingDependency: Stable-Baselines3 is not installed.
@@ -169,16 +169,13 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         return observation, done | cut
 
     def statistics(self) -> dict[str, NDArray[Any]]:
-        """Return what was counted of the episodes at work, to go on with them later, (copies,) each.
-
-        These are returns and steps, and the steps after which first episodes will be cut, 0 for none.
-        """
+        """Return what was counted of the episodes at work, to go on with them later, an array (copies,) each."""
         return {"returns": self._returns.copy(), "lengths": self._lengths.copy(), "cuts": self._cuts.copy()}
 
     def set_statistics(self, statistics: Mapping[str, NDArray[Any]]) -> None:
         """Go on with what `statistics` returned; the copies themselves go on from `VecEnv.set_state`."""
-        self._returns[:], self._lengths[:] = statistics["returns"], statistics["lengths"]
-        self._cuts[:] = statistics["cuts"]
+        for own, name in ((self._returns, "returns"), (self._lengths, "lengths"), (self._cuts, "cuts")):
+            own[:] = statistics[name]
 
     def close(self) -> None:
         """Close the copies; twice is harmless."""

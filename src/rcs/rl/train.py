@@ -55,7 +55,7 @@ class Progress:
     seconds: float = 0.0
     """How long training took so far, with the time before kills that is not repeated [s]."""
     speed: float = 0.0
-    """Steps per second while learning, without evaluations."""
+    """Steps per second while learning, without evaluations, since the last row of figures."""
     score: Score | None = None
     """The last evaluation."""
     best: Checkpoint | None = None
@@ -199,6 +199,7 @@ class _Run:
         """Write the figures of the last update."""
         figures = {**self._learner.figures(), SPEED: self._progress.speed}
         self._metrics.add(self._learner.steps, self._seconds(), figures)
+        self._learning, self._made = 0.0, 0  # the speed is that since the last row
 
     def _tell(self, doing: str) -> None:
         progress = self._progress
