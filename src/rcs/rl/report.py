@@ -172,8 +172,10 @@ def _tables(training: Training, checkpoints: Sequence[Checkpoint]) -> str:
     own = training.to_json()
     setup, algorithm = own.pop("setup"), own.pop("algorithm")
     tables = {"Training": own, f"Algorithm: {algorithm.pop('name')}": algorithm}
-    unused = {name: value for name, value in setup.items() if value not in (None, [], {}, False)}
-    tables["Environment"] = unused
+    of_cameras = () if setup["cameras"] else ("image_size", "render_quality", "assets")
+    tables["Environment"] = {
+        name: value for name, value in setup.items() if value not in (None, [], {}, False) and name not in of_cameras
+    }
     if checkpoints:
         tables["Software"] = dict(checkpoints[-1].versions)
     parts = [f"<div><h2>{html.escape(name)}</h2>{_table(values)}</div>" for name, values in tables.items()]

@@ -30,7 +30,7 @@ from rcs.rl.examiner import VIDEOS, Examiner, score_of
 from rcs.rl.flat import Flat
 from rcs.rl.learner import Learner
 from rcs.rl.metrics import EPISODES, JUDGED, LENGTH, RATE, REWARD, SPEED, SUCCESSES, Metrics
-from rcs.rl.networks import mean_action
+from rcs.rl.networks import mean_action, reward_scale
 from rcs.rl.packages import package
 from rcs.rl.policy import PolicyAgent
 from rcs.rl.run import begin_run, lock_run
@@ -55,7 +55,7 @@ class Progress:
     seconds: float = 0.0
     """How long training took so far, with the time before kills that is not repeated [s]."""
     speed: float = 0.0
-    """Steps per second while learning, without evaluations."""
+    """Steps per second while learning, without evaluations, since the last row of figures."""
     score: Score | None = None
     """The last evaluation."""
     best: Checkpoint | None = None
@@ -118,7 +118,7 @@ class _Run:
                 begin_run(run, training)
             self._training = training
             package("torch").set_num_threads(training.torch_threads)
-            self._learner = Learner(training, Sb3VecEnv(self._envs, flat))
+            self._learner = Learner(training, Sb3VecEnv(self._envs, flat, reward_scale=reward_scale(training)))
             self._agent = PolicyAgent(mean_action(self._learner.model.policy), flat.layout)
             self._last = self._restore()
             self._threads, self._learning, self._made = threads, 0.0, 0
@@ -199,6 +199,7 @@ class _Run:
         """Write the figures of the last update."""
         figures = {**self._learner.figures(), SPEED: self._progress.speed}
         self._metrics.add(self._learner.steps, self._seconds(), figures)
+        self._learning, self._made = 0.0, 0  # the speed is that since the last row
 
     def _tell(self, doing: str) -> None:
         progress = self._progress

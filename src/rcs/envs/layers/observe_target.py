@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rcs.envs.layers.layer import Layer, Where, everywhere, renew
-from rcs.envs.spaces import TARGET, TQUAT, Observation, tquat_space
+from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.spaces import JOINTS, TARGET, TQUAT, Action, Observation, tquat_space
 from rcs.errors import InvalidSetup
 
 
@@ -27,6 +27,16 @@ class ObserveTarget(Layer):
         """Know no target yet."""
         self._target: NDArray[np.float64] | None = None
 
+    def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
+        """Check that there is a target pose; the actions are those of the level below.
+
+        Raises:
+            InvalidSetup: The arm is controlled by joints.
+        """
+        if JOINTS in inner:
+            raise InvalidSetup("ObserveTarget is on joints, which have no target pose; use control='tquat' or 'xyzrpy'.")
+        return inner
+
     def observation_spaces(self, inner: Mapping[str, spaces.Space[Any]]) -> dict[str, spaces.Space[Any]]:
         """Add the key."""
         return {**inner, TARGET: spaces.Dict({TQUAT: tquat_space()})}
@@ -39,14 +49,8 @@ class ObserveTarget(Layer):
         """Go on from the measured pose."""
         self._target = observation[TQUAT].copy()
 
-    def map_executed(self, executed: Any) -> Any:
-        """Remember what was sent.
-
-        Raises:
-            InvalidSetup: The arm is controlled by joints.
-        """
-        if TQUAT not in executed:
-            raise InvalidSetup("ObserveTarget needs control='tquat' or 'xyzrpy'; joints have no target pose.")
+    def map_executed(self, executed: Action) -> Action:
+        """Remember what was sent."""
         self._target = executed[TQUAT]
         return executed
 
