@@ -37,9 +37,9 @@ class Recipe:
         """
         check_fields(self, whole=("copies", "steps"))
 
-    def on(self, robot: str) -> Recipe:
-        """Return the recipe for another robot."""
-        return replace(self, setup=replace(self.setup, robot=robot))
+    def on(self, robot: str, end_effector: str | None = None) -> Recipe:
+        """Return the recipe for another robot, with its usual end effector or another one."""
+        return replace(self, setup=replace(self.setup, robot=robot, end_effector=end_effector))
 
 
 RATE = 10.0
@@ -55,7 +55,7 @@ def _setup(task: str, seconds: float) -> Setup:
         relative="last_step",
         # Translation, yaw and gripper are what these tasks need. Without its target, an arm that is up to 20 cm behind it
         # overshoots: a simple controller picked 30 of 40 cuboids (FR3, UR5e) without it, and 40 with it.
-        layers=("rcs.envs.layers.keep_tilt:KeepTilt", "rcs.envs.layers.observe_target:ObserveTarget"),
+        layers=("KeepTilt", "ObserveTarget"),
         frequency=RATE,
         max_episode_steps=round(seconds * RATE),
         observe=("privileged", "contacts"),
