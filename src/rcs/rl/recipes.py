@@ -43,8 +43,8 @@ class Recipe:
 
 
 RATE = 10.0
-"""Decisions per second [Hz]. Nearly all that a step costs is physics. Of the same simulated time, learning with 30 Hz made
-less than with 10 Hz."""
+"""Decisions per second [Hz]. Nearly all that a step costs is physics, and from the same simulated time less was learned
+with 30 Hz than with 10 Hz."""
 
 
 def _setup(task: str, seconds: float) -> Setup:
@@ -53,8 +53,8 @@ def _setup(task: str, seconds: float) -> Setup:
         task=task,
         control="xyzrpy",
         relative="last_step",
-        # Translation, yaw and gripper are what these tasks need. An arm is up to 20 cm behind its target, and overshoots
-        # when that is not known: a simple controller picked 30 of 40 cuboids (FR3, UR5e), and 40 when it was.
+        # Translation, yaw and gripper are what these tasks need. An arm is up to 20 cm behind its target, and
+        # overshoots when that is not known: a simple controller picked 30 of 40 cuboids, and 40 when it was.
         layers=("KeepTilt", "ObserveTarget"),
         frequency=RATE,
         max_episode_steps=round(seconds * RATE),
