@@ -178,7 +178,7 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
         if setup.stepping == "sync":
             for robot in bodies.values():
                 robot.wait_for_arrival(_longest_latency(setup))
-        clock = _frame_clock(setup, simulated, world)
+        clock = _frame_clock(setup, simulated, world) if simulated else None
         randomiser = _randomiser(parts, world)
         scenario = Scenario(world, list(bodies.values()), parts.task, randomiser, clock, parts.clutter)
         scenario.guards = _guards(parts, bodies)
@@ -269,7 +269,7 @@ def _simulated_sensors(
     observed: list[CameraPlacement],
     world: World,
     robots: list[SimRobot],
-    clock: FrameClock,
+    clock: FrameClock | None,
     randomiser: Randomiser | None,
 ) -> list[Port]:
     """Return the ports of everything simulated that gives frames."""
