@@ -5,8 +5,9 @@ with what a learner turns on: poses of objects and contacts are observed, and co
 
 The reference: `mujoco.batch.Batch.step` alone, with the same threads. Each of its control steps begins in the states in
 which ours began, so that as much moves and touches in both, and makes as many physics steps. It holds the controls that
-it finds there, as a program without trajectories would: nothing of what they cost is in it (the plan of each step, the
-controls of each physics step and the torques of the accelerations). Nor is the writing of the states, which is not timed.
+it finds there, as a program without trajectories would, and so has nothing of what they cost: the plan of each step,
+the controls of each physics step, the torques of the accelerations. Nor is the writing of the states, which is not
+timed.
 
 Rounds alternate; the ratio is the median over rounds. A copy that starts anew makes no physics step, so rates are per
 physics step that was really made.
@@ -33,7 +34,7 @@ import rcs
 SUBSTEPS = 17, 17, 16
 """Physics steps of three control steps: 30 Hz at 2 ms is 16.67."""
 SHARE = 0.2
-"""Of the range of joint actions. With all of it, arms would lie on the table soon, and physics would be most of a step."""
+"""Of the range of joint actions. With all of it, arms would lie on the table soon, and contacts would cost the most."""
 
 
 @dataclass(kw_only=True)

@@ -48,6 +48,16 @@ void bind_measurement(nb::module_& m) {
           },
           "model"_a, "fingers"_a, "own"_a, "force"_a,
           "One uint8 flag per geom for each finger, and for the robot's own geoms, which do not count as touched.");
+  nb::class_<rcs::FreeBodyVelocity, rcs::Measurement>(
+      m, "FreeBodyVelocity",
+      "Velocity [m/s] of the origin of a body with a free joint, then its angular velocity [rad/s], in the axes of a "
+      "frame body that stands still.")
+      .def(
+          "__init__",
+          [](rcs::FreeBodyVelocity* self, const PyModel& model, int joint, int frame_body) {
+            new (self) rcs::FreeBodyVelocity(model.get(), joint, frame_body);
+          },
+          "model"_a, "joint"_a, "frame_body"_a, "The ids of the joint and of the body whose axes the values have.");
   nb::class_<rcs::CollisionReaction, rcs::StepCallback>(m, "CollisionReaction",
                                                         "True when what presses on an arm is more than a limit.")
       .def(

@@ -195,4 +195,26 @@ void FingerContacts::read(const mjModel* model, const mjData* data, std::span<do
   }
 }
 
+FreeBodyVelocity::FreeBodyVelocity(const mjModel* model, int joint, int frame_body)
+    : signature_(model->signature), frame_body_(frame_body) {
+  if (joint < 0 || joint >= model->njnt || model->jnt_type[joint] != mjJNT_FREE)
+    throw InvalidSetup("FreeBodyVelocity: joint " + std::to_string(joint) +
+                       " is no free joint of the model, which has " + std::to_string(model->njnt) + " joints");
+  if (frame_body < 0 || frame_body >= model->nbody)
+    throw InvalidSetup("FreeBodyVelocity: the frame is not in the model");
+  qpos_ = model->jnt_qposadr[joint] + 3;
+  dof_ = model->jnt_dofadr[joint];
+}
+
+void FreeBodyVelocity::check(const mjModel* model) const { check_model("FreeBodyVelocity", signature_, model); }
+
+void FreeBodyVelocity::read(const mjModel* /*model*/, const mjData* data, std::span<double> values) const {
+  double axes[4], spin[3];
+  mju_negQuat(axes, data->xquat + 4 * frame_body_);
+  mju_rotVecQuat(values.data(), data->qvel + dof_, axes);
+  // The angular velocity of a free joint is in the body's own axes.
+  mju_rotVecQuat(spin, data->qvel + dof_ + 3, data->qpos + qpos_);
+  mju_rotVecQuat(values.data() + 3, spin, axes);
+}
+
 }  // namespace rcs

@@ -282,6 +282,7 @@ int World::measure(std::shared_ptr<const Measurement> measurement) {
   measurement->check(model_);
   const int first = measured_;
   measured_ += measurement->size();
+  measures_forces_ = measures_forces_ || measurement->needs_forces();
   measurements_.push_back(std::move(measurement));
   renew(out_->measurements, static_cast<std::size_t>(copies_) * static_cast<std::size_t>(measured_));
   return first;

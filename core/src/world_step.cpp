@@ -168,7 +168,7 @@ Motion::Step World::motion_step(std::int64_t step, double physics_step) const {
 }
 
 void World::refresh_copy(const mjModel* model, mjData* data, int copy) {
-  if (measurements_.empty()) {
+  if (!measures_forces_) {
     mj_kinematics(model, data);
   } else {
     // Forces are part of what is measured. The solver's warm start is part of the state, which stays as it is.

@@ -707,12 +707,12 @@ class Kinematics:
 
 class DampedLeastSquares(Kinematics):
     """
-    Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve. Several threads may use one solver at once.
+    Damped least squares on a chain of hinges and slides, with the joint limits inside the solve. Several threads may use one solver at once.
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Sequence[int], tcp_site: int, base_body: int) -> None:
         """
-        Copy the model; the ids of joints (base to tip), TCP site and base body are its.
+        Take the chain out of a model; the ids of joints (base to tip), TCP site and base body are its. The model is not kept.
         """
 
 class StepView:
@@ -860,6 +860,14 @@ class FingerContacts(Measurement):
         """
         One uint8 flag per geom for each finger, and for the robot's own geoms, which do not count as touched.
         """
+
+class FreeBodyVelocity(Measurement):
+    """
+    Velocity [m/s] of the origin of a body with a free joint, then its angular velocity [rad/s], in the axes of a frame body that stands still.
+    """
+
+    def __init__(self, model: mujoco.MjModel, joint: int, frame_body: int) -> None:
+        """The ids of the joint and of the body whose axes the values have."""
 
 class CollisionReaction(StepCallback):
     """True when what presses on an arm is more than a limit."""

@@ -95,6 +95,19 @@ def test_a_small_motion_is_made_and_not_put_off(arm: Any) -> None:
     assert distance(kinematics.forward(joints[1]).tquat, target)[0] < 1e-5
 
 
+def test_the_next_pose_of_a_stream_is_found_in_a_few_iterations(arm: Any) -> None:
+    description, kinematics = arm
+    home = np.array(description.home)
+    step = np.array(description.velocity_limit) / 30
+    options = freedom_of(kinematics, best_effort=True, preferred=home, max_step=step)
+    rng = np.random.default_rng(0)
+    iterations = []
+    for _ in range(50):
+        target = kinematics.forward(home + rng.uniform(-0.3, 0.3, len(home)) * step)
+        iterations.append(kinematics.inverse(target, home, options).iterations)
+    assert np.mean(iterations) <= 8
+
+
 def test_a_pose_that_is_reached_moves_nothing_wherever_the_elbow_is() -> None:
     description: Any = lookup.find("arm", "fr3")
     solver = kinematics_of(description)

@@ -25,6 +25,44 @@ def test_forward_kinematics_are_those_of_mujoco(
         assert solver.forward(joints).is_close(Pose.from_matrix(matrix), 1e-12, 1e-7)
 
 
+WINDING = """
+<mujoco><worldbody><body name="stand" pos=".3 .1 .2" euler="10 20 30"><geom size=".1"/>
+<body pos="0 .1 .3" euler="30 0 0"><joint name="a" axis="1 2 3" pos=".1 0 .05" ref="20"/><geom size=".1"/>
+<joint name="b" type="slide" axis="0 1 1" ref=".2"/>
+<body pos="0 0 .2"><geom size=".1"/><body pos=".1 0 .1" euler="0 40 0"><joint name="still" ref="50"/><geom size=".1"/>
+<joint name="c" axis="0 1 0" pos="0 .2 0"/>
+<site name="tcp" pos=".1 .2 .3" euler="5 6 7"/></body></body></body></body>
+<body name="beside"><geom size=".1"/></body></worldbody></mujoco>
+"""
+"""Joints off the bodies' origins, slides, several to a body, zeros elsewhere, a base that is turned."""
+
+
+def test_any_chain_of_hinges_and_slides_moves_as_in_mujoco() -> None:
+    model = mujoco.MjModel.from_xml_string(WINDING)
+    data = mujoco.MjData(model)
+    names = ["a", "b", "c"]
+    solver = DampedLeastSquares(model, [model.joint(name).id for name in names], 0, model.body("stand").id)
+    for joints in np.random.default_rng(0).uniform(-1.0, 1.0, (20, 3)):
+        for name, value in zip(names, joints, strict=True):
+            data.joint(name).qpos = value
+        mujoco.mj_forward(model, data)
+        pose, site, base = np.eye(4), data.site("tcp"), data.body("stand")
+        pose[:3, :3] = base.xmat.reshape(3, 3).T @ site.xmat.reshape(3, 3)
+        pose[:3, 3] = base.xmat.reshape(3, 3).T @ (site.xpos - base.xpos)
+        assert solver.forward(joints).is_close(Pose.from_matrix(pose), 1e-12, 1e-7)
+        jacobian = np.zeros((6, model.nv))
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], 0)
+        turned = np.concatenate([base.xmat.reshape(3, 3).T @ part for part in (jacobian[:3], jacobian[3:])])
+        dofs = [model.joint(name).dofadr[0] for name in names]
+        np.testing.assert_allclose(solver.jacobian(joints), turned[:, dofs], atol=1e-12)
+
+
+def test_the_base_must_carry_the_tcp() -> None:
+    model = mujoco.MjModel.from_xml_string(WINDING)
+    with pytest.raises(InvalidSetup, match="does not carry the TCP"):
+        DampedLeastSquares(model, [0], 0, model.body("beside").id)
+
+
 def test_without_a_gripper_the_pose_is_that_of_the_flange(solver: DampedLeastSquares) -> None:
     flange = kinematics_of(FR3).forward(np.array(FR3.home))
     tcp = solver.forward(np.array(FR3.home))

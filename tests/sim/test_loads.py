@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs._core import ArmBody, ArmLoads, CollisionReaction, FingerContacts
+from rcs._core import ArmBody, ArmLoads, CollisionReaction, FingerContacts, FreeBodyVelocity
 from rcs.errors import InvalidSetup
 
 ARMS = [("fr3", None), ("ur5e", None), ("xarm7", "robotiq_2f85"), ("so101", None)]
@@ -201,3 +201,16 @@ def test_what_does_not_fit_the_model_is_refused() -> None:
     for copy in (-1, 1, 2**31 - 1):
         with pytest.raises(InvalidSetup, match=f"no copy {copy}, valid is 0 to 0"):
             CollisionReaction(arm, *limits, 1).cause(copy)
+
+
+def test_only_bodies_that_are_free_have_their_velocity_measured() -> None:
+    env, other = make("PickCuboid"), make("PickToy")
+    model = env.scenario.world.model
+    hinge, free = env.scenario.robots[0].layout.joint_ids[0], model.joint("cuboid").id
+    for joint in (hinge, -1, 10**6):
+        with pytest.raises(InvalidSetup, match="no free joint"):
+            FreeBodyVelocity(model, joint, 0)
+    with pytest.raises(InvalidSetup, match="frame"):
+        FreeBodyVelocity(model, free, 10**6)
+    with pytest.raises(InvalidSetup, match="another model"):
+        other.scenario.world.core.measure(FreeBodyVelocity(model, free, 0))

@@ -1,4 +1,5 @@
-// What sensors of forces measure after a physics step: torques at the joints, the wrench on the tool, touching fingers.
+// What is measured after a physics step: torques at the joints, the wrench on the tool, touching fingers, how objects
+// move.
 #pragma once
 
 #include <mujoco/mujoco.h>
@@ -20,6 +21,8 @@ class Measurement {
   virtual void read(const mjModel* model, const mjData* data, std::span<double> values) const = 0;
   /// Throws `InvalidSetup` if it was made for another model.
   virtual void check(const mjModel* model) const = 0;
+  /// Whether it reads forces, for which all of a state must be computed anew after it was written to.
+  virtual bool needs_forces() const { return true; }
 };
 
 /// A serial arm in a model, and what presses on it from outside: contacts with anything but the arm and its tool, and
@@ -92,6 +95,24 @@ class FingerContacts final : public Measurement {
   std::vector<int> finger_of_geom_;  // -1: of none
   std::vector<std::uint8_t> own_;
   double force_;
+};
+
+/// Velocity [m/s] of the origin of a body with a free joint, then its angular velocity [rad/s], in the axes of a frame
+/// body that stands still.
+class FreeBodyVelocity final : public Measurement {
+ public:
+  /// Throws `InvalidSetup` if the joint is no free joint or the frame is not in the model.
+  FreeBodyVelocity(const mjModel* model, int joint, int frame_body);
+  int size() const override { return 6; }
+  void read(const mjModel* model, const mjData* data, std::span<double> values) const override;
+  void check(const mjModel* model) const override;
+  bool needs_forces() const override { return false; }
+
+ private:
+  std::uint64_t signature_;  // of the model
+  int qpos_;                 // of the quaternion
+  int dof_;
+  int frame_body_;
 };
 
 }  // namespace rcs

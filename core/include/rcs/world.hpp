@@ -262,6 +262,7 @@ class World {
   std::vector<std::shared_ptr<StepCallback>> fault_;
   std::vector<std::shared_ptr<const Measurement>> measurements_;
   int measured_ = 0;  // values of all measurements
+  bool measures_forces_ = false;
   std::vector<PoseReadout> pose_readouts_;
   std::vector<ForceReadout> force_readouts_;
   std::vector<OpeningReadout> opening_readouts_;

@@ -178,7 +178,7 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
         if setup.stepping == "sync":
             for robot in bodies.values():
                 robot.wait_for_arrival(_longest_latency(setup))
-        clock = _frame_clock(setup, simulated, world)
+        clock = _frame_clock(setup, simulated, world) if simulated else None
         randomiser = _randomiser(parts, world)
         robots = list(bodies.values())
         scenario = Scenario(
@@ -200,7 +200,8 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
     chains: dict[str, Chain] = {}
     for placement in parts.robots:
         name = placement.name
-        ports, layers = _ports_of(parts, placement, bodies.get(name)), layers_of(setup, placement)
+        ports = _ports_of(parts, placement, bodies.get(name))
+        layers = layers_of(setup, placement, threads=1 if world is None else world.core.threads)
         if randomiser is not None and not devices:
             layers = [*_late_actions(randomiser, setup, leading), *layers]
         if len(parts.robots) == 1:
@@ -271,7 +272,7 @@ def _simulated_sensors(
     observed: list[CameraPlacement],
     world: World,
     robots: list[SimRobot],
-    clock: FrameClock,
+    clock: FrameClock | None,
     randomiser: Randomiser | None,
 ) -> list[Port]:
     """Return the ports of everything simulated that gives frames."""
@@ -344,8 +345,14 @@ def _late_actions(randomiser: Randomiser, setup: Setup, leading: tuple[int, ...]
     return [late]
 
 
-def layers_of(setup: Setup, robot: RobotPlacement) -> list[Layer]:
-    """Return the layers that a setup asks for, from the lowest to the highest."""
+def layers_of(setup: Setup, robot: RobotPlacement, *, threads: int = 1) -> list[Layer]:
+    """Return the layers that a setup asks for, from the lowest to the highest.
+
+    Args:
+        setup: The setup.
+        robot: The robot.
+        threads: Threads that solve for the joints of many copies.
+    """
     # What an arm can do in one period; a synchronous step lasts as long as it needs, so there the range is the bound.
     step = np.array(robot.arm.velocity_limit) / setup.frequency
     control = setup.control
@@ -355,7 +362,8 @@ def layers_of(setup: Setup, robot: RobotPlacement) -> list[Layer]:
         layers.append(LimitStep(step))
     if control in (TQUAT, XYZRPY):
         kinematics = kinematics_of(robot.arm, robot.end_effector)
-        layers.append(CartesianControl(kinematics, preferred=robot.arm.home, max_step=step if is_bounded else None))
+        bound = step if is_bounded else None
+        layers.append(CartesianControl(kinematics, preferred=robot.arm.home, max_step=bound, threads=threads))
     if setup.relative != "absolute":
         layers.append(
             Relative(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
+from typing import Protocol
 
+import mujoco
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from rcs._core import FreeBodyVelocity
 from rcs.envs import spaces as keys
 from rcs.envs.ports import Port
 from rcs.envs.spaces import Arrays, Observation
@@ -78,80 +80,81 @@ class PrivilegedPort(SensorPort):
     """Poses and velocities of the task's objects, which no real robot knows, as `privileged`/object."""
 
     def __init__(self, world: World, robots: list[SimRobot], task: Task) -> None:
-        """Look up the objects of a task that is bound to its world.
+        """Look up the objects of a task that is bound to its world, and have rigid ones read out.
 
         Raises:
             InvalidSetup: The task has no objects.
         """
         super().__init__()
-        self._robots = robots
-        self._task = task
-        self._objects = {name: _motion_of(world, name) for name in task.object_poses()}
+        self._objects = {name: _motion_of(world, robots, task, name) for name in task.object_poses()}
         if not self._objects:
             raise InvalidSetup(f"{type(task).__name__} has no objects to observe; leave 'privileged' out of observe.")
-        base = base_in_scene([robot.placement for robot in robots])
-        self._scene_in_base = Pose(base[:3], base[3:]).inverse().matrix[:3, :3]
         own = spaces.Dict({keys.TQUAT: keys.object_space(), keys.VELOCITY: keys.twist_space()})
         self.observation_spaces = {keys.PRIVILEGED: spaces.Dict(dict.fromkeys(self._objects, own))}
 
     def observe(self) -> Observation:
         """Read all objects."""
-        poses = in_frame_of(self._robots, self._task.object_poses())
         return {
             keys.PRIVILEGED: {
-                name: {keys.TQUAT: poses[name], keys.VELOCITY: self._in_base(motion.twist())}
+                name: {keys.TQUAT: motion.pose(), keys.VELOCITY: motion.velocity()}
                 for name, motion in self._objects.items()
             }
         }
 
-    def _in_base(self, twist: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.concatenate([_turned(self._scene_in_base, part) for part in (twist[..., :3], twist[..., 3:])], -1)
+
+class _Motion(Protocol):
+    """How an object moves, in the base frame of the robot; with several robots, in the scene."""
+
+    def pose(self) -> NDArray[np.float64]:
+        """Return translation [m] and quaternion xyzw, (*leading, 7)."""
+        ...
+
+    def velocity(self) -> NDArray[np.float64]:
+        """Return the velocity of the origin [m/s] and the angular velocity [rad/s], (*leading, 6)."""
+        ...
 
 
 class _RigidMotion:
-    """Velocity of a body with a free joint."""
+    """Motion of a body that is free, or that only the task places, such as a mark; the threads that step read it."""
 
-    def __init__(self, world: World, joint: int) -> None:
-        first, dof = world.model.jnt_qposadr[joint], world.model.jnt_dofadr[joint]
+    def __init__(self, world: World, body: int, frame_body: int, joint: int | None) -> None:
         self._world = world
-        self._quaternion = slice(first + 3, first + 7)
-        self._dof = slice(dof, dof + 6)
+        self._pose = world.core.read_body_pose(body, frame_body)
+        self._first = None if joint is None else world.core.measure(FreeBodyVelocity(world.model, joint, frame_body))
 
-    def twist(self) -> NDArray[np.float64]:
-        """Return velocity of the body's origin [m/s] and angular velocity [rad/s] in the scene, (*leading, 6)."""
-        velocity = self._world.qvel[..., self._dof].copy()
-        # The angular velocity of a free joint is in the body's own axes. MuJoCo's quaternions are wxyz.
-        w, x, y, z = (self._world.qpos[..., self._quaternion][..., i] for i in range(4))
-        spin, axis = velocity[..., 3:].copy(), np.stack([x, y, z], -1)
-        turn = 2.0 * _cross(axis, spin)
-        velocity[..., 3:] = spin + w[..., None] * turn + _cross(axis, turn)
-        return velocity
+    def pose(self) -> NDArray[np.float64]:
+        """Return what was read."""
+        return self._world.poses[..., self._pose, :].copy()
 
-
-class _NoMotion:
-    """Velocity of a body that only the task places, such as a mark."""
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-
-    def twist(self) -> NDArray[np.float64]:
-        """Return zeros, (*leading, 6)."""
-        return np.zeros((*self._world.leading, 6))
+    def velocity(self) -> NDArray[np.float64]:
+        """Return what was measured, and zeros for a body without a joint."""
+        if self._first is None:
+            return np.zeros((*self._world.leading, 6))
+        return self._world.measurements[..., self._first : self._first + 6].copy()
 
 
 class _SoftMotion:
-    """Velocity of a soft body whose nodes slide along the scene's axes: mean velocity and mean spin of its nodes."""
+    """Motion of a soft body whose nodes slide along the scene's axes: mean velocity and mean spin of its nodes."""
 
-    def __init__(self, world: World, bodies: NDArray[np.intp]) -> None:
+    def __init__(self, world: World, robots: list[SimRobot], task: Task, name: str, bodies: NDArray[np.intp]) -> None:
         model = world.model
         first = model.body_jntadr[bodies]
         self._world = world
+        self._robots = robots
+        self._task = task
+        self._name = name
         self._bodies = bodies
         self._qpos = (model.jnt_qposadr[first][:, None] + np.arange(3)).ravel()
         self._dof = (model.jnt_dofadr[first][:, None] + np.arange(3)).ravel()
+        base = base_in_scene([robot.placement for robot in robots])
+        self._scene_in_base = Pose(base[:3], base[3:]).inverse().matrix[:3, :3]
 
-    def twist(self) -> NDArray[np.float64]:
-        """Return the velocity of the middle [m/s] and the angular velocity [rad/s] in the scene, (*leading, 6)."""
+    def pose(self) -> NDArray[np.float64]:
+        """Return the pose of the task."""
+        return in_frame_of(self._robots, {self._name: self._task.object_poses()[self._name]})[self._name]
+
+    def velocity(self) -> NDArray[np.float64]:
+        """Return velocity and spin about the middle."""
         shape = (*self._world.leading, len(self._bodies), 3)
         places = self._world.field("body_pos")[..., self._bodies, :] + self._world.qpos[..., self._qpos].reshape(shape)
         velocities = self._world.qvel[..., self._dof].reshape(shape)
@@ -161,23 +164,24 @@ class _SoftMotion:
         trace = places[..., 0] ** 2 + places[..., 1] ** 2 + places[..., 2] ** 2
         inertia = _mean(trace[..., None, None] * np.eye(3) - products, axes=2)
         angular = np.linalg.solve(inertia, spin[..., None])[..., 0].astype(np.float64, copy=False)
-        return np.concatenate([mean, angular], -1)
+        return np.concatenate([_turned(self._scene_in_base, part) for part in (mean, angular)], -1)
 
 
-def _motion_of(world: World, name: str) -> Any:
+def _motion_of(world: World, robots: list[SimRobot], task: Task, name: str) -> _Motion:
     model = world.model
     body = model.body(name).id
     joint = int(model.body_jntadr[body])
-    if joint >= 0 and model.jnt_type[joint] == 0:  # mjJNT_FREE
-        return _RigidMotion(world, joint)
+    frame_body = robots[0].layout.base_body if len(robots) == 1 else 0
+    if joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+        return _RigidMotion(world, body, frame_body, joint)
     if model.body_mocapid[body] >= 0:
-        return _NoMotion(world)
+        return _RigidMotion(world, body, frame_body, None)
     nodes = np.flatnonzero((model.body_parentid == body) & (model.body_jntnum == 3))
     if not len(nodes):
         raise InvalidSetup(
             f"The object {name!r} has no free joint, and is neither soft nor a mocap body; its velocity is not known."
         )
-    return _SoftMotion(world, nodes)
+    return _SoftMotion(world, robots, task, name, nodes)
 
 
 # In a fixed order, unlike NumPy's sums and matrix products: copies must have the bits of a single environment.

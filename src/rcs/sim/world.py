@@ -101,6 +101,7 @@ class World:
         self.time = self.core.component(state.mjSTATE_TIME.value)[..., 0]
         """Live simulated time [s], (*leading,)."""
         self._varied: set[str] = set()
+        self._fields: dict[str, NDArray[Any]] = {}
         self._is_read_out = False
         self._scratch: mujoco.MjData | None = None
 
@@ -112,6 +113,7 @@ class World:
         if not self.core.is_open:
             return
         self.core.close()
+        self._fields.clear()
         # Copies of the arrays, since this world's would keep the threads alive.
         self.qpos, self.qvel, self.ctrl, self.time = (a.copy() for a in (self.qpos, self.qvel, self.ctrl, self.time))
 
@@ -280,6 +282,7 @@ class World:
             ValueError: The field cannot differ between copies.
         """
         self._varied.add(field)
+        self._fields.pop(field, None)
         if not self.leading:
             return getattr(self.model, field)
         return self.core.expand(field).reshape(*self.leading, *getattr(self.model, field).shape)
@@ -291,10 +294,13 @@ class World:
 
     def field(self, field: str) -> NDArray[Any]:
         """Return the present values of a field of `MjModel`, read-only, (*leading, *its shape)."""
-        common: NDArray[Any] = getattr(self.model, field)
-        shape = (*self.leading, *common.shape)
-        own = self.core.expanded(field) if self.leading else None
-        return np.broadcast_to(common, shape) if own is None else own.reshape(shape)
+        values = self._fields.get(field)
+        if values is None:  # asking for them costs more than most resets do with them
+            common: NDArray[Any] = getattr(self.model, field)
+            shape = (*self.leading, *common.shape)
+            own = self.core.expanded(field) if self.leading else None
+            values = self._fields[field] = np.broadcast_to(common, shape) if own is None else own.reshape(shape)
+        return values
 
     def update_constants(self, copies: Copies = None) -> None:
         """Recompute the constants derived from masses, inertias and sizes (`mj_setConst`)."""

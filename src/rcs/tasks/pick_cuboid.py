@@ -152,11 +152,12 @@ class PickCuboid(Task):
 
     def _lying(self, draws: Draws) -> NDArray[np.float64]:
         """Return how the cuboid lies, as poses (*leading, 7) without a translation."""
-        names = list(POSES) if self.options.pose == "any" else [self.options.pose]
-        turns = np.array([POSES[name] for name in names])
-        choice = np.floor(draws.branch("pose").uniform(0.0, len(names))).astype(np.intp)
-        pose = np.zeros((*choice.shape, 7))
-        pose[..., 3:] = turns[choice]
+        pose = np.zeros((*draws.leading, 7))
+        if self.options.pose == "any":
+            choice = np.floor(draws.branch("pose").uniform(0.0, len(POSES))).astype(np.intp)
+            pose[..., 3:] = np.array(list(POSES.values()))[choice]
+        else:
+            pose[..., 3:] = POSES[self.options.pose]
         return pose
 
     def object_poses(self) -> dict[str, NDArray[np.float64]]:

@@ -8,6 +8,7 @@ import pytest
 
 import rcs
 from rcs.envs.layers import CartesianControl, XyzrpyControl
+from rcs.envs.layers.cartesian import ROWS_PER_THREAD
 from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, joints_space
 from rcs.errors import InvalidAction
 from rcs.kinematics import IkStatus, kinematics_of
@@ -160,6 +161,21 @@ def test_copies_are_solved_each_on_its_own(home: np.ndarray) -> None:
         np.testing.assert_array_equal(alone, joints[copy])
         np.testing.assert_array_equal(single.map_executed({JOINTS: alone})[TQUAT], executed[TQUAT][copy])
         assert single.info()["ik_status"] == batch.info()["ik_status"][copy]
+
+
+def test_copies_are_solved_to_the_same_bits_by_any_number_of_threads() -> None:
+    kinematics = kinematics_of(FR3, FRANKA_HAND)
+    copies = 2 * ROWS_PER_THREAD + 5
+    starts = HOME + np.random.default_rng(0).uniform(-0.3, 0.3, (copies, 7))
+    targets = kinematics.forward_batch(starts + np.random.default_rng(1).uniform(-0.05, 0.05, (copies, 7)))
+    targets[::7, 2] += 2.0  # out of reach
+    solved = []
+    for threads in (1, 2, 64):
+        layer = CartesianControl(kinematics, preferred=HOME, threads=threads)
+        layer.reset({JOINTS: starts})
+        solved.append(layer.map_action({TQUAT: targets})[JOINTS])
+    np.testing.assert_array_equal(solved[0], solved[1])
+    np.testing.assert_array_equal(solved[0], solved[2])
 
 
 @pytest.mark.parametrize("call", ["map_action", "map_executed"])

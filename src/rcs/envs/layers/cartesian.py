@@ -13,6 +13,9 @@ from rcs.kinematics import IkStatus, Kinematics, freedom_of
 from rcs.kinematics.freedom import POSE
 from rcs.spatial import normalize
 
+ROWS_PER_THREAD = 16
+"""To follow fewer targets takes less time than to start a thread."""
+
 
 class CartesianControl(Layer):
     """Take `tquat` actions (TCP in the robot's base frame) and pass them on as `joints` by inverse kinematics.
@@ -25,7 +28,12 @@ class CartesianControl(Layer):
     memory = ("_joints", "_status")
 
     def __init__(
-        self, kinematics: Kinematics, *, preferred: ArrayLike | None = None, max_step: ArrayLike | None = None
+        self,
+        kinematics: Kinematics,
+        *,
+        preferred: ArrayLike | None = None,
+        max_step: ArrayLike | None = None,
+        threads: int = 1,
     ) -> None:
         """Use a solver.
 
@@ -34,8 +42,10 @@ class CartesianControl(Layer):
             preferred: Joints to which an arm with more than six returns while its TCP moves [rad], shape (dof,); None
                 for none: then the elbow drifts.
             max_step: Largest change of each joint per action [rad], shape (dof,); None for no bound.
+            threads: Threads that solve for many copies, at most.
         """
         self._kinematics = kinematics
+        self._threads = threads
         self._options = freedom_of(kinematics, best_effort=True, preferred=preferred, max_step=max_step)
         self._leans = kinematics.dof < POSE
         self._joints: NDArray[np.float64] | None = None
@@ -72,7 +82,8 @@ class CartesianControl(Layer):
         require_direction(target)
         rows = normalize(target).reshape(-1, 7)
         starts = self._joints.reshape(len(rows), -1)
-        joints, status = self._kinematics.inverse_batch(rows, starts, self._options)
+        threads = min(self._threads, max(1, len(rows) // ROWS_PER_THREAD))
+        joints, status = self._kinematics.inverse_batch(rows, starts, self._options, threads)
         solved = joints.reshape(self._joints.shape)
         self._solved = solved, rows.reshape(target.shape), status.reshape(target.shape[:-1])
         mapped: Action = {(JOINTS if key == TQUAT else key): value for key, value in action.items()}
