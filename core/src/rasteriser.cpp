@@ -115,12 +115,12 @@ std::string Rasteriser::why_not(const mjModel& model, std::span<const bool> grou
   for (int geom = 0; geom < model.ngeom; ++geom) {
     const int group = std::clamp(model.geom_group[geom], 0, mjNGROUP - 1);
     if (!groups[static_cast<std::size_t>(group)]) continue;
-    const int type = model.geom_type[geom], material = model.geom_matid[geom];
+    const int type = model.geom_type[geom];
     if (type == mjGEOM_HFIELD || type == mjGEOM_SDF) return "it has a height field or a signed distance field";
-    if (material < 0) continue;
-    for (int role = 0; role < mjNTEXROLE; ++role)
-      if (model.mat_texid[material * mjNTEXROLE + role] >= 0) return "it has textures";
   }
+  // Of materials that no geom has, too: which geom has which may change with every episode.
+  for (int i = 0; i < model.nmat * mjNTEXROLE; ++i)
+    if (model.mat_texid[i] >= 0) return "it has textures";
   for (int camera = 0; camera < model.ncam; ++camera)
     if (model.cam_projection[camera] != mjPROJ_PERSPECTIVE) return "it has a camera without perspective";
   return "";
