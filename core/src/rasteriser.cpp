@@ -12,6 +12,7 @@ namespace {
 constexpr int kPlaneSquares = 16;
 constexpr float kGuard = 4;         // sheets to each side of the sheet that need no clipping
 constexpr float kEdge = 1e-3F;      // pixels²: neighbours overlap by rounding, and never leave a gap
+constexpr float kMostEdge = 0.05F;  // of a share: of the narrowest triangles no more
 constexpr int kWide = 8;            // pixels from which a row is worth whole vectors
 constexpr double kOpaque = 0.999;   // as in MuJoCo's renderer
 
@@ -39,7 +40,8 @@ inline float log2_of(float x) {
 inline std::uint32_t packed(float red, float green, float blue) {
   const auto byte = [](float value) {
     const float scaled = value * 255.0F + 0.5F;
-    return static_cast<std::uint32_t>(static_cast<std::int32_t>(scaled < 0.0F ? 0.0F : scaled > 255.0F ? 255.0F : scaled));
+    const float low = scaled > 0.0F ? scaled : 0.0F;
+    return static_cast<std::uint32_t>(static_cast<std::int32_t>(low < 255.0F ? low : 255.0F));
   };
   return byte(red) | byte(green) << 8 | byte(blue) << 16;
 }
@@ -494,7 +496,7 @@ void Rasteriser::draw_triangle(const Corner (&corners)[3], float alpha, Sheet& s
   const float scale = 1.0F / area;
   // Everything is linear on the sheet: the shares of b and c, the nearness, and colours times nearness.
   const float share_b_dx = cy * scale, share_b_dy = -cx * scale, share_c_dx = -by * scale, share_c_dy = bx * scale;
-  const float edge = -kEdge * scale;
+  const float edge = std::min(-kEdge * scale, kMostEdge);
   struct Ramp {
     float start, dx, dy;
   };
@@ -557,10 +559,10 @@ void Rasteriser::draw_triangle(const Corner (&corners)[3], float alpha, Sheet& s
     for (int i = begin; i < end; ++i) {
       const auto x = static_cast<float>(i);
       const float here = near_left + x * near.dx;
-      const bool is_seen = here > nearness[i];
-      const std::uint32_t own = colour(x, here);
-      nearness[i] = is_seen ? here : nearness[i];
-      colours[i] = is_seen ? own : colours[i];
+      const float before = nearness[i];
+      const std::uint32_t mask = here > before ? 0xFFFFFFFFU : 0U;  // arithmetic in place of branches
+      nearness[i] = before < here ? here : before;
+      colours[i] = (colour(x, here) & mask) | (colours[i] & ~mask);
     }
   }
 }
