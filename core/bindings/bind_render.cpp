@@ -14,11 +14,13 @@
 
 #include "arrays.hpp"
 #include "gil.hpp"
+#include "lens_object.hpp"
 #include "mujoco_objects.hpp"
 #include "rcs/gl_context.hpp"
 #include "rcs/render_pool.hpp"
 #include "rcs/renderer.hpp"
 #include "rcs/world.hpp"
+#include "render_options.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -31,22 +33,6 @@ using Rgb = Given<std::uint8_t, nb::shape<-1, -1, 3>>;
 using Depth = Given<std::uint16_t, nb::shape<-1, -1>>;
 using RgbFilm = Given<std::uint8_t, nb::shape<-1, -1, -1, 3>>;
 using DepthFilm = Given<std::uint16_t, nb::shape<-1, -1, -1>>;
-using Lookup = Given<const float, nb::shape<-1, -1, 2>>;
-using Groups = std::array<bool, mjNGROUP>;
-
-rcs::RenderOptions options(const std::string& quality, int max_width, int max_height, const std::string& backend,
-                           const Groups& geom_groups) {
-  if (quality != "fast" && quality != "full")
-    throw std::invalid_argument("there is no quality \"" + quality + "\"; known: fast, full");
-  return {quality == "fast" ? rcs::Quality::fast : rcs::Quality::full, max_width, max_height, backend, geom_groups};
-}
-
-// A lens with the memory that it points to.
-struct PyLens {
-  rcs::Lens value;
-  std::optional<Lookup> lookup;
-};
-
 const rcs::Lens* lens_of(const PyLens* lens, std::size_t height, std::size_t width) {
   if (lens == nullptr) return nullptr;
   if (lens->lookup && (lens->lookup->shape(0) != height || lens->lookup->shape(1) != width))
@@ -90,8 +76,6 @@ std::vector<rcs::Film> films(std::size_t rows, const std::vector<int>& cameras, 
   }
   return list;
 }
-
-constexpr Groups kShown = {true, true, true, false, false, false};
 
 }  // namespace
 
@@ -147,7 +131,7 @@ Calls may come from any thread; they wait for each other and run without the GIL
           "__init__",
           [](rcs::Renderer* self, const PyModel& given, const std::string& quality, int max_width, int max_height,
              const std::string& backend, const Groups& geom_groups) {
-            const rcs::RenderOptions chosen = options(quality, max_width, max_height, backend, geom_groups);
+            const rcs::RenderOptions chosen = render_options(quality, max_width, max_height, backend, geom_groups);
             const mjModel* model = given.get();
             const ReleasedGil unlocked;
             new (self) rcs::Renderer(model, chosen);
@@ -222,7 +206,7 @@ The pictures are those of a single `Renderer`, bit for bit. Calls run without th
           "__init__",
           [](rcs::RenderPool* self, const PyModel& given, int threads, const std::string& quality, int max_width,
              int max_height, const std::string& backend, const Groups& geom_groups) {
-            const rcs::RenderOptions chosen = options(quality, max_width, max_height, backend, geom_groups);
+            const rcs::RenderOptions chosen = render_options(quality, max_width, max_height, backend, geom_groups);
             const mjModel* model = given.get();
             const ReleasedGil unlocked;
             new (self) rcs::RenderPool(model, threads, chosen);

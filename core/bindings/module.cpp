@@ -20,6 +20,7 @@ void bind_measurement(nb::module_& m);
 void bind_world(nb::module_& m);
 void bind_sim_devices(nb::module_& m);
 void bind_render(nb::module_& m);
+void bind_pixels(nb::module_& m);
 void bind_sensor_noise(nb::module_& m);
 void bind_rows(nb::module_& m);
 
@@ -74,6 +75,7 @@ NB_MODULE(_core, m) {
   bind_world(m);
   bind_sim_devices(m);
   bind_render(m);
+  bind_pixels(m);
   bind_sensor_noise(m);
   bind_rows(m);
 }

@@ -7,16 +7,15 @@
 #include <vector>
 
 #include "drawing_cost.hpp"
-#include "frustum.hpp"
 #include "pixels.hpp"
 #include "rcs/result.hpp"
+#include "scene_view.hpp"
 #include "trap.hpp"
 
 namespace rcs {
 
 namespace {
 
-constexpr int kMaxGeomsBeyondModel = 1000;  // tendon segments, flexes, skins
 constexpr int kFullSamples = 4;
 constexpr int kMostIds = 65536;
 // Side of the shadow map [texels]: half the size, which a model may ask for, takes half the time of a whole picture.
@@ -65,36 +64,49 @@ struct DrawnModel {
   std::vector<mjtNum> geom_size;
 };
 
-// What a geom of the scene is called in a picture of ids: one more than its number among geoms, flexes, skins and
-// tendons, in this order; 0 for what has none.
-int id_of(const mjvGeom& geom, const mjModel& model) {
-  const auto first = [&](mjtSize before) { return static_cast<int>(before) + geom.objid + 1; };
-  switch (geom.objtype) {
-    case mjOBJ_GEOM:
-      return first(0);
-    case mjOBJ_FLEX:
-      return first(model.ngeom);
-    case mjOBJ_SKIN:
-      return first(model.ngeom + model.nflex);
-    case mjOBJ_TENDON:
-      return first(model.ngeom + model.nflex + model.nskin);
-    default:
-      return 0;
-  }
-}
-
 }  // namespace
+
+void check_picture(const mjModel& model, const RenderOptions& options, int camera, const Picture& picture) {
+  if (camera < 0 || camera >= model.ncam) {
+    std::ostringstream text;
+    text << "renderer: there is no camera " << camera << "; ";
+    if (model.ncam == 0) text << "the model has none";
+    for (int id = 0; id < model.ncam; ++id)
+      text << (id == 0 ? "the model has " : ", ") << id << " (" << model.names + model.name_camadr[id] << ")";
+    throw std::invalid_argument(text.str());
+  }
+  if (picture.width < 1 || picture.height < 1 || picture.width > options.max_width ||
+      picture.height > options.max_height)
+    throw std::invalid_argument("renderer: a picture of " + std::to_string(picture.width) + " x " +
+                                std::to_string(picture.height) + " pixels was asked for, valid is 1 x 1 to " +
+                                std::to_string(options.max_width) + " x " + std::to_string(options.max_height));
+  if (picture.rgb == nullptr) throw std::invalid_argument("renderer: the picture has no place for rgb");
+  if (picture.ids != nullptr && model.ngeom + model.nflex + model.nskin + model.ntendon >= kMostIds)
+    throw std::invalid_argument("renderer: the model has more parts than a picture of ids has numbers, " +
+                                std::to_string(kMostIds - 1));
+  if (picture.lens == nullptr) return;
+  const Lens& lens = *picture.lens;
+  const bool fits = lens.lookup != nullptr ? lens.width >= 1 && lens.height >= 1
+                                           : lens.width == picture.width && lens.height == picture.height;
+  if (!fits || lens.width > options.max_width || lens.height > options.max_height)
+    throw std::invalid_argument("renderer: a lens has a canvas of " + std::to_string(lens.width) + " x " +
+                                std::to_string(lens.height) + " pixels, valid is " +
+                                (lens.lookup != nullptr ? "1 x 1 to " + std::to_string(options.max_width) + " x " +
+                                                              std::to_string(options.max_height)
+                                                        : "the size of the picture"));
+  if (!(lens.scale_x > 0 && lens.scale_y > 0 && std::isfinite(lens.scale_x + lens.scale_y + lens.cx + lens.cy)))
+    throw std::invalid_argument("renderer: a lens must have positive scales and a finite principal point");
+  if (model.cam_projection[camera] != mjPROJ_PERSPECTIVE)
+    throw std::invalid_argument("renderer: a lens is for a camera with perspective, and this one is orthographic");
+}
 
 /// What a renderer has until it is closed.
 struct Renderer::Open {
-  explicit Open(const std::string& backend) : gl(backend) {
+  Open(const mjModel* model, const RenderOptions& options) : gl(options.backend), view(model, options) {
     mjr_defaultContext(&context);
-    mjv_defaultScene(&scene);
-    mjv_defaultOption(&option);
   }
   ~Open() {
     mj_deleteData(own_data);
-    mjv_freeScene(&scene);
     try {
       const GlContext::Current current(gl);
       mjr_freeContext(&context);
@@ -106,14 +118,11 @@ struct Renderer::Open {
 
   GlContext gl;
   mjrContext context;
-  mjvScene scene;
-  mjvOption option;
-  mjData* own_data = nullptr;                       // of `update_from_state`, made on first use
-  std::vector<mjvGeom> geoms;                       // of the last update; the scene gets those that a camera may see
-  std::vector<std::array<mjvGLCamera, 2>> cameras;  // of the last update, for the left and right eye
-  Canvas canvas;                                    // of the picture at work
-  std::vector<std::uint16_t> values;                // of a canvas from which a picture's are looked up
-  int slices = 0;                                   // of the round shapes in the context
+  SceneView view;
+  mjData* own_data = nullptr;         // of `update_from_state`, made on first use
+  Canvas canvas;                      // of the picture at work
+  std::vector<std::uint16_t> values;  // of a canvas from which a picture's are looked up
+  int slices = 0;                     // of the round shapes in the context
 };
 
 Renderer::Renderer(const mjModel* model, const RenderOptions& options)
@@ -125,21 +134,12 @@ Renderer::Renderer(const mjModel* model, const RenderOptions& options)
   if (model->vis.map.znear * model->stat.extent < mjMINVAL)
     throw std::invalid_argument(
         "renderer: the model's near plane (visual/map znear × statistic extent) must be positive");
-  auto open = std::make_unique<Open>(options.backend);
+  auto open = std::make_unique<Open>(model, options);
   const int limit = open->gl.max_size();
   if (options.max_width > limit || options.max_height > limit)
     throw std::invalid_argument("renderer: at most " + std::to_string(limit) + " x " + std::to_string(limit) +
                                 " pixels can be drawn here");
   description_ = open->gl.backend() + ": " + open->gl.description();
-  trapped("renderer",
-          [&] { mjv_makeScene(model, &open->scene, static_cast<int>(model->ngeom) + kMaxGeomsBeyondModel); });
-  for (int group = 0; group < mjNGROUP; ++group) {
-    open->option.geomgroup[group] = options.geom_groups[group];
-    open->option.sitegroup[group] = 0;
-  }
-  if (options.quality == Quality::fast)
-    for (const int effect : {mjRND_SHADOW, mjRND_REFLECTION, mjRND_SKYBOX, mjRND_FOG, mjRND_HAZE})
-      open->scene.flags[effect] = 0;
   const DrawnModel drawn(*model, options);
   {
     const GlContext::Current current(open->gl);
@@ -165,30 +165,6 @@ Renderer::Open& Renderer::require_open(const char* call) const {
   return *open_;
 }
 
-void Renderer::take_over(Open& open, const mjModel* model, mjData* data) const {
-  mjvCamera camera;
-  mjv_defaultFreeCamera(model, &camera);
-  // Infinite planes are laid around the camera that the scene has when its geoms are made: not that of the last
-  // picture.
-  trapped("renderer", [&] {
-    mjv_updateCamera(model, data, &camera, &open.scene);
-    mjv_updateScene(model, data, &open.option, nullptr, &camera, mjCAT_STATIC | mjCAT_DYNAMIC, &open.scene);
-  });
-  open.geoms.assign(open.scene.geoms, open.scene.geoms + open.scene.ngeom);
-  for (mjvGeom& geom : open.geoms) geom.segid = id_of(geom, *model) - 1;  // MuJoCo draws one more
-  // Floors last, so that the pixels under everything else are not shaded first.
-  std::stable_partition(open.geoms.begin(), open.geoms.end(), [](const mjvGeom& g) { return g.type != mjGEOM_PLANE; });
-  camera.type = mjCAMERA_FIXED;
-  open.cameras.resize(static_cast<std::size_t>(model->ncam));
-  trapped("renderer", [&] {
-    for (int id = 0; id < model->ncam; ++id) {
-      camera.fixedcamid = id;
-      mjv_updateCamera(model, data, &camera, &open.scene);
-      open.cameras[id] = {open.scene.camera[0], open.scene.camera[1]};
-    }
-  });
-}
-
 void Renderer::update(mjData* data) {
   const std::lock_guard lock(mutex_);
   Open& open = require_open("update");
@@ -196,7 +172,14 @@ void Renderer::update(mjData* data) {
     throw std::invalid_argument("renderer: the data is of another model than the renderer's");
   // Their corners are as old as the last physics step, and the state may have been written since.
   if (model_->nflex > 0) trapped("renderer", [&] { mj_flex(model_, data); });
-  take_over(open, model_, data);
+  open.view.update(model_, data);
+}
+
+void Renderer::update(const mjModel* model, mjData* data) {
+  const std::lock_guard lock(mutex_);
+  Open& open = require_open("update");
+  if (model->nflex > 0) trapped("renderer", [&] { mj_flex(model, data); });
+  open.view.update(model, data);
 }
 
 void Renderer::update_from_state(std::span<const double> state) { update_from_state(state, model_); }
@@ -217,42 +200,10 @@ void Renderer::update_from_state(std::span<const double> state, const mjModel* m
     if (model->nflex > 0) mj_flex(model, data);
     if (model->ntendon > 0) mj_tendon(model, data);
   });
-  take_over(open, model, open.own_data);
+  open.view.update(model, open.own_data);
 }
 
-void Renderer::check(int camera, const Picture& picture) const {
-  if (camera < 0 || camera >= model_->ncam) {
-    std::ostringstream text;
-    text << "renderer: there is no camera " << camera << "; ";
-    if (model_->ncam == 0) text << "the model has none";
-    for (int id = 0; id < model_->ncam; ++id)
-      text << (id == 0 ? "the model has " : ", ") << id << " (" << model_->names + model_->name_camadr[id] << ")";
-    throw std::invalid_argument(text.str());
-  }
-  if (picture.width < 1 || picture.height < 1 || picture.width > options_.max_width ||
-      picture.height > options_.max_height)
-    throw std::invalid_argument("renderer: a picture of " + std::to_string(picture.width) + " x " +
-                                std::to_string(picture.height) + " pixels was asked for, valid is 1 x 1 to " +
-                                std::to_string(options_.max_width) + " x " + std::to_string(options_.max_height));
-  if (picture.rgb == nullptr) throw std::invalid_argument("renderer: the picture has no place for rgb");
-  if (picture.ids != nullptr && model_->ngeom + model_->nflex + model_->nskin + model_->ntendon >= kMostIds)
-    throw std::invalid_argument("renderer: the model has more parts than a picture of ids has numbers, " +
-                                std::to_string(kMostIds - 1));
-  if (picture.lens == nullptr) return;
-  const Lens& lens = *picture.lens;
-  const bool fits = lens.lookup != nullptr ? lens.width >= 1 && lens.height >= 1
-                                           : lens.width == picture.width && lens.height == picture.height;
-  if (!fits || lens.width > options_.max_width || lens.height > options_.max_height)
-    throw std::invalid_argument("renderer: a lens has a canvas of " + std::to_string(lens.width) + " x " +
-                                std::to_string(lens.height) + " pixels, valid is " +
-                                (lens.lookup != nullptr ? "1 x 1 to " + std::to_string(options_.max_width) + " x " +
-                                                              std::to_string(options_.max_height)
-                                                        : "the size of the picture"));
-  if (!(lens.scale_x > 0 && lens.scale_y > 0 && std::isfinite(lens.scale_x + lens.scale_y + lens.cx + lens.cy)))
-    throw std::invalid_argument("renderer: a lens must have positive scales and a finite principal point");
-  if (model_->cam_projection[camera] != mjPROJ_PERSPECTIVE)
-    throw std::invalid_argument("renderer: a lens is for a camera with perspective, and this one is orthographic");
-}
+void Renderer::check(int camera, const Picture& picture) const { check_picture(*model_, options_, camera, picture); }
 
 void Renderer::prepare(Open& open, int width, int height) const {
   const bool is_fast = options_.quality == Quality::fast;
@@ -272,39 +223,19 @@ void Renderer::prepare(Open& open, int width, int height) const {
   open.canvas.height = height;
 }
 
-mjvGLCamera Renderer::pose(Open& open, int camera, const Picture& picture) const {
-  const bool is_fast = options_.quality == Quality::fast;
-  mjvScene& scene = open.scene;
-  scene.camera[0] = open.cameras[camera][0];
-  scene.camera[1] = open.cameras[camera][1];
-  if (picture.lens != nullptr)
-    for (mjvGLCamera& eye : scene.camera) aim(eye, *picture.lens, picture.height);
-  const mjvGLCamera eye = mjv_averageCamera(scene.camera, scene.camera + 1);  // between MuJoCo's two, for stereo
-  if (scene.nlight > 0 && scene.lights[0].headlight) {
-    std::copy_n(eye.pos, 3, scene.lights[0].pos);
-    std::copy_n(eye.forward, 3, scene.lights[0].dir);
-  }
-  scene.ngeom = 0;
-  const Frustum frustum(eye, static_cast<double>(open.canvas.width) / open.canvas.height);
-  for (const mjvGeom& geom : open.geoms)
-    // What is outside may still throw a shadow into the picture or be mirrored in it.
-    if (!is_fast || frustum.may_show(geom)) scene.geoms[scene.ngeom++] = geom;
-  return eye;
-}
-
 void Renderer::draw_ids(Open& open, float* depth) const {
   const mjrRect area{0, 0, open.canvas.width, open.canvas.height};
   open.canvas.codes.resize(3 * open.canvas.size());
   trapped("renderer", [&] {
-    open.scene.flags[mjRND_SEGMENT] = open.scene.flags[mjRND_IDCOLOR] = 1;
-    mjr_render(area, &open.scene, &open.context);
-    open.scene.flags[mjRND_SEGMENT] = open.scene.flags[mjRND_IDCOLOR] = 0;
+    open.view.scene().flags[mjRND_SEGMENT] = open.view.scene().flags[mjRND_IDCOLOR] = 1;
+    mjr_render(area, &open.view.scene(), &open.context);
+    open.view.scene().flags[mjRND_SEGMENT] = open.view.scene().flags[mjRND_IDCOLOR] = 0;
     mjr_readPixels(open.canvas.codes.data(), depth, area, &open.context);
   });
 }
 
 bool Renderer::draw_opaque_ids(Open& open, float* depth) const {
-  const std::span<mjvGeom> geoms(open.scene.geoms, static_cast<std::size_t>(open.scene.ngeom));
+  const std::span<mjvGeom> geoms(open.view.scene().geoms, static_cast<std::size_t>(open.view.scene().ngeom));
   // MuJoCo marked what is transparent when it drew the colours, and draws no geom whose number is negative.
   const auto turn_sign = [&] {
     int turned = 0;
@@ -321,7 +252,8 @@ bool Renderer::draw_opaque_ids(Open& open, float* depth) const {
 void Renderer::show(Open& open, int camera, const Picture& picture) const {
   const Lens* lens = picture.lens != nullptr && picture.lens->lookup != nullptr ? picture.lens : nullptr;
   prepare(open, lens != nullptr ? lens->width : picture.width, lens != nullptr ? lens->height : picture.height);
-  const mjvGLCamera eye = pose(open, camera, picture);
+  const mjvGLCamera eye =
+      open.view.look(camera, picture.lens, picture.height, open.canvas.width, open.canvas.height);
   Canvas& canvas = open.canvas;
   const mjrRect area{0, 0, canvas.width, canvas.height};
   if (picture.depth_mm != nullptr) canvas.depth.resize(canvas.size());
@@ -332,7 +264,7 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
   // in the wrong place. Ids are drawn with one sample, and so is the depth then.
   const bool is_apart = depth != nullptr && options_.quality == Quality::full;
   trapped("renderer", [&] {
-    mjr_render(area, &open.scene, &open.context);
+    mjr_render(area, &open.view.scene(), &open.context);
     mjr_readPixels(rgb, is_apart ? nullptr : depth, area, &open.context);
   });
   flip_rows(rgb, 3 * canvas.width, canvas.height);
@@ -358,7 +290,7 @@ void Renderer::render(int camera, const Picture& picture) {
   check(camera, picture);
   const std::lock_guard lock(mutex_);
   Open& open = require_open("render");
-  if (open.cameras.empty()) throw WrongOrder("renderer: render was called before update; there are no poses to draw");
+  if (open.view.is_empty()) throw WrongOrder("renderer: render was called before update; there are no poses to draw");
   const GlContext::Current current(open.gl);
   show(open, camera, picture);
 }

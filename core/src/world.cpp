@@ -121,6 +121,7 @@ World::World(const mjModel* model, int copies, int threads, StepTiming timing)
 void World::close() {
   std::vector<Periodic> periodic;
   std::vector<std::shared_ptr<StepCallback>> converge, interrupt, fault;
+  std::vector<std::shared_ptr<Watcher>> watchers;
   std::shared_ptr<const void> memory;
   if (!is_open()) return;
   if (is_forked()) call_ = nullptr;  // a call that was under way is one of the parent's
@@ -131,6 +132,7 @@ void World::close() {
   converge.swap(converge_);
   interrupt.swap(interrupt_);
   fault.swap(fault_);
+  watchers.swap(watchers_);
   memory.swap(memory_);
   poll_ = nullptr;
 }
@@ -286,6 +288,13 @@ int World::measure(std::shared_ptr<const Measurement> measurement) {
   measurements_.push_back(std::move(measurement));
   renew(out_->measurements, static_cast<std::size_t>(copies_) * static_cast<std::size_t>(measured_));
   return first;
+}
+
+void World::watch(std::shared_ptr<Watcher> watcher) {
+  const Taken taken(*this, "watch");
+  if (!watcher) throw InvalidSetup("world: a watcher is needed, not null");
+  watcher->check(model_, copies_);
+  watchers_.push_back(std::move(watcher));
 }
 
 void World::check_copy(int copy) const {

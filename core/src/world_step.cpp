@@ -252,6 +252,27 @@ void World::step_copy(const mjModel* model, mjData* data, int copy) {
   out_->ends[index] = static_cast<std::uint8_t>(end);
   mj_kinematics(model, data);
   read_out(model, data, copy, true);
+  try {
+    for (const auto& watcher : watchers_) watcher->see_step(model, data, copy);
+  } catch (...) {
+    fail(copy, std::current_exception());
+    out_->ends[index] = static_cast<std::uint8_t>(StepEnd::failed);
+  }
+}
+
+void World::show(Watcher& watcher, std::span<const int> copies) {
+  watcher.check(model_, copies_);
+  shown_ = &watcher;
+  run("show", copies, &World::show_copy, false);
+}
+
+void World::show_copy(const mjModel* model, mjData* data, int copy) {
+  mj_kinematics(model, data);
+  try {
+    shown_->see(model, data, copy);
+  } catch (...) {
+    fail(copy, std::current_exception());
+  }
 }
 
 void World::read_out(const mjModel* model, const mjData* data, int copy, bool has_forces) {

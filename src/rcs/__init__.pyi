@@ -21,6 +21,7 @@ from rcs.rollout.episode import run_episode as run_episode
 from rcs.rollout.evaluate import evaluate as evaluate
 from rcs.setups.make import make as make
 from rcs.setups.make import make_vec as make_vec
+from rcs.sim.pixels import Pixels as Pixels
 from rcs.sim.randomisation import Randomisation as Randomisation
 from rcs.spatial import Pose as Pose
 from rcs.version import __version__ as __version__

@@ -48,6 +48,9 @@ struct Picture {
   const Lens* lens = nullptr;
 };
 
+/// Throws `std::invalid_argument` when the model has no such camera or the picture does not fit.
+void check_picture(const mjModel& model, const RenderOptions& options, int camera, const Picture& picture);
+
 /// Draws one scene as seen by the cameras of its model. Calls may come from any thread; they wait for each other.
 ///
 /// Geoms, skins, flexes and tendons are drawn; sites and other decoration, which no real camera sees, are not.
@@ -69,6 +72,8 @@ class Renderer {
   /// The same with colours, lights, cameras and shapes of `model`, which has the sizes, meshes and textures of the
   /// renderer's own.
   void update_from_state(std::span<const double> state, const mjModel* model);
+  /// Take over the poses in `data`, as in the first `update`, with the looks of `model`.
+  void update(const mjModel* model, mjData* data);
   /// Draw what camera `camera` sees. Its intrinsics are those of the model, stretched to the picture's aspect ratio
   /// only if it has a sensor size (MuJoCo's `sensorsize`); a camera with `fovy` has square pixels.
   void render(int camera, const Picture& picture);
@@ -87,10 +92,8 @@ class Renderer {
  private:
   struct Open;
   Open& require_open(const char* call) const;
-  void take_over(Open& open, const mjModel* model, mjData* data) const;
   void show(Open& open, int camera, const Picture& picture) const;
   void prepare(Open& open, int width, int height) const;
-  mjvGLCamera pose(Open& open, int camera, const Picture& picture) const;
   void draw_ids(Open& open, float* depth) const;
   bool draw_opaque_ids(Open& open, float* depth) const;
 

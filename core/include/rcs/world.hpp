@@ -27,6 +27,7 @@
 #include "rcs/measurement.hpp"
 #include "rcs/motion.hpp"
 #include "rcs/result.hpp"
+#include "rcs/watcher.hpp"
 
 namespace rcs {
 
@@ -94,6 +95,11 @@ class World {
   /// Have something measured after every step, and after `refresh`. Returns the index of its first value in
   /// `measurements`.
   int measure(std::shared_ptr<const Measurement> measurement);
+
+  /// Have copies watched at the end of each step, by the thread that has stepped them.
+  void watch(std::shared_ptr<Watcher> watcher);
+  /// Have some copies watched as they are now; an empty span means none.
+  void show(Watcher& watcher, std::span<const int> copies);
 
   /// All callbacks that were added, one entry for each time.
   std::vector<const StepCallback*> callbacks() const;
@@ -237,6 +243,7 @@ class World {
   bool is_stopped();
   void step_copy(const mjModel* model, mjData* data, int copy);
   void refresh_copy(const mjModel* model, mjData* data, int copy);
+  void show_copy(const mjModel* model, mjData* data, int copy);
   void read_out(const mjModel* model, const mjData* data, int copy, bool has_forces);
   template <typename Visit>
   void visit_saved(int copy, Visit visit) const;
@@ -263,6 +270,8 @@ class World {
   std::vector<std::shared_ptr<const Measurement>> measurements_;
   int measured_ = 0;  // values of all measurements
   bool measures_forces_ = false;
+  std::vector<std::shared_ptr<Watcher>> watchers_;
+  Watcher* shown_ = nullptr;  // of the call under way
   std::vector<PoseReadout> pose_readouts_;
   std::vector<ForceReadout> force_readouts_;
   std::vector<OpeningReadout> opening_readouts_;

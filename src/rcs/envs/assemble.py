@@ -29,6 +29,7 @@ from rcs.envs.layers import (
 )
 from rcs.envs.load_ports import PrivilegedPort, SimContactPort, SimLoadPort
 from rcs.envs.parts import Parts
+from rcs.envs.pixel_port import PixelPort
 from rcs.envs.ports import ArmPort, GripperPort, HandPort, Port
 from rcs.envs.randomiser import Randomiser
 from rcs.envs.scenario import Scenario
@@ -191,6 +192,11 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
         raise InvalidSetup(
             f"Real cameras ({', '.join(camera.name for camera in real)}) have no segmentation; use segmentation=False."
         )
+    if real and setup.pixels is not None:
+        raise InvalidSetup(
+            f"Real cameras ({', '.join(camera.name for camera in real)}) give pictures, not pixels for learners; leave "
+            "pixels out of the setup."
+        )
     points = [PointClouds()] if setup.points else []
     if real:
         port = _real_cameras(parts, real)
@@ -278,7 +284,10 @@ def _simulated_sensors(
     """Return the ports of everything simulated that gives frames."""
     setup = parts.setup
     ports: list[Port] = []
-    if observed:
+    if observed and setup.pixels is not None:
+        size, quality = setup.image_size, setup.render_quality
+        ports.append(PixelPort(world, observed, clock, setup.pixels, randomiser, size=size, quality=quality))
+    elif observed:
         cameras = SimCameras(
             world,
             observed,

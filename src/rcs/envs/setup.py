@@ -16,6 +16,7 @@ from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.camera_mode import parse_mode
 from rcs.sim.camera import MAX_SIZE, Quality
 from rcs.sim.detail import Assets
+from rcs.sim.pixels import Pixels
 from rcs.sim.randomisation import Preset, Randomisation
 from rcs.sim.world import Stepping
 
@@ -64,6 +65,9 @@ class Setup:
     camera_noise: bool = False
     """Whether frames have the noise of real cameras, and depth the gaps of a stereo camera: shadows of near objects,
     edges, grazing views, darkness. The same state has the same noise."""
+    pixels: Pixels | None = None
+    """Have simulated cameras observed for learning: channels first, stacks of frames, and nothing else; True for colour
+    frames without stacks, None for pictures with matrices."""
     render_quality: Quality = "fast"
     """`full` draws shadows, reflections and smooth edges, and is about fifty times slower without a GPU."""
     assets: Assets = "builtin"
@@ -125,6 +129,10 @@ class Setup:
         if self.reward == "dense" and self.discount == 1:
             raise InvalidSetup("discount is 1; the dense reward needs one below 1, such as 0.99.")
         object.__setattr__(self, "randomisation", _ranges(self.randomisation))
+        object.__setattr__(self, "pixels", _pixels(self.pixels))
+        taken = [name for name in ("depth", "segmentation", "points", "camera_noise") if getattr(self, name)]
+        if self.pixels is not None and taken:
+            raise InvalidSetup(f"{taken[0]} is True and pixels are given, which are colours alone; choose one of the two.")
         for name in ("cameras", "layers", "observe"):
             object.__setattr__(self, name, _names(name, getattr(self, name)))
         if unknown := [name for name in self.observe if name not in get_args(Observed)]:
@@ -168,6 +176,8 @@ class Setup:
         values = {own.name: getattr(self, own.name) for own in dataclasses.fields(self)}
         if self.randomisation is not None:
             values["randomisation"] = self.randomisation.to_json()
+        if self.pixels is not None:
+            values["pixels"] = self.pixels.to_json()
         if isinstance(self.camera_fps, tuple):
             values["camera_fps"] = dict(self.camera_fps)
         return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
@@ -203,6 +213,7 @@ class Options(TypedDict, total=False):
     points: bool
     tactile: str | None
     camera_noise: bool
+    pixels: Pixels | bool | None
     render_quality: Quality
     assets: Assets
     observe: Sequence[Observed]
@@ -235,6 +246,16 @@ def _ranges(value: Any) -> Randomisation | None:
         raise InvalidSetup(
             f"randomisation is {value!r}; valid: a Randomisation, the name of one, True for its defaults, or None."
         )
+    return value
+
+
+def _pixels(value: Any) -> Pixels | None:
+    if isinstance(value, bool):
+        return Pixels() if value else None
+    if isinstance(value, dict):
+        return Pixels.from_json(value)
+    if not isinstance(value, Pixels | None):
+        raise InvalidSetup(f"pixels is {value!r}; valid: rcs.Pixels(...), True for its defaults, or None.")
     return value
 
 

@@ -17,9 +17,11 @@ from rcs.sim.camera import SimCameras
 from rcs.sim.camera_feed import CameraFeed
 from rcs.sim.frame_clock import FrameClock, FrameRate
 from rcs.sim.frame_delay import DelayedFrames
+from rcs.sim.pixels import PixelFeed
 from rcs.sim.render_thread import RenderThread
 from rcs.sim.robot import SimRobot
 from rcs.sim.tactile import SimTactile
+from rcs.sim.world import World
 
 
 class SimArmPort(Port):
@@ -121,17 +123,11 @@ class SimCameraPort(Port):
         feed = RenderThread(cameras, clock) if is_beside_the_loop else CameraFeed(cameras, clock)
         if is_beside_the_loop:
             self.memory = ()  # it draws at times of its own
-        ranges = None if randomiser is None else randomiser.ranges
         self._feed: CameraFeed | RenderThread | DelayedFrames = feed
-        self._delay: DelayedFrames | None = None
-        if (
-            randomiser is not None
-            and ranges is not None
-            and (ranges.varies("frame_latency") or ranges.varies("frame_jitter"))
-        ):
-            latency = functools.partial(randomiser.by_name, "frame_latency", tuple(cameras.names))
+        self._delay = delay_of(randomiser, feed, clock, cameras.world, cameras.names)
+        if self._delay is not None:
             self.memory = ()  # what is on its way is not kept
-            self._feed = self._delay = DelayedFrames(feed, clock, cameras.world, latency, ranges.frame_jitter)
+            self._feed = self._delay
         self.action_spaces = {}
         self.observation_spaces = {keys.FRAMES: cameras_space(cameras)}
 
@@ -166,6 +162,28 @@ class SimCameraPort(Port):
     def close(self) -> None:
         """Free the renderer."""
         self._feed.close()
+
+
+def delay_of(
+    randomiser: Randomiser | None,
+    feed: CameraFeed | RenderThread | PixelFeed,
+    clock: FrameClock,
+    world: World,
+    names: Sequence[str],
+) -> DelayedFrames | None:
+    """Return what holds back the frames of a feed, if they are to arrive late."""
+    if not is_late(randomiser):
+        return None
+    assert randomiser is not None, "it is late"
+    latency = functools.partial(randomiser.by_name, "frame_latency", tuple(names))
+    return DelayedFrames(feed, clock, world, latency, randomiser.ranges.frame_jitter)
+
+
+def is_late(randomiser: Randomiser | None) -> bool:
+    """Return whether frames arrive late."""
+    return randomiser is not None and any(
+        randomiser.ranges.varies(field) for field in ("frame_latency", "frame_jitter")
+    )
 
 
 class SimTactilePort(Port):

@@ -21,6 +21,7 @@
 | `frames`/camera/`segmentation` | (H, W) uint16 | number of the instance, 0 = background |
 | `frames`/camera/`geoms` | (H, W) uint16 | number of the geom, 0 = background |
 | `frames`/camera/`points` | (H, W, 3) float32 | m in the frame of `extrinsics`, (0, 0, 0) = no reading |
+| `frames`/camera/`pixels` | (channels, H, W) uint8 | with `pixels` in the setup, alone: newest frame last |
 | `frames`/camera/`intrinsics` | (3, 3) float64 | camera matrix, px |
 | `frames`/camera/`distortion` | (5,) float64 | OpenCV's k1, k2, p1, p2, k3 |
 | `frames`/camera/`extrinsics` | (4, 4) float64 | camera in the base frame (of several robots: the scene), OpenCV |
@@ -67,6 +68,7 @@ DEPTH = "depth"
 SEGMENTATION = "segmentation"
 GEOMS = "geoms"
 POINTS = "points"
+PIXELS = "pixels"
 DISTORTION = "distortion"
 INTRINSICS = "intrinsics"
 EXTRINSICS = "extrinsics"
@@ -222,6 +224,11 @@ def labels_space(width: int, height: int) -> spaces.Box:
 def points_space(width: int, height: int) -> spaces.Box:
     """Return the space of the points that pixels show [m]."""
     return spaces.Box(-FARTHEST_POINT, FARTHEST_POINT, (height, width, 3), np.float32)
+
+
+def pixels_space(channels: int, width: int, height: int) -> spaces.Box:
+    """Return the space of stacks of frames with channels first."""
+    return spaces.Box(0, 255, (channels, height, width), np.uint8)
 
 
 def distortion_space() -> spaces.Box:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rcs.sim.camera import FrameArrays
 from rcs.sim.camera_feed import CameraFeed
 from rcs.sim.frame_clock import FrameClock
+from rcs.sim.pixels import PixelFeed
 from rcs.sim.render_thread import RenderThread
 from rcs.sim.splitmix import GAMMA, mix, units
 from rcs.sim.world import World
@@ -45,7 +46,7 @@ class DelayedFrames:
 
     def __init__(
         self,
-        feed: CameraFeed | RenderThread,
+        feed: CameraFeed | RenderThread | PixelFeed,
         clock: FrameClock,
         world: World,
         latency: Callable[[], Mapping[str, NDArray[np.float64]]],

@@ -1,0 +1,99 @@
+// Draws the geoms of a scene without OpenGL: for small pictures, of which a driver takes its time per geom, not per pixel.
+// Private to the sources.
+#pragma once
+
+#include <mujoco/mujoco.h>
+
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "mesh_shapes.hpp"
+
+namespace rcs {
+
+/// What is drawn to, rows from the top.
+struct Sheet {
+  int width = 0;
+  int height = 0;
+  std::vector<std::uint32_t> colours{};  ///< red in the lowest byte, then green and blue
+  std::vector<float> nearness{};         ///< reciprocal distance along the optical axis [1/m], 0 where nothing is
+
+  void clear(int new_width, int new_height);
+};
+
+/// What a camera that stands still sees of what never moves: kept as long as it stays the same.
+struct Backdrop {
+  std::vector<mjvGeom> geoms{};
+  std::vector<mjvLight> lights{};
+  mjvGLCamera eye{};
+  Sheet sheet{};
+};
+
+/// Draws as MuJoCo's OpenGL does at quality `fast`: light is computed at the corners of triangles and mixed between them;
+/// no textures, no shadows. What differs is rounding: edges of shapes by less than a pixel, colours by a few parts in 255.
+class Rasteriser {
+ public:
+  explicit Rasteriser(const mjModel* model);
+
+  /// Draw the scene's geoms as `eye` sees them. The sheet is cleared before. With a backdrop, what never moves is drawn
+  /// first, or taken from there.
+  void draw(const mjvScene& scene, const mjvGLCamera& eye, Sheet& sheet, Backdrop* backdrop = nullptr);
+
+  /// What in a model cannot be drawn, for a message; empty if all can.
+  static std::string why_not(const mjModel& model, std::span<const bool> groups);
+
+ private:
+  /// Arrays of vertices, as long as the longest shape.
+  struct Vertices {
+    std::vector<float> x, y, z;       // in the camera's frame [m]: right, down, forward
+    std::vector<float> column, row;   // on the sheet [pixels]
+    std::vector<float> nearness;      // 1 / z
+    std::vector<float> red, green, blue;
+    void resize(std::size_t size);
+  };
+  struct Corner {
+    float column, row, nearness, red, green, blue;
+  };
+  struct Light {
+    bool is_everywhere;  // directional
+    float position[3], direction[3];  // in the camera's frame; the direction points to the light
+    float attenuation[3];
+    float cutoff;  // cosine; -1 for none
+    float exponent;
+    float ambient[3], diffuse[3], specular[3];
+  };
+  struct View {  // from the camera's frame to the sheet
+    float axes[3][3];
+    double position[3];
+    float column_scale, column_shift, row_scale, row_shift;
+    float near;
+  };
+
+  void place_lights(const mjvScene& scene);
+  void draw_all(std::span<const mjvGeom* const> geoms, Sheet& sheet);
+  void draw_geom(const mjvGeom& geom, Sheet& sheet);
+  void draw_shape(const Shape& shape, const mjvGeom& geom, const float* scale, const float* shift, Sheet& sheet);
+  void shade(const mjvGeom& geom, const Shape& shape, const float (&turned)[3][3], const float* scale);
+  void draw_triangle(const Corner (&corners)[3], float alpha, Sheet& sheet) const;
+  void draw_clipped(const std::uint32_t* corners, float alpha, Sheet& sheet) const;
+  Corner project(const float* place, const float* colour) const;
+
+  std::vector<Shape> meshes_;  // of the model, filled when first drawn
+  const mjModel* model_;
+  Shape box_, plane_, ball_, cylinder_, tube_, cap_, cup_;
+  View view_{};
+  std::vector<Light> lights_;
+  Vertices vertices_;
+  std::vector<std::uint32_t> used_;      // vertices of visible triangles
+  std::vector<std::uint8_t> is_used_;
+  std::vector<std::uint32_t> visible_;   // first corners of visible triangles
+  std::vector<const mjvGeom*> still_, moving_, transparent_;
+  struct Lit {
+    std::vector<float> x, y, z, nx, ny, nz, red, green, blue;
+    void resize(std::size_t size);
+  } lit_;
+};
+
+}  // namespace rcs
