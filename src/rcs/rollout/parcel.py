@@ -1,4 +1,4 @@
-"""Results that travel with files: a worker away from the dataset works in a folder of its own and sends what it wrote."""
+"""Results that travel with files: a worker on another machine writes into its own folder and sends what it wrote."""
 
 from __future__ import annotations
 
