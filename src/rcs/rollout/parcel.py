@@ -33,7 +33,7 @@ class Parcel:
         found: dict[str, dict[str, memoryview]] = {}
         for path, data in self.files.items():
             folder, _, name = path.rpartition("/")
-            found.setdefault(folder, {})[name] = memoryview(data)
+            found.setdefault(folder, {})[name] = data.data
         return found
 
     def unpack(self, out: Path) -> None:
@@ -44,7 +44,7 @@ class Parcel:
         """
         for path, data in self.files.items():
             (out / path).parent.mkdir(parents=True, exist_ok=True)
-            write_file(out / path, memoryview(data))
+            write_file(out / path, data.data)
 
 
 def packed(folder: Path) -> dict[str, NDArray[np.uint8]]:
