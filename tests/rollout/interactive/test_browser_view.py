@@ -26,7 +26,7 @@ from rcs.spatial import distance, xyzw_to_wxyz
 @pytest.fixture
 def view() -> Iterator[BrowserView]:
     """A page of an environment that does not wait for the wall clock."""
-    session = Session(replace(playable(Setup(task="PickCuboid")), stepping="async"))
+    session = Session(replace(playable(Setup(task="PickCuboid", reward="sparse")), stepping="async"))
     with BrowserView(session, port=0) as view:
         yield view
     view.session.close()
