@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from rcs.errors import InvalidSetup
-from rcs.rollout.parcel import Courier, Parcel, packed
+from rcs.rollout.parcel import Courier, Luggage, Parcel, packed
 
 DYING = """
 import os, signal, sys, tempfile
@@ -67,6 +67,21 @@ def test_files_arrive_as_they_were_sent(place: Path, tmp_path: Path) -> None:
     there = {path: data.tobytes() for path, data in packed(tmp_path / "there").items()}
     assert there == {"out/deep/7": b"the number 7", "out/empty": b"", "own": b""}
     courier.close()
+
+
+@pytest.mark.parametrize("kind", ["folder", "file"])
+def test_luggage_has_its_name_and_contents_where_it_arrives(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "here/checkpoint/deep").mkdir(parents=True)
+    (tmp_path / "here/checkpoint/weights").write_bytes(b"\0\1")
+    (tmp_path / "here/checkpoint/deep/more").touch()
+    path = tmp_path / ("here/checkpoint" if kind == "folder" else "here/checkpoint/weights")
+    arrived: Luggage = pickle.loads(pickle.dumps(Luggage.of(path)))
+    place = arrived.unpack(tmp_path / "there")
+    assert place.name == path.name
+    if kind == "folder":
+        assert (place / "weights").read_bytes() == b"\0\1" and (place / "deep/more").read_bytes() == b""
+    else:
+        assert place.read_bytes() == b"\0\1"
 
 
 def test_a_courier_leaves_nothing_behind(place: Path) -> None:

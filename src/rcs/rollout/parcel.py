@@ -57,6 +57,34 @@ def packed(folder: Path) -> dict[str, NDArray[np.uint8]]:
     return {path.relative_to(folder).as_posix(): np.fromfile(path, np.uint8) for path in paths}
 
 
+@dataclass(frozen=True, kw_only=True)
+class Luggage:
+    """A file or folder that workers on other machines need, such as a checkpoint; it is pickled with its contents."""
+
+    name: str
+    files: Mapping[str, NDArray[np.uint8]]
+
+    @classmethod
+    def of(cls, path: str | Path) -> Luggage:
+        """Pack what is at a path.
+
+        Raises:
+            OSError: It cannot be read.
+        """
+        place = Path(path).resolve()
+        files = packed(place) if place.is_dir() else {"": np.fromfile(place, np.uint8)}
+        return cls(name=place.name, files=files)
+
+    def unpack(self, folder: Path) -> Path:
+        """Write it into a folder, which is made, and return its path."""
+        place = folder / self.name
+        for name, data in self.files.items():
+            path = place / name if name else place
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_file(path, data.data)
+        return place
+
+
 class Courier:
     """A worker in a folder of its own; each result takes along the files in the outbox."""
 
