@@ -17,7 +17,7 @@ from rcs.data import Dataset, compare_steps, edit, recover
 from rcs.data.compact import seal
 from rcs.data.edit import Part, mix
 from rcs.data.edit.rows import rows_of
-from rcs.errors import DatasetError, InvalidSetup
+from rcs.errors import DatasetError, InvalidSetup, RcsError
 from rcs.rollout.collect import Collection, Progress, collect, episode_id
 from rcs.rollout.replay import replay, setup_of
 
@@ -198,6 +198,32 @@ def test_only_success_keeps_the_same_episodes_with_any_number_of_workers(tmp_pat
     assert [episode.id for episode in one] == [episode.id for episode in three]
 
 
+@pytest.mark.parametrize("workers", [1, 2])
+def test_only_success_gives_up_when_nothing_ever_succeeds(tmp_path: Path, workers: int) -> None:
+    setup = rcs.Setup(max_episode_steps=2)
+    collection = plan(tmp_path / "none", setup=setup, only_success=True, most_attempts=5, workers=workers)
+    progress = Progress()
+    with pytest.raises(RcsError, match=r"Of 5 attempts 0 succeeded, and 3 were wanted.* most_attempts"):
+        for _ in collect(collection, progress):
+            pass
+    assert sorted(attempt.number for attempt in progress.attempts) == list(range(5))
+    assert progress.seconds > 0
+
+
+def test_only_success_that_gave_up_goes_on_when_it_may_try_more(tmp_path: Path) -> None:
+    setup = rcs.Setup(max_episode_steps=112)
+    with pytest.raises(RcsError, match="gives up"):
+        run(plan(tmp_path / "good", setup=setup, only_success=True, most_attempts=3))
+    assert run(plan(tmp_path / "good", setup=setup, only_success=True)).kept == 3
+
+
+def test_how_often_only_success_tries_depends_on_whether_anything_succeeded(tmp_path: Path) -> None:
+    few, many = (plan(tmp_path, episodes=episodes, only_success=True) for episodes in (3, 50))
+    assert few.attempts_before_giving_up(0) == many.attempts_before_giving_up(0) == 100
+    assert (few.attempts_before_giving_up(1), many.attempts_before_giving_up(1)) == (100, 1000)
+    assert plan(tmp_path, most_attempts=7).attempts_before_giving_up(1) == 7
+
+
 def test_the_setup_in_a_dataset_makes_the_same_environment(dataset: Path) -> None:
     assert setup_of(Dataset.open(dataset)) == rcs.Setup()
 
@@ -209,7 +235,9 @@ def test_a_dataset_of_another_setup_is_refused_with_what_differs(dataset: Path) 
     assert hashes(dataset) == before
 
 
-@pytest.mark.parametrize(("field", "value"), [("episodes", 0), ("episodes", -3), ("seed", -1), ("workers", 0)])
+@pytest.mark.parametrize(
+    ("field", "value"), [("episodes", 0), ("episodes", -3), ("seed", -1), ("workers", 0), ("most_attempts", 0)]
+)
 def test_counts_that_make_no_sense_are_refused(tmp_path: Path, field: str, value: int) -> None:
     with pytest.raises(InvalidSetup, match=field):
         plan(tmp_path, **{field: value})

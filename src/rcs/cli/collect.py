@@ -21,9 +21,8 @@ from rcs.rollout.evaluate import Summary
 class CollectCommand(RunOptions):
     """Collect a dataset of scripted episodes and write a report page.
 
-    Episode i depends only on the seed and on i, so the same command resumes an interrupted collection, and the number
-    of workers does not change the data, nor does a cluster. Ctrl-C ends after the running episodes; a second one ends at
-    once.
+    Episode i depends only on the seed and on i, so the same command resumes an interrupted collection, and neither the
+    number of workers nor a cluster changes the data. Ctrl-C ends after the running episodes; a second one ends at once.
     """
 
     episodes: int = 20

@@ -42,12 +42,12 @@ def connected(address: str, *, cpus: int) -> Generator[tuple[Any, dict[str, str]
         InvalidSetup: The address is one of Ray Client.
         RcsError: There is no cluster at the address, or none can be started here.
     """
-    ray = _ray()
     if "://" in address:
         raise InvalidSetup(
             f"The address of the Ray cluster is {address!r}; valid is 'local', 'auto' or 'host:port'. "
             "Run the command on a machine of the cluster."
         )
+    ray = _ray()
     if ray.is_initialized():
         yield ray, {}
         return

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from rcs.agents import agent_for
+from rcs.agents.choice import is_path
 from rcs.data import Dataset, DatasetInfo, DatasetWriter
 from rcs.data.layout import EPISODES_FOLDER
 from rcs.devices import lookup
@@ -26,7 +27,7 @@ from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout.cluster import LOCAL
 from rcs.rollout.episode import EpisodeResult, run_episode
-from rcs.rollout.parcel import Courier
+from rcs.rollout.parcel import Courier, Luggage
 from rcs.rollout.pool import WorkerPool
 from rcs.rollout.ray_pool import RayPool, Tally
 from rcs.setups.make import make
@@ -284,7 +285,7 @@ def _attempts(
         with WorkerPool(_Work(collection), collection.workers) as pool:
             yield from pool.map(numbers)
         return
-    away = _WorkAway(collection, writer.info)
+    away = _WorkAway(collection, writer.info, Luggage.of(collection.agent) if is_path(collection.agent) else None)
     with RayPool(away, collection.workers, collection.ray, most=collection.episodes) as pool:
         progress.cluster = pool.tally
         for parcel in pool.map(numbers):
@@ -314,9 +315,11 @@ class _WorkAway:
 
     collection: Collection
     info: DatasetInfo
+    luggage: Luggage | None
 
     def __call__(self) -> Courier:
-        return Courier(self._worker, outbox=EPISODES_FOLDER)
+        return Courier(self._worker, outbox=f"dataset/{EPISODES_FOLDER}")
 
     def _worker(self, folder: Path) -> Collector:
-        return Collector(self.collection, DatasetWriter.open(folder, self.info))
+        agent = self.collection.agent if self.luggage is None else self.luggage.unpack(folder / "agent")
+        return Collector(replace(self.collection, agent=agent), DatasetWriter.open(folder / "dataset", self.info))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rcs.agents import Agent, agent_for
+from rcs.agents.choice import is_path
 from rcs.data.verdicts import wilson_interval
 from rcs.devices import lookup
 from rcs.envs.env import Env
@@ -20,7 +21,7 @@ from rcs.errors import InvalidSetup
 from rcs.rollout.cluster import LOCAL
 from rcs.rollout.collect import Attempt, seed_of
 from rcs.rollout.episode import EpisodeResult, Judge, run_episode
-from rcs.rollout.parcel import Courier
+from rcs.rollout.parcel import Courier, Luggage
 from rcs.rollout.pool import WorkerPool
 from rcs.rollout.ray_pool import RayPool, Tally
 from rcs.rollout.video import Film
@@ -172,9 +173,14 @@ class _WorkAway:
     """Makes the worker on another machine, which sends its videos."""
 
     evaluation: Evaluation
+    luggage: Luggage | None
 
     def __call__(self) -> Courier:
-        return Courier(lambda folder: Evaluator(replace(self.evaluation, out=folder)))
+        return Courier(self._worker, outbox="videos")
+
+    def _worker(self, folder: Path) -> Evaluator:
+        agent = self.evaluation.agent if self.luggage is None else self.luggage.unpack(folder / "agent")
+        return Evaluator(replace(self.evaluation, agent=agent, out=folder / "videos"))
 
 
 def evaluate(
@@ -216,7 +222,8 @@ def _attempts(evaluation: Evaluation, numbers: Iterator[int], summary: Summary) 
         with WorkerPool(_Work(evaluation), evaluation.workers) as pool:
             yield from pool.map(numbers)
         return
-    with RayPool(_WorkAway(evaluation), evaluation.workers, evaluation.ray, most=evaluation.episodes) as pool:
+    away = _WorkAway(evaluation, Luggage.of(evaluation.agent) if is_path(evaluation.agent) else None)
+    with RayPool(away, evaluation.workers, evaluation.ray, most=evaluation.episodes) as pool:
         summary.cluster = pool.tally
         for parcel in pool.map(numbers):
             parcel.unpack(evaluation.out)

@@ -1,4 +1,4 @@
-"""Results that travel with files: a worker away from the dataset works in a folder of its own and sends what it wrote."""
+"""Results that travel with files: a worker on another machine writes into its own folder and sends what it wrote."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Parcel:
         found: dict[str, dict[str, memoryview]] = {}
         for path, data in self.files.items():
             folder, _, name = path.rpartition("/")
-            found.setdefault(folder, {})[name] = memoryview(data)
+            found.setdefault(folder, {})[name] = data.data
         return found
 
     def unpack(self, out: Path) -> None:
@@ -44,7 +44,7 @@ class Parcel:
         """
         for path, data in self.files.items():
             (out / path).parent.mkdir(parents=True, exist_ok=True)
-            write_file(out / path, memoryview(data))
+            write_file(out / path, data.data)
 
 
 def packed(folder: Path) -> dict[str, NDArray[np.uint8]]:
@@ -55,6 +55,34 @@ def packed(folder: Path) -> dict[str, NDArray[np.uint8]]:
     """
     paths = sorted(path for path in folder.rglob("*") if path.is_file())
     return {path.relative_to(folder).as_posix(): np.fromfile(path, np.uint8) for path in paths}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Luggage:
+    """A file or folder that workers on other machines need, such as a checkpoint; it is pickled with its contents."""
+
+    name: str
+    files: Mapping[str, NDArray[np.uint8]]
+
+    @classmethod
+    def of(cls, path: str | Path) -> Luggage:
+        """Pack what is at a path.
+
+        Raises:
+            OSError: It cannot be read.
+        """
+        place = Path(path).resolve()
+        files = packed(place) if place.is_dir() else {"": np.fromfile(place, np.uint8)}
+        return cls(name=place.name, files=files)
+
+    def unpack(self, folder: Path) -> Path:
+        """Write it into a folder, which is made, and return its path."""
+        place = folder / self.name
+        for name, data in self.files.items():
+            path = place / name if name else place
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_file(path, data.data)
+        return place
 
 
 class Courier:

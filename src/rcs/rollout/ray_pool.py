@@ -8,6 +8,7 @@ machine, goes to another one. Machines that join get workers, too.
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import time
 from collections import Counter, deque
@@ -28,6 +29,8 @@ _log = logging.getLogger(__name__)
 _MOST_LOSSES = 3
 # How often machines are counted anew [s].
 _LOOK_AGAIN = 2.0
+# How long to wait for an answer at a time [s]: Python hears of Ctrl-C only in between.
+_LISTEN = 0.2
 # Without a worker for so long, the user is told what is waited for [s].
 _PATIENCE = 30.0
 # How long workers have for closing [s]; one that hangs is killed.
@@ -111,7 +114,7 @@ class RayPool:
             num_cpus=cpus, num_gpus=gpus, scheduling_strategy="SPREAD", runtime_env={"env_vars": variables}
         )(_Actor)
         self._make = self._ray.put(make)
-        self._rules = self._ray.put((list(sys.path), _versions()))
+        self._rules = self._ray.put(([folder or os.getcwd() for folder in sys.path], _versions()))
 
     def map(self, numbers: Iterator[int]) -> Iterator[Any]:
         """Map numbers to results, and yield these in order of completion.
@@ -194,9 +197,9 @@ class RayPool:
         """Wait for an answer, and return the places that have one."""
         answers = {place.answer: place for place in self._places if place.answer is not None}
         if not answers:  # there is no machine
-            time.sleep(0.1)
+            time.sleep(_LISTEN)
             return []
-        done, _ = self._ray.wait(list(answers), timeout=_LOOK_AGAIN)
+        done, _ = self._ray.wait(list(answers), timeout=_LISTEN)
         return [answers[answer] for answer in done]
 
     def _result(self, place: _Place) -> Any:

@@ -1,0 +1,83 @@
+"""Ray is wanted only where it is used, and what is missing is named."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import rcs
+from rcs.cli.main import main
+from rcs.errors import InvalidSetup, MissingDependency
+from rcs.rollout.cluster import connected
+from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.evaluate import Evaluation, evaluate
+from rcs.rollout.ray_pool import RayPool, Tally
+
+IMPORTS = (
+    "import sys, rcs.rollout.collect, rcs.rollout.evaluate, rcs.cli.collect, rcs.cli.eval; print('ray' in sys.modules)"
+)
+
+
+@pytest.fixture
+def no_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+
+
+def test_ray_is_not_imported_before_it_is_used() -> None:
+    done = subprocess.run([sys.executable, "-c", IMPORTS], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
+
+
+@pytest.mark.usefixtures("no_ray")
+def test_a_cluster_without_ray_names_the_extra(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(MissingDependency, match=r"pip install 'robot-control-stack\[ray\]'"):
+        list(evaluate(Evaluation(setup=rcs.Setup(), ray="local", out=tmp_path)))
+    with pytest.raises(MissingDependency, match=r"\[ray\]"):
+        list(collect(Collection(setup=rcs.Setup(), episodes=1, ray="auto", out=tmp_path / "a"), Progress()))
+    with pytest.raises(SystemExit) as end:
+        main(["eval", "PickCuboid", "--ray", "--episodes", "1", "--out", str(tmp_path / "b")])
+    assert end.value.code == 1
+    assert "[ray]" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("no_ray")
+def test_numbers_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidSetup, match="local cluster needs a number"):
+        RayPool(list, 0, "local")
+    with pytest.raises(InvalidSetup, match="cpus"):
+        RayPool(list, 1, "local", cpus=0)
+    with pytest.raises(InvalidSetup, match="workers"):
+        Collection(setup=rcs.Setup(), episodes=1, out=tmp_path, ray="local", workers=0)
+    assert Collection(setup=rcs.Setup(), episodes=1, out=tmp_path, ray="auto", workers=0).workers == 0
+
+
+def test_one_does_not_watch_on_a_cluster(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["collect", "PickCuboid", "--ray", "--viewer", "--out", str(tmp_path)])
+    assert end.value.code == 1
+    assert "--viewer without --ray" in capsys.readouterr().err
+
+
+def test_a_tally_says_where_and_what_was_lost() -> None:
+    assert str(Tally(workers=2, machines={"a"})) == "2 on 1 machine"
+    assert str(Tally(workers=8, machines={"a", "b"}, lost=1)) == "8 on 2 machines, 1 lost and made again"
+
+
+def test_an_address_of_ray_client_is_refused() -> None:
+    with (
+        pytest.raises(InvalidSetup, match=r"ray://there:10001.*valid is 'local', 'auto'"),
+        connected("ray://there:10001", cpus=1),
+    ):
+        pass
+
+
+@pytest.mark.extras
+def test_an_address_without_a_cluster_says_what_to_do() -> None:
+    with (
+        pytest.raises(Exception, match=r"Could not connect .*`ray start --head` starts one"),
+        connected("auto", cpus=1),
+    ):
+        pass

@@ -1,0 +1,425 @@
+"""On a cluster of Ray, episodes are those of a single process, whatever is killed; nothing stays running."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rcs
+from rcs.agents import Agent, agent_for
+from rcs.data import Dataset, check, compare_steps
+from rcs.envs.env import Env
+from rcs.errors import InvalidSetup, RcsError
+from rcs.rollout import ray_pool
+from rcs.rollout.collect import Collection, Progress, collect
+from rcs.rollout.evaluate import Evaluation, Summary, evaluate
+from rcs.rollout.ray_pool import RayPool
+
+pytestmark = pytest.mark.extras
+
+SHORT = rcs.Setup(max_episode_steps=12)
+# A loaded machine takes its time to start processes.
+_PATIENCE = 240.0
+
+FOLDER = "RCS_TEST_FOLDER"
+"""Environment variable: a folder of the test, in which files tell agents what to do."""
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Makes a worker that squares numbers; negative ones end its process."""
+
+    fails_to_start: bool = False
+
+    def __call__(self) -> Squares:
+        if self.fails_to_start:
+            raise InvalidSetup("no such robot")
+        return self
+
+    def attempt(self, number: int) -> int:
+        if number < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if number == 1000:
+            raise ValueError("out of order")
+        return number * number
+
+    def close(self) -> None:
+        return
+
+
+class Surroundings:
+    """A worker that tells where it is."""
+
+    def attempt(self, number: int) -> dict[str, Any]:
+        time.sleep(0.05)  # so that every worker gets some
+        import ray
+
+        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "LP_NUM_THREADS")
+        about = ray.get_runtime_context()
+        return {"node": about.get_node_id(), "threads": {os.environ.get(name) for name in names}, "pid": os.getpid()}
+
+    def close(self) -> None:
+        return
+
+
+class Unlucky(Agent):
+    """The expert of the task; in the fifth step of the process that first takes the file `die`, the process is killed.
+
+    On the machine whose id is in the file `wait`, it waits there for its end, after making the file `waiting`.
+    """
+
+    def __init__(self, env: Env) -> None:
+        self._expert = agent_for(env)
+        self._folder = Path(os.environ[FOLDER])
+        self._steps = 0
+
+    def reset(self, observation: Any, info: Any) -> None:
+        self._steps = 0
+        self._expert.reset(observation, info)
+
+    def act(self, observation: Any, info: Any) -> Any:
+        self._steps += 1
+        if self._steps == 5:
+            self._meet_fate()
+        return self._expert.act(observation, info)
+
+    def _meet_fate(self) -> None:
+        try:
+            (self._folder / "die").unlink()  # one process alone succeeds
+        except FileNotFoundError:
+            pass
+        else:
+            os.kill(os.getpid(), signal.SIGKILL)
+        wait = self._folder / "wait"
+        if wait.exists():
+            import ray
+
+            if ray.is_initialized() and ray.get_runtime_context().get_node_id() == wait.read_text():
+                (self._folder / "waiting").touch()
+                time.sleep(600)
+
+    @property
+    def failure(self) -> str | None:
+        return self._expert.failure
+
+
+class Stuck(Unlucky):
+    """An agent that never comes to an end."""
+
+    def act(self, observation: Any, info: Any) -> Any:
+        (self._folder / "waiting").touch()
+        time.sleep(600)
+
+
+def wait_for(is_true: Callable[[], Any], what: str, seconds: float = _PATIENCE) -> None:
+    end = time.monotonic() + seconds
+    while not is_true():
+        assert time.monotonic() < end, f"not so after {seconds} s: {what}"
+        time.sleep(0.05)
+
+
+def processes_with(mark: str) -> list[str]:
+    """Return the command lines of all processes that have a text in their environment."""
+    found: list[str] = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark.encode() in (folder / "environ").read_bytes():
+                found.append((folder / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace"))
+        except OSError:  # it has ended
+            continue
+    # Pools of processes on this machine share a tracker, which ends with the tests.
+    return [line for line in found if line and "multiprocessing.resource_tracker" not in line]
+
+
+class Machines:
+    """A cluster of two machines, simulated on this one, with a CPU each."""
+
+    def __init__(self) -> None:
+        from ray.cluster_utils import Cluster
+
+        # Dead machines are noticed in seconds instead of in half a minute.
+        quick = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500, "health_check_failure_threshold": 3}
+        head = {"num_cpus": 1, "include_dashboard": False, "_system_config": quick}
+        self.cluster = Cluster(initialize_head=True, head_node_args=head)
+        self.cluster.add_node(num_cpus=1)
+        self.address: str = self.cluster.address
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder that agents know, and an environment without tokens and reports."""
+    folder = tmp_path_factory.mktemp("agents")
+    mark = uuid.uuid4().hex
+    place = Path("/tmp") / f"rcs-{mark[:6]}"  # short enough for sockets
+    (place / "ray").mkdir(parents=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(FOLDER, str(folder))
+        patch.setenv("RAY_TMPDIR", str(place))
+        patch.setenv("TMPDIR", str(place))
+        patch.setenv("RCS_TEST_MARK", mark)
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        patch.setenv("RAY_AUTH_MODE", "disabled")
+        yield folder
+    shutil.rmtree(place, ignore_errors=True)
+    wait_for(lambda: not processes_with(mark), "all processes of the tests have ended", 30)
+
+
+@pytest.fixture(scope="module")
+def machines(folder: Path) -> Iterator[Machines]:
+    made = Machines()
+    yield made
+    made.cluster.shutdown()
+
+
+def plan(out: Path, **changes: Any) -> Collection:
+    return replace(Collection(setup=SHORT, out=out, episodes=6, seed=7, agent=Unlucky), **changes)
+
+
+def run(collection: Collection) -> Progress:
+    progress = Progress()
+    for _ in collect(collection, progress):
+        pass
+    return progress
+
+
+@pytest.fixture(scope="module")
+def alone(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("alone") / "dataset"
+    run(plan(out))
+    return out
+
+
+def assert_same_bytes(one: Path, two: Path) -> None:
+    first, second = Dataset.open(one), Dataset.open(two)
+    assert first.info == second.info
+    assert [episode.id for episode in first.episodes] == [episode.id for episode in second.episodes]
+    measured = {"started", "ended", "timing", "sha256", "checksum"}
+    for a, b in zip(first.episodes, second.episodes, strict=True):
+        assert a.content_hash == b.content_hash
+        assert compare_steps(a.steps(), b.steps()) == []
+        assert (a.path / "sim_state.parquet").read_bytes() == (b.path / "sim_state.parquet").read_bytes()
+        about = ({key: value for key, value in each.about.items() if key not in measured} for each in (a, b))
+        assert next(about) == next(about)
+    assert check(two).is_ok
+
+
+def test_every_number_is_answered_on_all_machines(machines: Machines) -> None:
+    with RayPool(Squares(), 0, machines.address) as pool:
+        assert sorted(pool.map(iter(range(9)))) == [n * n for n in range(9)]
+        assert sorted(pool.map(iter(range(3)))) == [0, 1, 4]
+    pool.close()
+    with RayPool(Surroundings, 0, machines.address) as pool:
+        answers = list(pool.map(iter(range(20))))
+    assert {answer["node"] for answer in answers} == pool.tally.machines
+    assert len(pool.tally.machines) == pool.tally.workers == len({answer["pid"] for answer in answers}) == 2
+
+
+def test_each_worker_has_one_thread(machines: Machines) -> None:
+    with RayPool(Surroundings, 1, machines.address) as pool:
+        assert next(pool.map(iter([0])))["threads"] == {"1"}
+
+
+def test_numbers_are_taken_only_when_a_worker_is_free(machines: Machines) -> None:
+    taken: list[int] = []
+
+    def numbers() -> Iterator[int]:
+        for number in range(100):
+            taken.append(number)
+            yield number
+
+    with RayPool(Squares(), 2, machines.address) as pool:
+        next(pool.map(numbers()))
+        assert len(taken) <= 2
+
+
+def test_errors_of_a_worker_reach_the_caller_as_they_are(machines: Machines) -> None:
+    with RayPool(Squares(fails_to_start=True), 1, machines.address) as pool:
+        with pytest.raises(InvalidSetup, match="no such robot") as error:
+            list(pool.map(iter(range(3))))
+        assert type(error.value) is InvalidSetup
+    with RayPool(Squares(), 1, machines.address) as pool, pytest.raises(ValueError, match="out of order"):
+        list(pool.map(iter([1, 1000, 2])))
+
+
+def test_a_number_that_ends_every_worker_ends_the_work(machines: Machines) -> None:
+    with RayPool(Squares(), 2, machines.address) as pool:
+        with pytest.raises(RcsError, match="Number -1 ended 3 workers"):
+            list(pool.map(iter([1, -1, 2, 3])))
+        assert pool.tally.lost == 3
+
+
+def test_machines_with_other_software_are_refused(machines: Machines, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ray_pool, "_versions", lambda: {"numpy": "0.1"})
+    with (
+        RayPool(Squares(), 1, machines.address) as pool,
+        pytest.raises(RcsError, match=r"has numpy .* instead of 0\.1"),
+    ):
+        list(pool.map(iter([1])))
+
+
+def test_a_collection_of_two_machines_is_that_of_one_process(machines: Machines, alone: Path, tmp_path: Path) -> None:
+    progress = run(plan(tmp_path / "two", ray=machines.address, workers=0))
+    assert progress.kept == 6 and progress.cluster is not None and progress.cluster.lost == 0
+    assert_same_bytes(alone, tmp_path / "two")
+
+
+def test_a_killed_worker_loses_no_episode(machines: Machines, folder: Path, alone: Path, tmp_path: Path) -> None:
+    (folder / "die").touch()
+    progress = run(plan(tmp_path / "killed", ray=machines.address, workers=2))
+    assert progress.cluster is not None and progress.cluster.lost == 1
+    assert_same_bytes(alone, tmp_path / "killed")
+
+
+def test_a_machine_that_is_lost_loses_no_episode(machines: Machines, folder: Path, alone: Path, tmp_path: Path) -> None:
+    lost = machines.cluster.add_node(num_cpus=1)
+    (folder / "wait").write_text(lost.node_id)
+    progress = Progress()
+    attempts = collect(plan(tmp_path / "lost", ray=machines.address, workers=0), progress)
+    next(attempts)
+    wait_for((folder / "waiting").exists, "an episode is under way on the machine")
+    machines.cluster.remove_node(lost, allow_graceful=False)
+    (folder / "wait").unlink()
+    for _ in attempts:
+        pass
+    assert progress.cluster is not None and progress.cluster.lost == 1 and len(progress.cluster.machines) == 3
+    assert_same_bytes(alone, tmp_path / "lost")
+
+
+def test_a_collection_whose_driver_is_killed_goes_on(machines: Machines, alone: Path, tmp_path: Path) -> None:
+    out = tmp_path / "driver"
+    driver = [sys.executable, "-c", DRIVER, str(out), machines.address]
+    with subprocess.Popen(driver, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}) as process:
+        wait_for(lambda: (out / "episodes/000000").exists() or process.poll() is not None, "an episode has arrived")
+        process.kill()
+    assert process.returncode == -signal.SIGKILL
+    found = run(plan(out, ray=machines.address, workers=2)).found
+    assert 1 <= found < 6
+    assert_same_bytes(alone, out)
+
+
+DRIVER = """
+import sys
+from pathlib import Path
+from tests.rollout.test_ray_pool import plan, run
+run(plan(Path(sys.argv[1]), ray=sys.argv[2], workers=2))
+"""
+
+
+def test_only_success_keeps_the_same_episodes(machines: Machines, folder: Path, tmp_path: Path) -> None:
+    collection = plan(tmp_path / "one", setup=rcs.Setup(max_episode_steps=112), episodes=2, only_success=True)
+    run(collection)
+    (folder / "die").touch()
+    run(replace(collection, out=tmp_path / "two", ray=machines.address, workers=2))
+    assert_same_bytes(tmp_path / "one", tmp_path / "two")
+
+
+@pytest.mark.gl
+def test_an_evaluation_has_the_same_figures_and_videos(machines: Machines, folder: Path, tmp_path: Path) -> None:
+    (folder / "die").touch()
+    made: list[dict[str, Any]] = []
+    for name, address in (("here", None), ("there", machines.address)):
+        evaluation = Evaluation(setup=SHORT, episodes=4, videos=2, workers=2, ray=address, out=tmp_path / name)
+        evaluation = replace(evaluation, agent=Unlucky if address else None)
+        summary = Summary()
+        for _ in evaluate(evaluation, summary):
+            pass
+        assert (summary.cluster is None) == (address is None)
+        made.append(summary.to_json())
+    assert made[0] == made[1]
+    for number in range(2):
+        names = [tmp_path / name / f"{number:06d}.mp4" for name in ("here", "there")]
+        assert names[0].read_bytes() == names[1].read_bytes()
+
+
+def collecting(out: Path, mark: str, episodes: int, agent: str | None = None) -> subprocess.Popen[str]:
+    """Start `rcs collect --ray` on a cluster of its own, in a process group of its own as in a terminal."""
+    program = "from rcs.cli.main import main; main()"
+    words = f"collect PickCuboid --cameras none --episodes {episodes} --seed 7 --ray --workers 2 --no-report".split()
+    words += [] if agent is None else ["--agent", agent]
+    plain = {key: value for key, value in os.environ.items() if not key.startswith(("RAY_", "TMPDIR"))}
+    return subprocess.Popen(
+        [sys.executable, "-c", program, *words, "--out", str(out)],
+        env={**plain, "RCS_TEST_MARK": mark, "PYTHONUNBUFFERED": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def leftovers() -> set[str]:
+    return {path.name for path in Path("/tmp").glob(".rcs-*")}
+
+
+def test_the_command_starts_a_cluster_of_its_own_that_ends_with_it(tmp_path: Path) -> None:
+    mark, before = uuid.uuid4().hex, leftovers()
+    with collecting(tmp_path / "ray", mark, 2) as process:
+        text, _ = process.communicate(timeout=_PATIENCE)
+    assert process.returncode == 0, text
+    assert "2 on 1 machine" in text
+    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 30)
+    assert leftovers() <= before
+    run(Collection(setup=rcs.Setup(), out=tmp_path / "alone", episodes=2, seed=7))
+    # The command leaves cameras out, too.
+    hashes = [[each.content_hash for each in Dataset.open(tmp_path / name).episodes] for name in ("ray", "alone")]
+    assert hashes[0] == hashes[1]
+
+
+def test_ctrl_c_ends_after_the_running_episodes(tmp_path: Path) -> None:
+    mark, before, out = uuid.uuid4().hex, leftovers(), tmp_path / "stopped"
+    with collecting(out, mark, 1000) as process:
+        wait_for(lambda: (out / "episodes/000000").exists() or process.poll() is not None, "an episode has arrived")
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers too
+        text, _ = process.communicate(timeout=_PATIENCE)
+    assert process.returncode == 130, text
+    assert "Ending after the episodes at work" in text and "2 on 1 machine" in text
+    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 30)
+    assert leftovers() <= before
+    assert check(out).is_ok
+    ids = [episode.id for episode in Dataset.open(out).episodes]
+    assert 1 <= len(ids) < 1000 and ids == [f"{number:06d}" for number in range(len(ids))]
+
+
+def test_the_second_ctrl_c_ends_at_once(folder: Path, tmp_path: Path) -> None:
+    mark, before, out = uuid.uuid4().hex, leftovers(), tmp_path / "stopped"
+    (folder / "waiting").unlink(missing_ok=True)
+    with collecting(out, mark, 1000, f"{__name__}:Stuck") as process:
+        wait_for(lambda: (folder / "waiting").exists() or process.poll() is not None, "an episode is under way")
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.stdout is not None
+        said = ""
+        while "Ending after the episodes at work" not in said:
+            line = process.stdout.readline()
+            assert line, said
+            said += line
+        os.killpg(process.pid, signal.SIGINT)
+        text, _ = process.communicate(timeout=_PATIENCE)
+    assert process.returncode == 130 and "Traceback" not in text, text
+    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 30)
+    assert leftovers() <= before
+    assert check(out).is_ok and not Dataset.open(out).episodes
+
+
+def test_a_cluster_whose_command_is_killed_ends_and_is_cleared_away_by_the_next(tmp_path: Path) -> None:
+    mark, before, out = uuid.uuid4().hex, leftovers(), tmp_path / "killed"
+    with collecting(out, mark, 1000) as process:
+        wait_for(lambda: (out / "episodes/000000").exists() or process.poll() is not None, "an episode has arrived")
+        process.kill()
+    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 30)
+    assert leftovers() > before
+    with collecting(out, mark, len(Dataset.open(out).episodes) + 1) as process:
+        text, _ = process.communicate(timeout=_PATIENCE)
+    assert process.returncode == 0, text
+    assert leftovers() <= before
+    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 30)
