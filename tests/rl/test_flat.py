@@ -5,7 +5,7 @@ import itertools
 import json
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any, get_args
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -22,7 +22,6 @@ from rcs.envs.env import Env
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidAction, InvalidSetup
 from rcs.rl import Flat, FlatLayout, Selection
-from rcs.rl.selection import Feature
 
 SETUPS: dict[str, dict[str, Any]] = {
     "joints": {"observe": ("privileged", "contacts", "torques", "wrench")},
@@ -37,14 +36,13 @@ SETUPS: dict[str, dict[str, Any]] = {
     },
     "nothing privileged": {"control": "joints", "relative": "absolute", "binary_gripper": False},
 }
-EVERYTHING = Selection(features=get_args(Feature))
 KINDS = pytest.mark.parametrize("kind", list(SETUPS))
 
 
 @functools.cache
 def made(kind: str) -> tuple[Env, Flat]:
     env = rcs.make(**SETUPS[kind])
-    return env, Flat(env, EVERYTHING)
+    return env, Flat(env)
 
 
 @functools.cache
@@ -204,7 +202,7 @@ def test_a_layout_survives_json_and_is_all_that_the_maps_need(kind: str) -> None
 @KINDS
 def test_many_copies_have_the_layout_of_one_environment(kind: str) -> None:
     envs = rcs.make_vec(copies=2, **SETUPS[kind])
-    assert Flat(envs, EVERYTHING).layout == made(kind)[1].layout
+    assert Flat(envs).layout == made(kind)[1].layout
     envs.close()
 
 

@@ -153,7 +153,8 @@ def _state_entries(
             if feature == "relative_turn":
                 yield _turn(here, boxes[here], feature, there)
             elif feature == "half_turn":
-                yield _turn(here, boxes[here], feature, there, size=2)
+                if here[0] != keys.PRIVILEGED:
+                    yield _turn(here, boxes[here], feature, there, size=2)
             else:
                 yield _way(here, boxes[here], feature, poses[here], poses[there], workplace)
 

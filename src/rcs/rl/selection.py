@@ -24,7 +24,7 @@ class Selection:
     actions: tuple[str, ...] | None = None
     """Numbers of the action, such as `gripper`, `xyzrpy[0:3]`, `xyzrpy[5]` or `left/joints`, at least one of each key.
     The others are always in the middle of their bounds: of relative actions, 0. None for all."""
-    features: tuple[Feature, ...] = ("offset", "relative_turn", "half_turn")
+    features: tuple[Feature, ...] = get_args(Feature)
     """What is told of pairs of poses. It follows from the poses, but is hard to learn."""
     cameras: tuple[str, ...] | None = None
     """Names of the cameras whose frames are observed; None for all."""
