@@ -51,7 +51,7 @@ def make_model(training: Training, envs: Sb3VecEnv) -> Any:
 
 
 def batch_size(training: Training) -> int:
-    """Return the steps per gradient step: those of the algorithm, or fewer, so that all batches are equally large."""
+    """Return the steps per gradient step: those of the algorithm, or fewer, so that all batches have as many."""
     algorithm = training.algorithm
     if not isinstance(algorithm, Ppo):
         return algorithm.batch_size
