@@ -6,10 +6,8 @@ import json
 import os
 import random
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -97,7 +95,7 @@ def test_where_all_checkpoints_are_damaged_nothing_is_removed(small: Any, tmp_pa
     for place in before:
         if (place / "learner.pt").exists():
             (place / "learner.pt").write_bytes(b"nothing")
-    with pytest.raises(CorruptCheckpoint, match="No checkpoint of .* is left to go on from"):
+    with pytest.raises(CorruptCheckpoint, match=r"No checkpoint of .* is left to go on from"):
         small.run(small.training(), out)
     assert sorted((out / "checkpoints").iterdir()) == before
 
@@ -118,7 +116,7 @@ def test_old_checkpoints_keep_what_acts_and_only_the_newest_what_learns(small: A
 
 def test_a_run_is_of_one_training(small: Any, whole: Any, tmp_path: Path) -> None:
     run = shutil.copytree(whole(small, "ppo"), tmp_path / "run")
-    with pytest.raises(InvalidSetup, match="another training began: seed is 1, not 0. Give the same options"):
+    with pytest.raises(InvalidSetup, match=r"another training began: seed is 1, not 0. Give the same options"):
         small.run(small.training(seed=1), run)
     with pytest.raises(InvalidSetup, match="steps is 200, not 160"):  # the step size falls to zero by the last one
         small.run(small.training(steps=200), run)

@@ -139,22 +139,12 @@ _AS_THEY_ARE = (
 
 
 @dataclass(kw_only=True)
-class RunOptions(SetupOptions):
-    """Options of a command that runs an agent in seeded episodes."""
+class ActorOptions(SetupOptions):
+    """Options of a command in whose environment an agent may act."""
 
     agent: str | None = None
     """Name of the agent, `module:Class`, which is called with the environment, or the path of a checkpoint. By default
     the task's expert, or the policy of the checkpoint that is given in place of the task."""
-    episodes: int = 20
-    """How many episodes."""
-    workers: int = 0
-    """Processes; 0 for one per CPU core, with `--ray-address` of the whole cluster."""
-    ray: bool = False
-    """Run the processes with Ray, on this machine if there is no `--ray-address`; needs the extra `ray`."""
-    ray_address: str | None = None
-    """Address of a Ray cluster for the processes: `auto` for the one that this machine is a part of, or `host:port`."""
-    out: Path
-    """Folder for what the command makes."""
 
     @property
     def actor(self) -> str | None:
@@ -181,6 +171,22 @@ class RunOptions(SetupOptions):
         if not is_path(self.task) and setup.task != self.task:
             raise InvalidSetup(f"The checkpoint {self.agent} was trained for {setup.task}, not for {self.task}.")
         return setup
+
+
+@dataclass(kw_only=True)
+class RunOptions(ActorOptions):
+    """Options of a command that runs an agent in seeded episodes."""
+
+    episodes: int = 20
+    """How many episodes."""
+    workers: int = 0
+    """Processes; 0 for one per CPU core, with `--ray-address` of the whole cluster."""
+    ray: bool = False
+    """Run the processes with Ray, on this machine if there is no `--ray-address`; needs the extra `ray`."""
+    ray_address: str | None = None
+    """Address of a Ray cluster for the processes: `auto` for the one that this machine is a part of, or `host:port`."""
+    out: Path
+    """Folder for what the command makes."""
 
     @property
     def processes(self) -> int:

@@ -119,8 +119,8 @@ class TrainCommand:
         rate = {} if self.learning_rate is None else {"learning_rate": self.learning_rate}
         training = Training(
             setup=self._setup(recipe.setup),
-            copies=self.copies or recipe.copies,
-            steps=self.steps or recipe.steps,
+            copies=recipe.copies if self.copies is None else self.copies,
+            steps=recipe.steps if self.steps is None else self.steps,
             algorithm=replace(recipe.algorithm, **rate),
             seed=self.seed,
             evaluate_every=self.evaluate_every,

@@ -132,7 +132,7 @@ def algorithm_from_json(values: Mapping[str, Any]) -> Algorithm:
     kind = values.get("name")
     if kind not in ALGORITHMS:
         raise UnknownName("algorithm", str(kind), ALGORITHMS)
-    given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    given: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
     own = {one.name for one in dataclasses.fields(ALGORITHMS[kind])}
     if unknown := sorted(set(given) - own):
         raise InvalidSetup(f"{kind} has no fields {unknown}; valid: {', '.join(sorted(own - {'name'}))}.")

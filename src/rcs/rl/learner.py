@@ -82,8 +82,9 @@ class Learner:
         The names are those of Stable-Baselines3.
         """
         model = self.model
-        figures = {name: float(value) for name, value in model.logger.name_to_value.items() if np.isscalar(value)}
-        model.logger.name_to_value.clear()
+        logged: dict[str, Any] = model.logger.name_to_value
+        figures = {name: float(value) for name, value in logged.items() if np.ndim(value) == 0}
+        logged.clear()
         model.logger.name_to_count.clear()
         if episodes := list(model.ep_info_buffer):
             figures["rollout/ep_rew_mean"] = float(np.mean([episode["r"] for episode in episodes]))

@@ -41,7 +41,7 @@ def make_model(training: Training, envs: Sb3VecEnv) -> Any:
     if isinstance(algorithm, Ppo):
         names = ("n_steps", "n_epochs", "gae_lambda", "clip_range", "ent_coef", "vf_coef", "max_grad_norm", "target_kl")
         model = sb3.PPO(**common, **{name: getattr(algorithm, name) for name in names})
-        # The first values are noise of about 1 otherwise, which hides what far from an object is paid for coming nearer.
+        # Otherwise they are noise of about 1, which hides what is paid far from an object for coming nearer.
         with package("torch").no_grad():
             model.policy.value_net.weight.mul_(_FIRST_VALUES)
         return model
@@ -51,7 +51,7 @@ def make_model(training: Training, envs: Sb3VecEnv) -> Any:
 
 
 def batch_size(training: Training) -> int:
-    """Return the steps per gradient step: those of the algorithm, or fewer, so that no batch of an update is smaller."""
+    """Return the steps per gradient step: those of the algorithm, or fewer, so that all batches have as many."""
     algorithm = training.algorithm
     if not isinstance(algorithm, Ppo):
         return algorithm.batch_size

@@ -79,13 +79,16 @@ class PolicyAgent(Agent):
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Return the action for an observation of one copy, or those of a batch."""
         flat = self.flat.observation(observation)
-        example = next(iter(flat.values())) if isinstance(flat, dict) else flat
         space: Any = self.flat.observation_space
-        own = next(iter(space.spaces.values())) if isinstance(flat, dict) else space
+        if isinstance(flat, dict):
+            name, example = next(iter(flat.items()))
+            space = space[name]
+        else:
+            example = flat
         before = self._torch.get_num_threads()
         self._torch.set_num_threads(1)  # a row is small, and sums are then the same in every process
         try:
-            if example.ndim == len(own.shape):
+            if example.ndim == len(space.shape):
                 return self.flat.action(self._row(flat))
             return self.flat.action(np.stack([self._row(_copy(flat, copy)) for copy in range(len(example))]))
         finally:

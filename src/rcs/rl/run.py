@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Generator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ _FREE = ("evaluate_every", "episodes", "checkpoint_every")
 
 
 @contextmanager
-def lock_run(run: Path) -> Iterator[None]:
+def lock_run(run: Path) -> Generator[None]:
     """Let no other process train in a folder meanwhile; the lock ends with this process.
 
     Raises:

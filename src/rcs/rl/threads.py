@@ -87,7 +87,9 @@ def measure_torch(training: Training, flat: Flat) -> Measured:
     def learn() -> None:
         policy.zero_grad()
         outputs = policy(many)
-        sum(one.square().mean() for one in (outputs if isinstance(outputs, tuple) else (outputs,))).backward()
+        torch.cat(
+            [one.reshape(-1) for one in (outputs if isinstance(outputs, tuple) else (outputs,))]
+        ).mean().backward()
 
     def speed(threads: int) -> float:
         torch.set_num_threads(threads)

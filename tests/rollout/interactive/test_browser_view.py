@@ -125,7 +125,7 @@ def test_the_gripper_follows_its_slider(view: BrowserView) -> None:
 
 
 def test_the_expert_shows_how_it_is_done_and_the_target_is_hidden_meanwhile(view: BrowserView) -> None:
-    give(view, "Expert acts", True)
+    give(view, "Agent acts", True)
     gizmo = server_of(view).scene.get_handle_by_name("/targets/fr3")
     words_at_the_end = ""
     for _ in range(600):

@@ -34,7 +34,9 @@ class ObserveTarget(Layer):
             InvalidSetup: The arm is controlled by joints.
         """
         if JOINTS in inner:
-            raise InvalidSetup("ObserveTarget is on joints, which have no target pose; use control='tquat' or 'xyzrpy'.")
+            raise InvalidSetup(
+                "ObserveTarget is on joints, which have no target pose; use control='tquat' or 'xyzrpy'."
+            )
         return inner
 
     def observation_spaces(self, inner: Mapping[str, spaces.Space[Any]]) -> dict[str, spaces.Space[Any]]:
