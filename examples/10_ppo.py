@@ -20,7 +20,7 @@ torch.manual_seed(0)
 
 setup = rcs.Setup(
     task="PickCuboid", robot="fr3", reward="dense", discount=DISCOUNT, observe=("privileged", "contacts"),
-    control="xyzrpy", layers=("rcs.envs.layers:KeepTilt", "rcs.envs.layers:ObserveTarget"), collision_reaction=False,
+    control="xyzrpy", layers=("KeepTilt", "ObserveTarget"), collision_reaction=False,
     frequency=10, max_episode_steps=60, physics_step=0.004,
 )  # fmt: skip
 envs = rcs.make_vec(setup, copies=COPIES, autoreset="SameStep")
