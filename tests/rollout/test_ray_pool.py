@@ -172,7 +172,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         patch.setenv("RAY_AUTH_MODE", "disabled")
         yield folder
     shutil.rmtree(place, ignore_errors=True)
-    wait_for(lambda: not processes_with(mark), "all processes of the tests have ended", 30)
+    wait_for(lambda: not processes_with(mark), "all processes of the tests have ended", 120)
 
 
 @pytest.fixture(scope="module")
@@ -368,7 +368,7 @@ def test_the_command_starts_a_cluster_of_its_own_that_ends_with_it(tmp_path: Pat
         text, _ = process.communicate(timeout=_PATIENCE)
     assert process.returncode == 0, text
     assert "2 on 1 machine" in text
-    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 30)
+    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 120)
     assert leftovers() <= before
     run(Collection(setup=rcs.Setup(), out=tmp_path / "alone", episodes=2, seed=7))
     # The command leaves cameras out, too.
@@ -384,7 +384,7 @@ def test_ctrl_c_ends_after_the_running_episodes(tmp_path: Path) -> None:
         text, _ = process.communicate(timeout=_PATIENCE)
     assert process.returncode == 130, text
     assert "Ending after the episodes at work" in text and "2 on 1 machine" in text
-    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 30)
+    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 120)
     assert leftovers() <= before
     assert check(out).is_ok
     ids = [episode.id for episode in Dataset.open(out).episodes]
@@ -406,7 +406,7 @@ def test_the_second_ctrl_c_ends_at_once(folder: Path, tmp_path: Path) -> None:
         os.killpg(process.pid, signal.SIGINT)
         text, _ = process.communicate(timeout=_PATIENCE)
     assert process.returncode == 130 and "Traceback" not in text, text
-    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 30)
+    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 120)
     assert leftovers() <= before
     assert check(out).is_ok and not Dataset.open(out).episodes
 
@@ -416,10 +416,10 @@ def test_a_cluster_whose_command_is_killed_ends_and_is_cleared_away_by_the_next(
     with collecting(out, mark, 1000) as process:
         wait_for(lambda: (out / "episodes/000000").exists() or process.poll() is not None, "an episode has arrived")
         process.kill()
-    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 30)
+    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 120)
     assert leftovers() > before
     with collecting(out, mark, len(Dataset.open(out).episodes) + 1) as process:
         text, _ = process.communicate(timeout=_PATIENCE)
     assert process.returncode == 0, text
     assert leftovers() <= before
-    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 30)
+    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 120)
