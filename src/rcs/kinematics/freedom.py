@@ -49,12 +49,13 @@ def freedom_of(
             max_step=step,
         )
     # With this weight, a tilt of a right angle moves the solution by less than the tolerance of the position. Damping
-    # that is not small against its square would let the tilt creep to its best, a few percent of the way at a time.
+    # that is not small against its square lets the tilt creep to its best, a few percent of the way at a time. A search
+    # from random starts takes that: with less damping it finds fewer solutions.
     return IkOptions(
         restarts=restarts,
         iterations=200,
         rotation_weight=0.005,
-        damping=1e-6,
+        damping=1e-6 if best_effort else IkOptions().damping,
         rotation_tolerance=1.6,
         translation_tolerance=5e-4,
         best_effort=best_effort,
