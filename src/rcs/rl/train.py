@@ -30,7 +30,7 @@ from rcs.rl.examiner import VIDEOS, Examiner, score_of
 from rcs.rl.flat import Flat
 from rcs.rl.learner import Learner
 from rcs.rl.metrics import EPISODES, JUDGED, LENGTH, RATE, REWARD, SPEED, SUCCESSES, Metrics
-from rcs.rl.networks import mean_action
+from rcs.rl.networks import mean_action, reward_scale
 from rcs.rl.packages import package
 from rcs.rl.policy import PolicyAgent
 from rcs.rl.run import begin_run, lock_run
@@ -119,7 +119,7 @@ class _Run:
                 begin_run(run, training)
             self._training = training
             package("torch").set_num_threads(training.torch_threads)
-            self._learner = Learner(training, Sb3VecEnv(self._envs, flat))
+            self._learner = Learner(training, Sb3VecEnv(self._envs, flat, reward_scale=reward_scale(training)))
             self._agent = PolicyAgent(mean_action(self._learner.model.policy), flat.layout)
             self._last = self._restore()
             self._threads, self._learning, self._made = threads, 0.0, 0
