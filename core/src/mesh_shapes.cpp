@@ -140,7 +140,8 @@ Shape mesh_shape(const mjModel& model, int mesh) {
     const int vertex = model.mesh_face[corner], normal = model.mesh_facenormal[corner];
     const auto [entry, is_new] = known.try_emplace({vertex, normal}, static_cast<std::uint32_t>(shape.size()));
     if (is_new) {
-      const float *p = positions + 3 * static_cast<std::ptrdiff_t>(vertex), *n = normals + 3 * static_cast<std::ptrdiff_t>(normal);
+      const float *p = positions + 3 * static_cast<std::ptrdiff_t>(vertex),
+                  *n = normals + 3 * static_cast<std::ptrdiff_t>(normal);
       add(shape, {p[0], p[1], p[2]}, {n[0], n[1], n[2]});
     }
     shape.corners.push_back(entry->second);

@@ -285,6 +285,7 @@ def _simulated_sensors(
     setup = parts.setup
     ports: list[Port] = []
     if observed and setup.pixels is not None:
+        assert clock is not None, "where there are cameras, there is their clock"
         size, quality = setup.image_size, setup.render_quality
         ports.append(PixelPort(world, observed, clock, setup.pixels, randomiser, size=size, quality=quality))
     elif observed:
