@@ -2,17 +2,16 @@
 
     python tests/rl/kill_training.py --trials 20 --algo ppo
 
-Prints one JSON object: kills, checkpoints that were there before a kill and not after it, steps at the end, whether the
-figures of the curve are those of the unbroken run, each step once, and whether the weights are, bit for bit.
+Prints one JSON object: kills, those of them while it learned, saved or evaluated, checkpoints that were there before a
+kill and not after it, steps at the end, whether the figures of the curve are those of the unbroken run, each step once,
+and whether the weights are, bit for bit.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import random
-import signal
 import subprocess
 import sys
 import tempfile
@@ -22,23 +21,25 @@ from typing import Any
 
 SMALL = [
     "--copies", "2", "--episodes", "2", "--max-episode-steps", "8", "--threads", "1", "--torch-threads", "1",
-    "--frequency", "30", "--control", "joints", "--video=False",
+    "--frequency", "30", "--control", "joints", "--no-video",
 ]  # fmt: skip
+
+EVERY = 60
+"""Steps between two checkpoints; an update of the recipe has some more."""
 
 
 def command(out: Path, algo: str, steps: int) -> list[str]:
     """Return the command that trains into a folder."""
-    every = ["--evaluate-every", str(steps // 4), "--checkpoint-every", str(steps // 20)]
+    every = ["--evaluate-every", str(8 * EVERY), "--checkpoint-every", str(EVERY)]
     words = ["train", "PickCuboid", "--algo", algo, "--out", str(out), "--steps", str(steps), *every, *SMALL]
-    words = [word for word in words if word != "--video=False"] + ["--no-video"]
     return [sys.executable, "-c", "from rcs.cli.main import main; main()", *words]
 
 
-def checkpoints(out: Path) -> list[int]:
-    """Return the steps of all checkpoints."""
+def newest(out: Path) -> int:
+    """Return the steps of the newest checkpoint; -1 for none."""
     from rcs.rl.checkpoint import checkpoints_of
 
-    return [int(place.name) for place in checkpoints_of(out)]
+    return max((int(place.name) for place in checkpoints_of(out)), default=-1)
 
 
 def result(out: Path) -> tuple[dict[str, Any], list[Any]]:
@@ -58,43 +59,46 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--algo", default="ppo")
-    parser.add_argument("--steps", type=int, default=0, help="of the whole training; 0 for 160 per trial")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     options = parser.parse_args()
-    steps = options.steps or 160 * max(options.trials, 4)
+    steps = 480 * (options.trials + 2)
     draw = random.Random(options.seed)
-    lost, kills = 0, 0
+    lost, kills, at_work = 0, 0, 0
     with tempfile.TemporaryDirectory(prefix="rcs-kill-") as folder:
         whole, out = Path(folder) / "whole", Path(folder) / "killed"
-        start = time.monotonic()
         subprocess.run(command(whole, options.algo, steps), check=True, stdout=subprocess.DEVNULL)
-        learning = time.monotonic() - start
+        rows = [json.loads(line)["seconds"] for line in (whole / "metrics.jsonl").read_text().splitlines()]
+        a_while = 3.0 * rows[-1] * EVERY / steps  # of learning: about three updates with their checkpoints
         while kills < options.trials:
-            before = checkpoints(out)
+            before = newest(out)
             process = subprocess.Popen(
                 command(out, options.algo, steps), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
             )
-            # From the first moment, imports included, to somewhat more than the share of this trial.
-            try:
-                process.wait(draw.uniform(0.0, 4.0 + 2.0 * learning / options.trials))
+            if kills % 5 == 4:  # before it is at work: while it starts, reads a checkpoint, removes what is too much
+                time.sleep(draw.uniform(0.0, 6.0))
+            else:
+                while newest(out) <= before and process.poll() is None:
+                    time.sleep(0.002)
+                time.sleep(draw.uniform(0.0, a_while))
+                at_work += process.poll() is None
+            if process.poll() is not None:
                 assert process.returncode == 0, process.stderr.read() if process.stderr else ""
                 break  # it was faster than the kills
-            except subprocess.TimeoutExpired:
-                os.kill(process.pid, signal.SIGKILL)
-                process.wait()
-                kills += 1
-            after = checkpoints(out)
+            process.kill()
+            process.wait()
+            kills += 1
             # Older ones that were not evaluated go as newer ones come; the newest before must be there, or a newer one.
-            lost += bool(before) and max(after, default=-1) < max(before)
-            print(f"kill {kills}: {before[-1:]} -> {after[-1:]} of {steps}", file=sys.stderr)
+            lost += newest(out) < before
+            print(f"kill {kills}: step {before} -> {newest(out)} of {steps}", file=sys.stderr)
         subprocess.run(command(out, options.algo, steps), check=True, stdout=subprocess.DEVNULL)
         (weights, curve), (own_weights, own_curve) = result(whole), result(out)
         told = {
             "benchmark": "kill_training",
             "algorithm": options.algo,
             "kills": kills,
+            "kills_at_work": at_work,
             "lost_checkpoints": lost,
-            "steps": [checkpoints(whole)[-1], checkpoints(out)[-1]],
+            "steps": [newest(whole), newest(out)],
             "same_curve": curve == own_curve,
             "same_weights": weights.keys() == own_weights.keys()
             and all(bool((weights[name] == own_weights[name]).all()) for name in weights),

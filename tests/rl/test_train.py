@@ -203,4 +203,4 @@ def test_sigkill_at_any_moment_costs_no_checkpoint_and_changes_no_weight(tmp_pat
     done = subprocess.run([sys.executable, str(TRAIN), "--trials", "2"], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
-    assert (told["kills"], told["lost_checkpoints"], told["same_weights"]) == (2, 0, True)
+    assert (told["kills"], told["kills_at_work"], told["lost_checkpoints"], told["same_weights"]) == (2, 2, 0, True)
