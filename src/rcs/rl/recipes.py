@@ -108,8 +108,8 @@ def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[st
     recipe = RECIPES.get((task, algorithm), RECIPES["PickCuboid", algorithm])
     setup = replace(recipe.setup, task=task)
     if cameras:
-        setup = replace(setup, cameras=cameras, image_size=(84, 84), observe=())
+        setup = replace(setup, cameras=cameras, image_size=(84, 84), observe=(), control="joints", layers=())
         recipe = replace(recipe, steps=4 * recipe.steps)
-        if isinstance(recipe.algorithm, Sac):  # frames are large: 2 cameras of 84 px and their successors are 85 kB
-            recipe = replace(recipe, algorithm=replace(recipe.algorithm, buffer_size=50_000))
+        if isinstance(recipe.algorithm, Sac):  # two frames of 84 px and those of the next step are 85 kB
+            recipe = replace(recipe, algorithm=replace(recipe.algorithm, buffer_size=20_000))
     return replace(recipe, setup=setup)
