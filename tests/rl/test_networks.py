@@ -45,6 +45,7 @@ def test_rewards_are_scaled_for_the_learner_and_returns_are_told_as_they_are() -
     for envs in (one, half):
         envs.seed(0)
         envs.reset()
+        infos: list[Any] = []
         for _ in range(4):
             _, reward, _, infos = envs.step(np.zeros((2, *envs.action_space.shape), np.float32))
             rewards.append(reward)
