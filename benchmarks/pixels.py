@@ -62,7 +62,9 @@ def main(options: Options) -> None:
     threads = options.threads or len(os.sched_getaffinity(0))
     common: dict[str, Any] = {"robot": options.robot, "collision_reaction": False}
     size = {"copies": options.copies, "threads": threads}
-    drawn = rcs.make_vec(options.task, cameras=options.cameras, image_size=options.size, pixels=pixels, **size, **common)
+    drawn = rcs.make_vec(
+        options.task, cameras=options.cameras, image_size=options.size, pixels=pixels, **size, **common
+    )
     blind = rcs.make_vec(options.task, **size, **common)
     actions = random_actions(drawn, options.steps)
     drawn.reset(seed=0)

@@ -38,7 +38,8 @@ const int kUses[] = {0, 1, 2, 3, kLeave};
 struct PyPixelCameras : rcs::PixelCameras {
   PyPixelCameras(const mjModel* model, int copies, int threads, std::vector<rcs::PixelCamera> cameras,
                  std::shared_ptr<const Lenses> kept_lenses, rcs::PixelLayout layout, const rcs::RenderOptions& options)
-      : rcs::PixelCameras(model, copies, threads, std::move(cameras), layout, options), lenses(std::move(kept_lenses)) {}
+      : rcs::PixelCameras(model, copies, threads, std::move(cameras), layout, options),
+        lenses(std::move(kept_lenses)) {}
 
   std::shared_ptr<const Lenses> lenses;
   std::vector<Frames> to_arrays, from_arrays;
@@ -111,8 +112,7 @@ Raises:
     ValueError: An argument is not valid.
     MissingDependency: OpenGL is needed and there is none.)")
       .def(
-          "watch",
-          [](const std::shared_ptr<PyPixelCameras>& self, rcs::World& world) { world.watch(self); }, "world"_a,
+          "watch", [](const std::shared_ptr<PyPixelCameras>& self, rcs::World& world) { world.watch(self); }, "world"_a,
           "Have the threads of a world draw after each step.")
       .def(
           "turn",

@@ -14,7 +14,7 @@ struct Shape {
     std::vector<float> x{}, y{}, z{};
   };
   Part position;
-  Part normal;  ///< of length 1
+  Part normal;                         ///< of length 1
   std::vector<std::uint32_t> corners;  ///< three of each triangle
 
   std::size_t size() const { return position.x.size(); }

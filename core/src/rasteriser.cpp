@@ -46,7 +46,8 @@ inline std::uint32_t packed(float red, float green, float blue) {
   return byte(red) | byte(green) << 8 | byte(blue) << 16;
 }
 
-// Whether a backdrop shows what is asked for. Only fields that are drawn count: others, such as labels, are not filled in.
+// Whether a backdrop shows what is asked for. Only fields that are drawn count: others, such as labels, are not filled
+// in.
 bool is_same(const Backdrop& backdrop, const mjvScene& scene, const std::vector<const mjvGeom*>& geoms,
              const mjvGLCamera& eye, const Sheet& sheet) {
   const auto equal = [](const auto& a, const auto& b) { return std::memcmp(&a, &b, sizeof(a)) == 0; };
@@ -131,11 +132,14 @@ std::string Rasteriser::why_not(const mjModel& model, std::span<const bool> grou
 void Rasteriser::place_lights(const mjvScene& scene) {
   const auto turned = [&](const float* vector, float* out, float sign) {
     for (int axis = 0; axis < 3; ++axis)
-      out[axis] = sign * (view_.axes[axis][0] * vector[0] + view_.axes[axis][1] * vector[1] + view_.axes[axis][2] * vector[2]);
+      out[axis] =
+          sign * (view_.axes[axis][0] * vector[0] + view_.axes[axis][1] * vector[1] + view_.axes[axis][2] * vector[2]);
   };
   lights_.clear();
   for (int i = 0; i < scene.nlight; ++i) {
     const mjvLight& from = scene.lights[i];
+    if (from.type != mjLIGHT_DIRECTIONAL && from.type != mjLIGHT_SPOT)
+      continue;  // as MuJoCo's OpenGL, which has no others
     Light light{};
     light.is_everywhere = from.type == mjLIGHT_DIRECTIONAL;
     turned(from.dir, light.direction, -1.0F);
@@ -254,7 +258,8 @@ void Rasteriser::draw_geom(const mjvGeom& geom, Sheet& sheet) {
   }
 }
 
-void Rasteriser::draw_shape(const Shape& shape, const mjvGeom& geom, const float* scale, const float* shift, Sheet& sheet) {
+void Rasteriser::draw_shape(const Shape& shape, const mjvGeom& geom, const float* scale, const float* shift,
+                            Sheet& sheet) {
   const std::size_t size = shape.size();
   vertices_.resize(size);
   // From the shape to the camera's frame: turned × scale + place.
@@ -264,9 +269,10 @@ void Rasteriser::draw_shape(const Shape& shape, const mjvGeom& geom, const float
     for (int column = 0; column < 3; ++column)
       turned[row][column] =
           axis[0] * geom.mat[column] + axis[1] * geom.mat[3 + column] + axis[2] * geom.mat[6 + column];
-    place[row] = static_cast<float>(axis[0] * (geom.pos[0] - view_.position[0]) + axis[1] * (geom.pos[1] - view_.position[1]) +
-                                    axis[2] * (geom.pos[2] - view_.position[2])) +
-                 turned[row][0] * shift[0] + turned[row][1] * shift[1] + turned[row][2] * shift[2];
+    place[row] =
+        static_cast<float>(axis[0] * (geom.pos[0] - view_.position[0]) + axis[1] * (geom.pos[1] - view_.position[1]) +
+                           axis[2] * (geom.pos[2] - view_.position[2])) +
+        turned[row][0] * shift[0] + turned[row][1] * shift[1] + turned[row][2] * shift[2];
   }
   float m[3][3];
   for (int row = 0; row < 3; ++row)
@@ -296,25 +302,29 @@ void Rasteriser::draw_shape(const Shape& shape, const mjvGeom& geom, const float
   const auto limit = kGuard * static_cast<float>(std::max(sheet.width, sheet.height));
   const bool is_whole = nearest >= view_.near && widest <= limit;
 
-  // Triangles that are seen from their outer side and that may cover the middle of a pixel; then light on their corners.
+  // Triangles that are seen from their outer side and that may cover the middle of a pixel; then light on their
+  // corners.
   visible_.clear();
   used_.clear();
   is_used_.assign(size, 0);
   const auto width = static_cast<float>(sheet.width), height = static_cast<float>(sheet.height);
+  // MuJoCo's OpenGL draws what is transparent twice.
+  const float alpha = geom.rgba[3] < kOpaque ? 1.0F - (1.0F - geom.rgba[3]) * (1.0F - geom.rgba[3]) : 1.0F;
   const std::uint32_t* corners = shape.corners.data();
   for (std::size_t first = 0; first < shape.corners.size(); first += 3) {
     const std::uint32_t a = corners[first], b = corners[first + 1], c = corners[first + 2];
     if (is_whole) {
       const float area = (column[b] - column[a]) * (row[c] - row[a]) - (column[c] - column[a]) * (row[b] - row[a]);
       if (!(area < 0.0F)) continue;
-      const float left = std::min({column[a], column[b], column[c]}), right = std::max({column[a], column[b], column[c]});
+      const float left = std::min({column[a], column[b], column[c]}),
+                  right = std::max({column[a], column[b], column[c]});
       const float top = std::min({row[a], row[b], row[c]}), bottom = std::max({row[a], row[b], row[c]});
       if (left > width || right < 0.0F || top > height || bottom < 0.0F) continue;
       if (std::ceil(left - 0.5F) > right - 0.5F || std::ceil(top - 0.5F) > bottom - 0.5F) continue;
     } else {
       const float u[3] = {x[b] - x[a], y[b] - y[a], z[b] - z[a]}, w[3] = {x[c] - x[a], y[c] - y[a], z[c] - z[a]};
-      const float facing = x[a] * (u[1] * w[2] - u[2] * w[1]) + y[a] * (u[2] * w[0] - u[0] * w[2]) +
-                           z[a] * (u[0] * w[1] - u[1] * w[0]);
+      const float facing =
+          x[a] * (u[1] * w[2] - u[2] * w[1]) + y[a] * (u[2] * w[0] - u[0] * w[2]) + z[a] * (u[0] * w[1] - u[1] * w[0]);
       if (!(facing < 0.0F)) continue;
     }
     visible_.push_back(static_cast<std::uint32_t>(first));
@@ -323,7 +333,6 @@ void Rasteriser::draw_shape(const Shape& shape, const mjvGeom& geom, const float
   }
   if (visible_.empty()) return;
   shade(geom, shape, turned, scale);
-  const float alpha = geom.rgba[3] < kOpaque ? geom.rgba[3] : 1.0F;
   for (const std::uint32_t first : visible_) {
     if (!is_whole) {
       draw_clipped(corners + first, alpha, sheet);
@@ -430,7 +439,11 @@ void Rasteriser::shade(const mjvGeom& geom, const Shape& shape, const float (&tu
 Rasteriser::Corner Rasteriser::project(const float* place, const float* colour) const {
   const float nearness = 1.0F / place[2];
   return {view_.column_scale * place[0] * nearness + view_.column_shift,
-          view_.row_scale * place[1] * nearness + view_.row_shift, nearness, colour[0], colour[1], colour[2]};
+          view_.row_scale * place[1] * nearness + view_.row_shift,
+          nearness,
+          colour[0],
+          colour[1],
+          colour[2]};
 }
 
 // What is behind the near plane or far beside the picture is cut off (Sutherland and Hodgman, 1974).
@@ -443,7 +456,8 @@ void Rasteriser::draw_clipped(const std::uint32_t* corners, float alpha, Sheet& 
   int count = 3;
   for (int i = 0; i < 3; ++i) {
     const std::uint32_t n = corners[i];
-    points[i] = {{vertices_.x[n], vertices_.y[n], vertices_.z[n]}, {vertices_.red[n], vertices_.green[n], vertices_.blue[n]}};
+    points[i] = {{vertices_.x[n], vertices_.y[n], vertices_.z[n]},
+                 {vertices_.red[n], vertices_.green[n], vertices_.blue[n]}};
   }
   const float slope_x = 0.5F * static_cast<float>(sheet.width) * kGuard / view_.column_scale;
   const float slope_y = 0.5F * static_cast<float>(sheet.height) * kGuard / view_.row_scale;
@@ -514,7 +528,8 @@ void Rasteriser::draw_triangle(const Corner (&corners)[3], float alpha, Sheet& s
     const float dy = static_cast<float>(y) + 0.5F - a.row;
     const auto at_left = [&](const Ramp& one) { return one.start + origin_x * one.dx + dy * one.dy; };
     const float b_left = origin_x * share_b_dx + dy * share_b_dy, c_left = origin_x * share_c_dx + dy * share_c_dy;
-    const float near_left = at_left(near), red_left = at_left(red), green_left = at_left(green), blue_left = at_left(blue);
+    const float near_left = at_left(near), red_left = at_left(red), green_left = at_left(green),
+                blue_left = at_left(blue);
     const std::size_t offset = static_cast<std::size_t>(y) * sheet.width + left;
     float* const nearness = sheet.nearness.data() + offset;
     std::uint32_t* const colours = sheet.colours.data() + offset;
@@ -529,8 +544,9 @@ void Rasteriser::draw_triangle(const Corner (&corners)[3], float alpha, Sheet& s
         const float share_b = b_left + x * share_b_dx, share_c = c_left + x * share_c_dx;
         const float least = std::min(1.0F - share_b - share_c, std::min(share_b, share_c));
         const float here = near_left + x * near.dx;
-        if (!(least >= -edge && here > nearness[i])) continue;
+        if (!(least >= (alpha < 1.0F ? 0.0F : -edge) && here > nearness[i])) continue;
         if (alpha < 1.0F) {
+          if (share_b == 0.0F) continue;  // the neighbour's: what two triangles share is mixed in once
           colours[i] = mixed(colour(x, here), colours[i], alpha);
         } else {
           nearness[i] = here;

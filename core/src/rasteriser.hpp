@@ -1,5 +1,5 @@
-// Draws the geoms of a scene without OpenGL: for small pictures, of which a driver takes its time per geom, not per pixel.
-// Private to the sources.
+// Draws the geoms of a scene without OpenGL: for small pictures, of which a driver takes its time per geom, not per
+// pixel. Private to the sources.
 #pragma once
 
 #include <mujoco/mujoco.h>
@@ -31,8 +31,9 @@ struct Backdrop {
   Sheet sheet{};
 };
 
-/// Draws as MuJoCo's OpenGL does at quality `fast`: light is computed at the corners of triangles and mixed between them;
-/// no textures, no shadows. What differs is rounding: edges of shapes by less than a pixel, colours by a few parts in 255.
+/// Draws as MuJoCo's OpenGL does at quality `fast`: light is computed at the corners of triangles and mixed between
+/// them; no textures, no shadows. What differs is rounding: edges of shapes by less than a pixel, colours by a few
+/// parts in 255.
 class Rasteriser {
  public:
   explicit Rasteriser(const mjModel* model);
@@ -47,9 +48,9 @@ class Rasteriser {
  private:
   /// Arrays of vertices, as long as the longest shape.
   struct Vertices {
-    std::vector<float> x, y, z;       // in the camera's frame [m]: right, down, forward
-    std::vector<float> column, row;   // on the sheet [pixels]
-    std::vector<float> nearness;      // 1 / z
+    std::vector<float> x, y, z;      // in the camera's frame [m]: right, down, forward
+    std::vector<float> column, row;  // on the sheet [pixels]
+    std::vector<float> nearness;     // 1 / z
     std::vector<float> red, green, blue;
     void resize(std::size_t size);
   };
@@ -57,7 +58,7 @@ class Rasteriser {
     float column, row, nearness, red, green, blue;
   };
   struct Light {
-    bool is_everywhere;  // directional
+    bool is_everywhere;               // directional
     float position[3], direction[3];  // in the camera's frame; the direction points to the light
     float attenuation[3];
     float cutoff;  // cosine; -1 for none
@@ -86,9 +87,9 @@ class Rasteriser {
   View view_{};
   std::vector<Light> lights_;
   Vertices vertices_;
-  std::vector<std::uint32_t> used_;      // vertices of visible triangles
+  std::vector<std::uint32_t> used_;  // vertices of visible triangles
   std::vector<std::uint8_t> is_used_;
-  std::vector<std::uint32_t> visible_;   // first corners of visible triangles
+  std::vector<std::uint32_t> visible_;  // first corners of visible triangles
   std::vector<const mjvGeom*> still_, moving_, transparent_;
   struct Lit {
     std::vector<float> x, y, z, nx, ny, nz, red, green, blue;

@@ -252,8 +252,7 @@ bool Renderer::draw_opaque_ids(Open& open, float* depth) const {
 void Renderer::show(Open& open, int camera, const Picture& picture) const {
   const Lens* lens = picture.lens != nullptr && picture.lens->lookup != nullptr ? picture.lens : nullptr;
   prepare(open, lens != nullptr ? lens->width : picture.width, lens != nullptr ? lens->height : picture.height);
-  const mjvGLCamera eye =
-      open.view.look(camera, picture.lens, picture.height, open.canvas.width, open.canvas.height);
+  const mjvGLCamera eye = open.view.look(camera, picture.lens, picture.height, open.canvas.width, open.canvas.height);
   Canvas& canvas = open.canvas;
   const mjrRect area{0, 0, canvas.width, canvas.height};
   if (picture.depth_mm != nullptr) canvas.depth.resize(canvas.size());

@@ -120,7 +120,9 @@ class Setup:
         object.__setattr__(self, "pixels", _pixels(self.pixels))
         taken = [name for name in ("depth", "segmentation", "points", "camera_noise") if getattr(self, name)]
         if self.pixels is not None and taken:
-            raise InvalidSetup(f"{taken[0]} is True and pixels are given, which are colours alone; choose one of the two.")
+            raise InvalidSetup(
+                f"{taken[0]} is True and pixels are given, which are colours alone; choose one of the two."
+            )
         for name in ("cameras", "layers", "observe"):
             object.__setattr__(self, name, _names(name, getattr(self, name)))
         if unknown := [name for name in self.observe if name not in get_args(Observed)]:

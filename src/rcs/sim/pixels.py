@@ -155,7 +155,9 @@ class PixelFeed:
             group.turn(self._room(group))
         self._states = np.array(states)
         self.capture_times.update(dict.fromkeys(self.names, time.perf_counter()))
-        return {name: {PIXELS: self._seen(group.last[i])} for group in self._groups for i, name in enumerate(group.names)}
+        return {
+            name: {PIXELS: self._seen(group.last[i])} for group in self._groups for i, name in enumerate(group.names)
+        }
 
     def draw_all(self) -> None:
         """Draw the newest frame of every copy and camera once more; after a `read`."""
