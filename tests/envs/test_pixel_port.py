@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -162,7 +163,7 @@ def test_memory_is_used_again_only_after_the_steps_that_were_promised() -> None:
     envs.close()
     fresh = make_vec()
     observations = [fresh.reset(seed=0)[0], *(fresh.step(fresh.action_space.sample())[0] for _ in range(3))]
-    assert not any(np.shares_memory(seen(one), seen(two)) for one, two in zip(observations, observations[1:]))
+    assert not any(np.shares_memory(seen(one), seen(two)) for one, two in itertools.pairwise(observations))
     with pytest.raises(ValueError, match="read-only"):
         seen(observations[0])[0, 0, 0, 0] = 1
     fresh.close()
