@@ -1,7 +1,7 @@
 """Whole steps of `make_vec` with a camera in every copy, as a learner sees it: channels first, memory used again.
 
 Random joint actions; actions checked and mapped, physics, drawing, observations, reward, autoreset. In the same run, in
-turns: the same steps without cameras, and the drawing of all copies alone. The frames of every copy must be new in every
+turns: the same steps without cameras, and the drawing of all copies alone. The frames of every copy must be new in each
 step.
 
 Prints one JSON object: `steps_per_s` (of all copies together), `best_steps_per_s` (the fastest round),
