@@ -1,11 +1,12 @@
-"""Whole steps of `make_vec` with a camera in every copy, as a learner sees it: channels first, uint8, memory used again.
+"""Whole steps of `make_vec` with a camera in every copy, as a learner sees it: channels first, memory used again.
 
 Random joint actions; actions checked and mapped, physics, drawing, observations, reward, autoreset. In the same run, in
-turns: the same steps without cameras, and the drawing of all copies alone. Every copy's frame must be new in every step.
+turns: the same steps without cameras, and the drawing of all copies alone. The frames of every copy must be new in each
+step.
 
 Prints one JSON object: `steps_per_s` (of all copies together), `best_steps_per_s` (the fastest round),
-`without_cameras_per_s`, `frames_per_s` (drawing alone), `drawn_by`. Run it as `taskset -c 0,1 python benchmarks/pixels.py`
-for two cores.
+`without_cameras_per_s`, `frames_per_s` (drawing alone), `drawn_by`. For two cores, run it as
+`taskset -c 0,1 python benchmarks/pixels.py`.
 """
 
 from __future__ import annotations

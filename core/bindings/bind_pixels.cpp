@@ -65,7 +65,7 @@ void bind_pixels(nb::module_& m) {
 
 After each step of a copy, the thread that has stepped it draws its cameras into arrays (copies, channels, height, width),
 where channels are those of all frames of a stack, the newest last. In quality "fast", scenes without textures, soft bodies
-and height fields are drawn without OpenGL, in about a third of the time; the pictures look the same but for rounding.)")
+and height fields are drawn without OpenGL, in a fifth to a half of the time; the pictures look the same but for rounding.)")
       .def(
           "__init__",
           [](PyPixelCameras* self, const PyModel& given, int copies, int threads, const std::vector<int>& camera_ids,

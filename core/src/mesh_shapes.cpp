@@ -3,11 +3,15 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <utility>
+#include <tuple>
 
 namespace rcs {
 
 namespace {
+
+// Cosine of the angle between the normals of a corner and its face from which the corner counts as part of a smooth
+// surface, as in MuJoCo's renderer.
+constexpr double kSmooth = 0.8;
 
 // Radius of a polygon's corners at which its sides are as far inside the unit circle as its corners are outside.
 double outset(int corners) { return 2 / (1 + std::cos(mjPI / corners)); }
@@ -132,19 +136,30 @@ Shape cylinder_shape(Roundness round, bool has_lids) {
 
 Shape mesh_shape(const mjModel& model, int mesh) {
   Shape shape;
-  std::map<std::pair<int, int>, std::uint32_t> known;  // by numbers of position and normal
+  // By the numbers of position and normal, or of position and face where the face's own normal is taken.
+  std::map<std::tuple<int, int, bool>, std::uint32_t> known;
   const float* positions = model.mesh_vert + 3 * static_cast<std::ptrdiff_t>(model.mesh_vertadr[mesh]);
   const float* normals = model.mesh_normal + 3 * static_cast<std::ptrdiff_t>(model.mesh_normaladr[mesh]);
   const int first = model.mesh_faceadr[mesh];
-  for (int corner = 3 * first; corner < 3 * (first + model.mesh_facenum[mesh]); ++corner) {
-    const int vertex = model.mesh_face[corner], normal = model.mesh_facenormal[corner];
-    const auto [entry, is_new] = known.try_emplace({vertex, normal}, static_cast<std::uint32_t>(shape.size()));
-    if (is_new) {
-      const float *p = positions + 3 * static_cast<std::ptrdiff_t>(vertex),
-                  *n = normals + 3 * static_cast<std::ptrdiff_t>(normal);
-      add(shape, {p[0], p[1], p[2]}, {n[0], n[1], n[2]});
+  for (int face = first; face < first + model.mesh_facenum[mesh]; ++face) {
+    const int* vertices = model.mesh_face + 3 * static_cast<std::ptrdiff_t>(face);
+    mjtNum corner[3][3], edge[2][3], own[3];
+    for (int i = 0; i < 3; ++i) mju_f2n(corner[i], positions + 3 * static_cast<std::ptrdiff_t>(vertices[i]), 3);
+    mju_sub3(edge[0], corner[1], corner[0]);
+    mju_sub3(edge[1], corner[2], corner[0]);
+    mju_cross(own, edge[0], edge[1]);
+    mju_normalize3(own);
+    for (int i = 0; i < 3; ++i) {
+      const int number = model.mesh_facenormal[3 * face + i];
+      mjtNum normal[3];
+      mju_f2n(normal, normals + 3 * static_cast<std::ptrdiff_t>(number), 3);
+      const bool is_edge = mju_dot3(normal, own) < kSmooth;
+      if (is_edge) mju_copy3(normal, own);
+      const auto [entry, is_new] =
+          known.try_emplace({vertices[i], is_edge ? face : number, is_edge}, static_cast<std::uint32_t>(shape.size()));
+      if (is_new) add(shape, corner[i], normal);
+      shape.corners.push_back(entry->second);
     }
-    shape.corners.push_back(entry->second);
   }
   return shape;
 }

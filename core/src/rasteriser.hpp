@@ -81,6 +81,8 @@ class Rasteriser {
   void draw_clipped(const std::uint32_t* corners, float alpha, Sheet& sheet) const;
   Corner project(const float* place, const float* colour) const;
 
+  static constexpr float kGuard = 4;  // sheets to each side of the sheet that need no clipping
+
   std::vector<Shape> meshes_;  // of the model, filled when first drawn
   const mjModel* model_;
   Shape box_, plane_, ball_, cylinder_, tube_, cap_, cup_;

@@ -1310,7 +1310,7 @@ class PixelCameras:
 
     After each step of a copy, the thread that has stepped it draws its cameras into arrays (copies, channels, height, width),
     where channels are those of all frames of a stack, the newest last. In quality "fast", scenes without textures, soft bodies
-    and height fields are drawn without OpenGL, in about a third of the time; the pictures look the same but for rounding.
+    and height fields are drawn without OpenGL, in a fifth to a half of the time; the pictures look the same but for rounding.
     """
 
     def __init__(self, model: mujoco.MjModel, copies: int, threads: int, camera_ids: Sequence[int], *, width: int, height: int, is_grayscale: bool = False, stack: int = 1, lenses: Sequence[Lens | None] = [], quality: str = 'fast', max_width: int, max_height: int, backend: str = 'auto', geom_groups: Sequence[bool] = [True, True, True, False, False, False]) -> None:

@@ -198,8 +198,8 @@ def test_pixels_look_like_pictures(robot: str, task: str, camera: str) -> None:
     shown, pictured = pixels.reset(seed=0)[0], pictures.reset(seed=0)[0]
     expected = pictured["frames"][camera]["rgb"]
     differences = np.abs(np.moveaxis(seen(shown, camera), 1, -1).astype(int) - expected)
-    assert differences.mean() < 2.0
-    assert (differences.max(axis=-1) > 24).mean() < 0.01  # edges
+    assert differences.mean() < 1.0
+    assert (differences.max(axis=-1) > 24).mean() < 0.005  # edges
     assert np.ptp(expected.reshape(-1, 3), axis=0).min() > 60, "there is something to be seen"
     pixels.close()
     pictures.close()

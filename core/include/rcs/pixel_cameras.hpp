@@ -42,8 +42,8 @@ struct PixelCamera {
 /// Draws cameras of a world's copies into arrays copies × (stack · channels) × height × width.
 ///
 /// Pictures of quality `fast` are drawn without OpenGL where the scene has only what that can draw (no textures, soft
-/// bodies, height fields): it takes a third of the time, needs no OpenGL, and looks the same but for rounding. Others
-/// are those of a `Renderer`.
+/// bodies, height fields): it takes a fifth to a half of the time, needs no OpenGL, and looks the same but for
+/// rounding. Others are those of a `Renderer`.
 class PixelCameras : public Watcher {
  public:
   /// `model` must outlive it. `threads` is how many draw at once. Throws `std::invalid_argument`, `GlUnavailable`.

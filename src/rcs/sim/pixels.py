@@ -27,11 +27,10 @@ PIXELS = "pixels"
 
 @dataclass(frozen=True, kw_only=True)
 class Pixels:
-    """How cameras are observed for learning: as `frames`/camera/`pixels`, uint8, (channels, height, width), and not as
-    pictures with matrices.
+    """How cameras are observed for learning: `frames`/camera/`pixels`, uint8, (channels, height, width), and no more.
 
-    In quality `fast`, scenes without textures, soft bodies and height fields are drawn without OpenGL, in about a third
-    of the time. The pictures look like those of OpenGL; rounding differs.
+    In quality `fast`, scenes without textures, soft bodies and height fields are drawn without OpenGL, in a fifth to a
+    half of the time. The pictures look like those of OpenGL; rounding differs.
     """
 
     grayscale: bool = False
@@ -85,8 +84,8 @@ def _is_whole(value: Any, low: int, high: int) -> bool:
 class PixelFeed:
     """The newest stack of every camera and copy, for one copy and for many. Takes the place of a `CameraFeed`.
 
-    Cameras with a frame in each step are drawn by the thread that has stepped a copy, right after its step; `read` draws
-    only what has changed otherwise: copies that have started, or whose state was set.
+    Cameras with a frame in each step are drawn by the thread that has stepped a copy, right after its step; `read`
+    draws only what has changed otherwise: copies that have started, or whose state was set.
     """
 
     memory = ("stacks",)
@@ -169,7 +168,8 @@ class PixelFeed:
     @property
     def stacks(self) -> dict[str, NDArray[np.uint8]]:
         """The last stack of each camera, (*leading, channels, height, width)."""
-        return {name: self._seen(own) for group in self._groups for name, own in zip(group.names, group.last, strict=False)}
+        read = [group for group in self._groups if group.last]
+        return {name: self._seen(own) for group in read for name, own in zip(group.names, group.last, strict=True)}
 
     @stacks.setter
     def stacks(self, stacks: Mapping[str, NDArray[np.uint8]]) -> None:
