@@ -142,7 +142,7 @@ test-sanitized:
 $(VENV)/.stamp-extras: $(VENV)/.stamp-built
 	@echo "==> Installing torch and Stable-Baselines3 (first time: about 1 GB)"
 	@$(PIP) install -c constraints.txt torch
-	@$(PIP) install -c constraints.txt stable-baselines3 mujoco-menagerie
+	@$(PIP) install -c constraints.txt stable-baselines3 tensorboard mujoco-menagerie
 	@touch $@
 
 test-extras: test-wheel $(VENV)/.stamp-extras gl

@@ -73,11 +73,10 @@ class PushToLine(Task):
         return {"block": self._world.poses[..., self._pose, :].copy()}
 
     def evaluate(self) -> Judgement:
-        """Reward the way to the line."""
+        """Judge the way to the line."""
         info = self.describe()
         missing = np.maximum(LINE - info["block"][..., 0], 0.0)
-        info["success"] = missing == 0
-        return Judgement(reward=self.reward(1.0 - missing, info["success"]), terminated=info["success"], info=info)
+        return Judgement(success=missing == 0, progress=1.0 - missing, info=info)
 
 
 env = rcs.make(PushToLine, control="tquat", relative=False, layers=[Floor])

@@ -79,5 +79,9 @@ class CorruptEpisode(RcsError, ValueError):
     """A stored episode is incomplete or its bytes are not what was written."""
 
 
+class CorruptCheckpoint(RcsError, ValueError):
+    """A checkpoint of a training is incomplete, or its bytes are not what was written."""
+
+
 class SimulationError(RcsError, RuntimeError):
     """MuJoCo failed, or left out contacts; the message has its words, such as that its memory is full."""

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from rcs.envs.reward import RewardKind
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
@@ -42,7 +43,11 @@ class SetupOptions:
     end_effector: str | None = None
     """Name of the end effector; the robot's usual one by default."""
     task_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """An option of the task as `name=value`, such as `reward=sparse`; may be given several times."""
+    """An option of the task as `name=value`, such as `lift_height=0.05`; may be given several times."""
+    reward: RewardKind = "shaped"
+    """What a step pays."""
+    discount: float = 0.99
+    """What a reward one step later is worth to the learner; the shaped and the dense reward depend on it."""
     layers: tuple[str, ...] = ()
     """Names of more layers on top, or `module:Class`, from the lowest to the highest."""
     seed: int = 0
@@ -86,6 +91,8 @@ class SetupOptions:
         return Setup(
             task=self.task,
             task_options=dict(_option(given) for given in self.task_option),
+            reward=self.reward,
+            discount=self.discount,
             robot=self.robot,
             end_effector=self.end_effector,
             layers=self.layers,
@@ -134,7 +141,7 @@ class RunOptions(SetupOptions):
 def _option(given: str) -> tuple[str, Any]:
     name, has_value, value = given.partition("=")
     if not (name and has_value):
-        raise InvalidSetup(f"The task option is {given!r}; it is written as name=value, such as reward=sparse.")
+        raise InvalidSetup(f"The task option is {given!r}; it is written as name=value, such as lift_height=0.05.")
     try:
         return name, json.loads(value)
     except ValueError:  # a text need not have quotes

@@ -180,9 +180,12 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
                 robot.wait_for_arrival(_longest_latency(setup))
         clock = _frame_clock(setup, simulated, world)
         randomiser = _randomiser(parts, world)
-        scenario = Scenario(world, list(bodies.values()), parts.task, randomiser, clock, parts.clutter)
+        robots = list(bodies.values())
+        scenario = Scenario(
+            world, robots, parts.task, randomiser, clock, parts.clutter, reward=setup.reward, discount=setup.discount
+        )
         scenario.guards = _guards(parts, bodies)
-        shared += _simulated_sensors(parts, simulated, world, list(bodies.values()), clock, randomiser)
+        shared += _simulated_sensors(parts, simulated, world, robots, clock, randomiser)
     gates = list(parts.gates)
     if real and setup.segmentation:
         raise InvalidSetup(

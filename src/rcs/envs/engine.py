@@ -102,6 +102,8 @@ class Engine:
                 raise DeviceFault(f"Devices are in their fault state: {_listed(faults)}. Clear it with env.recover().")
             self._clock.reset()
             observation = self.observe_start(copies)
+            if self.scenario is not None:
+                self.scenario.judge_start(copies)
         except BaseException as err:
             self._break_off(err)
             raise
@@ -119,6 +121,7 @@ class Engine:
             self._begin(copies)
             observation = self.observe_start(copies)
             if self.scenario is not None:
+                self.scenario.judge_start(copies)
                 info = {**self.scenario.describe(), "time": self._time()}
                 self.audience.tell_starts(observation, info, self._seeds_of(copies))
         except BaseException as err:
@@ -230,27 +233,28 @@ class Engine:
     ) -> Step:
         """Return the step that led to an observation."""
         reward: Any = 0.0
-        terminated: Any = np.False_
+        terminated: Any = np.zeros(self.leading, np.bool_)
         info: dict[str, Any] = {}
-        if self.scenario is not None:
-            outcome = self.scenario.evaluate()
-            reward, terminated, info = outcome.reward, outcome.terminated, outcome.info
         truncated = self._ends >= _FAILED
         if starting is None:
             self._steps = self._steps + 1
         else:
             self._steps = self._steps + ~starting
             truncated = truncated & ~starting
-            reward, terminated = np.where(starting, 0.0, reward), terminated & ~starting
-            if self.scenario is not None:
-                self.scenario.task.forget_progress(np.flatnonzero(starting))  # the start was judged, and is no step
-        if (truncated.any() if self.leading else truncated) and self.scenario is not None:
-            terminated = terminated & ~truncated
-            diverged = truncated & (self._ends == _FAILED)
-            reward = np.where(diverged, 0.0, reward)
-            told["faults"] = self.scenario.faults(truncated & ~diverged)
-            if any(port.can_fail for port in self.stack.ports):
-                self._hold_in_fault(told["faults"])  # real devices; in simulation alone, no time passes any more
+        if self.scenario is not None:
+            judgement = self.scenario.evaluate()
+            info, failed, diverged = judgement.info, truncated | bool(faults), np.False_
+            if judgement.terminated is not None:
+                terminated = judgement.terminated if starting is None else judgement.terminated & ~starting
+            if truncated.any() if self.leading else truncated:
+                diverged = truncated & (self._ends == _FAILED)
+                told["faults"] = self.scenario.faults(truncated & ~diverged)
+                if any(port.can_fail for port in self.stack.ports):
+                    self._hold_in_fault(told["faults"])  # real devices; in simulation alone, no time passes any more
+            terminated = terminated & ~failed
+            reward = self.scenario.rewards.pay(
+                judgement, terminated=terminated, failed=failed, diverged=diverged, starting=starting
+            )
         if self._max_episode_steps is not None:
             truncated = truncated | ((self._steps >= self._max_episode_steps) & ~terminated)
             truncated = truncated if starting is None else truncated & ~starting

@@ -11,6 +11,7 @@ from rcs.envs.clutter import Clutter, TakenCircles
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
 from rcs.envs.randomiser import Randomiser
+from rcs.envs.reward import RewardKind, Rewards
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS
 from rcs.envs.start import Start, in_frame_of
 from rcs.envs.task import Judgement, Task
@@ -31,6 +32,9 @@ class Scenario:
         randomiser: Randomiser | None = None,
         frame_clock: FrameClock | None = None,
         clutter: Clutter | None = None,
+        *,
+        reward: RewardKind = "shaped",
+        discount: float = 0.99,
     ) -> None:
         """Put all robots at home, the state in which every episode begins.
 
@@ -41,6 +45,8 @@ class Scenario:
             randomiser: Varies the world from episode to episode; None for a constant world.
             frame_clock: The cameras' clock, which needs the episode's random numbers; None without cameras.
             clutter: What else lies about; None for nothing.
+            reward: What a step pays.
+            discount: What a reward one step later is worth to the learner.
         """
         self.world = world
         self.randomisers = [] if randomiser is None else [randomiser]
@@ -51,6 +57,8 @@ class Scenario:
         self.guards: dict[str, CollisionGuard] = {}
         """The reactions to collisions, by robot."""
         self.task = task
+        self.rewards = Rewards(world, robots, reward, discount)
+        """Pays for each step."""
         task.bind(world, robots)
         self._clutter = clutter
         if clutter is not None:
@@ -82,7 +90,6 @@ class Scenario:
         self.world.reset(copies)
         for randomiser in self.randomisers:
             randomiser.place(self.robots, copies)
-        self.task.forget_progress(where)
         self.task.reset(draws, where)
         self.world.refresh(copies)
         if self._clutter is not None:
@@ -136,6 +143,10 @@ class Scenario:
     def evaluate(self) -> Judgement:
         """Judge the present state."""
         return self.task.evaluate()
+
+    def judge_start(self, copies: Copies) -> None:
+        """Have the rewards of some copies' episodes count from the present state."""
+        self.rewards.begin(self.task.evaluate(), ... if copies is None else copies)
 
     @property
     def randomisation(self) -> dict[str, NDArray[np.float64]]:

@@ -10,6 +10,7 @@ from typing import Any, Literal, TypedDict, get_args
 
 import numpy as np
 
+from rcs.envs.reward import RewardKind
 from rcs.envs.spaces import Control, Observed
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.camera_mode import parse_mode
@@ -29,7 +30,13 @@ class Setup:
     task: str = "PickCuboid"
     """Name of the task, or `module:Class`; `Free` for none."""
     task_options: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """Options of the task, fields of its class `Options`, such as `{"reward": "sparse"}`."""
+    """Options of the task, fields of its class `Options`, such as `{"lift_height": 0.05}`."""
+    reward: RewardKind = "shaped"
+    """What a step pays: `sparse` 1 at success; `shaped` also the discounted gain in progress, `discount · Φ(s') - Φ(s)`,
+    which leaves the optimal policy as it is; `dense` for where the state is, as ManiSkill's PickCube-v1 does."""
+    discount: float = 0.99
+    """What a reward one step later is worth, the learner's discount: above 0, and at most 1 (`dense`: below 1). The
+    shaped reward needs it, and the dense one, whose success pays `1 / (1 - discount)`."""
     robot: str = "fr3"
     """Name of the robot."""
     end_effector: str | None = None
@@ -112,6 +119,10 @@ class Setup:
         if self.points and not self.depth:
             raise InvalidSetup("points is True and depth is False; points come from depth, so give depth=True too.")
         object.__setattr__(self, "task_options", _task_options(self.task_options))
+        if not (_is_number(self.discount) and 0 < self.discount <= 1):
+            raise InvalidSetup(f"discount is {self.discount!r}; valid is above 0 and up to 1.")
+        if self.reward == "dense" and self.discount == 1:
+            raise InvalidSetup("discount is 1; the dense reward needs one below 1, such as 0.99.")
         object.__setattr__(self, "randomisation", _ranges(self.randomisation))
         for name in ("cameras", "layers", "observe"):
             object.__setattr__(self, name, _names(name, getattr(self, name)))
@@ -123,6 +134,7 @@ class Setup:
         if isinstance(relative, bool):
             object.__setattr__(self, "relative", "last_step" if relative else "absolute")
         choices = {
+            "reward": RewardKind,
             "control": Control,
             "relative": RelativeTo,
             "stepping": Stepping,
@@ -176,6 +188,8 @@ class Options(TypedDict, total=False):
     """The fields of `Setup` besides the task, as `rcs.make` takes them."""
 
     task_options: Mapping[str, Any]
+    reward: RewardKind
+    discount: float
     robot: str
     end_effector: str | None
     cameras: Sequence[str]

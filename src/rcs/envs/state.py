@@ -126,7 +126,10 @@ def _parts(engine: Engine) -> dict[str, tuple[Any, tuple[int, ...]]]:
     scenario = engine.scenario
     assert scenario is not None, "it is simulated"
     leading = engine.leading
-    parts: dict[str, tuple[Any, tuple[int, ...]]] = {"task": (scenario.task, leading)}
+    parts: dict[str, tuple[Any, tuple[int, ...]]] = {
+        "task": (scenario.task, leading),
+        "rewards": (scenario.rewards, leading),
+    }
     for i, randomiser in enumerate(scenario.randomisers):
         parts[f"randomiser {i}"] = randomiser, leading
     if scenario.frame_clock is not None:

@@ -73,18 +73,36 @@ class Area:
 
 @dataclass(kw_only=True)
 class Judgement:
-    """A task's verdict on the present state. Arrays have the world's leading shape."""
+    """A task's verdict on the present state, from which `Setup.reward` makes the reward. Arrays have the world's
+    leading shape.
+    """
 
-    reward: NDArray[np.float64]
-    terminated: NDArray[np.bool_]
+    success: NDArray[np.bool_] | None = None
+    """Whether the task is done, which `info` tells too; None where there is nothing to judge."""
+    progress: NDArray[np.float64] | None = None
+    """How far the task has come, 0 … 1: the potential of the shaped reward; None for no more to go by than success."""
+    is_placed: NDArray[np.bool_] | None = None
+    """Whether all is in place, so that only time and rest are left to success; the dense reward then pays for arms at
+    rest. None if the task does not tell."""
+    terminated: NDArray[np.bool_] | None = None
+    """Whether the episode ends here; None if it does at success, and only then."""
+    reward: NDArray[np.float64] | None = None
+    """A reward of the task's own, in the place of that of the setup; None for that of the setup."""
     info: dict[str, NDArray[Any]] = field(default_factory=dict)
-    """Info for agents and people; `success` (bool) if there is something to judge."""
+    """Info for agents and people."""
+
+    def __post_init__(self) -> None:
+        """Tell success in `info`."""
+        if self.success is not None:
+            self.info = {"success": self.success, **self.info}
+        if self.terminated is None:
+            self.terminated = self.success
 
 
 class Task(ABC):
     """A task on one world; it keeps its memory per copy."""
 
-    memory: ClassVar[tuple[str, ...]] = ("_progress",)
+    memory: ClassVar[tuple[str, ...]] = ()
     """Names of the attributes in which the task remembers something between steps; see `Layer.memory`."""
 
     instruction: str = ""
@@ -96,10 +114,6 @@ class Task(ABC):
     @dataclass(frozen=True, kw_only=True)
     class Options:
         """Options of every task; a task with more options subclasses this as its own `Options`."""
-
-        reward: Literal["dense", "sparse"] = "dense"
-        """`sparse` is 1 at success and 0 otherwise; `dense` adds the progress since the last step, which may be
-        negative: to stay somewhere pays nothing, however near the goal."""
 
         def __post_init__(self) -> None:
             """Check the values.
@@ -138,8 +152,6 @@ class Task(ABC):
         """
         self.area = area
         self.options = self.parse_options(options)
-        self._progress: NDArray[np.float64] = np.zeros(())
-        """Progress at the last step, (*leading,); a number before the first one."""
 
     @classmethod
     def parse_options(cls, values: Options | Mapping[str, Any] | None) -> Options:
@@ -159,32 +171,11 @@ class Task(ABC):
                 "with some of its fields, or None."
             )
         valid = [option.name for option in dataclasses.fields(cls.Options)]
+        if "reward" in (values or ()) and "reward" not in valid:
+            raise InvalidSetup("The reward is no option of a task but of the setup: reward='sparse', as `rcs.Setup` says.")
         if unknown := sorted(set(values or ()) - set(valid), key=str):
             raise InvalidSetup(f"The task {cls.__name__} has no options {unknown}; valid: {', '.join(valid)}.")
         return cls.Options(**(values or {}))
-
-    def reward(self, progress: NDArray[np.float64], success: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return the reward: 1 at success, and if it is `dense` also the progress since the last step.
-
-        Progress is a potential (Ng, Harada and Russell 1999): the dense rewards of an episode add up to its progress at
-        the end, and to 2 with a success. Call it once per step.
-
-        Args:
-            progress: Progress of each copy, 0 … 1, (*leading,); it counts as 1 at success.
-            success: Which copies have succeeded, (*leading,).
-        """
-        if self.options.reward == "sparse":
-            return np.where(success, 1.0, 0.0)
-        now = np.maximum(progress, success)
-        gain = now - self._progress
-        self._progress = now
-        return gain + success
-
-    def forget_progress(self, where: Where) -> None:
-        """Take the progress of some copies as 0 from now on, at the start of their episodes."""
-        progress = np.array(self._progress)  # of one copy it is a number of NumPy's
-        progress[where if progress.ndim else ...] = 0.0  # before the first step there is one number for all
-        self._progress = progress
 
     def furnish(self, scene: Scene) -> None:  # noqa: B027  an empty scene is a fine scene
         """Add the task's objects to a scene before it is compiled."""
@@ -208,7 +199,11 @@ class Task(ABC):
 
     @abstractmethod
     def evaluate(self) -> Judgement:
-        """Judge the present state of all copies. Called once per step."""
+        """Judge the present state of all copies.
+
+        Called at the start of an episode and after every step; with copies that start at different times, it may see
+        the same state of the others twice, and must then judge the same.
+        """
 
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return the info of the first observation of an episode, of all copies."""

@@ -221,13 +221,27 @@ def physics_of(dataset: Dataset, *, trust: Collection[str] = ()) -> Setup:
 
 def _parse(dataset: Dataset, values: Any, trust: Collection[str]) -> Setup:
     """Read a setup. A dataset from elsewhere must not run code by naming a module, whatever the field."""
+    require_trusted(values, f"The setup of {dataset.path}", trust)
+    return Setup.from_json(values)
+
+
+def require_trusted(values: Any, whose: str, trust: Collection[str] = ()) -> None:
+    """Check that JSON values name no class whose module would have to be imported first, and so would run its code.
+
+    Args:
+        values: The values.
+        whose: What they are, at the start of the message.
+        trust: Modules that may be imported.
+
+    Raises:
+        InvalidSetup: They do.
+    """
     for module in sorted(_modules(values)):
         if module not in sys.modules and module not in trust:
             raise InvalidSetup(
-                f"The setup of {dataset.path} names a class of the module {module!r}, which is not imported. Importing "
+                f"{whose} names a class of the module {module!r}, which is not imported. Importing "
                 f"it runs its code; if you trust it, import it first, or give --trust {module}."
             )
-    return Setup.from_json(values)
 
 
 def _modules(value: Any) -> set[str]:

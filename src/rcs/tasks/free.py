@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
 from rcs.envs.task import Judgement, Task
@@ -15,12 +13,11 @@ class Free(Task):
     """A task without objects, reward or end."""
 
     def bind(self, world: World, robots: list[SimRobot]) -> None:
-        """Remember the leading shape."""
-        self._leading = world.leading
+        """Look up nothing."""
 
     def reset(self, draws: Draws, where: Where) -> None:
         """Do nothing: the robot starts at home."""
 
     def evaluate(self) -> Judgement:
-        """Return reward 0, never terminated, and no `success`."""
-        return Judgement(reward=np.zeros(self._leading), terminated=np.zeros(self._leading, np.bool_))
+        """Judge nothing: the reward is 0, and no step terminates the episode."""
+        return Judgement()

@@ -38,11 +38,10 @@ class LiftBar(Task):
     10 degrees, all four pads press on it with more than its weight, nothing but the grippers touches it, and it moves
     by no more than 1 cm in each hand. This is judged at the end of each step.
 
-    The dense reward is the progress since the last step, plus 1 at success. Progress is the mean over the arms of
-    reaching, grasping, and lifting while grasping.
+    Progress, of which the reward is made, is the mean over the arms of reaching, grasping, and lifting while grasping.
     """
 
-    memory = (*Task.memory, "_half_edges", "_table", "_grasp_offset", "_ends", "_held", "_grip")
+    memory = ("_half_edges", "_table", "_grasp_offset", "_ends", "_held", "_grip")
     instruction = "lift the bar with both arms"
     expert = "LiftExpert"
     Options = LiftOptions
@@ -110,16 +109,16 @@ class LiftBar(Task):
         is_level = 1.0 - 2.0 * (x * x + y * y) > np.cos(MAX_TILT)  # z component of the bar's z axis
         height = lowest(bar, self._half_edges) - self._table
         goal = self.options.lift_height
-        success = self._held.count((height >= goal) & is_level & both & self._grip.is_free(), self._grip.places())
+        is_held = (height >= goal) & is_level & both & self._grip.is_free()
+        success = self._held.count(is_held, self._grip.places())
         distances = norm(poses[..., self._tcps, :3] - self._grasps(bar))
-        reward = self.reward(progress(distances, grasped, height[..., None], goal).mean(axis=-1), success)
+        come = progress(distances, grasped, (goal - height)[..., None]).mean(axis=-1)
         info: dict[str, NDArray[Any]] = {
-            "success": success,
             "is_grasped": both,
             "bar_in_scene": bar,
             "grasp_offset": self._grasp_offset.copy(),
         }
-        return Judgement(reward=reward, terminated=success, info=info)
+        return Judgement(success=success, progress=come, is_placed=is_held, info=info)
 
     def _grasps(self, bar: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the grasp points of both ends in the scene, (..., 2, 3)."""

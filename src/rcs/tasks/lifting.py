@@ -119,19 +119,18 @@ def lowest(pose: NDArray[np.float64], half_edges: NDArray[np.float64]) -> NDArra
 
 
 def progress(
-    distance: NDArray[np.float64], is_grasped: NDArray[np.bool_], height: NDArray[np.float64], lift_height: float
+    distance: NDArray[np.float64], is_grasped: NDArray[np.bool_], missing: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the mean of reaching, grasping, and lifting while grasping, 0 … 1 each (ManiSkill 3's PickCube-v1).
+    """Return the mean of reaching, grasping, and carrying while grasping, 0 … 1 each (ManiSkill 3's PickCube-v1).
 
     Args:
         distance: Distance from the TCP to the grasp point [m].
         is_grasped: Whether the object is grasped.
-        height: Height of the object above the table [m].
-        lift_height: Required height [m].
+        missing: How far the object still has to be carried [m]; less than 0 counts as 0.
     """
     reach = 1.0 - np.tanh(5.0 * distance)
-    lift = np.minimum(np.maximum(height * (1.0 / lift_height), 0.0), 1.0)
-    return (reach + is_grasped * (1.0 + lift)) * (1.0 / 3.0)
+    carried = 1.0 - np.tanh(5.0 * np.maximum(missing, 0.0))
+    return (reach + is_grasped * (1.0 + carried)) * (1.0 / 3.0)
 
 
 # The order of NumPy's sums may depend on the number of copies.

@@ -74,11 +74,11 @@ class PickCuboid(Task):
     on it with more than its weight, nothing but the gripper touches it, and it moves by no more than 1 cm in the hand.
     This is judged at the end of each step.
 
-    The dense reward is the progress since the last step, plus 1 at success. Progress is the mean of three parts in
-    [0, 1]: reaching, grasping, and lifting while grasping, in the form of ManiSkill 3's PickCube-v1 (`1 - tanh(5 d)`).
+    Progress, of which the reward is made, is the mean of three parts in [0, 1]: reaching, grasping, and lifting while
+    grasping, in the form of ManiSkill 3's PickCube-v1 (`1 - tanh(5 d)`, where d is a distance or the missing height).
     """
 
-    memory = (*Task.memory, "_half_edges", "_table", "_held", "_grip")
+    memory = ("_half_edges", "_table", "_held", "_grip")
     instruction = "pick up the green cuboid"
     expert = "PickExpert"
     Options = PickOptions
@@ -181,15 +181,14 @@ class PickCuboid(Task):
             is_held = is_grasped & (height >= goal) & self._grip.is_free()
         success = self._held.count(is_held, self._grip.places())
         offset = cuboid[..., :3] - poses[..., self._robot.tcp_readout, :3]
-        reward = self.reward(progress(np.sqrt(np.vecdot(offset, offset)), is_grasped, height, goal), success)
         info = {
-            "success": success,
             "is_grasped": is_grasped,
             "is_touched": self._world.forces[..., self._touched] > TOUCH_FORCE,
             "cuboid": cuboid,
             "edges": 2.0 * self._half_edges,
         }
-        return Judgement(reward=reward, terminated=success, info=info)
+        come = progress(np.sqrt(np.vecdot(offset, offset)), is_grasped, goal - height)
+        return Judgement(success=success, progress=come, is_placed=is_held, info=info)
 
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return the cuboid's pose and its edges."""

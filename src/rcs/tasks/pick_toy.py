@@ -61,11 +61,11 @@ class PickToy(Task):
     the scene's axes, so that its position, orientation and shape are all in `qpos`. Rotating it means moving the nodes,
     which MuJoCo's elasticity permits without stress.
 
-    The dense reward is the progress since the last step, plus 1 at success. Progress is the mean of three parts in
-    [0, 1]: reaching, grasping, and lifting while grasping.
+    Progress, of which the reward is made, is the mean of three parts in [0, 1]: reaching, grasping, and lifting and
+    carrying home while grasping.
     """
 
-    memory = (*Task.memory, "_nodes", "_rest_height", "_weight", "_held")
+    memory = ("_nodes", "_rest_height", "_weight", "_held")
     instruction = "pick up the toy"
     expert = "ToyExpert"
     Options = LiftOptions
@@ -177,14 +177,15 @@ class PickToy(Task):
         height = in_scene[..., 2] - self._rest_height
         presses = forces[..., self._fingers] > self._weight[..., None]
         is_grasped = presses[..., 0] & presses[..., 1]
-        is_home = norm(tcp[..., :3] - self._home) < NEAR_HOME
+        from_home = norm(tcp[..., :3] - self._home)
         goal = self.options.lift_height
-        is_held = is_grasped & (height > goal) & is_home & (forces[..., self._others] == 0.0)
+        is_held = is_grasped & (height > goal) & (from_home < NEAR_HOME) & (forces[..., self._others] == 0.0)
         success = self._held.count(is_held, compose(inverse(tcp), toy)[..., None, :3])
-        reward = self.reward(progress(norm(toy[..., :3] - tcp[..., :3]), is_grasped, height, goal), success)
+        missing = np.maximum(goal - height, from_home - NEAR_HOME)
+        come = progress(norm(toy[..., :3] - tcp[..., :3]), is_grasped, missing)
         is_touched = forces[..., self._touched] > TOUCH_FORCE
-        info = {"success": success, "is_grasped": is_grasped, "is_touched": is_touched, "toy": toy}
-        return Judgement(reward=reward, terminated=success, info=info)
+        info = {"is_grasped": is_grasped, "is_touched": is_touched, "toy": toy}
+        return Judgement(success=success, progress=come, is_placed=is_held, info=info)
 
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return where the toy lies."""

@@ -47,11 +47,10 @@ class Place(Task):
     have let go of it within 3 cm of where it belongs: a cuboid that is pushed, dropped or thrown there does not count.
     This is judged at the end of each step.
 
-    The dense reward is the progress since the last step, plus 1 at success. Progress has a quarter each for reaching,
-    grasping, carrying and letting go.
+    Progress, of which the reward is made, has a quarter each for reaching, grasping, carrying and letting go.
     """
 
-    memory = (*Task.memory, "_delivery")
+    memory = ("_delivery",)
     instruction = "put the green cuboid on the red mark"
     expert = "PlaceExpert"
     Options = PlaceOptions
@@ -107,8 +106,7 @@ class Place(Task):
 
     def evaluate(self) -> Judgement:
         """Judge where the cuboid is and whether it was set down there."""
-        progress, info = self._delivery.judge(self.options.tolerance)
-        return Judgement(reward=self.reward(progress, info["success"]), terminated=info["success"], info=info)
+        return self._delivery.judge(self.options.tolerance)
 
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return where the cuboid is, and where it belongs."""

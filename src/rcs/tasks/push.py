@@ -74,12 +74,12 @@ class Push(Task):
     It must lie flat on the table and stay there: an episode in which it was lifted or grasped is lost. This is judged
     at the end of each step.
 
-    The dense reward is the progress since the last step, plus 1 at success. Progress is at most 0.9: one third of that
-    for the distance from the TCP to where the block is pushed, two thirds for the block's from the goal, in the form of
-    ManiSkill 3's PushCube-v1 (`1 - tanh(5 d)`). Once the block was lifted, it is 0.
+    Progress, of which the reward is made, is one third for the distance from the TCP to where the block is pushed, and
+    two thirds for the block's from the goal, in the form of ManiSkill 3's PushCube-v1 (`1 - tanh(5 d)`). Once the block
+    was lifted, it is 0.
     """
 
-    memory = (*Task.memory, "_lies_there", "_was_lifted", "_half_edges", "_table", "_grip")
+    memory = ("_lies_there", "_was_lifted", "_half_edges", "_table", "_grip")
     instruction = "push the blue block onto the red disc"
     expert = "PushExpert"
     Options = PushOptions
@@ -195,15 +195,16 @@ class Push(Task):
         is_there = distance <= self.options.tolerance
         velocity = self._world.qvel[..., self._velocity]
         is_still = (norm(velocity[..., :3]) < STILL[0]) & (norm(velocity[..., 3:]) < STILL[1])
-        success = self._lies_there.count(is_there & is_still & _is_flat(block) & ~self._was_lifted)
+        is_placed = is_there & _is_flat(block) & ~self._was_lifted
+        success = self._lies_there.count(is_placed & is_still)
         # Where to push is behind the block, on the side that is away from the goal.
         behind = block[..., :3] - way * (self._half_edges[..., 0] / np.maximum(distance, 1e-9))[..., None]
         reach = np.where(is_there, 1.0, 1.0 - np.tanh(5.0 * norm(poses[..., self._tcp, :3] - behind)))
-        progress = 0.3 * (reach + 2.0 * (1.0 - np.tanh(5.0 * distance)))
-        reward = self.reward(np.where(self._was_lifted, 0.0, progress), success)
+        progress = (1.0 / 3.0) * (reach + 2.0 * (1.0 - np.tanh(5.0 * distance)))
+        progress = np.where(self._was_lifted, 0.0, progress)
         is_touched = self._world.forces[..., self._touched] > TOUCH_FORCE
         info = {**self.describe(), "success": success, "is_touched": is_touched}
-        return Judgement(reward=reward, terminated=success, info=info)
+        return Judgement(success=success, progress=progress, is_placed=is_placed, info=info)
 
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return the poses of block and goal, and the edges of the block."""

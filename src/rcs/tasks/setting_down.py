@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.layers import Where
-from rcs.envs.task import Task
+from rcs.envs.task import Judgement, Task
 from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.world import World
@@ -112,10 +112,8 @@ class Delivery:
         cuboid = self._world.poses[..., self._object_in_base, :].copy()
         return {self._name: cuboid, "goal": self._goal(self._at_in_base)}
 
-    def judge(
-        self, tolerance: float, is_ready: NDArray[np.bool_] | np.bool_ = np.True_
-    ) -> tuple[NDArray[np.float64], dict[str, NDArray[Any]]]:
-        """Return progress, 0 … 1, (*leading,), and what agents are told, with `success`.
+    def judge(self, tolerance: float, is_ready: NDArray[np.bool_] | np.bool_ = np.True_) -> Judgement:
+        """Judge the present state of all copies.
 
         Progress has a quarter each for reaching, grasping, carrying to the goal what has been lifted, and letting go of
         it there.
@@ -143,12 +141,8 @@ class Delivery:
         on_the_way = reach + is_grasped * (1.0 + self._was_lifted * near)
         progress = 0.25 * np.where(is_there, 3.0 + is_released, on_the_way)
         is_touched = forces[..., self._touched] > TOUCH_FORCE
-        return progress, {
-            "success": success,
-            "is_grasped": is_grasped,
-            "is_touched": is_touched,
-            **self._poses(),
-        }
+        info = {"is_grasped": is_grasped, "is_touched": is_touched, **self._poses()}
+        return Judgement(success=success, progress=progress, is_placed=is_there & is_released, info=info)
 
 
 def is_flat(pose: NDArray[np.float64]) -> NDArray[np.bool_]:

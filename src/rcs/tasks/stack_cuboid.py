@@ -34,11 +34,10 @@ class StackCuboid(Task):
     lifted the cuboid off the table before, and must have let go of it within 3 cm of the place right above the block: a
     cuboid that is dropped or thrown there does not count. This is judged at the end of each step.
 
-    The dense reward is the progress since the last step, plus 1 at success. Progress has a quarter each for reaching,
-    grasping, carrying and letting go.
+    Progress, of which the reward is made, has a quarter each for reaching, grasping, carrying and letting go.
     """
 
-    memory = (*Task.memory, "_delivery")
+    memory = ("_delivery",)
     instruction = "put the green cuboid on the blue block"
     expert = "StackExpert"
     Options = RestOptions
@@ -96,8 +95,7 @@ class StackCuboid(Task):
         """Judge where the cuboid is and whether it was set down there."""
         block = self._world.poses[..., self._poses[BLOCK], :]
         is_ready = is_flat(block) & (self._world.forces[..., self._block_touched] == 0.0)
-        progress, info = self._delivery.judge(np.inf, is_ready)
-        return Judgement(reward=self.reward(progress, info["success"]), terminated=info["success"], info=info)
+        return self._delivery.judge(np.inf, is_ready)
 
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return where the cuboid is, and where it belongs."""

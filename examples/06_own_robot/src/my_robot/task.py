@@ -23,7 +23,7 @@ LINE = 0.10
 class PushToLine(Task):
     """Push the block over the white line.
 
-    The reward is 1 at success and falls to 0 with the distance that is left: `1 - tanh(5 d)`.
+    Progress, of which the reward is made, falls from 1 to 0 with the distance that is left: `1 - tanh(5 d)`.
     """
 
     instruction = "push the block over the line"
@@ -63,12 +63,7 @@ class PushToLine(Task):
         """Judge how far the block still has to go."""
         block = self._block()
         left = np.maximum(self.area.center[0] + LINE - block[..., 0], 0.0)
-        success = left == 0.0
-        return Judgement(
-            reward=self.reward(1.0 - np.tanh(5.0 * left), success),
-            terminated=success,
-            info={"success": success, BLOCK: block},
-        )
+        return Judgement(success=left == 0.0, progress=1.0 - np.tanh(5.0 * left), info={BLOCK: block})
 
     def describe(self) -> dict[str, NDArray[Any]]:
         """Return where the block lies at the start."""

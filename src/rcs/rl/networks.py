@@ -1,0 +1,75 @@
+"""Stable-Baselines3's learners and policies, made from the records that are stored with checkpoints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gymnasium import spaces
+
+from rcs.rl.algorithms import Algorithm, Ppo
+from rcs.rl.flat import Flat
+from rcs.rl.packages import package
+from rcs.rl.sb3 import Sb3VecEnv
+from rcs.rl.training import Training
+
+FEATURES_PER_CAMERA = 256
+"""Numbers that the convolutions (Mnih et al. 2015) make of each frame; Stable-Baselines3's usual figure."""
+
+
+def make_model(training: Training, envs: Sb3VecEnv) -> Any:
+    """Return a learner of Stable-Baselines3, with its weights drawn from the training's seed.
+
+    Raises:
+        MissingDependency: torch or Stable-Baselines3 is not installed.
+    """
+    algorithm, sb3 = training.algorithm, package("stable_baselines3")
+    has_images = isinstance(envs.observation_space, spaces.Dict)
+    common: dict[str, Any] = {
+        "policy": "MultiInputPolicy" if has_images else "MlpPolicy",
+        "env": envs,
+        "gamma": training.setup.discount,
+        "learning_rate": _rate(algorithm),
+        "batch_size": algorithm.batch_size,
+        "policy_kwargs": _network(algorithm, has_images=has_images),
+        "seed": training.seed % 2**32,  # the range of NumPy's
+        "device": training.device,
+    }
+    if isinstance(algorithm, Ppo):
+        names = ("n_steps", "n_epochs", "gae_lambda", "clip_range", "ent_coef", "vf_coef", "max_grad_norm", "target_kl")
+        return sb3.PPO(**common, **{name: getattr(algorithm, name) for name in names})
+    names = ("gradient_steps", "buffer_size", "learning_starts", "tau")
+    ent_coef = "auto" if algorithm.ent_coef is None else algorithm.ent_coef
+    return sb3.SAC(**common, ent_coef=ent_coef, **{name: getattr(algorithm, name) for name in names})
+
+
+def make_policy(algorithm: Algorithm, flat: Flat) -> Any:
+    """Return the policy of an algorithm as a torch module on the CPU, with weights to be loaded.
+
+    Raises:
+        MissingDependency: torch or Stable-Baselines3 is not installed.
+    """
+    has_images = isinstance(flat.observation_space, spaces.Dict)
+    model = package("stable_baselines3").PPO if isinstance(algorithm, Ppo) else package("stable_baselines3").SAC
+    kind = model.policy_aliases["MultiInputPolicy" if has_images else "MlpPolicy"]
+    network = _network(algorithm, has_images=has_images)
+    policy = kind(flat.observation_space, flat.action_space, lambda _: 0.0, **network)
+    policy.set_training_mode(False)
+    return policy
+
+
+def _network(algorithm: Algorithm, *, has_images: bool) -> dict[str, Any]:
+    nn = package("torch.nn")
+    how: dict[str, Any] = {
+        "net_arch": list(algorithm.network),
+        "activation_fn": {"tanh": nn.Tanh, "relu": nn.ReLU}[algorithm.activation],
+    }
+    if isinstance(algorithm, Ppo):
+        how["log_std_init"] = algorithm.log_std_init
+    if has_images:
+        how["features_extractor_kwargs"] = {"cnn_output_dim": FEATURES_PER_CAMERA}
+    return how
+
+
+def _rate(algorithm: Algorithm) -> Any:
+    start = algorithm.learning_rate
+    return start if algorithm.schedule == "constant" else lambda remaining: start * remaining
