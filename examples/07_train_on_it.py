@@ -1,56 +1,87 @@
-"""Record scripted episodes, cut them into windows, and train a small network on them: behaviour cloning.
+"""Record scripted episodes, train a small network on them, and let it act: behaviour cloning, and how often it succeeds.
 
-Needs torch: pip install 'robot-control-stack[torch]'. With `cameras=("wrist",)` in the setup, batches have images too.
+The network sees joints, opening, and the poses of TCP and cuboid: it is told where the cuboid is. Needs torch: pip install
+'robot-control-stack[torch]'. The figures are those of 200 episodes; EPISODES=20 is quick, and rarely succeeds.
 """
 
 from __future__ import annotations
 
+import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch  # pyright: ignore[reportMissingImports]
 
 import rcs
+from rcs.agents import Agent
 from rcs.data import Dataset, Windows
 from rcs.data.torch import TorchDataset, collate
-from rcs.rollout import Collection, Progress, collect
+from rcs.rollout import Collection, Evaluation, Progress, Summary, collect, evaluate
+
+EPISODES = int(os.environ.get("EPISODES", "200"))
+STATE = ("joints", "gripper", "tquat", "privileged/cuboid/tquat")
+EPOCHS, UNSEEN = 20, 10**6  # UNSEEN: seed of an evaluation that has none of the recorded starts
 
 folder = tempfile.TemporaryDirectory()
-setup = rcs.Setup(task="PickCuboid", robot="fr3")
-for _ in collect(Collection(setup=setup, out=Path(folder.name), episodes=12, seed=0), Progress()):
+setup = rcs.Setup(task="PickCuboid", robot="fr3", observe=("privileged",), frequency=10, max_episode_steps=100)
+plan = Collection(setup=setup, out=Path(folder.name), episodes=EPISODES, only_success=True)
+for _ in collect(plan, Progress()):
     pass
-
-dataset = Dataset.open(folder.name)
-good = [episode for episode in dataset.episodes if episode.success]
-windows = Windows(dataset, horizon=8, episodes=good[:-2])
-unseen = Windows(dataset, horizon=8, episodes=good[-2:])
-print(f"{len(windows)} windows of {len(good) - 2} episodes to train on, {len(unseen)} of 2 others to test on")
-
-statistics = windows.statistics()  # of the training episodes alone
-names = ("state", "actions")
-means = {name: torch.tensor(statistics[name].mean, dtype=torch.float32) for name in names}
-spreads = {name: torch.tensor(statistics[name].std, dtype=torch.float32).clamp(min=1e-4) for name in names}
+windows = Windows(Dataset.open(folder.name), horizon=1, state=[f"observation/{key}" for key in STATE])
+states, actions = windows.statistics()["state"], windows.statistics()["actions"]
+print(f"{len(windows)} steps of {EPISODES} episodes to train on")
 
 torch.manual_seed(0)
-numbers_in, numbers_out = windows.state_layout.size, 8 * windows.action_layout.size
-network = torch.nn.Sequential(torch.nn.Linear(numbers_in, 128), torch.nn.ReLU(), torch.nn.Linear(128, numbers_out))
+torch.set_num_threads(1)  # of several, small networks are slower
+network = torch.nn.Sequential(
+    torch.nn.Linear(windows.state_layout.size, 256), torch.nn.ReLU(), torch.nn.Linear(256, 256), torch.nn.ReLU(),
+    torch.nn.Linear(256, windows.action_layout.size),
+)  # fmt: skip
 optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
-
-
-def loss_of(batch: dict[str, torch.Tensor]) -> torch.Tensor:
-    """Return how far the actions are off, in standard deviations; those after the end do not count."""
-    state, actions = ((batch[name] - means[name]) / spreads[name] for name in names)
-    distance = (network(state[:, -1]).view_as(actions) - actions).abs().mean(dim=2)
-    return distance[~batch["is_pad"]].mean()
-
-
-test = torch.utils.data.default_collate([TorchDataset(unseen)[i] for i in range(len(unseen))])
-loader = torch.utils.data.DataLoader(TorchDataset(windows), batch_size=64, shuffle=True, collate_fn=collate)
-print(f"before training: {loss_of(test).item():.2f} standard deviations off")
-for _ in range(20):
+loader = torch.utils.data.DataLoader(TorchDataset(windows), batch_size=128, shuffle=True, collate_fn=collate)
+schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, EPOCHS * len(loader))
+for epoch in range(EPOCHS):
+    losses: list[float] = []
     for batch in loader:
+        # Without floors, numbers that hardly vary in the recordings are blown up when they do.
+        state = torch.from_numpy(states.normalise(batch["state"][:, 0].numpy(), floor=0.05)).float()
+        wanted = torch.from_numpy(actions.normalise(batch["actions"][:, 0].numpy(), floor=0.002)).float()
+        loss = torch.nn.functional.smooth_l1_loss(network(state), wanted)
         optimiser.zero_grad()
-        loss_of(batch).backward()
+        loss.backward()
         optimiser.step()
-print(f"after 20 epochs: {loss_of(test).item():.2f}")
+        schedule.step()
+        losses.append(loss.item())
+    if epoch % 5 == 4:
+        print(f"epoch {epoch + 1}: loss {np.mean(losses):.4f}, which says little; what it does says more")
+
+
+class Clone(Agent):
+    """Acts by the network."""
+
+    def __init__(self, env: rcs.Env) -> None:
+        box = env.action_space["joints"]
+        self.low, self.high = box.low, box.high
+
+    def reset(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> None:
+        """Do nothing: it remembers nothing."""
+
+    def act(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what the expert would have done, as far as the network knows."""
+        cuboid = observation["privileged"]["cuboid"]["tquat"]
+        state = np.concatenate([*(observation[key] for key in STATE[:-1]), cuboid])
+        with torch.no_grad():
+            made = network(torch.from_numpy(states.normalise(state, floor=0.05)).float()).numpy()
+        action = actions.denormalise(made, floor=0.002)
+        return {"joints": np.clip(action[:-1], self.low, self.high), "gripper": np.clip(action[-1:], 0, 1)}
+
+
+summary = Summary()
+for _ in evaluate(Evaluation(setup=setup, agent=Clone, episodes=max(EPISODES // 2, 5), seed=UNSEEN), summary):
+    pass
+low, high = summary.interval
+print(f"{summary.successes} of {summary.judged} episodes succeed (95 % interval {low:.0%} to {high:.0%})")
 folder.cleanup()
