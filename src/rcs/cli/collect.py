@@ -12,6 +12,7 @@ from rcs.cli.console import plain_console
 from rcs.cli.runs import INTERRUPTED, RunOptions, interruptible, results_table, show
 from rcs.data.view import write_report
 from rcs.envs.observers.recorder import Colour
+from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.evaluate import Summary
 
@@ -21,7 +22,8 @@ class CollectCommand(RunOptions):
     """Collect a dataset of scripted episodes and write a report page.
 
     Episode i depends only on the seed and on i, so the same command resumes an interrupted collection, and the number
-    of workers does not change the data. Ctrl-C ends after the running episodes; a second one ends at once.
+    of workers does not change the data, nor does a cluster. Ctrl-C ends after the running episodes; a second one ends at
+    once.
     """
 
     episodes: int = 20
@@ -30,6 +32,8 @@ class CollectCommand(RunOptions):
     """Folder of the dataset."""
     only_success: bool = False
     """Keep successful episodes only, and try until there are enough."""
+    most_attempts: int | None = None
+    """Attempts after which `--only-success` gives up; by default 100 without a single success, else 20 per episode."""
     colour: Colour = "jpeg"
     """Encoding of colour frames; `lossless` takes about four times the space."""
     jpeg_quality: int = 95
@@ -42,14 +46,18 @@ class CollectCommand(RunOptions):
     def run(self) -> int:
         """Collect, print the results and return the exit code."""
         console = plain_console(soft_wrap=False)
+        if self.viewer and self.cluster:
+            raise InvalidSetup("One watches in this process; use --viewer without --ray and --ray-address.")
         collection = Collection(
             setup=self.setup("realtime" if self.viewer else "async"),
             out=self.out,
             episodes=self.episodes,
             seed=self.seed,
             only_success=self.only_success,
+            most_attempts=self.most_attempts,
             agent=self.agent,
             workers=1 if self.viewer else self.processes,
+            ray=self.cluster,
             colour=self.colour,
             jpeg_quality=self.jpeg_quality,
         )
@@ -61,7 +69,7 @@ class CollectCommand(RunOptions):
         progress = Progress()
         with interruptible(progress, console):
             title = f"{self.task} on {self.robot}"
-            show(collect(collection, progress), title, self.episodes, console, lambda: progress.kept)
+            show(collect(collection, progress), title, self.episodes, console, progress, lambda: progress.kept)
         _summarise(collection, progress, console)
         if self.report and progress.kept:
             page = write_report(collection.out, wall_time=progress.seconds or None)
@@ -77,6 +85,6 @@ def _summarise(collection: Collection, progress: Progress, console: Console) -> 
         console.print(f"{progress.again} episodes cut short by a kill were collected again.")
     if progress.attempts:
         summary = Summary(attempts=progress.attempts)
-        console.print(results_table(summary, progress.seconds, collection.workers))
+        console.print(results_table(summary, progress.seconds, progress.cluster or collection.workers))
     else:
         console.print(f"Nothing to do: {collection.out} has {progress.kept} episodes.", soft_wrap=True)

@@ -39,6 +39,7 @@ class EvalCommand(RunOptions):
             episodes=self.episodes,
             seed=self.seed,
             workers=self.processes,
+            ray=self.cluster,
             videos=videos,
             out=self.out,
         )
@@ -47,10 +48,14 @@ class EvalCommand(RunOptions):
         try:
             with interruptible(summary, console):
                 title = f"{self.task} on {self.robot}"
-                show(evaluate(evaluation, summary), title, self.episodes, console, lambda: len(summary.attempts))
+                show(
+                    evaluate(evaluation, summary), title, self.episodes, console, summary, lambda: len(summary.attempts)
+                )
         finally:
             if summary.attempts:
-                console.print(results_table(summary, time.perf_counter() - started, evaluation.workers))
+                console.print(
+                    results_table(summary, time.perf_counter() - started, summary.cluster or evaluation.workers)
+                )
                 console.print(f"Figures: {summary.write(evaluation)}", soft_wrap=True)
                 if videos:
                     console.print(f"Videos: {self.out}", soft_wrap=True)

@@ -21,8 +21,10 @@ from rcs.envs.reward import RewardKind
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
+from rcs.rollout.cluster import LOCAL
 from rcs.rollout.collect import Attempt
 from rcs.rollout.evaluate import Summary
+from rcs.rollout.ray_pool import Tally
 from rcs.setups.lab import lab_of
 from rcs.sim.detail import Assets
 from rcs.sim.randomisation import Preset, Randomisation
@@ -122,20 +124,31 @@ class RunOptions(SetupOptions):
     episodes: int = 20
     """How many episodes."""
     workers: int = 0
-    """Processes; 0 for one per CPU core."""
+    """Processes; 0 for one per CPU core, with `--ray-address` of the whole cluster."""
+    ray: bool = False
+    """Run the processes with Ray, on this machine if there is no `--ray-address`; needs the extra `ray`."""
+    ray_address: str | None = None
+    """Address of a Ray cluster for the processes: `auto` for the one that this machine is a part of, or `host:port`."""
     out: Path
     """Folder for what the command makes."""
 
     @property
     def processes(self) -> int:
-        """How many workers to start: no more than there are episodes.
+        """How many workers to start: no more than there are episodes; 0 for one per CPU of a cluster.
 
         Raises:
             InvalidSetup: The number asked for makes no sense.
         """
         if self.workers < 0:
             raise InvalidSetup(f"workers is {self.workers}; valid is 0 (one per core) and more.")
+        if self.cluster not in (None, LOCAL):
+            return self.workers
         return min(self.workers or os.cpu_count() or 1, max(self.episodes, 1))
+
+    @property
+    def cluster(self) -> str | None:
+        """Address of the Ray cluster; None for processes without Ray."""
+        return self.ray_address or (LOCAL if self.ray else None)
 
 
 def _option(given: str) -> tuple[str, Any]:
@@ -148,7 +161,16 @@ def _option(given: str) -> tuple[str, Any]:
         return name, value
 
 
-def show(attempts: Iterable[Attempt], title: str, total: int, console: Console, done: Callable[[], int]) -> None:
+class Run(Protocol):
+    """A run that ends after the episodes at work once it is told to."""
+
+    is_interrupted: bool
+    cluster: Tally | None
+
+
+def show(
+    attempts: Iterable[Attempt], title: str, total: int, console: Console, run: Run, done: Callable[[], int]
+) -> None:
     """Go through attempts with a bar that tells how many succeed and how fast they are made.
 
     Args:
@@ -156,6 +178,7 @@ def show(attempts: Iterable[Attempt], title: str, total: int, console: Console, 
         title: What is written before the bar.
         total: How many there shall be in the end.
         console: Where the bar is.
+        run: Says where the attempts are made.
         done: Returns how many there are.
     """
     columns = (
@@ -173,17 +196,20 @@ def show(attempts: Iterable[Attempt], title: str, total: int, console: Console, 
         for attempt in attempts:
             made.attempts.append(attempt)
             speed = len(made.attempts) / (time.perf_counter() - start)
-            bar.update(task, completed=min(done(), total), told=f"{_rate(made)}, {speed:.2f} episodes/s")
+            told = f"{_rate(made)}, {speed:.2f} episodes/s"
+            if run.cluster is not None and len(run.cluster.machines) > 1:
+                told += f" on {len(run.cluster.machines)} machines"
+            bar.update(task, completed=min(done(), total), told=told)
         bar.update(task, completed=done())
 
 
-def results_table(summary: Summary, seconds: float, workers: int) -> Table:
+def results_table(summary: Summary, seconds: float, workers: int | Tally) -> Table:
     """Return how attempts went, and how fast they were made.
 
     Args:
         summary: The attempts, at least one.
         seconds: Wall time [s].
-        workers: How many processes made them.
+        workers: How many processes made them, or where on a cluster they were made.
     """
     made, steps = len(summary.attempts), sum(result.steps for result in summary.results)
     low, high = (100 * bound for bound in summary.interval)
@@ -202,14 +228,8 @@ def _rate(summary: Summary, word: str = " success") -> str:
     return f"{100 * summary.successes / summary.judged:.1f} %{word}" if summary.judged else "not judged"
 
 
-class Interruptible(Protocol):
-    """A run that ends after the episodes at work once it is told to."""
-
-    is_interrupted: bool
-
-
 @contextmanager
-def interruptible(run: Interruptible, console: Console) -> Generator[None]:
+def interruptible(run: Run, console: Console) -> Generator[None]:
     """Let the first Ctrl-C end a run after the episodes at work; the second, or SIGTERM, at once."""
 
     def on_interrupt(number: int, frame: object) -> None:

@@ -62,7 +62,7 @@ def sync_folder(path: Path) -> None:
         os.close(fd)
 
 
-def write_file(path: Path, data: bytes) -> None:
+def write_file(path: Path, data: bytes | memoryview) -> None:
     """Replace a whole file in one step: after a kill, either the old or the new one is there.
 
     The caller syncs the folder if the name itself must be on the disk.
@@ -142,7 +142,7 @@ class HashedFile:
         self._pending = bytearray()
         self.closed = False
 
-    def write(self, data: bytes) -> int:
+    def write(self, data: bytes | memoryview) -> int:
         """Append bytes, buffered in large pieces. After `close` they are dropped."""
         if self.closed:
             return len(data)

@@ -41,20 +41,34 @@ def new_output(out: str | Path) -> Generator[Path]:
     refuse_existing(target)
     with disk_errors("write", target):
         target.parent.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(target)
-        partial, lock = _claim(target)
-        try:
+        with temporary_folder(target) as partial:
             yield partial
             refuse_existing(target)
             if target.is_dir():
                 target.rmdir()
             partial.rename(target)
             sync_folder(target.parent)
-        finally:
-            with suppress(OSError):
-                remove_tree(partial)
-            _lock_of(partial).unlink(missing_ok=True)
-            lock.release()
+
+
+@contextmanager
+def temporary_folder(target: Path) -> Generator[Path]:
+    """Yield a free path beside a target, and remove what is there at the end; the next call does it after a kill.
+
+    Args:
+        target: An absolute path, whose folder exists; nothing is done to it.
+
+    Raises:
+        OSError: What a killed call left cannot be removed, or the disk fails.
+    """
+    remove_leftovers(target)
+    partial, lock = _claim(target)
+    try:
+        yield partial
+    finally:
+        with suppress(OSError):
+            remove_tree(partial)
+        _lock_of(partial).unlink(missing_ok=True)
+        lock.release()
 
 
 def remove_leftovers(target: Path) -> list[Path]:

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
+from rcs.data.adopt import Files, adopt
 from rcs.data.durable import disk_errors, remove_folder, sync_folder
 from rcs.data.episode_writer import EpisodeWriter
 from rcs.data.head import Head, has_head, read_head, write_head
@@ -129,6 +130,22 @@ class DatasetWriter:
         self._open = [other for other in self._open if other.state == "open"]
         self._open.append(writer)
         return writer
+
+    def adopt(self, episode_id: str, files: Files) -> None:
+        """Take in a complete episode that was recorded into another dataset of the same info, byte for byte.
+
+        Args:
+            episode_id: The episode; what a dead worker left of it is removed.
+            files: The contents of all files of its folder, by name.
+
+        Raises:
+            InvalidSetup: The id cannot be the name of a folder.
+            CorruptEpisode: The files are not what was written, or not those of this episode of such a dataset.
+            DatasetError: An episode has this name, the writer is closed, or the disk fails.
+        """
+        if self._is_closed:
+            raise DatasetError(f"Cannot take in episode {episode_id!r}: the writer of {self.path} is closed.")
+        adopt(self._base, self.info, episode_id, files)
 
     def discard_leftover(self, episode_id: str) -> bool:
         """Remove the open episode of a worker that died, so that its id is free; return whether there was one.

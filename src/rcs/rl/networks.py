@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from gymnasium import spaces
@@ -57,6 +58,19 @@ def make_policy(algorithm: Algorithm, flat: Flat) -> Any:
     return policy
 
 
+def mean_action(policy: Any) -> Callable[[Any], Any]:
+    """Return the function from observations to a policy's mean actions, both as tensors with a leading axis.
+
+    It is what the policy does without exploration, without the distributions that its own methods make on the way.
+    """
+    if hasattr(policy, "actor"):
+        actor, torch = policy.actor, package("torch")
+        return lambda observation: torch.tanh(actor.get_action_dist_params(observation)[0])
+    return lambda observation: policy.action_net(
+        policy.mlp_extractor.forward_actor(policy.extract_features(observation, policy.pi_features_extractor))
+    )
+
+
 def _network(algorithm: Algorithm, *, has_images: bool) -> dict[str, Any]:
     nn = package("torch.nn")
     how: dict[str, Any] = {
@@ -72,4 +86,4 @@ def _network(algorithm: Algorithm, *, has_images: bool) -> dict[str, Any]:
 
 def _rate(algorithm: Algorithm) -> Any:
     start = algorithm.learning_rate
-    return start if algorithm.schedule == "constant" else lambda remaining: start * remaining
+    return start if algorithm.schedule == "constant" else lambda remaining: start * max(remaining, 0.0)

@@ -1,7 +1,7 @@
-"""Collects a dataset of scripted episodes, in one process or several.
+"""Collects a dataset of scripted episodes, in one process, several, or on the machines of a cluster.
 
-Episode i depends only on the seed of the collection and on i, so the number of workers, interruption and resumption do
-not change the data.
+Episode i depends only on the seed of the collection and on i, so the number of workers, where they are, interruption
+and resumption do not change the data.
 """
 
 from __future__ import annotations
@@ -17,20 +17,27 @@ from typing import Any
 import numpy as np
 
 from rcs.agents import agent_for
-from rcs.data import Dataset, DatasetWriter
+from rcs.data import Dataset, DatasetInfo, DatasetWriter
+from rcs.data.layout import EPISODES_FOLDER
 from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Colour, Recorder, dataset_info, require_recordable
 from rcs.envs.setup import Setup
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, RcsError
+from rcs.rollout.cluster import LOCAL
 from rcs.rollout.episode import EpisodeResult, run_episode
+from rcs.rollout.parcel import Courier
 from rcs.rollout.pool import WorkerPool
+from rcs.rollout.ray_pool import RayPool, Tally
 from rcs.setups.make import make
 
 _log = logging.getLogger(__name__)
 
 # The id of an attempt, made by `episode_id`.
 _ATTEMPT = re.compile(r"\d{6,}")
+# Attempts after which a collection of successes alone gives up: without a single one, and per episode wanted.
+_MOST_WITHOUT_SUCCESS = 100
+_MOST_PER_EPISODE = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +53,14 @@ class Collection:
     """Same seed, same data."""
     only_success: bool = False
     """Keep successful episodes only, and try until there are enough."""
+    most_attempts: int | None = None
+    """Attempts after which `only_success` gives up with an error; None for 100 without a single success, and else 20
+    for each episode, and at least 100."""
     workers: int = 1
-    """Processes; one works in this process."""
+    """Processes; one works in this process. With `ray`, 0 is one per CPU of the cluster."""
+    ray: str | None = None
+    """Where the processes are: the address of a Ray cluster (`local` for one of this machine, `auto`, `host:port`), or
+    None for this machine, without Ray. Episodes travel through Ray; `out` need not be seen from other machines."""
     colour: Colour = "jpeg"
     """Encoding of colour frames."""
     jpeg_quality: int = 95
@@ -61,11 +74,20 @@ class Collection:
         Raises:
             InvalidSetup: A number is not valid.
         """
-        for name, least in (("episodes", 1), ("seed", 0), ("workers", 1)):
+        fewest = 1 if self.ray in (None, LOCAL) else 0
+        for name, least in (("episodes", 1), ("seed", 0), ("workers", fewest), ("most_attempts", 1)):
             value = getattr(self, name)
+            if name == "most_attempts" and value is None:
+                continue
             if not isinstance(value, int) or value < least:
                 raise InvalidSetup(f"{name} is {value}; valid is {least} and more.")
         require_recordable(self.setup)
+
+    def attempts_before_giving_up(self, kept: int) -> int:
+        """Return after how many attempts a collection of successes alone gives up, when some episodes are kept."""
+        if self.most_attempts is not None:
+            return self.most_attempts
+        return _MOST_WITHOUT_SUCCESS if kept == 0 else max(_MOST_WITHOUT_SUCCESS, _MOST_PER_EPISODE * self.episodes)
 
     @property
     def agent_name(self) -> str | None:
@@ -102,6 +124,8 @@ class Progress:
     """Attempts cut short by a kill, which are made again from the start."""
     attempts: list[Attempt] = field(default_factory=list[Attempt])
     """Attempts of this run, in the order of their ends."""
+    cluster: Tally | None = None
+    """Where the attempts were made, and how many were lost; None without a cluster."""
     is_interrupted: bool = False
     seconds: float = 0.0
     """Wall time of this run [s]."""
@@ -152,7 +176,7 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
 
     Attempts that an earlier collection left unfinished, recovered or not, are made again from the start. Closing the
     iterator, or setting `progress.is_interrupted`, ends the collection after the running episodes; the dataset stays
-    resumable.
+    resumable. On a cluster, closing the iterator drops the running episodes.
 
     Args:
         collection: What to collect.
@@ -163,6 +187,7 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
     Raises:
         DatasetError: The dataset cannot be written, is locked, or belongs to another setup.
         InvalidSetup: The setup is not valid.
+        RcsError: Too many attempts were no success, a worker process died, or the cluster cannot be reached.
     """
     env = env or make(collection.setup)
     try:
@@ -178,11 +203,12 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
             start = time.perf_counter()
             numbers = _numbers(collection, progress, taken)
             try:
-                if collection.workers == 1:
+                if collection.workers == 1 and collection.ray is None:
                     yield from _collect_here(collection, writer, env, numbers, progress)
                 else:
                     env.close()
                     yield from _collect_in_pool(collection, writer, numbers, progress)
+                _require_enough(collection, progress)
             finally:
                 progress.seconds = time.perf_counter() - start
     finally:
@@ -206,13 +232,24 @@ def _numbers(collection: Collection, progress: Progress, taken: set[str]) -> Ite
     number = 0
     while not progress.is_interrupted:
         if collection.only_success:
-            if progress.kept >= collection.episodes:
+            if progress.kept >= collection.episodes or number >= collection.attempts_before_giving_up(progress.kept):
                 return
         elif number >= collection.episodes:
             return
         if episode_id(number) not in taken:
             yield number
         number += 1
+
+
+def _require_enough(collection: Collection, progress: Progress) -> None:
+    """Raise if a collection of successes alone has given up."""
+    if progress.kept < collection.episodes and collection.only_success and not progress.is_interrupted:
+        most = collection.attempts_before_giving_up(progress.kept)
+        raise RcsError(
+            f"Of {most} attempts {progress.kept} succeeded, and {collection.episodes} were wanted; the collection in "
+            f"{collection.out} gives up. Look why attempts fail (without only_success they are recorded), or allow "
+            f"more with most_attempts, now {most}."
+        )
 
 
 def _collect_here(
@@ -228,10 +265,9 @@ def _collect_here(
 def _collect_in_pool(
     collection: Collection, writer: DatasetWriter, numbers: Iterator[int], progress: Progress
 ) -> Iterator[Attempt]:
-    with WorkerPool(_Work(collection), collection.workers) as pool:
-        for attempt in pool.map(numbers):
-            _count(attempt, collection, progress)
-            yield attempt
+    for attempt in _attempts(collection, writer, numbers, progress):
+        _count(attempt, collection, progress)
+        yield attempt
     # Other workers had running attempts when the last one succeeded. Those with the lowest numbers stay, so that the
     # dataset does not depend on the workers' speed.
     kept = [episode.id for episode in Dataset.open(collection.out).episodes]
@@ -239,6 +275,22 @@ def _collect_in_pool(
         for surplus in sorted(kept)[collection.episodes :]:
             writer.remove_episode(surplus)
         progress.kept = min(len(kept), collection.episodes)
+
+
+def _attempts(
+    collection: Collection, writer: DatasetWriter, numbers: Iterator[int], progress: Progress
+) -> Iterator[Attempt]:
+    if collection.ray is None:
+        with WorkerPool(_Work(collection), collection.workers) as pool:
+            yield from pool.map(numbers)
+        return
+    away = _WorkAway(collection, writer.info)
+    with RayPool(away, collection.workers, collection.ray, most=collection.episodes) as pool:
+        progress.cluster = pool.tally
+        for parcel in pool.map(numbers):
+            for name, files in parcel.by_folder().items():
+                writer.adopt(name, files)
+            yield parcel.result
 
 
 def _count(attempt: Attempt, collection: Collection, progress: Progress) -> None:
@@ -254,3 +306,17 @@ class _Work:
 
     def __call__(self) -> Collector:
         return Collector(self.collection, DatasetWriter.join(self.collection.out))
+
+
+@dataclass(frozen=True)
+class _WorkAway:
+    """Makes the worker on another machine, which records into a dataset of its own and sends each episode."""
+
+    collection: Collection
+    info: DatasetInfo
+
+    def __call__(self) -> Courier:
+        return Courier(self._worker, outbox=EPISODES_FOLDER)
+
+    def _worker(self, folder: Path) -> Collector:
+        return Collector(self.collection, DatasetWriter.open(folder, self.info))

@@ -1,11 +1,11 @@
-"""Measures how often an agent succeeds in seeded episodes, in one process or several, with videos."""
+"""Measures how often an agent succeeds in seeded episodes, in one process, several, or on a cluster, with videos."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,12 @@ from rcs.envs.observers.recorder import versions
 from rcs.envs.setup import Setup
 from rcs.envs.stack import for_all
 from rcs.errors import InvalidSetup
+from rcs.rollout.cluster import LOCAL
 from rcs.rollout.collect import Attempt, seed_of
 from rcs.rollout.episode import EpisodeResult, Judge, run_episode
+from rcs.rollout.parcel import Courier
 from rcs.rollout.pool import WorkerPool
+from rcs.rollout.ray_pool import RayPool, Tally
 from rcs.rollout.video import Film
 from rcs.setups.make import make
 
@@ -35,7 +38,10 @@ class Evaluation:
     seed: int = 0
     """Same seed, same episodes; different seeds share none."""
     workers: int = 1
-    """Processes; one works in this process."""
+    """Processes; one works in this process. With `ray`, 0 is one per CPU of the cluster."""
+    ray: str | None = None
+    """Where the processes are: the address of a Ray cluster (`local` for one of this machine, `auto`, `host:port`), or
+    None for this machine, without Ray."""
     videos: int = 0
     """How many of the first episodes have a video, `<number>.mp4`."""
     out: Path = Path("evaluation")
@@ -47,7 +53,8 @@ class Evaluation:
         Raises:
             InvalidSetup: A number is not valid.
         """
-        for name, least in (("episodes", 1), ("seed", 0), ("workers", 1), ("videos", 0)):
+        fewest = 1 if self.ray in (None, LOCAL) else 0
+        for name, least in (("episodes", 1), ("seed", 0), ("workers", fewest), ("videos", 0)):
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least}.")
@@ -65,6 +72,8 @@ class Summary:
 
     attempts: list[Attempt] = field(default_factory=list[Attempt])
     """In the order in which they ended."""
+    cluster: Tally | None = None
+    """Where the attempts were made, and how many were lost; None without a cluster."""
     is_interrupted: bool = False
     """Set it to end the evaluation after the episodes at work."""
 
@@ -158,6 +167,16 @@ class _Work:
         return Evaluator(self.evaluation)
 
 
+@dataclass(frozen=True)
+class _WorkAway:
+    """Makes the worker on another machine, which sends its videos."""
+
+    evaluation: Evaluation
+
+    def __call__(self) -> Courier:
+        return Courier(lambda folder: Evaluator(replace(self.evaluation, out=folder)))
+
+
 def evaluate(
     evaluation: Evaluation, summary: Summary | None = None, *, env: Env | None = None, judge: Judge | None = None
 ) -> Iterator[Attempt]:
@@ -174,10 +193,11 @@ def evaluate(
 
     Raises:
         InvalidSetup: The setup makes no sense, there is no such agent, or videos are asked of real devices alone.
+        RcsError: A worker process died, or the cluster cannot be reached.
     """
     summary = Summary() if summary is None else summary
     numbers = _numbers(evaluation, summary)
-    if evaluation.workers == 1 or env is not None or judge is not None:
+    if (evaluation.workers == 1 and evaluation.ray is None) or env is not None or judge is not None:
         evaluator = Evaluator(evaluation, env, judge)
         try:
             for number in numbers:
@@ -186,10 +206,21 @@ def evaluate(
         finally:
             evaluator.close()
         return
-    with WorkerPool(_Work(evaluation), evaluation.workers) as pool:
-        for attempt in pool.map(numbers):
-            summary.attempts.append(attempt)
-            yield attempt
+    for attempt in _attempts(evaluation, numbers, summary):
+        summary.attempts.append(attempt)
+        yield attempt
+
+
+def _attempts(evaluation: Evaluation, numbers: Iterator[int], summary: Summary) -> Iterator[Attempt]:
+    if evaluation.ray is None:
+        with WorkerPool(_Work(evaluation), evaluation.workers) as pool:
+            yield from pool.map(numbers)
+        return
+    with RayPool(_WorkAway(evaluation), evaluation.workers, evaluation.ray, most=evaluation.episodes) as pool:
+        summary.cluster = pool.tally
+        for parcel in pool.map(numbers):
+            parcel.unpack(evaluation.out)
+            yield parcel.result
 
 
 def _numbers(evaluation: Evaluation, summary: Summary) -> Iterator[int]:

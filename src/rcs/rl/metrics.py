@@ -1,0 +1,127 @@
+"""The figures of a run over its steps: a line each in a file, and the same as TensorBoard's events."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rcs.data.durable import disk_errors, remove_tree, write_all, write_file
+from rcs.data.json_file import parsed_json
+from rcs.errors import CorruptEpisode
+from rcs.rl.packages import package
+
+METRICS = "metrics.jsonl"
+TENSORBOARD = "tensorboard"
+
+EPISODES, SUCCESSES, JUDGED = "evaluation/episodes", "evaluation/successes", "evaluation/judged"
+RATE, REWARD, LENGTH = "evaluation/success_rate", "evaluation/reward", "evaluation/length"
+SPEED = "time/steps_per_s"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """Figures of one moment of a run."""
+
+    steps: int
+    """Environment steps before, of all copies together."""
+    seconds: float
+    """How long training took until here [s]."""
+    time: float
+    """Seconds since 1970, by the wall clock."""
+    figures: Mapping[str, float]
+    """By names such as `train/loss`; those of updates and of training's episodes are Stable-Baselines3's."""
+
+    def line(self) -> bytes:
+        """Return the row as a line of JSON."""
+        return (json.dumps(vars(self) | {"figures": dict(self.figures)}) + "\n").encode()
+
+
+def read_metrics(run: Path) -> list[Row]:
+    """Return the rows of a run up to the first that is damaged, which a kill leaves at the end; oldest first."""
+    rows: list[Row] = []
+    try:
+        lines = (run / METRICS).read_bytes().split(b"\n")[:-1]
+    except FileNotFoundError:
+        return rows
+    for line in lines:
+        try:
+            values = parsed_json(line, run / METRICS)
+            figures = {str(name): float(value) for name, value in values["figures"].items()}
+            own = {name: float(values[name]) for name in ("seconds", "time")}
+            rows.append(Row(steps=int(values["steps"]), figures=figures, **own))
+        except (CorruptEpisode, KeyError, TypeError, ValueError, AttributeError):
+            break
+    return rows
+
+
+class Metrics:
+    """Writes the figures of a run. After a kill, those that are made again are removed first: none is double."""
+
+    def __init__(self, run: Path, *, after: int) -> None:
+        """Go on with the figures of a run.
+
+        Args:
+            run: Its folder.
+            after: The step that training goes on from; rows after it are removed. -1 removes all.
+
+        Raises:
+            MissingDependency: TensorBoard is not installed.
+            DatasetError: The disk fails.
+        """
+        self.rows = [row for row in read_metrics(run) if row.steps <= after]
+        """All rows, oldest first."""
+        path = run / METRICS
+        with disk_errors("write figures", path):
+            write_file(path, b"".join(row.line() for row in self.rows))
+            self._file = os.open(path, os.O_WRONLY | os.O_APPEND)
+            # Events of a killed process are written anew: TensorBoard would show steps that were made twice.
+            remove_tree(run / TENSORBOARD)
+            self._board = package("torch.utils.tensorboard").SummaryWriter(str(run / TENSORBOARD))
+        self._path = path
+        for row in self.rows:
+            self._show(row)
+
+    def add(self, steps: int, seconds: float, figures: Mapping[str, float]) -> Row:
+        """Add a row; figures that are not finite are left out.
+
+        Raises:
+            DatasetError: The disk fails.
+        """
+        kept = {name: value for name, value in figures.items() if math.isfinite(value)}
+        row = Row(steps=steps, seconds=round(seconds, 3), time=round(time.time(), 3), figures=kept)
+        self.rows.append(row)
+        with disk_errors("write figures", self._path):
+            write_all(self._file, row.line())
+        self._show(row)
+        return row
+
+    def sync(self) -> None:
+        """Bring all rows to the disk, before a checkpoint that counts on them."""
+        with disk_errors("write figures", self._path):
+            os.fsync(self._file)
+        self._board.flush()
+
+    def _show(self, row: Row) -> None:
+        for name, value in row.figures.items():
+            self._board.add_scalar(name, value, row.steps, walltime=row.time)
+
+    def close(self) -> None:
+        """Close the files. Closing twice is harmless."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+            self._board.close()
+
+    def __enter__(self) -> Metrics:
+        """Return the writer itself."""
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        """Close the files."""
+        self.close()

@@ -1,0 +1,264 @@
+"""Training: updates, evaluations and checkpoints, from the start or from where a kill left off.
+
+A run that is killed at any moment goes on from its last checkpoint and ends with the weights, bit for bit, of one that
+was not: checkpoints lie between updates, have all that decides what follows, and appear whole or not at all. An
+evaluation changes nothing that training depends on.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from rcs.envs.observers.recorder import versions
+from rcs.envs.stack import for_all
+from rcs.errors import CorruptCheckpoint
+from rcs.rl.checkpoint import (
+    REPLAY,
+    Checkpoint,
+    Score,
+    best_of,
+    checkpoints_of,
+    open_checkpoint,
+    remove_old,
+    write_checkpoint,
+)
+from rcs.rl.examiner import VIDEOS, Examiner, score_of
+from rcs.rl.flat import Flat
+from rcs.rl.learner import Learner
+from rcs.rl.metrics import EPISODES, JUDGED, LENGTH, RATE, REWARD, SPEED, SUCCESSES, Metrics
+from rcs.rl.networks import mean_action
+from rcs.rl.packages import package
+from rcs.rl.policy import PolicyAgent
+from rcs.rl.run import begin_run, lock_run
+from rcs.rl.sb3 import Sb3VecEnv
+from rcs.rl.threads import measure_physics, measure_torch
+from rcs.rl.training import Training
+from rcs.rollout.collect import Attempt
+from rcs.setups.make import make_vec
+
+_ROWS = 200
+"""About so many rows of figures has a whole training."""
+
+
+@dataclass(kw_only=True)
+class Progress:
+    """The progress of a training; who reads it may set `is_interrupted`."""
+
+    steps: int = 0
+    """Environment steps so far, of all copies together."""
+    total: int = 0
+    """Steps of the whole training."""
+    seconds: float = 0.0
+    """How long training took so far, with the time before kills that is not repeated [s]."""
+    speed: float = 0.0
+    """Steps per second while learning, without evaluations."""
+    score: Score | None = None
+    """The last evaluation."""
+    best: Checkpoint | None = None
+    """The checkpoint that did best."""
+    doing: str = "preparing"
+    """What is being done."""
+    notes: list[str] = field(default_factory=list[str])
+    """What a person should know: what was measured, where it goes on, what was damaged."""
+    is_interrupted: bool = False
+    """Set it to end after the update at work, with a checkpoint."""
+
+
+def train(
+    training: Training, out: str | Path, progress: Progress | None = None, *, threads: int = 0, videos: bool = True
+) -> Iterator[Progress]:
+    """Train until all steps are made, and yield after every update and every episode of an evaluation.
+
+    If there is a run of the same training in the folder, it goes on from the newest checkpoint that is not damaged.
+    Closing the iterator ends the training as a kill does; `progress.is_interrupted` ends it with a checkpoint.
+
+    Args:
+        training: What to train.
+        out: The run's folder; `checkpoint.py` says what is in it.
+        progress: Updated while it runs.
+        threads: Threads for physics and drawing; 0 to measure which number is fastest. They change no result.
+        videos: Whether each evaluation films an episode.
+
+    Raises:
+        MissingDependency: The extra `rl` is not installed.
+        InvalidSetup: The setup makes no sense, or the folder has a run of another training.
+        DatasetError: The folder has other things in it, another process trains there, or the disk fails.
+    """
+    progress = Progress() if progress is None else progress
+    for name in ("torch", "stable_baselines3", "tensorboard"):
+        package(name)
+    run = Path(out)
+    with lock_run(run):
+        training = begin_run(run, training)
+        yield from _Run(run, training, progress, threads, videos).go_on()
+
+
+class _Run:
+    """One process of a training."""
+
+    def __init__(self, run: Path, training: Training, progress: Progress, threads: int, videos: bool) -> None:
+        self._run, self._progress, self._videos = run, progress, videos
+        progress.total = training.steps
+        if not threads:
+            measured = measure_physics(training)
+            progress.notes.append(str(measured))
+            threads = measured.chosen
+        self._envs = make_vec(training.setup, copies=training.copies, threads=threads, autoreset="SameStep")
+        self._examiner: Examiner | None = None
+        try:
+            flat = Flat(self._envs)
+            if not training.torch_threads:
+                measured = measure_torch(training, flat)
+                progress.notes.append(str(measured))
+                training = replace(training, torch_threads=measured.chosen)
+                begin_run(run, training)
+            self._training = training
+            package("torch").set_num_threads(training.torch_threads)
+            self._learner = Learner(training, Sb3VecEnv(self._envs, flat))
+            self._agent = PolicyAgent(mean_action(self._learner.model.policy), flat.layout)
+            self._last = self._restore()
+            self._threads = threads
+        except BaseException:
+            self._envs.close()
+            raise
+        self._started = time.perf_counter() - (self._last.seconds if self._last is not None else 0.0)
+
+    def _restore(self) -> Checkpoint | None:
+        """Go on from the newest checkpoint that is not damaged, and return it; None to start from the beginning."""
+        for place in reversed(checkpoints_of(self._run)):
+            try:
+                checkpoint = open_checkpoint(place)
+                if not checkpoint.can_be_resumed:
+                    continue
+                weights, state = checkpoint.policy(), checkpoint.learner()
+                pieces = checkpoint.replay()
+            except CorruptCheckpoint as err:
+                self._progress.notes.append(f"{err} Going on from the one before.")
+                continue
+            self._learner.load(weights, state)
+            if self._learner.has_replay:
+                self._learner.load_replay(pieces)
+            if checkpoint.steps < self._training.steps:
+                self._progress.notes.append(f"Going on from step {checkpoint.steps}.")
+            return checkpoint
+        return None
+
+    def go_on(self) -> Iterator[Progress]:
+        """Train; see `train`."""
+        progress, learner, training = self._progress, self._learner, self._training
+        try:
+            remove_old(self._run, keep_after=-1 if self._last is None else self._last.steps)
+            scored = [open_checkpoint(place) for place in _readable(self._run)]
+            progress.best = best_of(scored)
+            progress.score = next((one.score for one in reversed(scored) if one.score is not None), None)
+            with Metrics(self._run, after=-1 if self._last is None else self._last.steps) as self._metrics:
+                if self._last is None:
+                    yield from self._evaluate_and_save()
+                logged, learning, made = learner.steps, 0.0, 0
+                while not learner.is_done and not progress.is_interrupted:
+                    before, start = learner.steps, time.perf_counter()
+                    learner.advance()
+                    learning, made = learning + time.perf_counter() - start, made + learner.steps - before
+                    progress.steps, progress.speed, progress.doing = learner.steps, made / learning, "learning"
+                    progress.seconds = self._seconds()
+                    is_end = learner.is_done or progress.is_interrupted
+                    is_due = {
+                        "log": (learner.steps - logged) * _ROWS >= training.steps or is_end,
+                        "evaluate": _passes(before, learner.steps, training.evaluate_every) or learner.is_done,
+                        "save": _passes(before, learner.steps, training.checkpoint_every) or is_end,
+                    }
+                    if any(is_due.values()):
+                        logged = learner.steps
+                        speed = {SPEED: made / learning}
+                        self._metrics.add(learner.steps, self._seconds(), {**learner.figures(), **speed})
+                    if is_due["evaluate"] and training.episodes:
+                        yield from self._evaluate_and_save()
+                    elif is_due["save"] or is_due["evaluate"]:
+                        self._save(None)
+                    yield progress
+        finally:
+            self.close()
+
+    def _evaluate_and_save(self) -> Iterator[Progress]:
+        """Evaluate the policy and write its checkpoint."""
+        progress, training = self._progress, self._training
+        progress.steps, progress.doing = self._learner.steps, "evaluating"
+        if not training.episodes:
+            self._save(None)
+            return
+        if self._examiner is None:
+            self._examiner = Examiner(training, self._agent, threads=self._threads)
+        attempts: list[Attempt] = []
+        for attempt in self._examiner.examine():
+            attempts.append(attempt)
+            yield progress
+        score = progress.score = score_of(attempts)
+        if self._videos:
+            self._examiner.film(self._run / VIDEOS / f"{self._learner.steps:09d}.mp4")
+            if self._examiner.cannot_film:
+                progress.notes.append(f"No videos: {self._examiner.cannot_film}")
+                self._videos = False
+        figures: dict[str, float] = {
+            EPISODES: score.episodes,
+            SUCCESSES: score.successes,
+            JUDGED: score.judged,
+            REWARD: score.reward,
+            LENGTH: score.length,
+        }
+        if score.judged:
+            figures[RATE] = score.successes / score.judged
+        self._metrics.add(self._learner.steps, self._seconds(), figures)
+        self._save(score)
+
+    def _save(self, score: Score | None) -> None:
+        learner, last = self._learner, self._last
+        self._metrics.sync()
+        files: dict[str, str] = {}
+        piece = None
+        if learner.has_replay:
+            earlier = {} if last is None else last.files
+            files = {name: digest for name, digest in earlier.items() if name.startswith(f"{REPLAY}/")}
+            piece = learner.replay_piece(0 if last is None else last.steps // self._training.copies)
+        about = Checkpoint(
+            path=self._run,
+            training=self._training,
+            steps=learner.steps,
+            seconds=self._seconds(),
+            layout=self._agent.flat.layout,
+            score=score,
+            versions=_versions(),
+            files=files,
+        )
+        made = self._last = write_checkpoint(
+            self._run, about, policy=learner.weights(), learner=learner.state(), piece=piece
+        )
+        remove_old(self._run)
+        self._progress.best = best_of([one for one in (self._progress.best, made) if one is not None])
+
+    def _seconds(self) -> float:
+        return time.perf_counter() - self._started
+
+    def close(self) -> None:
+        """Close all copies."""
+        for_all([self._envs.close, *([] if self._examiner is None else [self._examiner.close])])
+
+
+def _passes(before: int, after: int, every: int) -> bool:
+    return before // every != after // every
+
+
+def _versions() -> dict[str, str]:
+    return {**versions(), **{name: importlib.metadata.version(name) for name in ("torch", "stable-baselines3")}}
+
+
+def _readable(run: Path) -> Iterator[Path]:
+    for place in checkpoints_of(run):
+        try:
+            open_checkpoint(place)
+        except CorruptCheckpoint:
+            continue
+        yield place
