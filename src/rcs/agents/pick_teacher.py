@@ -21,16 +21,18 @@ from rcs.tasks.pick_cuboid import CUBOID, PickCuboid
 SPEED, TURN_SPEED = 0.35, 2.0
 """Highest speeds of the TCP [m/s, rad/s]."""
 GAIN = 5.0
-"""Speed in proportion to the distance from the goal [1/s]: the arm slows down over its last 7 cm."""
-ALIGNED = (0.006, 0.10)
+"""Speed in proportion to the distance from the goal [1/s]; from about 8 on, the lag of the arm makes it swing."""
+SLOWEST = 0.08
+"""Least speed up to the goal [m/s]: a learner's errors would drown what is slower."""
+ALIGNED = (0.010, 0.15)
 """Deviation from the grasp in the plane [m] and about the vertical [rad] up to which the hand goes down to it."""
-STEEPNESS = (3.6, 0.2)
+STEEPNESS = (4.5, 0.2)
 """Height to keep above the grasp per deviation beyond that, in the plane [m/m] and about the vertical [m/rad]."""
 SLOWED = 0.03
 """Height below the one to keep at which the hand moves only up [m], so that its fingers push nothing away."""
-REACHED = (0.010, 0.012, 0.25)
+REACHED = (0.014, 0.016, 0.30)
 """Deviations from the grasp at which the gripper closes: in height and in the plane [m], about the vertical [rad]."""
-KEPT = 2.0
+KEPT = 1.5
 """Factor on these at which a gripper that is closing goes on to close."""
 CLOSING = 0.95
 """Opening below which a gripper is closing."""
@@ -128,7 +130,9 @@ class PickTeacher(Agent):
         """Return where the TCP shall be after this step, (*leading, 7)."""
         way, turn = np.moveaxis(distance(tcp, goal), -1, 0)
         gain = min(GAIN * self._period, 1.0)
-        fraction = np.minimum(gain, SPEED * self._period / np.maximum(way, 1e-9))
+        way = np.maximum(way, 1e-9)
+        fraction = np.minimum(np.maximum(gain, SLOWEST * self._period / way), SPEED * self._period / way)
+        fraction = np.minimum(fraction, 1.0)
         turn_fraction = np.minimum(gain, TURN_SPEED * self._period / np.maximum(turn, 1e-9))
         target = interpolate(tcp, goal, turn_fraction)
         target[..., :3] = tcp[..., :3] + fraction[..., None] * (goal[..., :3] - tcp[..., :3])
