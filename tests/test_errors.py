@@ -1,16 +1,20 @@
 from __future__ import annotations
 
 import copy
-import inspect
 import pickle
 from typing import Any
 
 import pytest
 
-from rcs import errors
 from rcs.errors import RcsError, UnknownName
 
-KINDS = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issubclass(kind, RcsError)]
+
+def all_kinds(kind: type[RcsError]) -> list[type[RcsError]]:
+    """Return an error and everything derived from it, wherever it is defined."""
+    return [kind, *(one for child in kind.__subclasses__() for one in all_kinds(child))]
+
+
+KINDS = all_kinds(RcsError)
 
 
 def make(kind: type[RcsError]) -> RcsError:
@@ -21,10 +25,14 @@ def make(kind: type[RcsError]) -> RcsError:
 @pytest.mark.parametrize("send", [lambda error: pickle.loads(pickle.dumps(error)), copy.copy, copy.deepcopy])
 def test_every_error_can_be_sent_to_another_process(kind: type[RcsError], send: Any) -> None:
     error = make(kind)
+    error.add_note("It happened in copy 3.")
+    vars(error)["copy"] = 3
     again = send(error)
     assert type(again) is kind
     assert str(again) == str(error)
     assert again.args == error.args
+    assert vars(again) == vars(error)
+    assert again.__notes__ == ["It happened in copy 3."]
 
 
 def test_an_unknown_name_says_the_nearest_and_all_that_are_known() -> None:

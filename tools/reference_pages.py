@@ -22,6 +22,7 @@ from gymnasium import spaces
 import rcs
 from rcs.devices import lookup
 from rcs.envs import Task
+from rcs.envs.reward import RewardKind
 from rcs.envs.setup import Options, RelativeTo
 from rcs.envs.spaces import UNITS, Control
 from rcs.robots import ArmDescription, CameraDescription, GripperDescription, HandDescription
@@ -75,6 +76,7 @@ MEANINGS = {  # keys of observations, then those of info
 VALUES = {
     "Quality": get_args(Quality), "Assets": get_args(Assets), "Control": get_args(Control),
     "RelativeTo": get_args(RelativeTo), "Stepping": get_args(Stepping), "Preset": get_args(Preset),
+    "RewardKind": get_args(RewardKind),
 }  # fmt: skip
 """Values of options by the name of their type."""
 
@@ -271,7 +273,7 @@ def task_page(name: str) -> str:
     robots = robots_of(name)
     first = robots[0]
     done, *more = paragraphs(kind)
-    reward = [text for text in more if text.startswith("The reward")] or [NO_REWARD]
+    reward = [text for text in more if text.startswith("Progress,")] or [NO_REWARD]
     parts = [NOTE, f"# {name}\n", figure(f"{slug(name)}_{first}", f"The expert of {name} on {first}"), done + "\n"]
     parts += [text + "\n" for text in more if text not in reward]
     facts = [("instruction", f"“{kind.instruction}”")] if kind.instruction else []
@@ -283,8 +285,8 @@ def task_page(name: str) -> str:
     parts += ["## Success and reward\n", " ".join(reward) + "\n"]
     if name != "Free":
         parts += [
-            "An episode is terminated by success, and truncated after `max_episode_steps` (300). "
-            "Options are given as `task_options={…}`:\n",
+            "`reward=` says [what a step pays](../guide.md#rewards). An episode is terminated by success, and "
+            "truncated after `max_episode_steps` (300). Options are given as `task_options={…}`:\n",
             options_table(kind.Options),
         ]
     parts += ["## Start\n", paragraphs(kind.reset)[0] + " " + STARTS.get(name, "") + "\n"]

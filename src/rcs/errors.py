@@ -41,8 +41,8 @@ class UnknownName(RcsError, KeyError):
         super().__init__(self.message)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Say how to make it anew in another process: from its message."""
-        return _unknown_name, (type(self), self.message)
+        """Say how to make it anew in another process: from its message and attributes, with its notes."""
+        return _unknown_name, (type(self), self.message), vars(self)
 
     def __str__(self) -> str:
         """Return the message itself; a KeyError would show it in quotes."""
@@ -50,9 +50,7 @@ class UnknownName(RcsError, KeyError):
 
 
 def _unknown_name(kind: type[UnknownName], message: str) -> UnknownName:
-    error = kind.__new__(kind, message)
-    error.message = message
-    return error
+    return kind.__new__(kind, message)
 
 
 class Refused(RcsError, RuntimeError):

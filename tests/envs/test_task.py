@@ -28,11 +28,11 @@ class Sorting(Task):
     def reset(self, draws: Any, where: Any) -> None: ...
 
     def evaluate(self) -> Judgement:
-        return Judgement(reward=np.zeros(()), terminated=np.zeros((), np.bool_))
+        return Judgement()
 
 
 def test_options_survive_json() -> None:
-    options = Sorting.parse_options({"order": "size", "pieces": 5, "reward": "sparse"})
+    options = Sorting.parse_options({"order": "size", "pieces": 5})
     assert Sorting.parse_options(json.loads(json.dumps(options.to_json()))) == options
     assert Sorting.parse_options(options) is options
 
@@ -44,7 +44,6 @@ def test_without_options_a_task_has_its_defaults() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "valid"),
     [
-        ("reward", "shaped", "'dense', 'sparse'"),
         ("order", None, "'colour', 'size'"),
         ("pieces", 2.0, "int"),
         ("pieces", True, "int"),
@@ -61,7 +60,7 @@ def test_a_value_of_the_wrong_kind_is_refused_with_what_is_valid(name: str, valu
 
 
 def test_an_unknown_option_is_refused_with_the_names_of_all() -> None:
-    with pytest.raises(InvalidSetup, match=r"Sorting has no options \['gapp'\]; valid: reward, order, pieces, gap"):
+    with pytest.raises(InvalidSetup, match=r"Sorting has no options \['gapp'\]; valid: order, pieces, gap"):
         Sorting.parse_options({"gapp": 0.1})
 
 
@@ -69,14 +68,6 @@ def test_an_unknown_option_is_refused_with_the_names_of_all() -> None:
 def test_what_is_no_options_of_the_task_is_refused(options: Any) -> None:
     with pytest.raises(InvalidSetup, match=r"valid is a Sorting\.Options"):
         Sorting.parse_options(options)
-
-
-def test_a_sparse_reward_is_success_and_a_dense_one_adds_the_progress_that_was_made() -> None:
-    progress, success = np.array([0.0, 0.4, 0.4, 1.0]), np.array([False, False, True, True])
-    sparse, dense = (Sorting(Area(), {"reward": kind}) for kind in ("sparse", "dense"))
-    for gain in ([0.0, 0.4, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]):  # success is the whole progress
-        np.testing.assert_array_equal(sparse.reward(progress, success), success)
-        np.testing.assert_array_equal(dense.reward(progress, success), gain + success)
 
 
 def test_places_lie_in_the_area_and_differ_between_copies() -> None:

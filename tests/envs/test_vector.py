@@ -219,7 +219,7 @@ def test_a_copy_that_diverges_is_truncated_and_the_others_go_on(
         observation, reward, terminated, truncated, info = envs.step(actions)
         if step == 0:
             np.testing.assert_array_equal(info["end"] == "diverged", [False, True, False])
-            assert reward[1] == 0.0
+            assert -0.01 <= reward[1] <= 0.0, "it keeps its potential, and pays for the time"
         else:
             assert not (info["end"] == "diverged").any()
         np.testing.assert_array_equal(truncated, [False, step == 0, False])

@@ -16,7 +16,9 @@ from rcs.setups.lab import lab_of
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 MOST_LINES_IN_README = 12
-NEED_EXTRAS = ("07_train_on_it",)
+NEED_EXTRAS = ("07_train_on_it", "10_ppo")
+SHORT = {"10_ppo": ["--steps", "2048", "--unseen", "4"]}
+"""Options with which an example that takes long ends soon."""
 
 
 def to_run(path: Path) -> object:
@@ -24,7 +26,10 @@ def to_run(path: Path) -> object:
 
 
 @pytest.mark.parametrize("path", [to_run(path) for path in EXAMPLES])
-def test_an_example_runs_and_tells_what_it_did(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_example_runs_and_tells_what_it_did(
+    path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", [str(path), *SHORT.get(path.stem, [])])
     runpy.run_path(str(path), run_name="__main__")
     assert capsys.readouterr().out.strip()
 

@@ -99,7 +99,7 @@ def test_its_task_is_collected_with_its_layer_and_replays_bit_for_bit(
     installed: dict[str, str], tmp_path: Path
 ) -> None:
     out = tmp_path / "dataset"
-    options = ("--robot", "my_robot", "--layers", "HalfSpeed", "--task-option", "reward=sparse", "--cameras", "none")
+    options = ("--robot", "my_robot", "--layers", "HalfSpeed", "--reward", "sparse", "--cameras", "none")
     run(installed, *RCS, "collect", "PushToLine", *options, "--episodes", "2", "--workers", "2", "--out", str(out))
     dataset = Dataset.open(out)
     assert [episode.success for episode in dataset.episodes] == [True, True]

@@ -10,6 +10,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import rcs
+from rcs.errors import InvalidSetup
 from rcs.setups.ids import ids
 from rcs.testing.env_contract import require_same_bits
 
@@ -58,6 +59,42 @@ def test_gymnasium_makes_batches_with_the_native_threads(name: str) -> None:
     observations, *_ = envs.step(actions)
     require_same_bits(single.step(copy_of(actions, 2))[0], copy_of(observations, 2))
     envs.close()
+
+
+@pytest.mark.parametrize("steps", [3, 7])
+def test_gymnasiums_limit_of_steps_is_that_of_the_episode(steps: int) -> None:
+    name = "rcs/PickCuboid-FR3-v0"
+    env = gymnasium.make(name, max_episode_steps=steps)
+    envs = gymnasium.make_vec(name, 2, vectorization_mode="vector_entry_point", max_episode_steps=steps)
+    for one in (env, envs, rcs.make("PickCuboid", max_episode_steps=steps)):
+        one.reset(seed=0)
+        action = one.action_space.sample()
+        ends = [np.any(one.step(action)[3]) for _ in range(steps)]
+        assert ends == [False] * (steps - 1) + [True]
+        one.close()
+
+
+def test_without_a_limit_gymnasiums_environments_have_the_setups() -> None:
+    spec = gymnasium.spec("rcs/PickCuboid-FR3-v0")
+    assert spec.max_episode_steps == rcs.Setup().max_episode_steps
+
+
+def test_the_rate_of_pictures_is_that_of_steps() -> None:
+    env = gymnasium.make("rcs/FR3-v0", frequency=20)
+    envs = gymnasium.make_vec("rcs/FR3-v0", 1, vectorization_mode="vector_entry_point", frequency=20)
+    assert env.metadata["render_fps"] == envs.metadata["render_fps"] == 20
+    env.close()
+    envs.close()
+
+
+@pytest.mark.parametrize("mode", ["human", "rgb_array"])
+def test_a_batch_that_should_draw_pictures_is_refused_with_what_to_do(mode: Any) -> None:
+    for make in (
+        lambda: rcs.make_vec("Free", render_mode=mode),
+        lambda: gymnasium.make_vec("rcs/FR3-v0", 2, vectorization_mode="vector_entry_point", render_mode=mode),
+    ):
+        with pytest.raises(InvalidSetup, match=r"render_mode is .*cameras=.*rcs\.make"):
+            make()
 
 
 def copy_of(values: dict[str, Any], copy: int) -> dict[str, Any]:

@@ -23,8 +23,8 @@ TASKS = [(PickCuboid, "fr3"), (LiftBar, "dual_fr3"), (PickToy, "xarm7")]
 every_task = pytest.mark.parametrize(("task", "robot"), TASKS)
 
 
-def parts_with(task: Any, robot: str, **options: Any) -> Any:
-    parts = resolve(rcs.Setup(task=task.__name__, robot=robot))
+def parts_with(task: Any, robot: str, reward: Any = "shaped", **options: Any) -> Any:
+    parts = resolve(rcs.Setup(task=task.__name__, robot=robot, reward=reward))
     return replace(parts, task=task(parts.task.area, options))
 
 
@@ -48,15 +48,15 @@ def test_a_sparse_reward_changes_nothing_but_the_reward(task: Any, robot: str) -
     dense, sparse = (episode(assemble(parts_with(task, robot, reward=kind)), 3) for kind in ("dense", "sparse"))
     assert sparse[0] == [float(success) for success in sparse[1]] == [float(success) for success in dense[1]]
     assert sparse[0][-1] == 1.0
-    assert sum(dense[0]) == pytest.approx(2.0), "the whole progress, and 1 for the success"
-    assert dense[0][-1] >= 1.0 > max(dense[0][:-1])
+    assert dense[0][-1] == pytest.approx(100.0), "1 per step for ever, at a discount of 0.99"
+    assert 0.0 < min(dense[0][:-1]) < max(dense[0][:-1]) <= 0.8
 
 
 @every_task
 def test_a_longer_hold_ends_so_much_later(task: Any, robot: str) -> None:
     short, long = (episode(assemble(parts_with(task, robot, hold_time=time)), 3) for time in (0.2, 1.4))
     assert len(long[0]) - len(short[0]) == pytest.approx(1.2 * 30, abs=1)
-    for one, other in zip(short[0][:-1], long[0], strict=False):
+    for one, other in zip(short[0][:-1], long[0], strict=False):  # rewards
         assert one == other
 
 
@@ -81,10 +81,13 @@ def test_a_hold_of_less_than_a_step_still_takes_one() -> None:
 
 def test_progress_grows_from_0_to_1_with_each_of_its_parts() -> None:
     grasped = np.array([False, True])
-    assert progress(np.array(np.inf), grasped, np.array(0.2), 0.2).tolist() == pytest.approx([0.0, 2 / 3])
-    assert progress(np.array(0.0), grasped, np.array(0.3), 0.2).tolist() == pytest.approx([1 / 3, 1.0])
-    near, far = progress(np.array([0.01, 0.02]), np.array(True), np.array(0.1), 0.2)
+    assert progress(np.array(np.inf), grasped, np.array(0.0)).tolist() == pytest.approx([0.0, 2 / 3])
+    assert progress(np.array(0.0), grasped, np.array(np.inf)).tolist() == pytest.approx([1 / 3, 2 / 3])
+    assert progress(np.array(0.0), grasped, np.array(-0.1)).tolist() == pytest.approx([1 / 3, 1.0])
+    near, far = progress(np.array([0.01, 0.02]), np.array(True), np.array(0.1))
     assert near > far
+    high, low = progress(np.array(0.01), np.array(True), np.array([0.05, 0.06]))
+    assert high > low
 
 
 def test_the_lowest_corner_of_a_box_is_the_lowest_of_its_eight() -> None:

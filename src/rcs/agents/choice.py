@@ -1,7 +1,9 @@
-"""Finds an agent for an environment: a named one, or the expert of its task."""
+"""Finds an agent for an environment: a named one, a trained one, or the expert of its task."""
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Any
 
 from rcs.agents.agent import Agent
@@ -16,7 +18,7 @@ def agent_for(env: Env, agent: Any = None) -> Agent:
     Args:
         env: The environment.
         agent: An agent, a class or function that makes one from the environment, the name of an entry point of
-            `rcs.agents`, or `module:Class`; None for the expert that the task names.
+            `rcs.agents`, `module:Class`, or the path of a checkpoint; None for the expert that the task names.
 
     Raises:
         InvalidSetup: The task names no expert, or `agent` does not make an Agent.
@@ -30,8 +32,17 @@ def agent_for(env: Env, agent: Any = None) -> Agent:
                 f"There is no scripted expert for the task {task.__name__!r}: it names none. Give an agent, or set the "
                 f"task's attribute `expert`, for example to one of {', '.join(map(repr, lookup.names('agent')))}."
             )
+    if is_path(agent):
+        return lookup.find("policy", "checkpoint")(agent, env)
     found = lookup.find("agent", agent)
     made = found if isinstance(found, Agent) else found(env) if callable(found) else None
     if not isinstance(made, Agent):
         raise InvalidSetup(f"The agent {agent!r} is {made!r}; valid is a class or function that makes an Agent.")
     return made
+
+
+def is_path(given: Any) -> bool:
+    """Return whether what is given for an agent or a task is a path, of a checkpoint or of a run, and no name."""
+    if isinstance(given, Path):
+        return True
+    return isinstance(given, str) and ":" not in given and (os.sep in given or Path(given).is_dir())

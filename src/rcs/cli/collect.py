@@ -55,7 +55,7 @@ class CollectCommand(RunOptions):
             seed=self.seed,
             only_success=self.only_success,
             most_attempts=self.most_attempts,
-            agent=self.agent,
+            agent=self.actor,
             workers=1 if self.viewer else self.processes,
             ray=self.cluster,
             colour=self.colour,
@@ -68,7 +68,7 @@ class CollectCommand(RunOptions):
         started = time.perf_counter()
         progress = Progress()
         with interruptible(progress, console):
-            title = f"{self.task} on {self.robot}"
+            title = f"{collection.setup.task} on {collection.setup.robot}"
             show(collect(collection, progress), title, self.episodes, console, progress, lambda: progress.kept)
         _summarise(collection, progress, console)
         if self.report and progress.kept:

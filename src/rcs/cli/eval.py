@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rcs.agents.choice import is_path
 from rcs.cli.console import plain_console
 from rcs.cli.runs import INTERRUPTED, RunOptions, interruptible, results_table, show
+from rcs.rollout.collect import Attempt
 from rcs.rollout.evaluate import Evaluation, Summary, evaluate
 
 
@@ -15,8 +18,9 @@ from rcs.rollout.evaluate import Evaluation, Summary, evaluate
 class EvalCommand(RunOptions):
     """Run an agent in seeded episodes and show how often it succeeds.
 
-    Episode i depends on the seed and on i alone, whatever the number of workers: two agents meet the same starts.
-    Ctrl-C ends after the episodes at work, a second one at once; the figures of those that ended are written anyway.
+    `rcs eval RUN` takes the best checkpoint of a training, in the environment that it was trained in. Episode i depends
+    on the seed and on i alone, whatever the number of workers: two agents meet the same starts. Ctrl-C ends after the
+    episodes at work, a second one at once; the figures of those that ended are written anyway.
     """
 
     episodes: int = 50
@@ -35,7 +39,7 @@ class EvalCommand(RunOptions):
         videos = (10 if self.video else 0) if self.videos is None else self.videos
         evaluation = Evaluation(
             setup=self.setup(),
-            agent=self.agent,
+            agent=self.actor,
             episodes=self.episodes,
             seed=self.seed,
             workers=self.processes,
@@ -44,19 +48,31 @@ class EvalCommand(RunOptions):
             out=self.out,
         )
         console, summary = plain_console(soft_wrap=False), Summary()
+        if is_path(evaluation.agent):
+            console.print(f"Policy: {evaluation.agent}", soft_wrap=True)
+        made_by: int | str = evaluation.workers
         started = time.perf_counter()
         try:
             with interruptible(summary, console):
-                title = f"{self.task} on {self.robot}"
-                show(
-                    evaluate(evaluation, summary), title, self.episodes, console, summary, lambda: len(summary.attempts)
-                )
+                title = f"{evaluation.setup.task} on {evaluation.setup.robot}"
+                attempts, made_by = self._attempts(evaluation, summary)
+                show(attempts, title, self.episodes, console, summary, lambda: len(summary.attempts))
         finally:
             if summary.attempts:
-                console.print(
-                    results_table(summary, time.perf_counter() - started, summary.cluster or evaluation.workers)
-                )
+                seconds = time.perf_counter() - started
+                console.print(results_table(summary, seconds, summary.cluster or made_by))
                 console.print(f"Figures: {summary.write(evaluation)}", soft_wrap=True)
                 if videos:
                     console.print(f"Videos: {self.out}", soft_wrap=True)
         return INTERRUPTED if summary.is_interrupted else 0
+
+    def _attempts(self, evaluation: Evaluation, summary: Summary) -> tuple[Iterator[Attempt], int | str]:
+        """Return the attempts, and who makes them."""
+        has_choice = self.workers == 0 and self.cluster is None
+        if has_choice and is_path(evaluation.agent) and not evaluation.setup.cameras:
+            # Processes would each load torch; with cameras they are faster, for each draws and sees by itself.
+            from rcs.rl.evaluate import COPIES, evaluate_in_batch
+
+            copies = min(COPIES, self.episodes - min(evaluation.videos, self.episodes))
+            return evaluate_in_batch(evaluation, summary), f"one, with a batch of {copies} copies" if copies else "one"
+        return evaluate(evaluation, summary), evaluation.workers

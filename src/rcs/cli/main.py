@@ -14,6 +14,7 @@ from rcs.errors import RcsError, UnknownName
 
 VERBS: Table = {
     "collect": "rcs.cli.collect:CollectCommand",
+    "train": "rcs.cli.train:TrainCommand",
     "eval": "rcs.cli.eval:EvalCommand",
     "data": "rcs.cli.data:VERBS",
     "sim": "rcs.cli.sim:SimCommand",

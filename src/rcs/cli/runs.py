@@ -8,7 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from rcs.agents.choice import is_path
 from rcs.envs.reward import RewardKind
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Control
@@ -33,13 +34,17 @@ from rcs.sim.world import Stepping
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
+ENDING = "Ending after the episodes at work; Ctrl-C again ends at once."
+"""What is told at the first Ctrl-C."""
+
 
 @dataclass(kw_only=True)
 class SetupOptions:
     """Options of a command that makes an environment."""
 
     task: tyro.conf.Positional[str]
-    """Name of the task, such as PickCuboid, or `module:Class`."""
+    """Name of the task, such as PickCuboid, or `module:Class`; or the path of a checkpoint, or of a run, for the
+    environment that it was trained in."""
     robot: str = "fr3"
     """Name of the robot."""
     end_effector: str | None = None
@@ -81,46 +86,97 @@ class SetupOptions:
     assets: Assets = "builtin"
     """Looks of the robots: `menagerie` for detailed meshes, which are slow to draw without a GPU."""
 
+    trust: tuple[str, ...] = ()
+    """Modules of which the environment of a checkpoint may have classes; importing them runs their code."""
+
+    @property
+    def checkpoint(self) -> str | None:
+        """Path of the checkpoint, or of the run, whose environment is used; None for one of a task."""
+        return self.task if is_path(self.task) else None
+
     def setup(self, stepping: Stepping = "async") -> Setup:
-        """Return the setup that the options ask for.
+        """Return the setup that the options ask for; with a checkpoint its own, changed by options that are given.
 
         Raises:
-            InvalidSetup: An option makes no sense.
+            InvalidSetup: An option makes no sense, or there is no checkpoint.
+            CorruptCheckpoint: The checkpoint is damaged.
             UnknownName: There is no such robot.
         """
-        cameras = tuple(lab_of(self.robot).cameras) if self.cameras is None else self.cameras
-        cameras = () if cameras == ("none",) else cameras
-        return Setup(
-            task=self.task,
-            task_options=dict(_option(given) for given in self.task_option),
-            reward=self.reward,
-            discount=self.discount,
-            robot=self.robot,
-            end_effector=self.end_effector,
-            layers=self.layers,
-            cameras=cameras,
-            image_size=(self.image_size, self.image_size),
-            camera_mode=self.camera_mode,
-            camera_fps=self.camera_fps,
-            camera_noise=self.camera_noise,
-            depth=self.depth and bool(cameras),
-            segmentation=self.segmentation and bool(cameras),
-            tactile=self.tactile,
-            control=self.control,
-            relative="absolute" if self.absolute else "last_step",
-            frequency=self.frequency,
-            stepping=stepping,
-            randomisation=Randomisation.of(self.randomise),
-            assets=self.assets,
-        )
+        asked: dict[str, dict[str, Any]] = {
+            "task_option": {"task_options": dict(option_of_task(given) for given in self.task_option)},
+            "cameras": {"cameras": self._cameras()},
+            "image_size": {"image_size": (self.image_size, self.image_size)},
+            "absolute": {"relative": "absolute" if self.absolute else "last_step"},
+            "randomise": {"randomisation": Randomisation.of(self.randomise)},
+            **{name: {name: getattr(self, name)} for name in _AS_THEY_ARE},
+        }
+        if self.checkpoint is None:
+            changes = {name: value for one in asked.values() for name, value in one.items()}
+            setup = Setup(task=self.task)
+        else:
+            from rcs.rl.checkpoint import find_checkpoint
+
+            usual = {own.name: own.default for own in fields(type(self))}
+            given = [one for name, one in asked.items() if getattr(self, name) != usual[name]]
+            changes = {name: value for one in given for name, value in one.items()}
+            setup = find_checkpoint(self.checkpoint, trust=self.trust).training.setup
+        cameras = changes.get("cameras", setup.cameras)
+        for name in ("depth", "segmentation"):
+            changes[name] = changes.get(name, getattr(setup, name)) and bool(cameras)
+        return replace(setup, **changes, stepping=stepping)
+
+    def _cameras(self) -> tuple[str, ...]:
+        if self.cameras is None:
+            return () if self.checkpoint else tuple(lab_of(self.robot).cameras)
+        return () if self.cameras == ("none",) else self.cameras
+
+
+_AS_THEY_ARE = (
+    "reward", "discount", "robot", "end_effector", "layers", "camera_mode", "camera_fps", "camera_noise", "depth",
+    "segmentation", "tactile", "control", "frequency", "assets",
+)  # fmt: skip
+"""Options that are fields of a setup."""
 
 
 @dataclass(kw_only=True)
-class RunOptions(SetupOptions):
-    """Options of a command that runs an agent in seeded episodes."""
+class ActorOptions(SetupOptions):
+    """Options of a command in whose environment an agent may act."""
 
     agent: str | None = None
-    """Name of the agent, or `module:Class`, which is called with the environment; the task's expert by default."""
+    """Name of the agent, `module:Class`, which is called with the environment, or the path of a checkpoint. By default
+    the task's expert, or the policy of the checkpoint that is given in place of the task."""
+
+    @property
+    def actor(self) -> str | None:
+        """Who acts; None for the expert of the task. Of a run, it is the checkpoint that is best now."""
+        actor = self.checkpoint if self.agent is None else self.agent
+        if not is_path(actor):
+            return actor
+        from rcs.rl.checkpoint import find_checkpoint
+
+        return str(find_checkpoint(str(actor), trust=self.trust).path)
+
+    @property
+    def checkpoint(self) -> str | None:
+        """Path of the checkpoint, or of the run, whose environment is used; None for one of a task."""
+        return super().checkpoint or (self.agent if is_path(self.agent) else None)
+
+    def setup(self, stepping: Stepping = "async") -> Setup:
+        """Return the setup that the options ask for; see `SetupOptions.setup`.
+
+        Raises:
+            InvalidSetup: The agent is a checkpoint of another task.
+        """
+        setup = super().setup(stepping)
+        if not is_path(self.task) and setup.task != self.task:
+            raise InvalidSetup(f"The checkpoint {self.agent} was trained for {setup.task}, not for {self.task}.")
+        return setup
+
+
+@dataclass(kw_only=True)
+class RunOptions(ActorOptions):
+    """Options of a command that runs an agent in seeded episodes."""
+
     episodes: int = 20
     """How many episodes."""
     workers: int = 0
@@ -151,7 +207,12 @@ class RunOptions(SetupOptions):
         return self.ray_address or (LOCAL if self.ray else None)
 
 
-def _option(given: str) -> tuple[str, Any]:
+def option_of_task(given: str) -> tuple[str, Any]:
+    """Return name and value of an option that is written as `name=value`.
+
+    Raises:
+        InvalidSetup: It is written in another way.
+    """
     name, has_value, value = given.partition("=")
     if not (name and has_value):
         raise InvalidSetup(f"The task option is {given!r}; it is written as name=value, such as lift_height=0.05.")
@@ -161,10 +222,15 @@ def _option(given: str) -> tuple[str, Any]:
         return name, value
 
 
-class Run(Protocol):
-    """A run that ends after the episodes at work once it is told to."""
+class Interruptible(Protocol):
+    """A run that ends after what is at work once it is told to."""
 
     is_interrupted: bool
+
+
+class Run(Interruptible, Protocol):
+    """A run of episodes."""
+
     cluster: Tally | None
 
 
@@ -203,13 +269,13 @@ def show(
         bar.update(task, completed=done())
 
 
-def results_table(summary: Summary, seconds: float, workers: int | Tally) -> Table:
+def results_table(summary: Summary, seconds: float, workers: int | str | Tally) -> Table:
     """Return how attempts went, and how fast they were made.
 
     Args:
         summary: The attempts, at least one.
         seconds: Wall time [s].
-        workers: How many processes made them, or where on a cluster they were made.
+        workers: How many processes made them, or where they were made, in words.
     """
     made, steps = len(summary.attempts), sum(result.steps for result in summary.results)
     low, high = (100 * bound for bound in summary.interval)
@@ -229,14 +295,14 @@ def _rate(summary: Summary, word: str = " success") -> str:
 
 
 @contextmanager
-def interruptible(run: Run, console: Console) -> Generator[None]:
-    """Let the first Ctrl-C end a run after the episodes at work; the second, or SIGTERM, at once."""
+def interruptible(run: Interruptible, console: Console, told: str = ENDING) -> Generator[None]:
+    """Let the first Ctrl-C end a run, which says so, after what is at work; the second, or SIGTERM, at once."""
 
     def on_interrupt(number: int, frame: object) -> None:
         if run.is_interrupted:
             raise KeyboardInterrupt
         run.is_interrupted = True
-        console.print("Ending after the episodes at work; Ctrl-C again ends at once.")
+        console.print(told)
 
     def on_termination(number: int, frame: object) -> None:
         raise KeyboardInterrupt  # who sends it will not wait for long: close what is open, and end

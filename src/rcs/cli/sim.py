@@ -10,19 +10,19 @@ from dataclasses import dataclass
 from rich.console import Console
 
 from rcs.cli.console import plain_console
-from rcs.cli.runs import SetupOptions
+from rcs.cli.runs import ActorOptions
 from rcs.errors import InvalidSetup
 from rcs.rollout.interactive.session import Session, playable
 from rcs.sim.viewer import has_display
 
 
 @dataclass(kw_only=True)
-class SimCommand(SetupOptions):
+class SimCommand(ActorOptions):
     """Look at a simulated environment and lead its robots by hand.
 
     Where there is a display, MuJoCo's own viewer opens; where there is none, or with `--browser`, a page to open in a
     browser, with a target to drag for every robot, sliders, and the pictures of the cameras. Time passes as on the
-    wall clock. Ctrl-C ends it.
+    wall clock. With `--agent`, or a checkpoint in place of the task, that acts instead. Ctrl-C ends it.
     """
 
     browser: bool = False
@@ -40,8 +40,15 @@ class SimCommand(SetupOptions):
             raise InvalidSetup(f"port is {self.port}; valid is 0 (any) to 65535.")
         console = plain_console()
         in_browser = self.browser or not has_display()
-        session = Session(playable(self.setup()), seed=self.seed)
+        setup, actor = self.setup(), self.actor
+        session = Session(playable(setup, keep_gripper=actor is not None), seed=self.seed, agent=actor)
         session.is_playing = not self.paused
+        if actor is not None:
+            try:
+                session.let_agent(True)
+            except BaseException:
+                session.close()
+                raise
         with _ended_by_signals():
             if in_browser:
                 self._serve(session, console)

@@ -27,13 +27,13 @@ STILLNESS = 5.0
 class Rewards:
     """Pays for each step, in each copy, by one of three rules; the discount is the learner's.
 
-    - `shaped` pays 1 at success, and in every step `discount · Φ(s') - Φ(s)`, where the potential Φ is the progress. That
-      changes no optimal policy (Ng, Harada and Russell 1999, "Policy invariance under reward transformations"). In an
-      episode that the task terminates, Φ of the last state is 0. In one that is truncated it is the progress, because
-      there the learner goes on with its estimate. So what shaping pays in T steps is `discount^T · Φ_T - Φ_0`,
-      discounted, and to stay where one is costs something, however near the goal.
-    - `dense` pays for where the state is, 0 … 0.8 per step: the reward of ManiSkill 3's PickCube-v1, divided by 5. Success
-      ends the episode here, and pays what 1 per step would be worth for ever: `1 / (1 - discount)`.
+    - `shaped` pays 1 at success, and in every step `discount · Φ(s') - Φ(s)`, where the potential Φ is the progress.
+      That changes no optimal policy (Ng, Harada and Russell 1999, "Policy invariance under reward transformations").
+      In an episode that the task terminates, Φ of the last state is 0. In one that is truncated it is the progress,
+      because there the learner goes on with its estimate. So what shaping pays in T steps is, discounted,
+      `discount^T · Φ_T - Φ_0`, and to stay where one is costs something, however near the goal.
+    - `dense` pays for where the state is, 0 … 0.8 per step: the reward of ManiSkill 3's PickCube-v1, divided by 5.
+      Success ends the episode here, and pays what 1 per step would be worth for ever: `1 / (1 - discount)`.
     - `sparse` pays 1 at success.
 
     A copy whose simulation diverges keeps its potential, for the state is lost, and is paid nothing else.

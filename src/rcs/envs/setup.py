@@ -32,8 +32,9 @@ class Setup:
     task_options: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Options of the task, fields of its class `Options`, such as `{"lift_height": 0.05}`."""
     reward: RewardKind = "shaped"
-    """What a step pays: `sparse` 1 at success; `shaped` also the discounted gain in progress, `discount · Φ(s') - Φ(s)`,
-    which leaves the optimal policy as it is; `dense` for where the state is, as ManiSkill's PickCube-v1 does."""
+    """What a step pays: `sparse` 1 at success; `shaped` also the discounted gain in progress,
+    `discount · Φ(s') - Φ(s)`, which leaves the optimal policy as it is; `dense` for where the state is, as ManiSkill's
+    PickCube-v1 does."""
     discount: float = 0.99
     """What a reward one step later is worth, the learner's discount: above 0, and at most 1 (`dense`: below 1). The
     shaped reward needs it, and the dense one, whose success pays `1 / (1 - discount)`."""

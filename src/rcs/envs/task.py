@@ -73,9 +73,7 @@ class Area:
 
 @dataclass(kw_only=True)
 class Judgement:
-    """A task's verdict on the present state, from which `Setup.reward` makes the reward. Arrays have the world's
-    leading shape.
-    """
+    """A task's verdict on the present state, which the reward is made of. Arrays have the world's leading shape."""
 
     success: NDArray[np.bool_] | None = None
     """Whether the task is done, which `info` tells too; None where there is nothing to judge."""
@@ -172,7 +170,9 @@ class Task(ABC):
             )
         valid = [option.name for option in dataclasses.fields(cls.Options)]
         if "reward" in (values or ()) and "reward" not in valid:
-            raise InvalidSetup("The reward is no option of a task but of the setup: reward='sparse', as `rcs.Setup` says.")
+            raise InvalidSetup(
+                "The reward is no option of a task but of the setup: reward='sparse', as `rcs.Setup` says."
+            )
         if unknown := sorted(set(values or ()) - set(valid), key=str):
             raise InvalidSetup(f"The task {cls.__name__} has no options {unknown}; valid: {', '.join(valid)}.")
         return cls.Options(**(values or {}))

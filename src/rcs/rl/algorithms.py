@@ -21,7 +21,7 @@ class Ppo:
     n_steps: int = 64
     """Steps of every copy between two updates."""
     batch_size: int = 1024
-    """Steps per gradient step; `copies * n_steps` should be a multiple of it."""
+    """Steps per gradient step; fewer where `copies * n_steps` is no multiple of it, so that all have as many."""
     n_epochs: int = 8
     """How often an update goes through its steps."""
     learning_rate: float = 3e-4
@@ -191,7 +191,7 @@ def algorithm_from_json(values: Mapping[str, Any]) -> Algorithm:
     kind = values.get("name")
     if kind not in ALGORITHMS:
         raise UnknownName("algorithm", str(kind), ALGORITHMS)
-    given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    given: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
     own = {one.name for one in dataclasses.fields(ALGORITHMS[kind])}
     if unknown := sorted(set(given) - own):
         raise InvalidSetup(f"{kind} has no fields {unknown}; valid: {', '.join(sorted(own - {'name'}))}.")

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -172,11 +172,12 @@ def write_checkpoint(
     return made
 
 
-def open_checkpoint(path: str | Path) -> Checkpoint:
+def open_checkpoint(path: str | Path, *, trust: Collection[str] = ()) -> Checkpoint:
     """Read the description of a checkpoint.
 
     Args:
         path: Its folder.
+        trust: Modules that may be imported because its setup names a class of theirs.
 
     Raises:
         CorruptCheckpoint: It is incomplete or damaged.
@@ -196,7 +197,7 @@ def open_checkpoint(path: str | Path) -> Checkpoint:
         score = values["score"]
         return Checkpoint(
             path=place,
-            training=Training.from_json(values["training"]),
+            training=Training.from_json(values["training"], trust=trust),
             steps=int(values["steps"]),
             seconds=float(values["seconds"]),
             layout=FlatLayout.from_json(values["layout"]),
@@ -218,8 +219,12 @@ def checkpoints_of(run: str | Path) -> list[Path]:
     return sorted((path for path in folder.iterdir() if _NAME.fullmatch(path.name)), key=lambda path: int(path.name))
 
 
-def find_checkpoint(path: str | Path) -> Checkpoint:
+def find_checkpoint(path: str | Path, *, trust: Collection[str] = ()) -> Checkpoint:
     """Return the checkpoint at a path: of a run's folder its best one, or the newest where none was evaluated.
+
+    Args:
+        path: Folder of the checkpoint or of the run.
+        trust: Modules that may be imported because its setup names a class of theirs.
 
     Raises:
         InvalidSetup: There is none, or another version of this program wrote it.
@@ -227,7 +232,7 @@ def find_checkpoint(path: str | Path) -> Checkpoint:
     """
     place = Path(path)
     if (place / DESCRIPTION).exists():
-        return open_checkpoint(place)
+        return open_checkpoint(place, trust=trust)
     folders = checkpoints_of(place)
     if not folders:
         raise InvalidSetup(
@@ -235,13 +240,14 @@ def find_checkpoint(path: str | Path) -> Checkpoint:
             f"of its folders {CHECKPOINTS}/<steps>."
         )
     found: list[Checkpoint] = []
+    damage: list[CorruptCheckpoint] = []
     for folder in folders:
         try:
-            found.append(open_checkpoint(folder))
+            found.append(open_checkpoint(folder, trust=trust))
         except CorruptCheckpoint as err:
-            last = err
+            damage.append(err)
     if not found:
-        raise last
+        raise damage[-1]
     return best_of(found) or found[-1]
 
 

@@ -19,24 +19,32 @@ LARGEST = float(2.0**127)
 Path = tuple[str, ...]
 """Keys from the outermost to the innermost, such as ("privileged", "cuboid", "tquat")."""
 
-Kind = Literal["value", "turn", "offset", "relative_turn"]
-"""What an entry has of its key: numbers as they are; a rotation; the way from one pose to another; the rotation of one
-pose relative to another."""
+Kind = Literal["value", "turn", "offset", "near", "relative_turn", "half_turn"]
+"""What an entry has of its key.
+
+- `value`: numbers of the key, (number - offset) / scale.
+- `turn`: the rotation of a pose, as the first two columns of its matrix, which have no jumps (Zhou et al. 2019,
+  arXiv:1812.07035).
+- `offset`: the way d from one pose to another, in the axes of the base (of several robots: the scene): d / scale.
+- `near`: the same, for the last centimetres, along each axis: d / sqrt(d² + scale²), within -1 and 1.
+- `relative_turn`: the rotation of the other pose in the frame of the first, as columns.
+- `half_turn`: how the other pose's x axis is turned about the z axis of the first, as cosine and sine of twice the
+  angle: a gripper fits a box that is turned by half a turn as well.
+
+All but the first two follow from other numbers; the way back does without them.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """Consecutive numbers of a vector: (what the key has - offset) / scale."""
+    """Consecutive numbers of a vector."""
 
     path: Path
-    """The key; of an `offset` and a `relative_turn`, that of the pose from which is measured."""
+    """The key; of pairs, that of the pose from which is measured."""
     kind: Kind = "value"
-    """`value` has numbers of the key. `turn` has the first two columns of the rotation matrix of a pose (6 numbers
-    without jumps; Zhou et al. 2019, arXiv:1812.07035). `offset` is the translation from one pose to another, in the
-    axes of the base (of several robots: the scene); `relative_turn` has the columns of the rotation of the other pose
-    in the frame of the first. The last two follow from other numbers, and the way back does without them."""
+    """What the numbers are."""
     to: Path = ()
-    """Of an `offset` and a `relative_turn`, the key of the pose to which is measured."""
+    """Of pairs, the key of the pose to which is measured."""
     place: tuple[int, int]
     """First number in the vector, and the one after the last."""
     picked: tuple[int, int] = (0, 0)
@@ -54,6 +62,8 @@ class Entry:
     """Lower bounds in the vector."""
     high: tuple[float, ...]
     """Upper bounds in the vector."""
+    rest: tuple[float, ...] = ()
+    """Of an action of which the vector has not all numbers, the value of the whole key, for the others."""
     unit: str = ""
     """Unit of offset and scale."""
     source: str = ""
@@ -132,6 +142,10 @@ class FlatLayout:
             )
         except (KeyError, TypeError, ValueError, AttributeError) as err:
             raise InvalidSetup(f"The layout is damaged: {type(err).__name__}: {err}.") from err
+        for image in layout.images:
+            sizes = (*image.shape, image.level_mm)
+            if len(sizes) != 4 or not all(isinstance(one, int) and one > 0 for one in sizes):
+                raise InvalidSetup(f"The layout is damaged: its image {image.name!r} has the shape {image.shape}.")
         for entries in (layout.action, layout.state):
             end = 0
             for entry in entries:
@@ -142,15 +156,22 @@ class FlatLayout:
         """Return a line per entry."""
         lines = ["observation"]
         lines += [_line(entry) for entry in self.state]
-        lines += [f"  {image.name:44}{'x'.join(map(str, image.shape)):>10} uint8" for image in self.images]
+        lines += [f"  {'':8}{image.name:66}{'x'.join(map(str, image.shape)):8} uint8" for image in self.images]
         return "\n".join([*lines, "action", *(_line(entry) for entry in self.action)])
 
 
 def _line(entry: Entry) -> str:
     first, end = entry.place
-    scale = f"{min(entry.scale):.3g}" + (f"-{max(entry.scale):.3g}" if min(entry.scale) != max(entry.scale) else "")
+    offset, scale = (_range(table) for table in (entry.offset, entry.scale))
     what = "" if entry.kind == "value" else f" ({entry.kind.replace('_', ' ')})"
-    return f"  {first:3}:{end:<4}{entry.name + what:44} 1 = {scale} {entry.unit}; {entry.source}"
+    numbers = f"{first}" if end == first + 1 else f"{first}-{end - 1}"
+    formula = f"(value - {offset}) / {scale} {entry.unit}".rstrip()
+    return f"  {numbers:8}{entry.name + what:66}{formula}; {entry.source}"
+
+
+def _range(numbers: Sequence[float]) -> str:
+    low, high = min(numbers), max(numbers)
+    return f"{low:.3g}" if low == high else f"[{low:.3g} … {high:.3g}]"
 
 
 def _entry(values: Any) -> Entry:
@@ -170,6 +191,7 @@ def _check(entry: Entry, first: int) -> int:
         entry.place[0] == first
         and size > 0
         and all(len(table) == size and all(isinstance(one, float) for one in table) for table in tables)
+        and all(one > 0 for one in entry.scale)
         and entry.kind in get_args(Kind)
         and (entry.kind != "value" or entry.picked[1] - entry.picked[0] == size)
     )

@@ -76,14 +76,20 @@ class Learner:
         model._update_current_progress_remaining(model.num_timesteps, self.training.steps)
         model.train()
 
+    @property
+    def has_figures(self) -> bool:
+        """Whether there are figures of an update that `figures` has not returned yet."""
+        return bool(self.model.logger.name_to_value)
+
     def figures(self) -> dict[str, float]:
         """Return the figures of the last update and of the last 100 episodes, by name, and forget those of the update.
 
         The names are those of Stable-Baselines3.
         """
         model = self.model
-        figures = {name: float(value) for name, value in model.logger.name_to_value.items() if np.isscalar(value)}
-        model.logger.name_to_value.clear()
+        logged: dict[str, Any] = model.logger.name_to_value
+        figures = {name: float(value) for name, value in logged.items() if np.ndim(value) == 0}
+        logged.clear()
         model.logger.name_to_count.clear()
         if episodes := list(model.ep_info_buffer):
             figures["rollout/ep_rew_mean"] = float(np.mean([episode["r"] for episode in episodes]))

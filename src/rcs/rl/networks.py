@@ -32,7 +32,7 @@ def make_model(training: Training, envs: Sb3VecEnv) -> Any:
         "env": envs,
         "gamma": training.setup.discount,
         "learning_rate": _rate(algorithm),
-        "batch_size": algorithm.batch_size,
+        "batch_size": batch_size(training),
         "policy_kwargs": _network(algorithm, has_images=has_images),
         "seed": training.seed % 2**32,  # the range of NumPy's
         "device": training.device,
@@ -43,6 +43,16 @@ def make_model(training: Training, envs: Sb3VecEnv) -> Any:
     names = ("gradient_steps", "buffer_size", "learning_starts", "tau")
     ent_coef = "auto" if algorithm.ent_coef is None else algorithm.ent_coef
     return sb3.SAC(**common, ent_coef=ent_coef, **{name: getattr(algorithm, name) for name in names})
+
+
+def batch_size(training: Training) -> int:
+    """Return the steps per gradient step: those of the algorithm, or fewer, so that all batches have as many."""
+    algorithm = training.algorithm
+    if not isinstance(algorithm, Ppo):
+        return algorithm.batch_size
+    steps = training.copies * algorithm.n_steps
+    fewest = -(-steps // algorithm.batch_size)
+    return steps // next(batches for batches in range(fewest, steps + 1) if steps % batches == 0)
 
 
 def make_policy(algorithm: Algorithm, flat: Flat) -> Any:

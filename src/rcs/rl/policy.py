@@ -10,13 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.agents import Agent
+from rcs.envs.env import Env
 from rcs.envs.spaces import Action, Observation
+from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
 from rcs.rl.checkpoint import Checkpoint, find_checkpoint
 from rcs.rl.flat import Flat
 from rcs.rl.layout import FlatLayout
 from rcs.rl.networks import make_policy, mean_action
 from rcs.rl.packages import package
+
+_MEANING = ("robot", "end_effector", "control", "relative", "binary_gripper", "frequency")
 
 
 class PolicyAgent(Agent):
@@ -39,18 +43,22 @@ class PolicyAgent(Agent):
         """The maps between dictionaries and the policy's vectors."""
 
     @classmethod
-    def load(cls, path: str | Path | Checkpoint) -> PolicyAgent:
+    def load(cls, path: str | Path | Checkpoint, env: Env | VecEnv | None = None) -> PolicyAgent:
         """Return the agent of a checkpoint.
 
         Args:
             path: A checkpoint, its folder, or the folder of a run, of which the best one is taken.
+            env: Where the agent is to act; None to check that later.
 
         Raises:
             MissingDependency: torch or Stable-Baselines3 is not installed.
-            InvalidSetup: There is no checkpoint, or another version of this program wrote it.
+            InvalidSetup: There is no checkpoint, another version of this program wrote it, or the environment has
+                another robot, or takes actions in another way, than that of the training.
             CorruptCheckpoint: It is damaged.
         """
         checkpoint = path if isinstance(path, Checkpoint) else find_checkpoint(path)
+        if env is not None:
+            _require_alike(checkpoint, env)
         policy = make_policy(checkpoint.training.algorithm, Flat(checkpoint.layout))
         policy.load_state_dict(checkpoint.policy())
         return cls(mean_action(policy), checkpoint.layout)
@@ -71,12 +79,20 @@ class PolicyAgent(Agent):
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Return the action for an observation of one copy, or those of a batch."""
         flat = self.flat.observation(observation)
-        example = next(iter(flat.values())) if isinstance(flat, dict) else flat
         space: Any = self.flat.observation_space
-        own = next(iter(space.spaces.values())) if isinstance(flat, dict) else space
-        if example.ndim == len(own.shape):
-            return self.flat.action(self._row(flat))
-        return self.flat.action(np.stack([self._row(_copy(flat, copy)) for copy in range(len(example))]))
+        if isinstance(flat, dict):
+            name, example = next(iter(flat.items()))
+            space = space[name]
+        else:
+            example = flat
+        before = self._torch.get_num_threads()
+        self._torch.set_num_threads(1)  # a row is small, and sums are then the same in every process
+        try:
+            if example.ndim == len(space.shape):
+                return self.flat.action(self._row(flat))
+            return self.flat.action(np.stack([self._row(_copy(flat, copy)) for copy in range(len(example))]))
+        finally:
+            self._torch.set_num_threads(before)
 
     def _row(self, flat: Any) -> NDArray[np.float32]:
         torch = self._torch
@@ -84,6 +100,18 @@ class PolicyAgent(Agent):
             if isinstance(flat, dict):
                 return self._mean({name: torch.from_numpy(rows[None]) for name, rows in flat.items()}).numpy()[0]
             return self._mean(torch.from_numpy(flat[None])).numpy()[0]
+
+
+def _require_alike(checkpoint: Checkpoint, env: Env | VecEnv) -> None:
+    """Check that actions mean in an environment what they meant in training."""
+    trained, here = checkpoint.training.setup, env.setup
+    different = [name for name in _MEANING if getattr(trained, name) != getattr(here, name)]
+    if different:
+        told = "; ".join(f"{name} is {getattr(here, name)!r}, not {getattr(trained, name)!r}" for name in different)
+        raise InvalidSetup(
+            f"The policy of {checkpoint.path} was trained in another environment: {told}. `rcs eval CHECKPOINT` makes "
+            "the right one."
+        )
 
 
 def _copy(flat: Any, copy: int) -> Any:

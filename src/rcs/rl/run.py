@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Generator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ _FREE = ("evaluate_every", "episodes", "checkpoint_every")
 
 
 @contextmanager
-def lock_run(run: Path) -> Iterator[None]:
+def lock_run(run: Path) -> Generator[None]:
     """Let no other process train in a folder meanwhile; the lock ends with this process.
 
     Raises:
@@ -77,8 +77,12 @@ def begin_run(run: Path, training: Training) -> Training:
     return training
 
 
-def read_training(run: Path) -> Training:
+def read_training(run: Path, *, trust: Collection[str] = ()) -> Training:
     """Return what is trained in a run's folder.
+
+    Args:
+        run: The folder.
+        trust: Modules that may be imported because the setup names a class of theirs.
 
     Raises:
         InvalidSetup: There is no run, or another version of this program began it.
@@ -93,10 +97,10 @@ def read_training(run: Path) -> Training:
     except (CorruptEpisode, KeyError) as err:
         for place in reversed(checkpoints_of(run)):
             try:
-                return open_checkpoint(place).training
+                return open_checkpoint(place, trust=trust).training
             except CorruptCheckpoint:
                 continue
         raise CorruptCheckpoint(f"{path} is damaged, and there is no checkpoint: {err}") from err
     if version != VERSION:
         raise InvalidSetup(f"{path} is of version {version!r}; this program reads version {VERSION}.")
-    return Training.from_json(training)
+    return Training.from_json(training, trust=trust)

@@ -36,23 +36,27 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
 
     The infos of a step are empty but for copies whose episode ended. Those have what SB3 and its monitors look for:
     `terminal_observation`, `TimeLimit.truncated`, `episode` (`r` return, `l` steps, `t` seconds since the start), and
-    `is_success`, besides `end`, which says how the last step ended. A copy whose simulation diverged has no value to go
-    on from, and counts as terminated.
+    `is_success`, besides `end`, which says how the last step ended. A copy whose simulation diverged counts as
+    terminated: its last observation is of no episode, and has no value.
 
     Arrays that a step returns are new, and stay as they are; frames are those of the environment if it gives them with
     channels first.
     """
 
-    def __init__(self, envs: VecEnv, flat: Flat | None = None) -> None:
+    def __init__(self, envs: VecEnv, flat: Flat | None = None, *, spread: bool = False) -> None:
         """Wrap copies.
 
         Args:
             envs: Made by `rcs.make_vec` with `autoreset="SameStep"`.
             flat: The maps; None for `Flat(envs)`.
+            spread: Whether the first episodes are cut short, each after another number of steps, as truncated ones
+                whose info has no `episode`. Otherwise, all copies go through the same part of an episode together as
+                long as none succeeds, and a learner sees a part at a time.
 
         Raises:
             MissingDependency: Stable-Baselines3 is not installed.
-            InvalidSetup: The copies start their next episode in another step than that of the end.
+            InvalidSetup: The copies start their next episode in another step than that of the end, or episodes that
+                should be spread have no limit.
         """
         if _Base is object:
             raise MissingDependency(
@@ -61,6 +65,13 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         mode = envs.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise InvalidSetup(f"autoreset is {mode}; Stable-Baselines3 needs make_vec(..., autoreset='SameStep').")
+        limit = envs.setup.max_episode_steps
+        if spread and limit is None:
+            raise InvalidSetup("Episodes without a limit cannot be spread; set max_episode_steps.")
+        # Copy 0 keeps its first episode whole.
+        self._first_steps = -(np.arange(envs.num_envs) * (limit or 0) // envs.num_envs) % (limit or 1)
+        self._is_spread = spread
+        self._cuts = np.zeros(envs.num_envs, np.int64)
         self.envs = envs
         """The copies."""
         self.flat = Flat(envs) if flat is None else flat
@@ -85,6 +96,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         self._reset_seeds()
         self._returns[:] = 0.0
         self._lengths[:] = 0
+        self._cuts = np.where(self._is_spread, self._first_steps, 0)
         return self.flat.observation(observation)
 
     def step_async(self, actions: NDArray[np.floating[Any]]) -> None:
@@ -111,21 +123,21 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if done.any():
             self._tell_ended(infos, info, np.flatnonzero(done), truncated)
+        if self._is_spread and (self._cuts > 0).any():
+            observation, done = self._cut(observation, done, infos)
         return self.flat.observation(observation), reward.astype(np.float32), done, infos
 
     def _tell_ended(
         self, infos: list[dict[str, Any]], info: Mapping[str, Any], ended: NDArray[np.intp], truncated: NDArray[Any]
     ) -> None:
         last = self.flat.observation(_rows(info["final_obs"], self._keys, ended))
-        has_images = bool(self.flat.layout.images)
         seconds = round(time.monotonic() - self._start, 6)
         ends: Any = info["final_info"]["end"]
         success = info["final_info"].get("success")
         for row, copy in enumerate(ended.tolist()):
-            own = {key: value[row] for key, value in last.items()} if has_images else last[row]
             end = str(ends[copy])
             infos[copy] = {
-                "terminal_observation": _finite(own) if end == DIVERGED else own,
+                "terminal_observation": _row(last, row),
                 "TimeLimit.truncated": bool(truncated[copy]) and end != DIVERGED,
                 "episode": {"r": float(self._returns[copy]), "l": int(self._lengths[copy]), "t": seconds},
                 "end": end,
@@ -135,13 +147,31 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         self._returns[ended] = 0.0
         self._lengths[ended] = 0
 
+    def _cut(
+        self, observation: Mapping[str, Any], done: NDArray[np.bool_], infos: list[dict[str, Any]]
+    ) -> tuple[Mapping[str, Any], NDArray[np.bool_]]:
+        """End first episodes that have lasted long enough."""
+        self._cuts[done] = 0  # it has ended by itself
+        cut = (self._cuts > 0) & (self._lengths >= self._cuts)
+        if not cut.any():
+            return observation, done
+        ended = np.flatnonzero(cut)
+        last = self.flat.observation(_rows(observation, self._keys, ended))
+        observation, _ = self.envs.reset(options={"reset_mask": cut})
+        for row, copy in enumerate(ended.tolist()):
+            infos[copy] = {"terminal_observation": _row(last, row), "TimeLimit.truncated": True, "end": "cut"}
+        self._cuts[ended] = self._lengths[ended] = 0
+        self._returns[ended] = 0.0
+        return observation, done | cut
+
     def statistics(self) -> dict[str, NDArray[Any]]:
-        """Return what was counted of the episodes at work, to go on with them later: returns and steps, (copies,)."""
-        return {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
+        """Return what was counted of the episodes at work, to go on with them later, an array (copies,) each."""
+        return {"returns": self._returns.copy(), "lengths": self._lengths.copy(), "cuts": self._cuts.copy()}
 
     def set_statistics(self, statistics: Mapping[str, NDArray[Any]]) -> None:
         """Go on with what `statistics` returned; the copies themselves go on from `VecEnv.set_state`."""
-        self._returns[:], self._lengths[:] = statistics["returns"], statistics["lengths"]
+        for own, name in ((self._returns, "returns"), (self._lengths, "lengths"), (self._cuts, "cuts")):
+            own[:] = statistics[name]
 
     def close(self) -> None:
         """Close the copies; twice is harmless."""
@@ -196,6 +226,13 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         return f"Sb3VecEnv({self.envs!r}, {self.flat!r})"
 
 
+def _row(observation: Any, row: int) -> Any:
+    """Return one row of a flat observation."""
+    if isinstance(observation, Mapping):
+        return {key: value[row] for key, value in observation.items()}
+    return observation[row]
+
+
 def _rows(observation: Mapping[str, Any], paths: Iterable[Path], rows: NDArray[np.intp]) -> dict[str, Any]:
     """Return some copies' rows of the keys that are used."""
     chosen: dict[str, Any] = {}
@@ -206,9 +243,3 @@ def _rows(observation: Mapping[str, Any], paths: Iterable[Path], rows: NDArray[n
             found, inner = found[key], inner.setdefault(key, {})
         inner[path[-1]] = found[path[-1]][rows]
     return chosen
-
-
-def _finite(observation: Any) -> Any:
-    if isinstance(observation, Mapping):
-        return {key: _finite(value) for key, value in observation.items()}
-    return np.nan_to_num(observation, nan=0.0, posinf=0.0, neginf=0.0)

@@ -15,9 +15,13 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from rcs.envs import spaces as keys
+from rcs.envs.env import Env
 from rcs.envs.start import base_in_scene
 from rcs.envs.task import Area
+from rcs.envs.vector import VecEnv
+from rcs.errors import InvalidSetup
 from rcs.rl.layout import Path
+from rcs.setups.make import resolve
 from rcs.sim.scene import RobotPlacement
 from rcs.spatial import compose, inverse
 
@@ -29,6 +33,8 @@ FORCE, MOMENT = 30.0, 5.0
 """Force and moment on the tool that are 1 [N, Nm]. Our choice: the weight of a payload of 3 kg, and a sixth of that."""
 NEAR = 0.1
 """Offset from pose to pose that is 1 [m]. Our choice: about the width of an opened gripper."""
+CLOSE = 0.03
+"""Offset that is 0.7 in what tells of the last centimetres [m]. Our choice: about half the width of a cuboid."""
 CENTRE, AROUND = (0.5, 0.0, 0.0), 0.5
 """Middle and half width of the space of poses where the arm is not known [m]."""
 
@@ -70,7 +76,8 @@ class Workplace:
         base = base_in_scene(robots) if own is None else base_in_scene([own])
         half = max(0.5 * float(np.hypot(*self.area.size)), 0.25 * reach)
         source = "half the diagonal of the task's area, or a quarter of the arm's reach"
-        return Scale(compose(inverse(base), centre)[:3].copy(), np.full(3, half), source)
+        middle = np.round(compose(inverse(base), centre)[:3], 9) + 0.0  # no rounding of a turned base, no -0
+        return Scale(middle, np.full(3, half), source)
 
 
 def scale_of(path: Path, box: spaces.Box, workplace: Workplace) -> Scale:
@@ -110,17 +117,20 @@ def bounds_of(box: spaces.Box) -> Scale:
 
 
 def workplace_of(env: Any) -> Workplace:
-    """Return what scales depend on, of an `Env` or `VecEnv`, also under gymnasium's wrappers."""
-    inner = getattr(env, "unwrapped", env)
-    robots = dict(getattr(inner, "robots", {}))
-    area: Area | None = None
-    if getattr(inner, "is_simulated", hasattr(inner, "scenario")):
-        area = inner.scenario.task.area
-    elif getattr(inner, "has_setup", False):
-        from rcs.setups.make import resolve
+    """Return what scales depend on, of an `Env` or `VecEnv`, also under gymnasium's wrappers.
 
+    Raises:
+        InvalidSetup: It is none.
+    """
+    inner = getattr(env, "unwrapped", env)
+    if not isinstance(inner, Env | VecEnv):
+        raise InvalidSetup(f"{env!r} is no environment of rcs; make the maps with Flat.from_spaces.")
+    area: Area | None = None
+    if isinstance(inner, VecEnv) or inner.is_simulated:
+        area = inner.scenario.task.area
+    elif inner.has_setup:
         area = resolve(inner.setup).task.area
-    return Workplace(robots=robots, area=area)
+    return Workplace(robots=inner.robots, area=area)
 
 
 def _about_zero(scale: ArrayLike, size: int, source: str) -> Scale:

@@ -12,7 +12,7 @@ import numpy as np
 from rcs.errors import CorruptCheckpoint
 from rcs.rl.packages import package
 
-_ARRAY = "array"
+_ARRAY = "__array__"
 """Key of an array's bytes; torch has no type for all of NumPy's."""
 
 

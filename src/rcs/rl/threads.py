@@ -13,7 +13,7 @@ from gymnasium import spaces
 
 from rcs.rl.algorithms import Ppo
 from rcs.rl.flat import Flat
-from rcs.rl.networks import make_policy
+from rcs.rl.networks import batch_size, make_policy
 from rcs.rl.packages import package
 from rcs.rl.training import Training
 from rcs.setups.make import make_vec
@@ -74,11 +74,11 @@ def measure_torch(training: Training, flat: Flat) -> Measured:
     before = torch.get_num_threads()
     if isinstance(algorithm, Ppo):
         decisions = algorithm.n_steps
-        gradients = algorithm.n_epochs * max(training.copies * algorithm.n_steps // algorithm.batch_size, 1)
+        gradients = algorithm.n_epochs * (training.copies * algorithm.n_steps // batch_size(training))
     else:
         decisions, gradients = 1, algorithm.gradient_steps
     policy = make_policy(algorithm, flat)
-    few, many = (_zeros(flat, rows) for rows in (training.copies, algorithm.batch_size))
+    few, many = (_zeros(flat, rows) for rows in (training.copies, batch_size(training)))
 
     def decide() -> None:
         with torch.no_grad():
@@ -87,7 +87,9 @@ def measure_torch(training: Training, flat: Flat) -> Measured:
     def learn() -> None:
         policy.zero_grad()
         outputs = policy(many)
-        sum(one.square().mean() for one in (outputs if isinstance(outputs, tuple) else (outputs,))).backward()
+        torch.cat(
+            [one.reshape(-1) for one in (outputs if isinstance(outputs, tuple) else (outputs,))]
+        ).mean().backward()
 
     def speed(threads: int) -> float:
         torch.set_num_threads(threads)

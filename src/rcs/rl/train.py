@@ -52,7 +52,7 @@ class Progress:
     seconds: float = 0.0
     """How long training took so far, with the time before kills that is not repeated [s]."""
     speed: float = 0.0
-    """Steps per second while learning, without evaluations."""
+    """Steps per second while learning, without evaluations, since the last row of figures."""
     score: Score | None = None
     """The last evaluation."""
     best: Checkpoint | None = None
@@ -118,14 +118,19 @@ class _Run:
             self._learner = learner_for(training, self._envs, flat)
             self._agent = PolicyAgent(mean_action(self._learner.policy), flat.layout)
             self._last = self._restore()
-            self._threads = threads
+            self._threads, self._learning, self._made = threads, 0.0, 0
         except BaseException:
             self._envs.close()
             raise
         self._started = time.perf_counter() - (self._last.seconds if self._last is not None else 0.0)
 
     def _restore(self) -> Checkpoint | None:
-        """Go on from the newest checkpoint that is not damaged, and return it; None to start from the beginning."""
+        """Go on from the newest checkpoint that is not damaged, and return it; None to start from the beginning.
+
+        Raises:
+            CorruptCheckpoint: There are checkpoints, and all from which one could go on are damaged.
+        """
+        damage = ""
         for place in reversed(checkpoints_of(self._run)):
             try:
                 checkpoint = open_checkpoint(place)
@@ -134,7 +139,8 @@ class _Run:
                 weights, state = checkpoint.policy(), checkpoint.learner()
                 pieces = checkpoint.replay()
             except CorruptCheckpoint as err:
-                self._progress.notes.append(f"{err} Going on from the one before.")
+                damage = str(err)
+                self._progress.notes.append(f"{err} The one before is tried.")
                 continue
             self._learner.load(weights, state)
             if self._learner.has_replay:
@@ -142,48 +148,64 @@ class _Run:
             if checkpoint.steps < self._training.steps:
                 self._progress.notes.append(f"Going on from step {checkpoint.steps}.")
             return checkpoint
+        if damage:
+            raise CorruptCheckpoint(
+                f"No checkpoint of {self._run} is left to go on from: {damage} Train into another folder; what acts in "
+                "the checkpoints that are whole still can be evaluated."
+            )
         return None
 
     def go_on(self) -> Iterator[Progress]:
         """Train; see `train`."""
         progress, learner, training = self._progress, self._learner, self._training
+        begun = -1 if self._last is None else self._last.steps
         try:
-            remove_old(self._run, keep_after=-1 if self._last is None else self._last.steps)
-            scored = [open_checkpoint(place) for place in _readable(self._run)]
-            progress.best = best_of(scored)
-            progress.score = next((one.score for one in reversed(scored) if one.score is not None), None)
-            with Metrics(self._run, after=-1 if self._last is None else self._last.steps) as self._metrics:
+            remove_old(self._run, keep_after=begun)
+            scored = [one for one in map(open_checkpoint, checkpoints_of(self._run)) if one.score is not None]
+            progress.best, progress.score = best_of(scored), scored[-1].score if scored else None
+            with Metrics(self._run, after=begun) as self._metrics:
                 if self._last is None:
                     yield from self._evaluate_and_save()
-                logged, learning, made = learner.steps, 0.0, 0
                 while not learner.is_done and not progress.is_interrupted:
-                    before, start = learner.steps, time.perf_counter()
-                    learner.advance()
-                    learning, made = learning + time.perf_counter() - start, made + learner.steps - before
-                    progress.steps, progress.speed, progress.doing = learner.steps, made / learning, "learning"
-                    progress.seconds = self._seconds()
-                    is_end = learner.is_done or progress.is_interrupted
-                    is_due = {
-                        "log": (learner.steps - logged) * _ROWS >= training.steps or is_end,
-                        "evaluate": _passes(before, learner.steps, training.evaluate_every) or learner.is_done,
-                        "save": _passes(before, learner.steps, training.checkpoint_every) or is_end,
-                    }
-                    if any(is_due.values()):
-                        logged = learner.steps
-                        speed = {SPEED: made / learning}
-                        self._metrics.add(learner.steps, self._seconds(), {**learner.figures(), **speed})
-                    if is_due["evaluate"] and training.episodes:
-                        yield from self._evaluate_and_save()
-                    elif is_due["save"] or is_due["evaluate"]:
-                        self._save(None)
+                    before = learner.steps
+                    self._advance()
                     yield progress
+                    if learner.is_done or _passes(before, learner.steps, training.evaluate_every):
+                        yield from self._evaluate_and_save()
+                    elif _passes(before, learner.steps, training.checkpoint_every):
+                        self._save(None)
+                if self._last is not None and self._last.steps < learner.steps:
+                    self._save(None)
+            self._tell("done" if learner.is_done else "interrupted")
+            yield progress
         finally:
             self.close()
+
+    def _advance(self) -> None:
+        """Make an update, and note its figures now and then."""
+        learner, start, before = self._learner, time.perf_counter(), self._learner.steps
+        learner.advance()
+        self._learning += time.perf_counter() - start
+        self._made += learner.steps - before
+        self._progress.speed = self._made / self._learning
+        self._tell("learning")
+        if _passes(before, learner.steps, max(self._training.steps // _ROWS, 1)):
+            self._note()
+
+    def _note(self) -> None:
+        """Write the figures of the last update."""
+        figures = {**self._learner.figures(), SPEED: self._progress.speed}
+        self._metrics.add(self._learner.steps, self._seconds(), figures)
+        self._learning, self._made = 0.0, 0  # the speed is that since the last row
+
+    def _tell(self, doing: str) -> None:
+        progress = self._progress
+        progress.doing, progress.steps, progress.seconds = doing, self._learner.steps, self._seconds()
 
     def _evaluate_and_save(self) -> Iterator[Progress]:
         """Evaluate the policy and write its checkpoint."""
         progress, training = self._progress, self._training
-        progress.steps, progress.doing = self._learner.steps, "evaluating"
+        self._tell("evaluating")
         if not training.episodes:
             self._save(None)
             return
@@ -213,6 +235,8 @@ class _Run:
 
     def _save(self, score: Score | None) -> None:
         learner, last = self._learner, self._last
+        if learner.has_figures:
+            self._note()  # what is noted later must not be missing after a kill
         self._metrics.sync()
         files: dict[str, str] = {}
         piece = None
@@ -250,12 +274,3 @@ def _passes(before: int, after: int, every: int) -> bool:
 
 def _versions() -> dict[str, str]:
     return {**versions(), **{name: importlib.metadata.version(name) for name in ("torch", "stable-baselines3")}}
-
-
-def _readable(run: Path) -> Iterator[Path]:
-    for place in checkpoints_of(run):
-        try:
-            open_checkpoint(place)
-        except CorruptCheckpoint:
-            continue
-        yield place

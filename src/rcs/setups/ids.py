@@ -84,5 +84,4 @@ def make_registered_vec(num_envs: int = 1, task: str = "PickCuboid", **options: 
     """Make copies for `gymnasium.make_vec(..., vectorization_mode="vector_entry_point")`."""
     from rcs.setups.make import make_vec
 
-    options.pop("render_mode", None)
     return make_vec(task, copies=num_envs, **options)

@@ -101,6 +101,7 @@ def make_vec(
     threads: int = 0,
     autoreset: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     layers: Sequence[AnyLayer] | Mapping[str, Sequence[AnyLayer]] = (),
+    render_mode: None = None,
     **options: Unpack[Options],
 ) -> VecEnv:
     """Make many copies of an environment that are stepped together on native threads.
@@ -111,6 +112,7 @@ def make_vec(
         threads: Threads for physics and rendering, 0 for one per CPU.
         autoreset: When a copy starts its next episode: `NextStep`, `SameStep` or `Disabled` (gymnasium's).
         layers: Your own layers, as in `make`.
+        render_mode: None: copies have `cameras`, and nothing else that draws.
         options: Fields of `Setup`; their defaults and units are listed there.
 
     Raises:
@@ -126,6 +128,11 @@ def make_vec(
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
             raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least}.")
     copies, threads = int(copies), int(threads)
+    if render_mode is not None:  # pyright: ignore[reportUnnecessaryComparison]
+        raise InvalidSetup(
+            f"render_mode is {render_mode!r}, and copies draw no pictures besides those of their cameras; give "
+            "cameras=(...) for frames in the observation, or film one environment: rcs.make(..., render_mode=...)."
+        )
     setup = _setup(task, dict(options))
     if setup.stepping == "realtime":
         raise InvalidSetup("Copies have no common wall clock; use stepping='async' or 'sync'.")

@@ -26,7 +26,7 @@ from rcs.spatial import distance, xyzw_to_wxyz
 @pytest.fixture
 def view() -> Iterator[BrowserView]:
     """A page of an environment that does not wait for the wall clock."""
-    session = Session(replace(playable(Setup(task="PickCuboid")), stepping="async"))
+    session = Session(replace(playable(Setup(task="PickCuboid", reward="sparse")), stepping="async"))
     with BrowserView(session, port=0) as view:
         yield view
     view.session.close()
@@ -125,7 +125,7 @@ def test_the_gripper_follows_its_slider(view: BrowserView) -> None:
 
 
 def test_the_expert_shows_how_it_is_done_and_the_target_is_hidden_meanwhile(view: BrowserView) -> None:
-    give(view, "Expert acts", True)
+    give(view, "Agent acts", True)
     gizmo = server_of(view).scene.get_handle_by_name("/targets/fr3")
     words_at_the_end = ""
     for _ in range(600):

@@ -120,9 +120,11 @@ class Panel:
             self._seed = gui.add_number("Seed", session.seed, min=0, step=1, hint="Of the next reset")
             starts = {"Reset": self._reset, "Next seed": self._next}
             _buttons(gui, "Begin", self._ask, starts, hint="An episode depends on its seed alone.")
-            if lookup.find("task", session.setup.task).expert is not None:
-                expert = gui.add_checkbox("Expert acts", initial_value=False, hint="In a new episode")
-                _on_value(expert, self._ask, self._let_expert)
+            if session.has_agent:
+                agent = gui.add_checkbox(
+                    "Agent acts", initial_value=session.agent is not None, hint="In a new episode"
+                )
+                _on_value(agent, self._ask, self._let_agent)
 
     def _add_cameras(self) -> None:
         frames = self._session.frames
@@ -170,7 +172,7 @@ class Panel:
     def _go_on(self) -> None:
         self._begin(self._session.recover)
 
-    def _let_expert(self, is_acting: bool) -> None:
+    def _let_agent(self, is_acting: bool) -> None:
         self._begin(lambda: self._session.let_agent(is_acting))
 
     def _begin(self, start: Callable[[], None]) -> None:

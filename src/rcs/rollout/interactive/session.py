@@ -11,6 +11,7 @@ import numpy as np
 
 from rcs.agents import Agent
 from rcs.agents.choice import agent_for
+from rcs.devices import lookup
 from rcs.envs.engine import DIVERGED, FAULT
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup
@@ -21,17 +22,22 @@ from rcs.setups.make import make, resolve
 from rcs.sim.world import World
 
 
-def playable(setup: Setup) -> Setup:
+def playable(setup: Setup, *, keep_gripper: bool = False) -> Setup:
     """Return a setup as a person plays with it: at the rate of the wall clock, without a limit of steps.
 
     A gripper opens as far as it is told; a hand still opens and closes as a whole.
+
+    Args:
+        setup: What is simulated.
+        keep_gripper: Whether the gripper is commanded as in the setup, for an agent that was trained in it.
 
     Raises:
         UnknownName: The setup names something that is not there.
         InvalidSetup: Its parts do not fit each other.
     """
     has_hand = any(robot.hand is not None for robot in resolve(setup).robots)
-    return replace(setup, stepping="realtime", max_episode_steps=None, binary_gripper=has_hand)
+    is_binary = setup.binary_gripper if keep_gripper else has_hand
+    return replace(setup, stepping="realtime", max_episode_steps=None, binary_gripper=is_binary)
 
 
 class Session:
@@ -40,12 +46,13 @@ class Session:
     Errors of a step do not end it: `problem` has the words, and `recover` goes on.
     """
 
-    def __init__(self, setup: Setup, *, seed: int = 0) -> None:
+    def __init__(self, setup: Setup, *, seed: int = 0, agent: Any = None) -> None:
         """Make the environment and begin its first episode.
 
         Args:
             setup: What is simulated, as `playable` returns it, or with other timing in tests.
             seed: Of the first episode.
+            agent: Who may act in place of the person, as `agent_for` takes it; None for the expert of the task.
 
         Raises:
             UnknownName: The setup names something that is not there.
@@ -55,6 +62,7 @@ class Session:
         """The present one."""
         self.info: Mapping[str, Any] = {}
         """Of the last step, or of the reset."""
+        self._actor = agent
         self.env: Env = make(setup)
         try:
             self.guides: dict[str, Guide] = {name: Guide(self.env, robot) for name, robot in self.env.robots.items()}
@@ -81,6 +89,11 @@ class Session:
     def world(self) -> World:
         """The simulated world."""
         return self.env.scenario.world
+
+    @property
+    def has_agent(self) -> bool:
+        """Whether there is somebody to act in place of the person."""
+        return self._actor is not None or lookup.find("task", self.setup.task).expert is not None
 
     @property
     def frames(self) -> dict[str, Any]:
@@ -120,13 +133,13 @@ class Session:
         self._begin(self.seed, state)
 
     def let_agent(self, is_acting: bool) -> None:
-        """Let the task's expert act in a new episode with the present seed, or take over from it.
+        """Let the agent act in a new episode with the present seed, or take over from it.
 
         Raises:
-            InvalidSetup: The task has no expert.
+            InvalidSetup: There is no agent, and the task has no expert; or it does not fit the environment.
         """
         if is_acting:
-            self.agent = agent_for(self.env)
+            self.agent = agent_for(self.env, self._actor)
             self._begin(self.seed, None)
         else:
             self._end_agent()

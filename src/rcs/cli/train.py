@@ -1,0 +1,207 @@
+"""`rcs train`: a policy by reinforcement learning, with checkpoints, evaluations and a report page."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
+from rich.progress import Progress as Bar
+from rich.text import Text
+
+from rcs.cli.console import plain_console
+from rcs.cli.runs import INTERRUPTED, interruptible, option_of_task
+from rcs.data.verdicts import wilson_interval
+from rcs.envs.reward import RewardKind
+from rcs.envs.setup import Setup
+from rcs.envs.spaces import Control
+from rcs.errors import InvalidSetup
+from rcs.rl.algorithms import AlgorithmName
+from rcs.rl.charts import short
+from rcs.rl.checkpoint import Score
+from rcs.rl.recipes import recipe_for
+from rcs.rl.report import write_report
+from rcs.rl.run import read_training
+from rcs.rl.train import Progress, train
+from rcs.rl.training import Training
+from rcs.sim.randomisation import Preset, Randomisation
+
+
+@dataclass(kw_only=True)
+class TrainCommand:
+    """Train a policy by reinforcement learning and write a report page.
+
+    What is not given is that of the task's recipe. The same command, or `--resume`, goes on with a training that was
+    killed, from its last checkpoint, and ends with the same weights. Ctrl-C ends after the update at work, with a
+    checkpoint; a second one at once. `rcs eval RUN` evaluates what was learned.
+    """
+
+    task: Annotated[str, tyro.conf.Positional] = ""
+    """Name of the task, such as PickCuboid, or `module:Class`."""
+    robot: str = "fr3"
+    """Name of the robot."""
+    algo: AlgorithmName = "ppo"
+    """What learns."""
+    out: Path | None = None
+    """Folder of the run; by default `runs/TASK-ROBOT-ALGO-SEED`."""
+    resume: Path | None = None
+    """Folder of a run to go on with, in place of a task; other options are then those of its beginning."""
+    steps: int | None = None
+    """Environment steps of the whole training, of all copies together."""
+    seed: int = 0
+    """Same seed, same weights, on the same machine."""
+    copies: int | None = None
+    """Copies of the environment that are stepped together."""
+    cameras: tuple[str, ...] = ()
+    """Cameras of the policy, such as `wrist side`, which then sees and is not told where the objects are."""
+    image_size: int | None = None
+    """Width and height of every frame in pixels."""
+    end_effector: str | None = None
+    """Name of the end effector; the robot's usual one by default."""
+    task_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """An option of the task as `name=value`, such as `lift_height=0.05`; may be given several times."""
+    reward: RewardKind | None = None
+    """What a step pays."""
+    discount: float | None = None
+    """What a reward one step later is worth."""
+    control: Control | None = None
+    """What actions say of the arm."""
+    frequency: float | None = None
+    """Control steps per second [Hz]."""
+    max_episode_steps: int | None = None
+    """An episode is truncated after this many steps."""
+    randomise: Preset | None = None
+    """Vary looks, objects, physics, start and timing of the robots from episode to episode, within these ranges."""
+    learning_rate: float | None = None
+    """Step size of the learner at the start."""
+    evaluate_every: int = 0
+    """Steps between two evaluations; 0 for a twentieth of all."""
+    episodes: int = 50
+    """Episodes of an evaluation, none of which training sees; 0 for no evaluations."""
+    checkpoint_every: int = 0
+    """Steps between two checkpoints; 0 for one at every evaluation."""
+    video: bool = True
+    """Film an episode at every evaluation, for the report."""
+    device: str = "cpu"
+    """Where the networks are: `cpu`, or `cuda` for a GPU."""
+    threads: int = 0
+    """Threads for physics and drawing; 0 to measure which number is fastest. They change no result."""
+    torch_threads: int = 0
+    """Threads of torch on the CPU; 0 to measure which number is fastest."""
+    trust: tuple[str, ...] = ()
+    """Modules of which the environment of `--resume` may have classes; importing them runs their code."""
+
+    def run(self) -> int:
+        """Train, print the results and return the exit code."""
+        console, progress = plain_console(soft_wrap=False), Progress()
+        training, out = self._training()
+        try:
+            with interruptible(progress, console, "Ending after the update at work; Ctrl-C again ends at once."):
+                _show(training, out, progress, console, self.threads, self.video)
+        finally:
+            if progress.steps:
+                _summarise(progress, out, console)
+        return INTERRUPTED if progress.is_interrupted and progress.steps < progress.total else 0
+
+    def _training(self) -> tuple[Training, Path]:
+        if self.resume is not None:
+            if self.task or self.out is not None:
+                raise InvalidSetup("With --resume, give neither a task nor --out: the run's folder says both.")
+            training = read_training(self.resume, trust=self.trust)
+            return training if self.steps is None else replace(training, steps=self.steps), self.resume
+        if not self.task:
+            raise InvalidSetup("Give a task, such as `rcs train PickCuboid`, or a run to go on with: --resume RUN.")
+        recipe = recipe_for(self.task, self.algo, cameras=self.cameras)
+        rate = {} if self.learning_rate is None else {"learning_rate": self.learning_rate}
+        training = Training(
+            setup=self._setup(recipe.setup),
+            copies=self.copies or recipe.copies,
+            steps=self.steps or recipe.steps,
+            algorithm=replace(recipe.algorithm, **rate),
+            seed=self.seed,
+            evaluate_every=self.evaluate_every,
+            episodes=self.episodes,
+            checkpoint_every=self.checkpoint_every,
+            device=self.device,
+            torch_threads=self.torch_threads,
+        )
+        name = self.task.replace(":", ".").replace(os.sep, ".")
+        return training, self.out or Path("runs", f"{name}-{self.robot}-{self.algo}-{self.seed}")
+
+    def _setup(self, setup: Setup) -> Setup:
+        changes = {name: getattr(self, name) for name in _OF_SETUP if getattr(self, name) is not None}
+        if self.randomise is not None:
+            changes["randomisation"] = Randomisation.of(self.randomise)
+        options = {**setup.task_options, **dict(option_of_task(given) for given in self.task_option)}
+        return replace(setup, robot=self.robot, task_options=options, **changes)
+
+
+_OF_SETUP = ("end_effector", "reward", "discount", "control", "frequency", "max_episode_steps", "image_size")
+"""Options that are fields of a setup; those not given are the recipe's."""
+
+
+class _TimeLeft(ProgressColumn):
+    """Time that is left, from the steps of this process alone: those before a kill were not made now."""
+
+    def render(self, task: Task) -> Text:
+        """Return it as text."""
+        left = (task.total or 0) - task.completed
+        speed = task.fields["speed"]
+        if not speed:
+            return Text("-:--:-- left")
+        minutes, seconds = divmod(round(left / speed), 60)
+        return Text(f"{minutes // 60}:{minutes % 60:02}:{seconds:02} left")
+
+
+def _show(training: Training, out: Path, progress: Progress, console: Console, threads: int, videos: bool) -> None:
+    setup = training.setup
+    console.print(
+        f"{setup.task} on {setup.robot}: {training.algorithm.name}, {training.copies} copies, {training.steps} steps, "
+        f"seed {training.seed}; {', '.join(setup.cameras) or 'no cameras'}. Run: {out}",
+        soft_wrap=True,
+    )
+    columns = (
+        TextColumn("{task.fields[doing]:10}", markup=False),
+        BarColumn(bar_width=12),
+        TextColumn("{task.fields[made]} steps, {task.fields[speed]:.0f}/s", markup=False),
+        TextColumn("{task.fields[told]}", markup=False),
+        _TimeLeft(),
+    )
+    noted, scored = 0, progress.score
+    with Bar(*columns, console=console) as bar:
+        task = bar.add_task("", total=training.steps, doing=progress.doing, speed=0.0, made="", told="")
+        for _ in train(training, out, progress, threads=threads, videos=videos):
+            for note in progress.notes[noted:]:
+                console.print(note, soft_wrap=True)
+            noted = len(progress.notes)
+            told = "" if progress.score is None else f"success {_rate(progress.score)}"
+            done = min(progress.steps, training.steps)
+            made = f"{short(progress.steps)}/{short(training.steps)}"
+            bar.update(task, completed=done, doing=progress.doing, speed=progress.speed, made=made, told=told)
+            if progress.score is not scored:
+                scored = progress.score
+                write_report(out)
+    for note in progress.notes[noted:]:
+        console.print(note, soft_wrap=True)
+
+
+def _summarise(progress: Progress, out: Path, console: Console) -> None:
+    minutes, seconds = divmod(round(progress.seconds), 60)
+    console.print(f"{progress.steps} steps in {minutes} min {seconds} s.", soft_wrap=True)
+    if progress.best is not None and progress.best.score is not None:
+        told = _rate(progress.best.score)
+        console.print(f"Best: {progress.best.path}, success {told}", soft_wrap=True)
+    console.print(f"Report: {write_report(out)}", soft_wrap=True)
+    console.print(f"Evaluate: rcs eval {out} --episodes 300 --video", soft_wrap=True)
+
+
+def _rate(score: Score) -> str:
+    if not score.judged:
+        return "not judged"
+    low, high = (100 * bound for bound in wilson_interval(score.successes, score.judged))
+    rate = 100 * score.successes / score.judged
+    return f"{score.successes}/{score.judged} = {rate:.0f} % ({low:.0f} to {high:.0f} %)"

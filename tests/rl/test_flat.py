@@ -1,0 +1,361 @@
+from __future__ import annotations
+
+import functools
+import json
+import warnings
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+import rcs
+from rcs.agents import agent_for
+from rcs.envs.env import Env
+from rcs.envs.vector import VecEnv
+from rcs.errors import InvalidAction, InvalidSetup
+from rcs.rl import Flat, FlatLayout, Selection
+
+SETUPS: dict[str, dict[str, Any]] = {
+    "joints": {"observe": ("privileged", "contacts", "torques", "wrench")},
+    "xyzrpy": {"task": "Place", "robot": "ur5e", "control": "xyzrpy", "observe": ("privileged",)},
+    "two arms": {"task": "LiftBar", "robot": "dual_fr3", "observe": ("privileged", "contacts")},
+    "a hand": {"task": "PickToy", "robot": "xarm7", "observe": ("privileged", "contacts")},
+    "poses": {"robot": "so101", "control": "tquat", "observe": ("privileged",)},
+    "nothing privileged": {"control": "joints", "relative": "absolute", "binary_gripper": False},
+}
+KINDS = pytest.mark.parametrize("kind", list(SETUPS))
+
+
+@functools.cache
+def made(kind: str) -> tuple[Env, Flat]:
+    env = rcs.make(**SETUPS[kind])
+    return env, Flat(env)
+
+
+@functools.cache
+def rolled_out(kind: str) -> list[dict[str, Any]]:
+    """Observations of a few steps with random actions."""
+    env, flat = made(kind)
+    observations = [env.reset(seed=3)[0]]
+    random = np.random.default_rng(0)
+    for _ in range(6):
+        vector = random.uniform(-1, 1, flat.action_space.shape)
+        observations.append(env.step(flat.action(vector))[0])
+    return observations
+
+
+def leaves(values: Any, path: str = "") -> dict[str, NDArray[Any]]:
+    if not isinstance(values, Mapping):
+        return {path: values}
+    return {name: leaf for key, one in values.items() for name, leaf in leaves(one, f"{path}/{key}").items()}
+
+
+def same_bits(a: Any, b: Any) -> bool:
+    one, other = leaves(a), leaves(b)
+    return one.keys() == other.keys() and all(
+        one[key].dtype == other[key].dtype and np.array_equal(one[key], other[key]) for key in one
+    )
+
+
+def sampled(space: spaces.Space[Any], random: np.random.Generator) -> Any:
+    """A random observation anywhere in its space, with quaternions that are rotations."""
+    if isinstance(space, spaces.Dict):
+        return {key: sampled(one, random) for key, one in space.spaces.items()}
+    assert isinstance(space, spaces.Box)
+    value = random.uniform(space.low, space.high)
+    if space.shape == (7,) and space.high[6] == 1.0:
+        value[3:] = random.normal(size=4)
+        value[3:] /= np.linalg.norm(value[3:])
+    return (np.rint(value) if np.dtype(space.dtype).kind == "u" else value).astype(space.dtype)
+
+
+def require_same_rotations(a: NDArray[Any], b: NDArray[Any], tolerance: float) -> None:
+    np.testing.assert_allclose(np.abs((a * b).sum(-1)), 1.0, atol=tolerance)
+
+
+@KINDS
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_a_vector_of_an_action_comes_back_from_the_action(kind: str, seed: int) -> None:
+    env, flat = made(kind)
+    vector = np.random.default_rng(seed).uniform(-1, 1, flat.action_space.shape).astype(np.float32)
+    action = flat.action(vector)
+    np.testing.assert_allclose(flat.action_vector(action), vector, rtol=0, atol=1e-6)
+    assert leaves(action).keys() == leaves(env.action_space.sample()).keys()
+
+
+@KINDS
+def test_the_corners_of_the_box_are_the_bounds_of_every_action(kind: str) -> None:
+    env, flat = made(kind)
+    boxes = leaves(spaces_of(env.action_space))
+    for corner, name in ((-1.0, "low"), (1.0, "high")):
+        for key, value in leaves(flat.action(np.full(flat.action_space.shape, corner))).items():
+            np.testing.assert_allclose(value, getattr(boxes[key], name), rtol=0, atol=1e-6)
+
+
+def spaces_of(space: spaces.Space[Any]) -> dict[str, Any]:
+    assert isinstance(space, spaces.Dict)
+    return {key: spaces_of(one) if isinstance(one, spaces.Dict) else one for key, one in space.spaces.items()}
+
+
+def test_actions_beyond_the_box_count_as_its_border_and_others_without_a_value_are_refused() -> None:
+    _, flat = made("joints")
+    vector = np.linspace(-3, 3, 8, dtype=np.float32)
+    assert same_bits(flat.action(vector), flat.action(np.clip(vector, -1, 1)))
+    for bad in (np.nan, np.inf):
+        with pytest.raises(InvalidAction, match=r"number \[1, 2\] is (nan|inf); valid is -1 to 1"):
+            flat.action(np.where(np.arange(16).reshape(2, 8) == 10, bad, 0.0))
+    with pytest.raises(InvalidAction, match=r"shape \(7,\); valid is \(\.\.\., 8\)"):
+        flat.action(np.zeros(7))
+
+
+@KINDS
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_any_observation_comes_back_from_its_vector(kind: str, seed: int) -> None:
+    env, flat = made(kind)
+    observation = sampled(env.observation_space, np.random.default_rng(seed))
+    vector = flat.observation(observation)
+    assert flat.observation_space.contains(vector)
+    before, after = leaves(observation), leaves(flat.observation_dict(vector))
+    boxes = leaves(spaces_of(env.observation_space))
+    assert set(before) - set(after) == {key for key in before if key.endswith("xyzrpy")}
+    for key, value in after.items():
+        largest = np.maximum(np.abs(boxes[key].low), np.abs(boxes[key].high)).max()  # float32 has 7 digits of it
+        assert value.dtype == before[key].dtype
+        if key.endswith("tquat"):
+            require_same_rotations(value[3:], before[key][3:], 1e-6)
+            np.testing.assert_allclose(value[:3], before[key][:3], rtol=0, atol=1e-6 * largest)
+        else:
+            np.testing.assert_allclose(value, before[key], rtol=0, atol=1e-6 * largest)
+
+
+@KINDS
+def test_what_occurs_comes_back_to_1e_6_of_its_unit(kind: str) -> None:
+    _, flat = made(kind)
+    for observation in rolled_out(kind):
+        vector = flat.observation(observation)
+        assert flat.observation_space.contains(vector)
+        before, after = leaves(observation), leaves(flat.observation_dict(vector))
+        for key, value in after.items():
+            if key.endswith("tquat"):
+                require_same_rotations(value[3:], before[key][3:], 1e-6)
+                value, before[key] = value[:3], before[key][:3]
+            step = 1e-6 * max(1.0, np.abs(before[key]).max())
+            np.testing.assert_allclose(value, before[key], rtol=0, atol=step)
+        again = flat.observation(flat.observation_dict(vector))
+        np.testing.assert_allclose(again, vector, rtol=0, atol=1e-5)
+
+
+@KINDS
+def test_a_batch_of_any_shape_has_the_bits_of_single_ones(kind: str) -> None:
+    _, flat = made(kind)
+    observations = rolled_out(kind)[:6]
+
+    def stacked(values: list[Any], shape: tuple[int, ...]) -> Any:
+        if isinstance(values[0], Mapping):
+            return {key: stacked([one[key] for one in values], shape) for key in values[0]}
+        return np.stack(values).reshape(*shape, *values[0].shape)
+
+    singles = np.stack([flat.observation(one) for one in observations])
+    for shape in ((6,), (2, 3), (6, 1)):
+        batch = stacked(observations, shape)
+        np.testing.assert_array_equal(flat.observation(batch), singles.reshape(*shape, -1))
+        assert same_bits(
+            flat.observation_dict(singles.reshape(*shape, -1)),
+            stacked([flat.observation_dict(one) for one in singles], shape),
+        )
+    vectors = np.random.default_rng(1).uniform(-1.2, 1.2, (6, *flat.action_space.shape))
+    assert same_bits(flat.action(vectors), stacked([flat.action(one) for one in vectors], (6,)))
+    batch = flat.action(vectors)
+    np.testing.assert_array_equal(flat.action_vector(batch)[3], flat.action_vector(flat.action(vectors[3])))
+
+
+@KINDS
+def test_a_layout_survives_json_and_is_all_that_the_maps_need(kind: str) -> None:
+    _, flat = made(kind)
+    layout = FlatLayout.from_json(json.loads(json.dumps(flat.layout.to_json(), allow_nan=False)))
+    assert layout == flat.layout
+    stored = Flat(layout)
+    assert (stored.action_space, stored.observation_space) == (flat.action_space, flat.observation_space)
+    for observation in rolled_out(kind):
+        vector = flat.observation(observation)
+        np.testing.assert_array_equal(stored.observation(observation), vector)
+        assert same_bits(stored.observation_dict(vector), flat.observation_dict(vector))
+    vector = flat.action_space.sample()
+    assert same_bits(stored.action(vector), flat.action(vector))
+
+
+@KINDS
+def test_many_copies_have_the_layout_of_one_environment(kind: str) -> None:
+    envs = rcs.make_vec(copies=2, **SETUPS[kind])
+    assert Flat(envs).layout == made(kind)[1].layout
+    envs.close()
+
+
+def test_arguments_stay_as_they_are() -> None:
+    _, flat = made("two arms")
+    observation = rolled_out("two arms")[2]
+    copy = {key: np.array(value) for key, value in leaves(observation).items()}
+    vector = flat.observation(observation)
+    kept = vector.copy()
+    flat.observation_dict(vector)
+    assert same_bits(leaves(observation), copy)
+    np.testing.assert_array_equal(vector, kept)
+    action = flat.action(np.zeros(flat.action_space.shape))
+    copy = {key: np.array(value) for key, value in leaves(action).items()}
+    flat.action_vector(action)
+    assert same_bits(leaves(action), copy)
+
+
+def entry(flat: Flat, name: str, kind: str) -> slice:
+    return next(one.slice for one in flat.layout.state if (one.name, one.kind) == (name, kind))
+
+
+def test_offsets_and_relative_turns_are_those_of_the_poses() -> None:
+    _, flat = made("xyzrpy")
+    for observation in rolled_out("xyzrpy"):
+        vector = flat.observation(observation)
+        poses = {"tquat": observation["tquat"]}
+        poses |= {f"privileged/{name}/tquat": one["tquat"] for name, one in observation["privileged"].items()}
+        for here, there in (
+            ("tquat", "privileged/cuboid/tquat"),
+            ("tquat", "privileged/mark/tquat"),
+            ("privileged/cuboid/tquat", "privileged/mark/tquat"),
+        ):
+            first, second = (rcs.Pose(one[:3], one[3:]) for one in (poses[here], poses[there]))
+            offset = vector[entry(flat, f"{here} to {there}", "offset")]
+            np.testing.assert_allclose(0.1 * offset, second.translation - first.translation, atol=1e-6)
+            turn = vector[entry(flat, f"{here} to {there}", "relative_turn")]
+            expected = (first.inverse() * second).matrix[:3, :2].T.ravel()
+            np.testing.assert_allclose(turn, expected, atol=1e-6)
+            near, way = vector[entry(flat, f"{here} to {there}", "near")], second.translation - first.translation
+            np.testing.assert_allclose(near, way / np.sqrt(way**2 + 0.03**2), atol=1e-6)
+
+
+def test_a_box_turned_by_half_a_turn_looks_the_same_to_a_gripper() -> None:
+    _, flat = made("joints")
+    observation = rolled_out("joints")[3]
+    half = entry(flat, "tquat to privileged/cuboid/tquat", "half_turn")
+
+    def seen(yaw: float) -> NDArray[Any]:
+        turned = {**observation["privileged"]["cuboid"]}
+        turned["tquat"] = np.array([0.5, 0.1, 0.03, 0, 0, np.sin(yaw / 2), np.cos(yaw / 2)])
+        straight_down = np.array([0.5, 0, 0.2, 1, 0, 0, 0])
+        return flat.state({**observation, "tquat": straight_down, "privileged": {"cuboid": turned}})[half]
+
+    for yaw in np.linspace(-3, 3, 7):
+        np.testing.assert_allclose(seen(yaw), [np.cos(2 * yaw), -np.sin(2 * yaw)], atol=1e-6)  # seen from above
+        np.testing.assert_allclose(seen(yaw), seen(yaw + np.pi), atol=1e-6)
+
+
+def test_offsets_of_two_arms_are_from_where_their_bases_stand() -> None:
+    env, flat = made("two arms")
+    for observation in rolled_out("two arms"):
+        vector = flat.observation(observation)
+        bar = observation["privileged"]["bar"]["tquat"]
+        for name, placement in env.robots.items():
+            mount, tcp = placement.base_in_scene, observation[name]["tquat"]
+            in_scene = rcs.Pose(mount.translation, mount.quaternion) * rcs.Pose(tcp[:3], tcp[3:])
+            offset = vector[entry(flat, f"{name}/tquat to privileged/bar/tquat", "offset")]
+            np.testing.assert_allclose(0.1 * offset, bar[:3] - in_scene.translation, atol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["joints", "xyzrpy", "two arms"])
+def test_what_an_expert_sees_is_about_1_in_size(kind: str) -> None:
+    env, flat = made(kind)
+    agent = agent_for(env)
+    observation, info = env.reset(seed=1)
+    agent.reset(observation, info)
+    seen: list[NDArray[Any]] = []
+    for _ in range(150):
+        seen.append(flat.observation(observation))
+        observation, _, terminated, truncated, info = env.step(agent.act(observation, info))
+        if terminated or truncated:
+            break
+    sizes = np.abs(np.stack(seen))
+    assert np.mean(sizes <= 1.0) > 0.8
+    assert np.quantile(sizes, 0.99) < 6.0
+
+
+def test_observations_that_do_not_fit_are_refused() -> None:
+    _, flat = made("joints")
+    observation = rolled_out("joints")[0]
+    with pytest.raises(InvalidSetup, match="'gripper' is missing; given: joints"):
+        flat.observation({"joints": observation["joints"], "finger_contacts": observation["finger_contacts"]})
+    with pytest.raises(InvalidSetup, match=r"'joints' has shape \(6,\); valid is \(\.\.\., 7\)"):
+        flat.observation({**observation, "joints": np.zeros(6)})
+    with pytest.raises(InvalidSetup, match=r"'joints' has shape \(4, 7\), unlike the keys before it"):
+        flat.observation({**observation, "joints": np.zeros((4, 7))})
+    with pytest.raises(InvalidSetup, match=r"The vector has shape \(3,\)"):
+        flat.observation_dict(np.zeros(3))
+
+
+def test_gymnasium_s_wrappers_and_checks_take_the_maps() -> None:
+    env = rcs.make(max_episode_steps=5, observe=("privileged",))
+    flat = Flat(env)
+    wrapped = gymnasium.wrappers.TransformObservation(
+        gymnasium.wrappers.TransformAction(env, flat.action, flat.action_space),  # pyright: ignore[reportArgumentType]
+        flat.observation,
+        flat.observation_space,
+    )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="(?s).*is different from the unwrapped version")
+        check_env(wrapped, skip_render_check=True)
+    assert Flat(wrapped.env.env).layout == flat.layout
+    env.close()
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("copies", [None, 2])
+def test_frames_are_planes_of_uint8_beside_the_state(copies: int | None) -> None:
+    options: dict[str, Any] = {"cameras": ("wrist", "side"), "image_size": (48, 40), "depth": True}
+    env: Env | VecEnv = rcs.make(**options) if copies is None else rcs.make_vec(copies=copies, **options)
+    flat = Flat(env)
+    assert isinstance(flat.observation_space, spaces.Dict)
+    assert {key: one.shape for key, one in flat.observation_space.spaces.items()} == {
+        "state": (flat.layout.state_size,),
+        "wrist": (3, 40, 48),
+        "side": (3, 40, 48),
+        "wrist_depth": (1, 40, 48),
+        "side_depth": (1, 40, 48),
+    }
+    observation, _ = env.reset(seed=0)
+    vectors = flat.observation(observation)
+    for name in ("wrist", "side"):
+        frame = observation["frames"][name]["rgb"]
+        assert vectors[name].flags.c_contiguous
+        np.testing.assert_array_equal(np.moveaxis(vectors[name], -3, -1), frame)
+        back = flat.observation_dict(vectors)["frames"][name]
+        np.testing.assert_array_equal(back["rgb"], frame)
+        depth = observation["frames"][name]["depth"]
+        assert (
+            (depth.astype(int) - back["depth"] >= 0) & (depth.astype(int) - back["depth"] < 8) | (depth >= 2040)
+        ).all()
+    if copies is None:
+        assert flat.observation_space.contains(vectors)
+    stored = Flat(FlatLayout.from_json(json.loads(json.dumps(flat.layout.to_json()))))
+    assert same_bits(stored.observation(observation), vectors)
+    one = Flat(env, Selection(cameras=("side",)))
+    assert set(one.observation(observation)) == {"state", "side", "side_depth"}
+    env.close()
+
+
+def test_a_real_robot_has_the_layout_of_the_simulated_one() -> None:
+    simulated, real = rcs.make("Free"), rcs.make("Free", hardware="fake")
+    assert Flat(simulated).layout == Flat(real).layout
+    tilted, same = rcs.make("Free", robot="ur5e"), rcs.make("Free", robot="ur5e", hardware="fake")
+    assert Flat(tilted).layout == Flat(same).layout != Flat(real).layout
+
+
+def test_the_maps_need_no_torch(run_program: Callable[..., Any]) -> None:
+    done = run_program("import sys, rcs; rcs.rl.Flat, rcs.rl.Selection; print('torch' in sys.modules)")
+    assert done.stdout.strip() == "False", done.stderr

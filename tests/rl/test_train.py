@@ -1,0 +1,206 @@
+"""A training that is killed at any moment and goes on ends with the same weights, bit for bit."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rcs.errors import CorruptCheckpoint, DatasetError, InvalidSetup, MissingDependency
+
+pytestmark = pytest.mark.extras
+
+Weights = Callable[[Path], dict[str, Any]]
+TRAIN = Path(__file__).with_name("kill_training.py")
+
+
+def same(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any, str], Path]:
+    """Return a function that trains without a break, once per algorithm."""
+    made: dict[str, Path] = {}
+
+    def train(small: Any, name: str) -> Path:
+        if name not in made:
+            made[name] = tmp_path_factory.mktemp("whole") / name
+            small.run(small.training(name), made[name])
+        return made[name]
+
+    return train
+
+
+@pytest.mark.parametrize("name", ["ppo", "sac"])
+def test_a_run_that_is_broken_off_again_and_again_ends_like_one_that_is_not(
+    small: Any, whole: Any, weights: Weights, tmp_path: Path, name: str
+) -> None:
+    reference, out = whole(small, name), tmp_path / "run"
+    draw = random.Random(3)
+    progress = small.run(small.training(name), out, updates=draw.randint(1, 12))
+    while progress.doing != "done":
+        progress = small.run(small.training(name), out, updates=draw.randint(10, 18))
+    assert same(weights(out), weights(reference))
+    rows = [[json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()] for run in (reference, out)]
+    for row in (row for run in rows for row in run):
+        row["figures"].pop("time/steps_per_s", None)
+    assert [(row["steps"], row["figures"]) for row in rows[0]] == [(row["steps"], row["figures"]) for row in rows[1]]
+
+
+def test_evaluations_checkpoints_and_threads_of_physics_change_no_weight(
+    small: Any, whole: Any, weights: Weights, tmp_path: Path
+) -> None:
+    from rcs.rl.train import train
+
+    other = small.training(episodes=0, checkpoint_every=1000)
+    for _ in train(other, tmp_path / "other", threads=2, videos=False):
+        pass
+    assert same(weights(tmp_path / "other"), weights(whole(small, "ppo")))
+
+
+def test_another_seed_gives_other_weights(small: Any, whole: Any, weights: Weights, tmp_path: Path) -> None:
+    small.run(small.training(seed=1), tmp_path / "run")
+    assert not same(weights(tmp_path / "run"), weights(whole(small, "ppo")))
+
+
+@pytest.mark.parametrize("file", ["policy.pt", "learner.pt", "checkpoint.json"])
+def test_a_damaged_checkpoint_is_named_and_the_one_before_is_gone_on_from(
+    small: Any, whole: Any, weights: Weights, tmp_path: Path, file: str
+) -> None:
+    out = tmp_path / "run"
+    small.run(small.training(), out, updates=20)
+    newest = max((out / "checkpoints").iterdir())
+    data = bytearray((newest / file).read_bytes())
+    data[len(data) // 2] ^= 1
+    (newest / file).write_bytes(data)
+    progress = small.run(small.training(), out)
+    assert any(str(newest) in note and "The one before is tried" in note for note in progress.notes)
+    assert same(weights(out), weights(whole(small, "ppo")))
+
+
+def test_where_all_checkpoints_are_damaged_nothing_is_removed(small: Any, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    small.run(small.training(), out, updates=20)
+    before = sorted((out / "checkpoints").iterdir())
+    for place in before:
+        if (place / "learner.pt").exists():
+            (place / "learner.pt").write_bytes(b"nothing")
+    with pytest.raises(CorruptCheckpoint, match=r"No checkpoint of .* is left to go on from"):
+        small.run(small.training(), out)
+    assert sorted((out / "checkpoints").iterdir()) == before
+
+
+def test_a_finished_run_has_nothing_to_do(small: Any, whole: Any) -> None:
+    run = whole(small, "ppo")
+    before = {path: path.read_bytes() for path in (run / "checkpoints").rglob("*.pt")}
+    assert small.run(small.training(), run).steps == 160
+    assert {path: path.read_bytes() for path in (run / "checkpoints").rglob("*.pt")} == before
+
+
+def test_old_checkpoints_keep_what_acts_and_only_the_newest_what_learns(small: Any, whole: Any) -> None:
+    places = sorted((whole(small, "ppo") / "checkpoints").iterdir())
+    steps = [int(place.name) for place in places]
+    assert steps == [0, 60, 120, 140, 160]  # those that were evaluated, and the newest three
+    assert [place for place in places if (place / "learner.pt").exists()] == places[-3:]
+
+
+def test_a_run_is_of_one_training(small: Any, whole: Any, tmp_path: Path) -> None:
+    run = shutil.copytree(whole(small, "ppo"), tmp_path / "run")
+    with pytest.raises(InvalidSetup, match=r"another training began: seed is 1, not 0. Give the same options"):
+        small.run(small.training(seed=1), run)
+    with pytest.raises(InvalidSetup, match="steps is 200, not 160"):  # the step size falls to zero by the last one
+        small.run(small.training(steps=200), run)
+
+
+def test_a_run_whose_step_size_stays_can_be_made_longer(small: Any, weights: Weights, tmp_path: Path) -> None:
+    small.run(small.training("sac", steps=100), tmp_path / "longer")
+    small.run(small.training("sac", steps=140), tmp_path / "longer")
+    small.run(small.training("sac", steps=140), tmp_path / "whole")
+    assert same(weights(tmp_path / "longer"), weights(tmp_path / "whole"))
+
+
+def test_one_process_trains_in_a_folder(small: Any, tmp_path: Path) -> None:
+    from rcs.rl.train import train
+
+    running = train(small.training(), tmp_path / "run", threads=1, videos=False)
+    next(running)
+    with pytest.raises(DatasetError, match=rf"Another process, {os.getpid()}, trains in"):
+        small.run(small.training(), tmp_path / "run")
+    running.close()
+
+
+def test_a_folder_with_other_things_in_it_is_left_alone(small: Any, tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("all of it")
+    with pytest.raises(DatasetError, match="has other things in it"):
+        small.run(small.training(), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_tensorboard_has_every_figure_once(small: Any, tmp_path: Path) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # pyright: ignore
+
+    out = tmp_path / "run"
+    small.run(small.training(), out, updates=15)
+    small.run(small.training(), out)
+    events = EventAccumulator(str(out / "tensorboard"))
+    events.Reload()
+    for name in ("train/value_loss", "evaluation/success_rate"):
+        steps = [event.step for event in events.Scalars(name)]
+        assert steps == sorted(set(steps))
+        assert steps[-1] == 160
+
+
+def test_a_checkpoint_runs_no_code(tmp_path: Path) -> None:
+    import torch  # pyright: ignore[reportMissingImports]
+
+    from rcs.rl.tensors import from_bytes
+
+    class Canary:
+        def __reduce__(self) -> Any:
+            return os.mkdir, (str(tmp_path / "it ran"),)
+
+    torch.save({"weights": Canary()}, tmp_path / "policy.pt")
+    with pytest.raises(CorruptCheckpoint, match=r"policy.pt is damaged"):
+        from_bytes((tmp_path / "policy.pt").read_bytes(), "policy.pt")
+    assert not (tmp_path / "it ran").exists()
+
+
+def test_values_survive_a_file() -> None:
+    from rcs.rl.tensors import from_bytes, to_bytes
+
+    values: dict[str, Any] = {
+        "array": np.arange(6, dtype=np.uint32).reshape(2, 3), "flags": np.array([True, False]), "none": None,
+        "nested": {"tuple": (1, 2.5, "text"), "empty": np.zeros((0, 3))}, "list": [np.float32(0.1)], "number": 2**70,
+    }  # fmt: skip
+    read = from_bytes(to_bytes(values), "a file")
+    assert np.array_equal(read["array"], values["array"]) and read["array"].dtype == np.uint32
+    assert read["nested"]["tuple"] == (1, 2.5, "text")
+    assert read["nested"]["empty"].shape == (0, 3)
+    assert (read["none"], read["number"], read["flags"].tolist()) == (None, 2**70, [True, False])
+    assert read["list"] == [float(np.float32(0.1))]
+
+
+def test_without_torch_the_error_names_the_extra(small: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingDependency, match=r"need torch: pip install 'robot-control-stack\[rl\]'"):
+        small.run(small.training(), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
+def test_sigkill_at_any_moment_costs_no_checkpoint_and_changes_no_weight(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, str(TRAIN), "--trials", "2"], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert (told["kills"], told["lost_checkpoints"], told["same_weights"]) == (2, 0, True)
