@@ -1,10 +1,18 @@
 """What a whole step of `make_vec` costs on top of MuJoCo's own batch stepping of the same model.
 
-Ours: actions checked and mapped through the layers, physics, observations, reward, autoreset. The reference:
-`mujoco.batch.Batch.step` alone, from the same states, with the same threads and the same number of physics steps per
-control step. Rounds alternate; the ratio is the median over rounds.
+Ours: actions checked and mapped through the layers, trajectories of the arms, physics, observation, reward, autoreset,
+with what a learner turns on: poses of objects and contacts are observed, and collisions do not end episodes.
 
-Prints one JSON object: `efficiency` (ours over the reference), `env_steps_per_s`, `batch_steps_per_s`.
+The reference: `mujoco.batch.Batch.step` alone, with the same threads. Each of its control steps begins in the states in
+which ours began, so that as much moves and touches in both, and makes as many physics steps. It holds the controls that
+it finds there, as a program without trajectories would: nothing of what they cost is in it (the plan of each step, the
+controls of each physics step and the torques of the accelerations). Nor is the writing of the states, which is not timed.
+
+Rounds alternate; the ratio is the median over rounds. A copy that starts anew makes no physics step, so rates are per
+physics step that was really made.
+
+Prints one JSON object: `efficiency` (ours over the reference), `env_steps_per_s`, `env_physics_steps_per_s`,
+`batch_physics_steps_per_s`.
 """
 
 from __future__ import annotations
@@ -14,6 +22,7 @@ import os
 import time
 from dataclasses import dataclass
 from statistics import median
+from typing import Literal
 
 import numpy as np
 import tyro
@@ -21,8 +30,10 @@ from mujoco.batch import Batch
 
 import rcs
 
-SUBSTEPS = 17
-"""Physics steps per control step of the reference: 30 Hz at 2 ms is 16.67, so ours makes 17, 17, 16."""
+SUBSTEPS = 17, 17, 16
+"""Physics steps of three control steps: 30 Hz at 2 ms is 16.67."""
+SHARE = 0.2
+"""Of the range of joint actions. With all of it, arms would lie on the table soon, and physics would be most of a step."""
 
 
 @dataclass(kw_only=True)
@@ -32,23 +43,40 @@ class Options:
     copies: int = 32
     """Copies of the environment."""
     threads: int = 0
-    """Threads of both; 0 for one per CPU."""
+    """Threads of both; 0 for one per CPU that this process may use."""
+    robot: str = "fr3"
+    """The robot."""
+    control: Literal["joints", "tquat", "xyzrpy"] = "joints"
+    """What actions are."""
+    setup: Literal["learning", "plain"] = "learning"
+    """`learning` observes poses of objects and contacts and goes on after collisions; `plain` has the defaults."""
     steps: int = 60
-    """Control steps per round; a multiple of 3, so that both make the same number of physics steps per second."""
+    """Control steps per round, a multiple of 3."""
     rounds: int = 21
     """Alternating rounds."""
 
 
 def main(options: Options) -> None:
     """Measure and print."""
-    threads = options.threads or os.cpu_count() or 1
+    threads = options.threads or len(os.sched_getaffinity(0))
+    is_learning = options.setup == "learning"
     # Short episodes, so that some copies start anew in every round.
-    envs = rcs.make_vec("PickCuboid", copies=options.copies, threads=threads, max_episode_steps=50)
+    envs = rcs.make_vec(
+        "PickCuboid",
+        robot=options.robot,
+        copies=options.copies,
+        threads=threads,
+        max_episode_steps=50,
+        control=options.control,
+        observe=("privileged", "contacts") if is_learning else (),
+        collision_reaction=not is_learning,
+    )
     rng = np.random.default_rng(0)
-    low, high = envs.single_action_space["joints"].low, envs.single_action_space["joints"].high
+    space = envs.single_action_space[options.control]
+    share = SHARE if options.control == "joints" else 1.0
     actions = [
         {
-            "joints": rng.uniform(0.2 * low, 0.2 * high, (options.copies, len(low))),
+            options.control: rng.uniform(share * space.low, share * space.high, (options.copies, *space.shape)),
             "gripper": rng.uniform(0, 1, (options.copies, 1)).astype(np.float32),
         }
         for _ in range(options.steps)
@@ -56,47 +84,53 @@ def main(options: Options) -> None:
     envs.reset(seed=0)
     world = envs.scenario.world
     batch = Batch(world.model, options.copies, threads)
-    resets, physics = 0, 0
+    starts = np.empty((options.steps, *world.core.states.shape))
+    resets = 0
 
     def run_env() -> float:
-        nonlocal resets, physics
-        begin = time.perf_counter()
-        for action in actions:
+        """Return physics steps per second."""
+        nonlocal resets
+        taken, made = 0.0, 0
+        for action, start in zip(actions, starts, strict=True):
+            start[:] = world.core.states
+            begin = time.perf_counter()
             _, _, terminated, truncated, _ = envs.step(action)
+            taken += time.perf_counter() - begin
             resets += int((terminated | truncated).sum())
-            physics += int(world.core.substeps.sum())
-        return time.perf_counter() - begin
+            made += int(world.core.substeps.sum())
+        return made / taken
 
-    def run_batch() -> tuple[float, int]:
-        batch.state[:] = world.core.states
-        begin = time.perf_counter()
-        for _ in actions:
-            batch.step(nstep=SUBSTEPS)
-        return time.perf_counter() - begin, SUBSTEPS * options.copies * len(actions)
+    def run_batch() -> float:
+        """Return physics steps per second."""
+        taken = 0.0
+        for i, start in enumerate(starts):
+            batch.state[:] = start
+            begin = time.perf_counter()
+            batch.step(nstep=SUBSTEPS[i % 3])
+            taken += time.perf_counter() - begin
+        return sum(SUBSTEPS) * options.steps // 3 * options.copies / taken
 
     run_env(), run_batch()
-    ratios, env_rates, batch_rates = [], [], []
+    rates = []
     for _ in range(options.rounds):
-        resets_before, physics = resets, 0
-        env_time = run_env()
-        made = physics
-        batch_time, batch_made = run_batch()
-        # Per physics step really made: a copy that starts anew makes none, and every third control step has one less.
-        env_rates.append(made / env_time)
-        batch_rates.append(batch_made / batch_time)
-        ratios.append(env_rates[-1] / batch_rates[-1])
+        resets_before = resets
+        rates.append((run_env(), run_batch()))
         assert resets > resets_before, "no copy started anew: this is not what the benchmark says it measures"
     envs.close()
+    ours, reference = (median(side) for side in zip(*rates, strict=True))
     print(
         json.dumps(
             {
                 "benchmark": "batch",
-                "efficiency": round(median(ratios), 4),
+                "efficiency": round(median(own / other for own, other in rates), 4),
                 "copies": options.copies,
                 "threads": threads,
-                "env_steps_per_s": round(median(env_rates) / (50 / 3)),
-                "env_physics_steps_per_s": round(median(env_rates)),
-                "batch_physics_steps_per_s": round(median(batch_rates)),
+                "robot": options.robot,
+                "control": options.control,
+                "setup": options.setup,
+                "env_steps_per_s": round(ours / (sum(SUBSTEPS) / len(SUBSTEPS))),
+                "env_physics_steps_per_s": round(ours),
+                "batch_physics_steps_per_s": round(reference),
                 "episodes_restarted": resets,
             }
         )

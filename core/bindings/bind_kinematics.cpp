@@ -176,10 +176,10 @@ void bind_kinematics(nb::module_& m) {
       .def("inverse_batch", &inverse_rows, "targets"_a, "starts"_a, "options"_a = rcs::IkOptions{}, "threads"_a = 1,
            "Solve for targets (N, 7) from starts (N, dof).\n\nReturns joints (N, dof) and IkStatus values (N,) uint8. "
            "The GIL is released. Kinematics in Python take the rows one by one in the thread of the caller.");
-  nb::class_<rcs::DampedLeastSquares, rcs::Kinematics>(
-      m, "DampedLeastSquares",
-      "Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve. Several threads may use one "
-      "solver at once.")
+  nb::class_<rcs::DampedLeastSquares, rcs::Kinematics>(m, "DampedLeastSquares",
+                                                       "Damped least squares on a chain of hinges and slides, with the "
+                                                       "joint limits inside the solve. Several threads may use one "
+                                                       "solver at once.")
       .def(
           "__init__",
           [](rcs::DampedLeastSquares* self, const PyModel& model, std::vector<int> joints, int tcp_site,
@@ -187,5 +187,6 @@ void bind_kinematics(nb::module_& m) {
             new (self) rcs::DampedLeastSquares(model.get(), std::move(joints), tcp_site, base_body);
           },
           "model"_a, "joints"_a, "tcp_site"_a, "base_body"_a,
-          "Copy the model; the ids of joints (base to tip), TCP site and base body are its.");
+          "Take the chain out of a model; the ids of joints (base to tip), TCP site and base body are its. The model "
+          "is not kept.");
 }

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "rcs/kinematics.hpp"
+#include "serial_chain.hpp"
 #include "task_matrix.hpp"
 
 namespace rcs {
@@ -37,28 +38,18 @@ double next_uniform(std::uint64_t& state) {
 }  // namespace
 
 struct DampedLeastSquares::Scratch {
-  Scratch(const mjModel* model, std::size_t dof)
-      : data(mj_makeData(model)),
-        jacobian_translation(static_cast<std::size_t>(3 * model->nv)),
-        jacobian_rotation(static_cast<std::size_t>(3 * model->nv)),
-        step(static_cast<std::size_t>(dof)),
-        candidate(static_cast<std::size_t>(dof)),
-        is_free(static_cast<std::size_t>(dof)) {}
-  ~Scratch() { mj_deleteData(data); }
-  Scratch(const Scratch&) = delete;
-  Scratch& operator=(const Scratch&) = delete;
+  explicit Scratch(std::size_t dof) : place(dof), jacobian(dof), step(dof), candidate(dof), is_free(dof) {}
 
-  mjData* data;
-  std::vector<double> jacobian_translation;
-  std::vector<double> jacobian_rotation;
-  std::array<double, kTask> error{};  // from the joints of the Jacobian to the target
-  std::vector<double> step;           // rad
-  std::vector<double> candidate;      // rad
-  std::vector<char> is_free;          // joints that are not fixed at a limit
+  ChainPlace place;
+  std::vector<std::array<double, kTask>> jacobian;  // a column per joint: translation, then rotation
+  std::array<double, kTask> error{};                // from the joints of the Jacobian to the target
+  std::vector<double> step;                         // rad
+  std::vector<double> candidate;                    // rad
+  std::vector<char> is_free;                        // joints that are not fixed at a limit
 };
 
 DampedLeastSquares::DampedLeastSquares(const mjModel* model, std::vector<int> joints, int tcp_site, int base_body)
-    : joints_(std::move(joints)), tcp_site_(tcp_site), base_body_(base_body) {
+    : joints_(std::move(joints)) {
   if (tcp_site < 0 || tcp_site >= model->nsite || base_body < 0 || base_body >= model->nbody)
     throw InvalidSetup("inverse kinematics: the TCP site or the base body is not in the model");
   if (joints_.empty()) throw InvalidSetup("inverse kinematics: no joints given");
@@ -67,17 +58,15 @@ DampedLeastSquares::DampedLeastSquares(const mjModel* model, std::vector<int> jo
       throw InvalidSetup("inverse kinematics: joint id " + std::to_string(joint) + " is not in the model");
     if (model->jnt_type[joint] != mjJNT_HINGE && model->jnt_type[joint] != mjJNT_SLIDE)
       throw InvalidSetup("inverse kinematics: only hinge and slide joints are supported");
-    qpos_.push_back(model->jnt_qposadr[joint]);
-    dofs_.push_back(model->jnt_dofadr[joint]);
     const bool is_limited = model->jnt_limited[joint] != 0;
     lower_.push_back(is_limited ? model->jnt_range[2 * joint] : -2 * mjPI);
     upper_.push_back(is_limited ? model->jnt_range[2 * joint + 1] : 2 * mjPI);
   }
-  model_ = mj_copyModel(nullptr, model);
+  chain_ = std::make_unique<const SerialChain>(model, joints_, tcp_site, base_body);
   borrow();
 }
 
-DampedLeastSquares::~DampedLeastSquares() { mj_deleteModel(model_); }
+DampedLeastSquares::~DampedLeastSquares() = default;
 
 DampedLeastSquares::Lease DampedLeastSquares::borrow() const {
   {
@@ -89,7 +78,7 @@ DampedLeastSquares::Lease DampedLeastSquares::borrow() const {
     }
     unused_.reserve(++scratch_count_);  // giving back must not fail
   }
-  return Lease(new Scratch(model_, joints_.size()), GiveBack{this});
+  return Lease(new Scratch(joints_.size()), GiveBack{this});
 }
 
 void DampedLeastSquares::GiveBack::operator()(Scratch* scratch) const {
@@ -105,63 +94,46 @@ void DampedLeastSquares::check_options(const IkOptions& options) const {
                          std::to_string(n) + " joints or none, one has " + std::to_string(rows->size()));
 }
 
-void DampedLeastSquares::set_joints(Scratch& scratch, std::span<const double> joints) const {
-  for (std::size_t i = 0; i < joints.size(); ++i) scratch.data->qpos[qpos_[i]] = joints[i];
-  mj_kinematics(model_, scratch.data);
-}
-
 Pose DampedLeastSquares::forward(std::span<const double> joints) {
   check_joints(joints);
   const Lease scratch = borrow();
-  set_joints(*scratch, joints);
-  double site_quat[4], base_inverse[4], quat[4], offset[3], translation[3];
-  mju_mat2Quat(site_quat, scratch->data->site_xmat + 9 * tcp_site_);
-  mju_negQuat(base_inverse, scratch->data->xquat + 4 * base_body_);
-  mju_mulQuat(quat, base_inverse, site_quat);
-  mju_sub3(offset, scratch->data->site_xpos + 3 * tcp_site_, scratch->data->xpos + 3 * base_body_);
-  mju_rotVecQuat(translation, offset, base_inverse);
-  return Pose({translation[0], translation[1], translation[2]}, {quat[1], quat[2], quat[3], quat[0]});
+  chain_->put(joints, scratch->place);
+  const auto& quat = scratch->place.quaternion;
+  return Pose(scratch->place.translation, {quat[1], quat[2], quat[3], quat[0]});
 }
 
 std::vector<double> DampedLeastSquares::jacobian(std::span<const double> joints) {
   check_joints(joints);
   const Lease scratch = borrow();
-  set_joints(*scratch, joints);
-  mj_comPos(model_, scratch->data);
-  mj_jacSite(model_, scratch->data, scratch->jacobian_translation.data(), scratch->jacobian_rotation.data(), tcp_site_);
+  chain_->put(joints, scratch->place);
   const std::size_t n = joints_.size();
-  std::vector<double> jacobian(6 * n);
-  const double* base = scratch->data->xmat + 9 * base_body_;
-  for (std::size_t c = 0; c < n; ++c)
-    for (int r = 0; r < 3; ++r)
-      for (int k = 0; k < 3; ++k) {  // base^T * world axes
-        jacobian[r * n + c] += base[3 * k + r] * scratch->jacobian_translation[k * model_->nv + dofs_[c]];
-        jacobian[(r + 3) * n + c] += base[3 * k + r] * scratch->jacobian_rotation[k * model_->nv + dofs_[c]];
-      }
+  std::vector<double> jacobian(kTask * n);
+  for (std::size_t c = 0; c < n; ++c) {
+    const auto column = chain_->column(scratch->place, c);
+    for (std::size_t r = 0; r < kTask; ++r) jacobian[r * n + c] = column[r];
+  }
   return jacobian;
 }
 
-void DampedLeastSquares::error_to(const Scratch& scratch, const std::array<double, 7>& target,
-                                  std::array<double, 6>& error) const {
-  mju_sub3(error.data(), target.data(), scratch.data->site_xpos + 3 * tcp_site_);
-  double quat[4], inverse[4], difference[4];
-  mju_mat2Quat(quat, scratch.data->site_xmat + 9 * tcp_site_);
-  mju_negQuat(inverse, quat);
+std::array<double, kTask> DampedLeastSquares::error_to(const Scratch& scratch, const std::array<double, 7>& target) {
+  std::array<double, kTask> error;
+  mju_sub3(error.data(), target.data(), scratch.place.translation.data());
+  double inverse[4], difference[4];
+  mju_negQuat(inverse, scratch.place.quaternion.data());
   mju_mulQuat(difference, target.data() + 3, inverse);
   mju_quat2Vel(error.data() + 3, difference, 1.0);
+  return error;
 }
 
 DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, const std::vector<double>& q,
                                                           const std::vector<double>& start,
                                                           std::span<const double> max_step, const IkOptions& options,
                                                           double weight, double damping) const {
-  const int n = dof(), nv = model_->nv;
+  const int n = dof();
   const double furthest = !options.best_effort ? kMaxJointStep : max_step.empty() ? kFollowStep : kBoundedStep;
   const auto column = [&](int c, std::array<double, kTask>& entries) {
-    for (int r = 0; r < 3; ++r) {
-      entries[r] = scratch.jacobian_translation[r * nv + dofs_[c]];
-      entries[r + 3] = weight * scratch.jacobian_rotation[r * nv + dofs_[c]];
-    }
+    entries = scratch.jacobian[static_cast<std::size_t>(c)];
+    for (int r = 3; r < kTask; ++r) entries[r] *= weight;
   };
   std::array<double, kTask> entries;
   std::vector<double>& step = scratch.step;
@@ -241,18 +213,14 @@ DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, cons
   }
 }
 
-double DampedLeastSquares::promised(const Scratch& scratch, double weight, double scale) const {
-  double before = 0.0, after = 0.0;
-  for (int r = 0; r < kTask; ++r) {
-    const double* row = (r < 3 ? scratch.jacobian_translation.data() : scratch.jacobian_rotation.data()) +
-                        static_cast<std::ptrdiff_t>(r % 3) * model_->nv;
-    double left = scratch.error[r];
-    for (int c = 0; c < dof(); ++c) left -= scale * row[dofs_[c]] * scratch.step[c];
-    const double factor = r < 3 ? 1.0 : weight * weight;
-    before += factor * scratch.error[r] * scratch.error[r];
-    after += factor * left * left;
-  }
-  return std::max(before - after, 0.0);
+double DampedLeastSquares::promised(const Scratch& scratch, double weight, double scale) {
+  std::array<double, kTask> left = scratch.error;
+  for (std::size_t c = 0; c < scratch.jacobian.size(); ++c)
+    for (int r = 0; r < kTask; ++r) left[r] -= scale * scratch.jacobian[c][r] * scratch.step[c];
+  double decrease = 0.0;
+  for (int r = 0; r < kTask; ++r)
+    decrease += (r < 3 ? 1.0 : weight * weight) * (scratch.error[r] * scratch.error[r] - left[r] * left[r]);
+  return std::max(decrease, 0.0);
 }
 
 DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std::array<double, 7>& target,
@@ -262,8 +230,8 @@ DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std:
   const bool is_relaxed = options.rotation_weight < 1.0;
   const std::vector<double> start = q;
   std::vector<double>& candidate = scratch.candidate;
-  set_joints(scratch, q);
-  error_to(scratch, target, scratch.error);
+  chain_->put(q, scratch.place);
+  scratch.error = error_to(scratch, target);
   double translation = norm3(scratch.error.data()), rotation = norm3(scratch.error.data() + 3);
   // What the target leaves as it is weighs most; an arm that meets the translation alone does not turn its tool far for
   // the last millimetres of a translation that it cannot meet.
@@ -282,11 +250,8 @@ DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std:
     if (is_reached && (!is_relaxed || largest < kStandstill || iteration == options.iterations)) end = End::reached;
     if (end != End::nearest || largest < kStandstill || iteration == options.iterations) break;
     ++result.iterations;
-    if (is_new) {
-      mj_comPos(model_, scratch.data);
-      mj_jacSite(model_, scratch.data, scratch.jacobian_translation.data(), scratch.jacobian_rotation.data(),
-                 tcp_site_);
-    }
+    for (std::size_t c = 0; is_new && c < scratch.jacobian.size(); ++c)
+      scratch.jacobian[c] = chain_->column(scratch.place, c);
     Stride stride = solve_step(scratch, q, start, max_step, options, weight, damping);
     // Where the arm is nearly stretched, the part of the error that it cannot follow would use up the step.
     if (options.best_effort && stride.scale < 1.0 && stride.stiffness < kStretched) {
@@ -296,9 +261,8 @@ DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std:
     }
     largest = stride.largest;
     for (int c = 0; c < n; ++c) candidate[c] = std::clamp(q[c] + stride.scale * scratch.step[c], lower_[c], upper_[c]);
-    set_joints(scratch, candidate);
-    std::array<double, kTask> error;
-    error_to(scratch, target, error);
+    chain_->put(candidate, scratch.place);
+    const std::array<double, kTask> error = error_to(scratch, target);
     const double new_translation = norm3(error.data()), new_rotation = norm3(error.data() + 3);
     const double cost = translation * translation + weight * weight * rotation * rotation;
     const double new_cost = new_translation * new_translation + weight * weight * new_rotation * new_rotation;
@@ -327,17 +291,11 @@ IkResult DampedLeastSquares::inverse(const Pose& target, std::span<const double>
   result.joints.assign(start.begin(), start.end());
   for (int i = 0; i < n; ++i) result.joints[i] = std::clamp(start[i], lower_[i], upper_[i]);
 
-  // The solve is in world axes, where MuJoCo's Jacobian is; the base may stand anywhere.
   const Lease scratch = borrow();
-  set_joints(*scratch, result.joints);
-  std::array<double, 7> goal;
-  const double* base_quat = scratch->data->xquat + 4 * base_body_;
   const auto& translation = target.translation();
   const auto& quaternion = target.quaternion();
-  const double wxyz[4] = {quaternion[3], quaternion[0], quaternion[1], quaternion[2]};
-  mju_rotVecQuat(goal.data(), translation.data(), base_quat);
-  mju_addTo3(goal.data(), scratch->data->xpos + 3 * base_body_);
-  mju_mulQuat(goal.data() + 3, base_quat, wxyz);
+  const std::array<double, 7> goal = {translation[0], translation[1], translation[2], quaternion[3],
+                                      quaternion[0],  quaternion[1],  quaternion[2]};
 
   std::vector<double> q = result.joints, followed;
   const std::span<const double> bound = options.best_effort ? std::span(options.max_step) : std::span<const double>();

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,15 @@ from rcs.agents import PickTeacher
 from rcs.agents.grasp import closing_yaw
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
-from rcs.spatial import compose
+from rcs.spatial import compose, tquat_to_matrix
+from rcs.tasks.pick_cuboid import POSES, SIZE
 
 SETUP = Setup(
     task="PickCuboid",
     frequency=10.0,
     max_episode_steps=100,
     observe=("privileged", "contacts"),
+    layers=("ObserveTarget",),
     collision_reaction=False,
 )
 
@@ -83,25 +86,25 @@ def test_an_action_follows_from_the_observation_alone_and_is_that_of_one_copy() 
         ({"control": "xyzrpy"}, "control='xyzrpy'"),
         ({"relative": "absolute"}, "relative='absolute'"),
         ({"observe": ("privileged",)}, "'contacts'"),
+        ({"layers": ()}, "ObserveTarget"),
     ],
 )
 def test_another_setup_is_refused(options: dict[str, Any], message: str) -> None:
-    env = rcs.make(**{"task": "PickCuboid", "observe": ("privileged", "contacts"), **options})
+    env = rcs.make(replace(SETUP, **options))
     with pytest.raises(InvalidSetup, match=message):
         PickTeacher(env)
 
 
-def test_jaws_close_across_the_shorter_level_edge_however_the_box_is_turned() -> None:
-    rng = np.random.default_rng(0)
-    turn = rng.uniform(-np.pi, np.pi, 50)
+@pytest.mark.parametrize("lying", list(POSES.values()), ids=list(POSES))
+def test_jaws_turn_with_the_box_and_close_across_its_shorter_level_edge(lying: tuple[float, ...]) -> None:
+    turn = np.random.default_rng(0).uniform(-np.pi, np.pi, 50)
     about_z = np.zeros((50, 7))
     about_z[:, 5], about_z[:, 6] = np.sin(turn / 2), np.cos(turn / 2)
-    # How the box lies, and the turn of the jaws that fits: fingers close along the tool's y.
-    s = np.sqrt(0.5)
-    for lying, at_zero in (((0, 0, 0, 1), 0.0), ((s, 0, 0, s), 0.0), ((0, s, 0, s), 0.0)):
-        pose = compose(about_z, (0.0, 0.0, 0.0, *lying))
-        yaw = closing_yaw(pose, (0.064, 0.032, 0.0576))
-        first = closing_yaw(compose((0, 0, 0, 0, 0, 0, 1), (0.0, 0.0, 0.0, *lying)), (0.064, 0.032, 0.0576))
-        assert first % np.pi == pytest.approx(at_zero, abs=1e-9) or first % np.pi == pytest.approx(np.pi / 2, abs=1e-9)
-        np.testing.assert_allclose(np.sin(2 * (yaw - first - turn)), 0.0, atol=1e-9)
-        np.testing.assert_allclose(np.cos(2 * (yaw - first - turn)), 1.0, atol=1e-9)
+    pose = compose(about_z, (0.0, 0.0, 0.0, *lying))
+    yaw = closing_yaw(pose, SIZE)
+    # Jaws move along the tool's y axis, which Rz(yaw) Rx(pi) turns to (sin yaw, -cos yaw, 0).
+    jaws = np.stack([np.sin(yaw), -np.cos(yaw), np.zeros(50)], -1)
+    along = np.abs(np.einsum("nij,ni->nj", tquat_to_matrix(pose)[:, :3, :3], jaws))
+    level = np.delete(SIZE, np.argmax(np.abs(tquat_to_matrix(pose)[0, 2, :3])))
+    assert (np.array(SIZE)[along.argmax(-1)] == level.min()).all()
+    np.testing.assert_allclose(along.max(-1), 1.0, atol=1e-9)

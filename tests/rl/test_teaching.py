@@ -14,7 +14,9 @@ from rcs.errors import InvalidSetup, UnknownName
 from rcs.rl.algorithms import Bc, Dagger
 from rcs.rl.training import Training
 
-SETUP = Setup(task="PickCuboid", frequency=10.0, max_episode_steps=60, collision_reaction=False)
+SETUP = Setup(
+    task="PickCuboid", frequency=10.0, max_episode_steps=60, layers=("ObserveTarget",), collision_reaction=False
+)
 QUICK: dict[str, Any] = {"n_steps": 8, "warm_up": 64, "batch_size": 32, "gradient_steps": 4, "network": (32,)}
 TRAINING = Training(
     setup=replace(SETUP, observe=("privileged",)),

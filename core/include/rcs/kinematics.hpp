@@ -1,4 +1,4 @@
-// The interface of forward and inverse kinematics of one arm, and the backend on MuJoCo's Jacobians.
+// The interface of forward and inverse kinematics of one arm, and the solver of every arm that a model describes.
 #pragma once
 
 #include <mujoco/mujoco.h>
@@ -15,6 +15,8 @@
 #include "rcs/result.hpp"
 
 namespace rcs {
+
+class SerialChain;
 
 /// The answer of inverse kinematics.
 struct IkResult {
@@ -81,7 +83,7 @@ class Kinematics {
   void check_joints(std::span<const double> joints) const;
 };
 
-/// Damped least squares on MuJoCo Jacobians, with the joint limits inside the solve.
+/// Damped least squares on a chain of hinges and slides, with the joint limits inside the solve.
 ///
 /// With best effort, a step that comes less near than its Jacobian promises is made again with more damping
 /// (Levenberg-Marquardt), so that the error never grows and a stretched arm does not swing to and fro. Joints that
@@ -94,7 +96,7 @@ class Kinematics {
 /// the next call.
 class DampedLeastSquares final : public Kinematics {
  public:
-  /// `model` is copied. `joints` are joint ids base to tip, `tcp_site` and `base_body` ids in it.
+  /// `joints` are joint ids of `model` from base to tip, `tcp_site` and `base_body` ids in it. The model is not kept.
   DampedLeastSquares(const mjModel* model, std::vector<int> joints, int tcp_site, int base_body);
   ~DampedLeastSquares() override;
 
@@ -127,7 +129,6 @@ class DampedLeastSquares final : public Kinematics {
   };
 
   Lease borrow() const;
-  void set_joints(Scratch& scratch, std::span<const double> joints) const;
   void check_options(const IkOptions& options) const;
   /// Take `q` towards the target, by `max_step` at most; empty for no bound. Errors and iterations go into `result`.
   End attempt(Scratch& scratch, const std::array<double, 7>& target, std::vector<double>& q,
@@ -136,19 +137,15 @@ class DampedLeastSquares final : public Kinematics {
   Stride solve_step(Scratch& scratch, const std::vector<double>& q, const std::vector<double>& start,
                     std::span<const double> max_step, const IkOptions& options, double weight, double damping) const;
   /// Decrease of the squared weighted error by a share of `scratch.step`, if the Jacobian held all along.
-  double promised(const Scratch& scratch, double weight, double scale) const;
-  /// Position error and rotation error (as a rotation vector) from the present TCP to the target, in world axes.
-  void error_to(const Scratch& scratch, const std::array<double, 7>& target_in_world,
-                std::array<double, 6>& error) const;
+  static double promised(const Scratch& scratch, double weight, double scale);
+  /// Translation [m] and rotation (as a rotation vector [rad]) from the present TCP to the target: position and
+  /// quaternion wxyz in the base frame.
+  static std::array<double, 6> error_to(const Scratch& scratch, const std::array<double, 7>& target);
 
-  mjModel* model_ = nullptr;
   std::vector<int> joints_;
-  std::vector<int> qpos_;
-  std::vector<int> dofs_;
+  std::unique_ptr<const SerialChain> chain_;
   std::vector<double> lower_;
   std::vector<double> upper_;
-  int tcp_site_;
-  int base_body_;
   mutable std::mutex mutex_;
   mutable std::vector<std::unique_ptr<Scratch>> unused_;
   mutable std::size_t scratch_count_ = 0;

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rcs.agents.agent import Agent
 from rcs.agents.grasp import CLEARANCE, EMPTY, closing_yaw
 from rcs.envs.env import Env
-from rcs.envs.spaces import GRIPPER, IS_GRASPED, JOINT_VELOCITIES, JOINTS, PRIVILEGED, TQUAT, Action, Observation
+from rcs.envs.spaces import GRIPPER, IS_GRASPED, JOINTS, PRIVILEGED, TARGET, TQUAT, Action, Observation
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
 from rcs.kinematics import freedom_of, kinematics_of
@@ -20,10 +20,8 @@ from rcs.tasks.pick_cuboid import CUBOID, PickCuboid
 
 SPEED, TURN_SPEED = 0.35, 2.0
 """Highest speeds of the TCP [m/s, rad/s]."""
-GAIN = 5.0
-"""Speed in proportion to the distance from the goal [1/s]; from about 8 on, the lag of the arm makes it swing."""
-SLOWEST = 0.08
-"""Least speed up to the goal [m/s]: a learner's errors would drown what is slower."""
+GAIN = 10.0
+"""Most speed in proportion to the distance from the goal [1/s]. A learner's errors would drown what is much slower."""
 ALIGNED = (0.010, 0.15)
 """Deviation from the grasp in the plane [m] and about the vertical [rad] up to which the hand goes down to it."""
 STEEPNESS = (4.5, 0.2)
@@ -38,8 +36,6 @@ CLOSING = 0.95
 """Opening below which a gripper is closing."""
 ABOVE_GOAL = 0.03
 """Height above that of the task to which the cuboid is lifted [m]."""
-LAG = 0.05
-"""Time by which a simulated arm is behind its target at 10 Hz [s]; measured."""
 TURN_RANGE = np.deg2rad(115.0)
 """Largest turn of the tool from where it is at home [rad]: of the two ways to grasp, the nearer one within it."""
 
@@ -47,8 +43,8 @@ TURN_RANGE = np.deg2rad(115.0)
 class PickTeacher(Agent):
     """Picks the cuboid with one step of feedback per action, from any state, in one environment or in many copies.
 
-    It remembers nothing: an action follows from the measured joints and opening, the pose of the cuboid and whether it is
-    grasped. So it may label states that somebody else's actions led to, as DAgger needs. It moves above the cuboid, into
+    It remembers nothing: an action follows from the TCP pose, the last target, the opening, the pose of the cuboid and
+    whether it is grasped. So it may label states that somebody else's actions led to, as DAgger needs. It moves above the cuboid, into
     a funnel that leads down to the grasp, closes, and lifts; without the cuboid between its pads it opens and starts
     anew. `PickExpert` goes through phases instead, plans its grasp and keeps away from joint limits.
     """
@@ -58,7 +54,7 @@ class PickTeacher(Agent):
 
         Raises:
             InvalidSetup: The task is another one, actions are not joints relative to the last step, the robot has no
-                gripper, or the environment does not observe `privileged` and `contacts`.
+                gripper, or the environment does not observe `privileged`, `contacts` and the last target.
         """
         setup = env.setup
         task = None if env.scenario is None else env.scenario.task
@@ -69,6 +65,9 @@ class PickTeacher(Agent):
                 f"PickTeacher gives joints relative to the last step; the setup has control={setup.control!r} and "
                 f"relative={setup.relative!r}."
             )
+        space: Any = getattr(env, "single_observation_space", env.observation_space)
+        if TARGET not in space.spaces:
+            raise InvalidSetup("PickTeacher counts from the last target; give layers=('ObserveTarget',).")
         if missing := sorted({"privileged", "contacts"} - set(setup.observe)):
             raise InvalidSetup(f"PickTeacher sees {missing} too; give observe=('privileged', 'contacts').")
         (robot,) = env.robots.values()
@@ -90,20 +89,26 @@ class PickTeacher(Agent):
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Return the action for a state, or an array of them for the states of all copies."""
         cuboid, opening = observation[PRIVILEGED][CUBOID][TQUAT], observation[GRIPPER][..., 0]
-        # Actions count from the last target, which the arm follows.
-        joints = observation[JOINTS] + LAG * observation[JOINT_VELOCITIES]
-        last_target = self._kinematics.forward_batch(_rows(joints)).reshape(*joints.shape[:-1], 7)
-        goal, opens = self._goal(cuboid, observation[TQUAT], opening, observation[IS_GRASPED][..., 0] > 0)
-        target = self._towards(goal, last_target)
+        # Actions count from the last target, which the arm is behind: counting from the arm, it would swing.
+        joints = observation[TARGET][JOINTS]
+        start = self._kinematics.forward_batch(_rows(joints)).reshape(*joints.shape[:-1], 7)
+        is_grasped = observation[IS_GRASPED][..., 0] > 0
+        goal, opens = self._goal(cuboid, observation[TQUAT], start, opening, is_grasped)
+        target = self._towards(goal, start)
         solved, _ = self._kinematics.inverse_batch(_rows(target), _rows(joints), self._options)
         step = solved.reshape(joints.shape) - joints
         step = step / np.maximum(1.0, np.max(np.abs(step) / self._bound, axis=-1, keepdims=True))
         return {JOINTS: step, GRIPPER: opens.astype(np.float32)[..., None]}
 
     def _goal(
-        self, cuboid: NDArray[np.float64], tcp: NDArray[np.float64], opening: NDArray[Any], is_grasped: NDArray[np.bool_]
+        self,
+        cuboid: NDArray[np.float64],
+        tcp: NDArray[np.float64],
+        start: NDArray[np.float64],
+        opening: NDArray[Any],
+        is_grasped: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return where the TCP shall go, (*leading, 7), and whether the gripper shall be open."""
+        """Return where the TCP shall go from its last target, (*leading, 7), and whether the gripper shall be open."""
         offset = cuboid[..., :3] - tcp[..., :3]
         aside, above = np.hypot(offset[..., 0], offset[..., 1]), -offset[..., 2]
         yaw = _nearest(closing_yaw(cuboid, self._edges), _yaw(tcp), self._home_yaw)
@@ -117,25 +122,23 @@ class PickTeacher(Agent):
         keeps = np.where(is_there & ~has_opened, 0.0, keeps)
         free = np.clip(1.0 - (keeps - above) / SLOWED, 0.0, 1.0)
         goal = np.zeros(tcp.shape)
-        goal[..., :2] = tcp[..., :2] + free[..., None] * offset[..., :2]
+        goal[..., :2] = start[..., :2] + free[..., None] * (cuboid[..., :2] - start[..., :2])
         goal[..., 2] = cuboid[..., 2] + keeps
         is_held = is_there & is_grasped
-        goal[..., :2] = np.where(is_held[..., None], tcp[..., :2], goal[..., :2])
+        goal[..., :2] = np.where(is_held[..., None], start[..., :2], goal[..., :2])
         goal[..., 2] = np.where(is_held, self._lifted, goal[..., 2])
         # A half turn about x points the tool down: Rz(yaw) Rx(pi).
         goal[..., 3], goal[..., 4] = np.cos(yaw / 2), np.sin(yaw / 2)
         return goal, ~is_there
 
-    def _towards(self, goal: NDArray[np.float64], tcp: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where the TCP shall be after this step, (*leading, 7)."""
-        way, turn = np.moveaxis(distance(tcp, goal), -1, 0)
+    def _towards(self, goal: NDArray[np.float64], start: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the next target of the TCP, (*leading, 7)."""
+        way, turn = np.moveaxis(distance(start, goal), -1, 0)
         gain = min(GAIN * self._period, 1.0)
-        way = np.maximum(way, 1e-9)
-        fraction = np.minimum(np.maximum(gain, SLOWEST * self._period / way), SPEED * self._period / way)
-        fraction = np.minimum(fraction, 1.0)
+        fraction = np.minimum(gain, SPEED * self._period / np.maximum(way, 1e-9))
         turn_fraction = np.minimum(gain, TURN_SPEED * self._period / np.maximum(turn, 1e-9))
-        target = interpolate(tcp, goal, turn_fraction)
-        target[..., :3] = tcp[..., :3] + fraction[..., None] * (goal[..., :3] - tcp[..., :3])
+        target = interpolate(start, goal, turn_fraction)
+        target[..., :3] = start[..., :3] + fraction[..., None] * (goal[..., :3] - start[..., :3])
         return target
 
 

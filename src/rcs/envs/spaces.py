@@ -5,6 +5,7 @@
 | `joints` | (dof,) float64 | rad |
 | `tquat` | (7,) float64 | TCP translation m, quaternion xyzw |
 | `xyzrpy` | (6,) float64 | TCP translation m, roll-pitch-yaw rad (extrinsic xyz) |
+| `xyzyaw` | (4,) float64 | change of the TCP's translation m and of its yaw rad, with the layer `KeepTilt` |
 | `joint_velocities` | (dof,) float64 | rad/s |
 | `gripper` | (1,) float32 | 0 closed … 1 open |
 | `hand` | (n,) float32 | normalised joints 0 … 1 |
@@ -12,6 +13,8 @@
 | `tcp_wrench` | (6,) float64 | N, Nm: what presses on the tool, about the TCP, in the axes of the base |
 | `finger_contacts` | (fingers,) uint8 | 1 for a finger that touches something |
 | `is_grasped` | (1,) uint8 | 1 if two fingers touch the same object |
+| `target`/`tquat` | (7,) float64 | the last target of the TCP, with the layer `ObserveTarget`: m, xyzw |
+| `target`/`joints` | (dof,) float64 | the last target of control by joints, with the same layer: rad |
 | `privileged`/object/`tquat` | (7,) float64 | pose in the base frame (of several robots: the scene), m, xyzw |
 | `privileged`/object/`velocity` | (6,) float64 | m/s, rad/s, in the axes of the same frame |
 | `frames`/camera/`rgb` | (H, W, 3) uint8 | |
@@ -55,6 +58,7 @@ Observation = dict[str, Any]
 JOINTS = "joints"
 TQUAT = "tquat"
 XYZRPY = "xyzrpy"
+XYZYAW = "xyzyaw"
 JOINT_VELOCITIES = "joint_velocities"
 GRIPPER = "gripper"
 HAND = "hand"
@@ -72,6 +76,7 @@ TCP_WRENCH = "tcp_wrench"
 FINGER_CONTACTS = "finger_contacts"
 IS_GRASPED = "is_grasped"
 PRIVILEGED = "privileged"
+TARGET = "target"
 VELOCITY = "velocity"
 
 LOADS: Mapping[Observed, str] = {"torques": JOINT_TORQUES, "wrench": TCP_WRENCH}
@@ -81,6 +86,7 @@ UNITS = {
     JOINTS: "rad",
     TQUAT: "m, xyzw",
     XYZRPY: "m, rad",
+    XYZYAW: "m, rad",
     JOINT_VELOCITIES: "rad/s",
     JOINT_TORQUES: "Nm",
     TCP_WRENCH: "N, Nm",

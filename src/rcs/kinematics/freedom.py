@@ -48,11 +48,13 @@ def freedom_of(
             preferred=preferred,
             max_step=step,
         )
-    # With this weight, a tilt of a right angle moves the solution by less than the tolerance of the position.
+    # With this weight, a tilt of a right angle moves the solution by less than the tolerance of the position. Damping
+    # that is not small against its square would let the tilt creep to its best, a few percent of the way at a time.
     return IkOptions(
         restarts=restarts,
         iterations=200,
         rotation_weight=0.005,
+        damping=1e-6,
         rotation_tolerance=1.6,
         translation_tolerance=5e-4,
         best_effort=best_effort,

@@ -46,6 +46,11 @@ class Ppo:
     """Neurons of the hidden layers, of the policy and of the value each."""
     activation: Activation = "tanh"
     """Of the hidden layers."""
+    near_and_far: bool = False
+    """Whether the network is told every number twice, coarsely and finely: then it finds sooner both the way to an
+    object and how to meet it to the millimetre. Only without images."""
+    reward_scale: float = 1.0
+    """Factor on the rewards that the learner sees: returns of about 1 are learned best."""
 
     name: AlgorithmName = field(default="ppo", init=False)
 
@@ -56,6 +61,7 @@ class Ppo:
             InvalidSetup: One is out of range.
         """
         check_fields(self, whole=("n_steps", "batch_size", "n_epochs"), positive=("learning_rate", "clip_range"))
+        check_fields(self, positive=("reward_scale",))
         check_fields(
             self, positive=("max_grad_norm",), unit=("gae_lambda",), finite=("ent_coef", "vf_coef", "log_std_init")
         )

@@ -6,6 +6,7 @@ from rcs.envs.vector import VecEnv
 from rcs.rl.algorithms import Dagger
 from rcs.rl.flat import Flat
 from rcs.rl.learner import Learner
+from rcs.rl.networks import reward_scale
 from rcs.rl.sb3 import Sb3VecEnv
 from rcs.rl.teaching import TaughtLearner, student_flat, teaching_setup
 from rcs.rl.training import Training
@@ -38,4 +39,4 @@ def learner_for(training: Training, envs: VecEnv, flat: Flat) -> Learner | Taugh
     """
     if isinstance(training.algorithm, Dagger):
         return TaughtLearner(training, envs, flat)
-    return Learner(training, Sb3VecEnv(envs, flat))
+    return Learner(training, Sb3VecEnv(envs, flat, reward_scale=reward_scale(training)))

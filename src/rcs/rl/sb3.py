@@ -43,12 +43,15 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
     channels first.
     """
 
-    def __init__(self, envs: VecEnv, flat: Flat | None = None, *, spread: bool = False) -> None:
+    def __init__(
+        self, envs: VecEnv, flat: Flat | None = None, *, reward_scale: float = 1.0, spread: bool = False
+    ) -> None:
         """Wrap copies.
 
         Args:
             envs: Made by `rcs.make_vec` with `autoreset="SameStep"`.
             flat: The maps; None for `Flat(envs)`.
+            reward_scale: Factor on the rewards of a step; the returns that infos tell are without it.
             spread: Whether the first episodes are cut short, each after another number of steps, as truncated ones
                 whose info has no `episode`. Otherwise, all copies go through the same part of an episode together as
                 long as none succeeds, and a learner sees a part at a time.
@@ -79,6 +82,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         super().__init__(envs.num_envs, self.flat.observation_space, self.flat.action_space)
         self._keys = [entry.path for entry in self.flat.layout.state if entry.kind == "value"]
         self._keys += [image.path for image in self.flat.layout.images]
+        self._reward_scale = reward_scale
         self._returns = np.zeros(envs.num_envs)
         self._lengths = np.zeros(envs.num_envs, np.int64)
         self._start = time.monotonic()
@@ -125,7 +129,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
             self._tell_ended(infos, info, np.flatnonzero(done), truncated)
         if self._is_spread and (self._cuts > 0).any():
             observation, done = self._cut(observation, done, infos)
-        return self.flat.observation(observation), reward.astype(np.float32), done, infos
+        return self.flat.observation(observation), (reward * self._reward_scale).astype(np.float32), done, infos
 
     def _tell_ended(
         self, infos: list[dict[str, Any]], info: Mapping[str, Any], ended: NDArray[np.intp], truncated: NDArray[Any]

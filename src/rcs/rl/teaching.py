@@ -21,6 +21,7 @@ from rcs.errors import CorruptCheckpoint, InvalidSetup
 from rcs.rl.algorithms import Dagger
 from rcs.rl.flat import STATE, Flat
 from rcs.rl.packages import package
+from rcs.rl.selection import Selection
 from rcs.rl.student import make_student
 from rcs.rl.training import Training
 
@@ -44,7 +45,7 @@ def student_flat(envs: VecEnv, setup: Setup) -> Flat:
     """
     hidden = {key for word, own in _HIDDEN.items() if word not in setup.observe for key in own}
     hidden |= {"xyzrpy", "frames"}  # the pose is there as `tquat`, frames are no part of the state
-    return Flat(envs, keys=[key for key in envs.single_observation_space if key not in hidden])
+    return Flat(envs, Selection(keys=tuple(key for key in envs.single_observation_space if key not in hidden)))
 
 
 def teacher_for(envs: VecEnv, name: str) -> Agent:
@@ -187,6 +188,11 @@ class TaughtLearner:
         loss.backward()
         self._optimiser.step()
         self._losses.append(loss.item())
+
+    @property
+    def has_figures(self) -> bool:
+        """Whether there are figures of an update that `figures` has not returned yet."""
+        return bool(self._losses)
 
     def figures(self) -> dict[str, float]:
         """Return the loss since the last call, the share of the teacher, and the student's success in training."""

@@ -1,6 +1,7 @@
 from rcs.envs.layers.binary_gripper import BinaryGripper as BinaryGripper
 from rcs.envs.layers.cartesian import CartesianControl as CartesianControl
 from rcs.envs.layers.grasp_hand import GraspHand as GraspHand
+from rcs.envs.layers.keep_tilt import KeepTilt as KeepTilt
 from rcs.envs.layers.late_actions import LateActions as LateActions
 from rcs.envs.layers.layer import ActionSpaces as ActionSpaces
 from rcs.envs.layers.layer import Layer as Layer
@@ -8,6 +9,7 @@ from rcs.envs.layers.layer import Where as Where
 from rcs.envs.layers.layer import everywhere as everywhere
 from rcs.envs.layers.layer import renew as renew
 from rcs.envs.layers.limit_step import LimitStep as LimitStep
+from rcs.envs.layers.observe_target import ObserveTarget as ObserveTarget
 from rcs.envs.layers.point_clouds import PointClouds as PointClouds
 from rcs.envs.layers.relative import Relative as Relative
 from rcs.envs.layers.wrapper import LayerWrapper as LayerWrapper

@@ -1,0 +1,98 @@
+"""Actions of a tool that keeps its tilt: fewer numbers to learn where a tool points down."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
+from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, XYZYAW, Action, Observation
+from rcs.errors import InvalidSetup
+from rcs.kinematics.freedom import POSE
+from rcs.spatial import compose, inverse, tquat_to_xyzrpy, xyzrpy_to_tquat
+
+_KEPT = [0, 1, 2, 5]
+"""Of translation and roll, pitch, yaw: what is left."""
+
+
+class KeepTilt(Layer):
+    """Take `xyzyaw`, the change of translation and yaw, and pass on `xyzrpy` with which the tool keeps its tilt.
+
+    Put it on relative `xyzrpy` control. Whenever the last target is tilted otherwise than the tool was at the start of
+    the episode, because the arm could not reach a pose, the tool turns back, as fast as relative control allows. An arm
+    with five joints leans as it must.
+    """
+
+    memory = ("_start", "_last")
+
+    def __init__(self) -> None:
+        """Know no start yet."""
+        self._start: NDArray[np.float64] | None = None
+        self._last: NDArray[np.float64] | None = None
+        self._bound = np.zeros(6)
+        self._leans = False
+
+    def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
+        """Replace `xyzrpy` by `xyzyaw`.
+
+        Raises:
+            InvalidSetup: The level below takes no `xyzrpy`.
+        """
+        if XYZRPY not in inner:
+            raise InvalidSetup(
+                f"KeepTilt is on top of {', '.join(inner) or 'no actions'}; it needs control='xyzrpy' and "
+                "relative='last_step'."
+            )
+        self._bound = box = inner[XYZRPY].high
+        own = spaces.Box(-box[_KEPT], box[_KEPT], dtype=np.float64)
+        return {(XYZYAW if key == XYZRPY else key): (own if key == XYZRPY else space) for key, space in inner.items()}
+
+    def observation_spaces(self, inner: Mapping[str, spaces.Space[Any]]) -> dict[str, spaces.Space[Any]]:
+        """Look how many joints the arm has; the observations are those of the level below."""
+        shape = inner[JOINTS].shape
+        assert shape is not None
+        self._leans = shape[0] < POSE
+        return dict(inner)
+
+    def reset(self, observation: Observation, where: Where = everywhere) -> None:
+        """Remember how the tool is tilted."""
+        self._start = renew(self._start, observation[TQUAT], where)
+        self._last = renew(self._last, observation[TQUAT], where)
+
+    def rebase(self, observation: Observation) -> None:
+        """Turn back from the measured pose."""
+        self._last = observation[TQUAT].copy()
+
+    def map_action(self, action: Action) -> Action:
+        """Put in the roll and the pitch that take the last target back to the tilt of the start."""
+        if self._start is None or self._last is None:
+            raise RuntimeError("KeepTilt.map_action was called before reset")
+        given = action[XYZYAW]
+        full = np.zeros((*given.shape[:-1], 6))
+        full[..., _KEPT] = given
+        if not self._leans:
+            full[..., 3:] = tquat_to_xyzrpy(compose(xyzrpy_to_tquat(full), _back(self._start, self._last)))[..., 3:]
+        full = np.minimum(np.maximum(full, -self._bound), self._bound)
+        return {(XYZRPY if key == XYZYAW else key): (full if key == XYZYAW else own) for key, own in action.items()}
+
+    def map_executed(self, executed: Action) -> Action:
+        """Go on from what was sent."""
+        self._last = executed[TQUAT]
+        return executed
+
+
+def _back(start: NDArray[np.float64], last: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation without yaw that tilts a tool as at the start, as poses (..., 7) without a translation."""
+    start, last = start.copy(), last.copy()
+    start[..., :3] = last[..., :3] = 0.0
+    turn = compose(last, inverse(start))
+    # The yaw is the twist about the vertical: of the turn's quaternion, what is left without x and y.
+    turn[..., 3:5] = 0.0
+    z, w = turn[..., 5], turn[..., 6]
+    length = np.sqrt(z * z + w * w)[..., None]
+    turn[..., 5:] = np.where(length > 1e-6, turn[..., 5:] / np.maximum(length, 1e-6), (0.0, 1.0))
+    return compose(compose(turn, start), inverse(last))
