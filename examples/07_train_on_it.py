@@ -1,7 +1,8 @@
-"""Record scripted episodes, train a small network on them, and let it act: behaviour cloning, and how often it succeeds.
+"""Record scripted episodes, train a small network on them, and count how often it succeeds: cloning.
 
-The network sees joints, opening, and the poses of TCP and cuboid: it is told where the cuboid is. Needs torch: pip install
-'robot-control-stack[torch]'. The figures are those of 200 episodes; EPISODES=20 is quick, and rarely succeeds.
+The network is told where the cuboid is. What it clones is `PickTeacher`, whose actions follow from what the network
+sees; those of `PickExpert`, which waits in its phases, do not. Needs torch: pip install 'robot-control-stack[torch]'.
+`EPISODES=20` in the environment makes it quick, and its network bad.
 """
 
 from __future__ import annotations
@@ -9,6 +10,9 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +26,14 @@ from rcs.data.torch import TorchDataset, collate
 from rcs.rollout import Collection, Evaluation, Progress, Summary, collect, evaluate
 
 EPISODES = int(os.environ.get("EPISODES", "200"))
-STATE = ("joints", "gripper", "tquat", "privileged/cuboid/tquat")
+STATE = ("target/joints", "gripper", "tquat", "privileged/cuboid/tquat")
 EPOCHS, UNSEEN = 20, 10**6  # UNSEEN: seed of an evaluation that has none of the recorded starts
 
 folder = tempfile.TemporaryDirectory()
-setup = rcs.Setup(task="PickCuboid", robot="fr3", observe=("privileged",), frequency=10, max_episode_steps=100)
-plan = Collection(setup=setup, out=Path(folder.name), episodes=EPISODES, only_success=True)
+setup = rcs.Setup(task="PickCuboid", frequency=10, max_episode_steps=100, collision_reaction=False)
+# Where the arm is sent, which it is behind; where the cuboid is; whether it is grasped, which the teacher asks.
+setup = replace(setup, layers=("ObserveTarget",), observe=("privileged", "contacts"))
+plan = Collection(setup=setup, agent="PickTeacher", out=Path(folder.name), episodes=EPISODES, only_success=True)
 for _ in collect(plan, Progress()):
     pass
 windows = Windows(Dataset.open(folder.name), horizon=1, state=[f"observation/{key}" for key in STATE])
@@ -62,21 +68,20 @@ for epoch in range(EPOCHS):
 class Clone(Agent):
     """Acts by the network."""
 
-    def __init__(self, env: rcs.Env) -> None:
-        box = env.action_space["joints"]
-        self.low, self.high = box.low, box.high
+    def __init__(self, env: Any) -> None:
+        self.box = env.action_space["joints"]
 
     def reset(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> None:
         """Do nothing: it remembers nothing."""
 
     def act(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> dict[str, Any]:
         """Return what the expert would have done, as far as the network knows."""
-        cuboid = observation["privileged"]["cuboid"]["tquat"]
-        state = np.concatenate([*(observation[key] for key in STATE[:-1]), cuboid])
+        values = [reduce(getitem, key.split("/"), observation) for key in STATE]
+        state = states.normalise(np.concatenate(values), floor=0.05)
         with torch.no_grad():
-            made = network(torch.from_numpy(states.normalise(state, floor=0.05)).float()).numpy()
+            made = network(torch.from_numpy(state).float()).numpy()
         action = actions.denormalise(made, floor=0.002)
-        return {"joints": np.clip(action[:-1], self.low, self.high), "gripper": np.clip(action[-1:], 0, 1)}
+        return {"joints": np.clip(action[:-1], self.box.low, self.box.high), "gripper": np.clip(action[-1:], 0, 1)}
 
 
 summary = Summary()

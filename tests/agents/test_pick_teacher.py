@@ -12,6 +12,7 @@ import rcs
 from rcs.agents import PickTeacher
 from rcs.agents.grasp import closing_yaw
 from rcs.envs.setup import Setup
+from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup
 from rcs.spatial import compose, tquat_to_matrix
 from rcs.tasks.pick_cuboid import POSES, SIZE
@@ -32,7 +33,7 @@ def row(observation: Any, copy: int) -> Any:
     return observation[copy]
 
 
-def succeed(envs: rcs.VecEnv, teacher: PickTeacher, observation: Any, steps: int = 90) -> np.ndarray:
+def succeed(envs: VecEnv, teacher: PickTeacher, observation: Any, steps: int = 90) -> np.ndarray:
     done = np.zeros(envs.num_envs, bool)
     for _ in range(steps):
         observation, _, terminated, truncated, _ = envs.step(teacher.act(observation, {}))
@@ -58,7 +59,8 @@ def test_it_picks_the_cuboid_after_somebody_else_acted() -> None:
         action = teacher.act(observation, {})
         action["joints"] = action["joints"] + rng.normal(0.0, 0.01, (8, 7))
         action["gripper"] = rng.integers(0, 2, (8, 1)).astype(np.float32)
-        bound = envs.single_action_space["joints"].high
+        space: Any = envs.single_action_space
+        bound = space["joints"].high
         action["joints"] = np.clip(action["joints"], -bound, bound)
         observation, _, _, truncated, _ = envs.step(action)
         assert not truncated.any()

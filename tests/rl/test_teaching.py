@@ -1,4 +1,4 @@
-"""A student sees what its setup observes and no more, learns what its teacher would do, and goes on from where it was."""
+"""A student sees what its setup observes and no more, learns from its teacher, and goes on from where it was."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A privileged teacher that picks the cuboid from wherever the arm is: it labels every state that a learner gets into."""
+"""A teacher that picks the cuboid from wherever the arm is, so that it can label every state a learner gets into."""
 
 from __future__ import annotations
 
@@ -44,9 +44,10 @@ class PickTeacher(Agent):
     """Picks the cuboid with one step of feedback per action, from any state, in one environment or in many copies.
 
     It remembers nothing: an action follows from the TCP pose, the last target, the opening, the pose of the cuboid and
-    whether it is grasped. So it may label states that somebody else's actions led to, as DAgger needs. It moves above the cuboid, into
-    a funnel that leads down to the grasp, closes, and lifts; without the cuboid between its pads it opens and starts
-    anew. `PickExpert` goes through phases instead, plans its grasp and keeps away from joint limits.
+    whether it is grasped. So it may label states that somebody else's actions led to, as DAgger needs, and a policy
+    that sees as much can learn it. It moves above the cuboid, into a funnel that leads down to the grasp, closes, and
+    lifts; without the cuboid between its pads it opens and starts anew. `PickExpert` goes through phases instead, waits
+    in them, plans its grasp and keeps away from joint limits.
     """
 
     def __init__(self, env: Env | VecEnv) -> None:
@@ -114,7 +115,9 @@ class PickTeacher(Agent):
         yaw = _nearest(closing_yaw(cuboid, self._edges), _yaw(tcp), self._home_yaw)
         turned = np.abs(_wrapped(yaw - _yaw(tcp)))
         closes = np.where(opening < CLOSING, KEPT, 1.0)
-        is_there = (np.abs(above) < closes * REACHED[0]) & (aside < closes * REACHED[1]) & (turned < closes * REACHED[2])
+        is_there = (
+            (np.abs(above) < closes * REACHED[0]) & (aside < closes * REACHED[1]) & (turned < closes * REACHED[2])
+        )
         is_there &= opening > EMPTY
         has_opened = opening >= CLOSING
         keeps = STEEPNESS[0] * np.maximum(aside - ALIGNED[0], 0.0) + STEEPNESS[1] * np.maximum(turned - ALIGNED[1], 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 from rcs.errors import InvalidSetup, UnknownName
 
@@ -112,7 +112,7 @@ class Sac:
 
 @dataclass(frozen=True, kw_only=True)
 class Dagger:
-    """Dataset aggregation (Ross et al. 2011): a student learns, by regression, what a teacher would do where it gets to.
+    """Dataset aggregation (Ross et al. 2011): a student learns by regression what a teacher would do where it gets to.
 
     The teacher sees everything, with `privileged` and `contacts`; the student sees what the setup observes.
     """
@@ -138,6 +138,8 @@ class Dagger:
     """Neurons of the hidden layers."""
 
     name: AlgorithmName = field(default="dagger", init=False)
+    schedule: ClassVar[Schedule] = "linear"
+    """The step size falls to zero by the last step, though not in a line."""
 
     def __post_init__(self) -> None:
         """Check every number.

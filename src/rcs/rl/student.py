@@ -1,4 +1,4 @@
-"""The network of a policy that is taught: convolutions per camera, where their features are, and the robot's numbers."""
+"""The network of a policy that is taught: convolutions for each camera, and layers for the robot's numbers."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _FEATURES = 64
 def make_student(algorithm: Dagger, flat: Flat) -> Any:
     """Return a torch module from flat observations, with a leading axis, to flat actions.
 
-    Frames pass three convolutions. Of their features, a spatial softmax tells where in the frame they are (Levine et al.
-    2016, arXiv:1504.00702), and one more convolution what they are.
+    Frames pass three convolutions. A spatial softmax tells where in the frame their features are (Levine et al. 2016,
+    arXiv:1504.00702), and one more convolution what they are.
 
     Raises:
         MissingDependency: torch is not installed.

@@ -45,7 +45,8 @@ def student_flat(envs: VecEnv, setup: Setup) -> Flat:
     """
     hidden = {key for word, own in _HIDDEN.items() if word not in setup.observe for key in own}
     hidden |= {"xyzrpy", "frames"}  # the pose is there as `tquat`, frames are no part of the state
-    return Flat(envs, Selection(keys=tuple(key for key in envs.single_observation_space if key not in hidden)))
+    space: Any = envs.single_observation_space
+    return Flat(envs, Selection(keys=tuple(key for key in space.spaces if key not in hidden)))
 
 
 def teacher_for(envs: VecEnv, name: str) -> Agent:
@@ -112,9 +113,7 @@ class TaughtLearner:
         self._is_taught = np.ones(copies, np.bool_)
         self._ends: deque[bool] = deque(maxlen=_EPISODES)
         self._losses: list[float] = []
-        self._observation, self._info = envs.reset(
-            seed=[training.first_seed + copy for copy in range(copies)]
-        )
+        self._observation, self._info = envs.reset(seed=[training.first_seed + copy for copy in range(copies)])
         self._teacher.reset(self._observation, self._info)
 
     @property
