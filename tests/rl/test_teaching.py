@@ -30,8 +30,11 @@ CAMERAS = replace(SETUP, cameras=("wrist", "side"), image_size=(64, 64))
 
 
 def learner(training: Training = TRAINING) -> Any:
+    import torch  # pyright: ignore[reportMissingImports]
+
     from rcs.rl.learners import copies_for, flat_for, learner_for
 
+    torch.set_num_threads(1)
     envs = copies_for(training, threads=1)
     return learner_for(training, envs, flat_for(training, envs))
 
@@ -46,7 +49,7 @@ def test_a_student_with_cameras_sees_nothing_that_only_its_teacher_sees() -> Non
     import rcs
     from rcs.rl.flat import Flat
 
-    made = learner(replace(TRAINING, setup=CAMERAS))
+    made = learner(replace(TRAINING, setup=CAMERAS, steps=96))
     tested = rcs.make(CAMERAS)
     assert not {"privileged", "is_grasped", "finger_contacts"} & {entry.path[0] for entry in made.flat.layout.state}
     assert made.flat.layout == Flat(tested).layout
@@ -64,7 +67,7 @@ def test_what_the_setup_observes_is_seen_by_the_student_too() -> None:
 
 @pytest.mark.extras
 def test_it_fits_its_teacher_better_and_better() -> None:
-    training = replace(TRAINING, algorithm=Bc(**{**QUICK, "gradient_steps": 100}), steps=640)
+    training = replace(TRAINING, algorithm=Bc(**{**QUICK, "gradient_steps": 40}), steps=480)
     made = learner(training)
     losses: list[float] = []
     while not made.is_done:
