@@ -75,7 +75,7 @@ class Clone(Agent):
 
     def act(self, observation: Mapping[str, Any], info: Mapping[str, Any]) -> dict[str, Any]:
         """Return what the expert would have done, as far as the network knows."""
-        values = [reduce(getitem, key.split("/"), observation) for key in STATE]
+        values: list[Any] = [reduce(getitem, key.split("/"), observation) for key in STATE]
         state = states.normalise(np.concatenate(values), floor=0.05)
         with torch.no_grad():
             made = network(torch.from_numpy(state).float()).numpy()
