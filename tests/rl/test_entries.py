@@ -84,6 +84,18 @@ def test_spaces_alone_make_maps_with_general_scales() -> None:
     assert {one.kind for one in flat.layout.state} == {"value", "turn"}  # where the bases stand is not known
 
 
+def test_whole_numbers_come_back_as_they_were() -> None:
+    flat = Flat.from_spaces(
+        spaces.Dict(a=spaces.Box(0, 1, (1,))), spaces.Dict(levels=spaces.Box(0, 255, (256,), np.uint8))
+    )
+    levels = np.arange(256, dtype=np.uint8)
+    vector = flat.observation({"levels": levels})
+    for rounding in (-1e-4, 0.0, 1e-4):
+        back = flat.observation_dict(vector + rounding)["levels"]
+        np.testing.assert_array_equal(back, levels)
+        assert back.dtype == np.uint8
+
+
 def test_spaces_without_numbers_or_bounds_are_refused() -> None:
     box = spaces.Box(-1, 1, (2,))
     with pytest.raises(InvalidSetup, match="'mode' has the space Discrete"):

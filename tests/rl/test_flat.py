@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 import warnings
 from collections.abc import Callable, Mapping
@@ -28,6 +29,11 @@ SETUPS: dict[str, dict[str, Any]] = {
     "two arms": {"task": "LiftBar", "robot": "dual_fr3", "observe": ("privileged", "contacts")},
     "a hand": {"task": "PickToy", "robot": "xarm7", "observe": ("privileged", "contacts")},
     "poses": {"robot": "so101", "control": "tquat", "observe": ("privileged",)},
+    "a target": {
+        "control": "xyzrpy",
+        "layers": ("rcs.envs.layers:ObserveTarget", "rcs.envs.layers:KeepTilt"),
+        "observe": ("privileged",),
+    },
     "nothing privileged": {"control": "joints", "relative": "absolute", "binary_gripper": False},
 }
 KINDS = pytest.mark.parametrize("kind", list(SETUPS))
@@ -266,6 +272,19 @@ def test_offsets_of_two_arms_are_from_where_their_bases_stand() -> None:
             in_scene = rcs.Pose(mount.translation, mount.quaternion) * rcs.Pose(tcp[:3], tcp[3:])
             offset = vector[entry(flat, f"{name}/tquat to privileged/bar/tquat", "offset")]
             np.testing.assert_allclose(0.1 * offset, bar[:3] - in_scene.translation, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["joints", "two arms"])
+def test_poses_at_the_corners_of_their_spaces_are_within_the_bounds(kind: str) -> None:
+    _, flat = made(kind)
+    observation = rolled_out(kind)[0]
+    name = next(iter(observation["privileged"]))
+    for corner in itertools.product((-1.0, 1.0), repeat=3):
+        tcp, other = (np.array([*far * np.array(corner), 0, 0, 0, 1]) for far in (-2.0, 100.0))
+        arms: Any = {"tquat": tcp} if kind == "joints" else {"left": {**observation["left"], "tquat": tcp}}
+        moved = {**observation["privileged"][name], "tquat": other}
+        vector = flat.observation({**observation, **arms, "privileged": {name: moved}})
+        assert flat.observation_space.contains(vector)
 
 
 @pytest.mark.slow

@@ -40,8 +40,7 @@ def succeed_at(monkeypatch: pytest.MonkeyPatch, envs: VecEnv, copy: int, steps: 
         judgement = judge()
         if next(calls) in steps:
             done = np.arange(COPIES) == copy
-            judgement.terminated = judgement.terminated | done
-            judgement.info["success"] = judgement.info["success"] | done
+            judgement.success = judgement.terminated = judgement.info["success"] = judgement.success | done
         return judgement
 
     monkeypatch.setattr(task, "evaluate", evaluate)
@@ -54,7 +53,7 @@ def test_trajectories_are_those_of_the_copies_mapped_by_flat(
 ) -> None:
     plain, wrapped = copies(cameras=cameras, image_size=40), copies(cameras=cameras, image_size=40)
     for envs in (plain, wrapped):
-        succeed_at(monkeypatch, envs, 1, [2])
+        succeed_at(monkeypatch, envs, 1, [3])  # the first call judges the start
     learner, flat = Sb3VecEnv(wrapped), Flat(plain)
     learner.seed(7)
     expected, _ = plain.reset(seed=7)
@@ -168,18 +167,55 @@ def test_first_episodes_can_be_spread_over_their_length() -> None:
 
 
 @pytest.mark.extras
+def test_rewards_are_scaled_and_the_returns_that_are_told_are_not() -> None:
+    learner, plain = Sb3VecEnv(copies(), reward_scale=4.0), Sb3VecEnv(copies())
+    for one in (learner, plain):
+        one.seed(0)
+        one.reset()
+    action = np.full((COPIES, *learner.action_space.shape), 0.3, np.float32)
+    for _ in range(STEPS):
+        (_, scaled, done, infos), (_, reward, _, expected) = learner.step(action), plain.step(action)
+        np.testing.assert_allclose(scaled, 4.0 * reward, rtol=1e-6)
+    assert done.all()
+    assert [one["episode"]["r"] for one in infos] == [one["episode"]["r"] for one in expected]
+    assert any(one["episode"]["r"] != 0.0 for one in infos)
+    learner.close()
+    plain.close()
+
+
+@pytest.mark.extras
+def test_what_was_counted_goes_on_in_other_copies() -> None:
+    first, second = (Sb3VecEnv(copies(max_episode_steps=6), spread=True) for _ in range(2))
+    action = np.full((COPIES, *first.action_space.shape), 0.3, np.float32)
+    first.reset()
+    for _ in range(3):
+        first.step(action)
+    second.reset()
+    second.envs.set_state(first.envs.get_state())
+    second.set_statistics(first.statistics())
+    for _ in range(8):
+        ours, theirs = first.step(action), second.step(action)
+        for one, other in zip(ours[:3], theirs[:3], strict=True):
+            np.testing.assert_array_equal(one, other)
+        for one, other in zip(ours[3], theirs[3], strict=True):
+            assert one.keys() == other.keys()
+            assert {**one.get("episode", {}), "t": 0} == {**other.get("episode", {}), "t": 0}
+    first.close()
+    second.close()
+
+
+@pytest.mark.extras
 def test_a_copy_that_diverged_is_not_bootstrapped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its log there
     learner = Sb3VecEnv(copies())
     learner.reset()
     learner.envs.scenario.world.qvel[1, 0] = np.nan
-    observation, reward, done, infos = learner.step(np.zeros((COPIES, *learner.action_space.shape)))
+    observation, _, done, infos = learner.step(np.zeros((COPIES, *learner.action_space.shape)))
     np.testing.assert_array_equal(done, [False, True, False])
     assert infos[1]["end"] == "diverged"
     assert infos[1]["TimeLimit.truncated"] is False
     assert np.isfinite(infos[1]["terminal_observation"]).all()
     assert np.isfinite(observation).all()
-    assert reward[1] == 0.0
     learner.close()
 
 

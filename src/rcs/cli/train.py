@@ -70,6 +70,9 @@ class TrainCommand:
     """What a reward one step later is worth."""
     control: Control | None = None
     """What actions say of the arm."""
+    layers: tuple[str, ...] | None = None
+    """Names of layers on top, or `module:Class`, from the lowest to the highest; by default the recipe's, and none with
+    another control than the recipe's."""
     frequency: float | None = None
     """Control steps per second [Hz]."""
     max_episode_steps: int | None = None
@@ -119,8 +122,8 @@ class TrainCommand:
         rate = {} if self.learning_rate is None else {"learning_rate": self.learning_rate}
         training = Training(
             setup=self._setup(recipe.setup),
-            copies=self.copies or recipe.copies,
-            steps=self.steps or recipe.steps,
+            copies=recipe.copies if self.copies is None else self.copies,
+            steps=recipe.steps if self.steps is None else self.steps,
             algorithm=replace(recipe.algorithm, **rate),
             seed=self.seed,
             evaluate_every=self.evaluate_every,
@@ -134,13 +137,18 @@ class TrainCommand:
 
     def _setup(self, setup: Setup) -> Setup:
         changes = {name: getattr(self, name) for name in _OF_SETUP if getattr(self, name) is not None}
+        if self.control not in (None, setup.control):
+            changes = {"layers": (), **changes}
         if self.randomise is not None:
             changes["randomisation"] = Randomisation.of(self.randomise)
         options = {**setup.task_options, **dict(option_of_task(given) for given in self.task_option)}
         return replace(setup, robot=self.robot, task_options=options, **changes)
 
 
-_OF_SETUP = ("end_effector", "reward", "discount", "control", "frequency", "max_episode_steps", "image_size")
+_OF_SETUP = (
+    "end_effector", "reward", "discount", "control", "layers", "frequency",
+    "max_episode_steps", "image_size",
+)  # fmt: skip
 """Options that are fields of a setup; those not given are the recipe's."""
 
 

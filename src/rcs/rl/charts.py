@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 _HEIGHT = 190
-_LEFT, _RIGHT, _TOP, _BOTTOM = 54, 12, 8, 22
+_LEFT, _RIGHT, _TOP, _BOTTOM = 54, 18, 8, 22
 _COLOURS = 8
 """So many colours of lines has the style that all pages share."""
 

@@ -160,7 +160,7 @@ def _state_entries(
 
 
 def _pairs(poses: Sequence[Path], workplace: Workplace) -> Iterator[tuple[Path, Path]]:
-    """Return which poses are told relative to which: every TCP to every object, and an object to the next."""
+    """Return which poses are told relative to which: TCPs and targets to every object, and an object to the next."""
     objects = [path for path in poses if path[0] == keys.PRIVILEGED]
     tcps = [path for path in poses if path[0] != keys.PRIVILEGED]
     if not workplace.robots and len(tcps) > 1:

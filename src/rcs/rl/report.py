@@ -186,7 +186,7 @@ def _table(values: Mapping[str, Any]) -> str:
     return (
         "<table>"
         + "".join(
-            f"<tr><th>{html.escape(name.replace('_', ' '))}</th><td>{html.escape(_words(value))}</td></tr>"
+            f"<tr><th>{html.escape(name)}</th><td>{html.escape(_words(value))}</td></tr>"
             for name, value in values.items()
         )
         + "</table>"

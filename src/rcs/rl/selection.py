@@ -10,8 +10,8 @@ from typing import Any, Literal, get_args
 from rcs.errors import InvalidSetup, UnknownName
 
 Feature = Literal["offset", "near", "relative_turn", "half_turn"]
-"""What is told of pairs of poses beside the poses, from each TCP to each object and from an object to the next; see
-`rcs.rl.layout.Kind`."""
+"""What is told of pairs of poses beside the poses, from each TCP, and from its target where that is observed, to each
+object, and from an object to the next; see `rcs.rl.layout.Kind`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,6 +36,7 @@ from rcs.rl.run import begin_run, lock_run
 from rcs.rl.threads import measure_physics, measure_torch
 from rcs.rl.training import Training
 from rcs.rollout.collect import Attempt
+from rcs.setups.make import resolve
 
 _ROWS = 200
 """About so many rows of figures has a whole training."""
@@ -88,6 +89,7 @@ def train(
     progress = Progress() if progress is None else progress
     for name in ("torch", "stable_baselines3", "tensorboard"):
         package(name)
+    resolve(training.setup)  # what it names is there; nothing is written otherwise
     run = Path(out)
     with lock_run(run):
         training = begin_run(run, training)

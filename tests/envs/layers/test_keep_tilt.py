@@ -13,6 +13,11 @@ from rcs.spatial import tquat_to_matrix
 OPEN = np.ones(1, np.float32)
 
 
+def play(env: Any, action: Any, steps: int) -> Any:
+    """Repeat an action, and return the last observation."""
+    return [env.step({"xyzyaw": np.asarray(action, np.float64), "gripper": OPEN})[0] for _ in range(steps)][-1]
+
+
 def tilt(tquat: Any) -> Any:
     """Return the angle between the tool and the vertical [rad]."""
     return np.arccos(np.clip(-tquat_to_matrix(tquat)[..., 2, 2], -1.0, 1.0))
@@ -28,10 +33,8 @@ def test_an_action_moves_the_tcp_and_turns_it_about_the_vertical() -> None:
     env = make("fr3")
     first = env.reset(seed=0)[0]["tquat"]
     assert env.action_space["xyzyaw"].shape == (4,)
-    for _ in range(5):
-        env.step({"xyzyaw": [0.01, -0.02, 0.015, 0.1], "gripper": OPEN})
-    for _ in range(8):
-        observation = env.step({"xyzyaw": np.zeros(4), "gripper": OPEN})[0]
+    play(env, [0.01, -0.02, 0.015, 0.1], 5)
+    observation = play(env, np.zeros(4), 8)
     np.testing.assert_allclose(observation["tquat"][:3] - first[:3], [0.05, -0.10, 0.075], atol=2e-3)
     start, end = tquat_to_matrix(first)[:3, :3], tquat_to_matrix(observation["tquat"])[:3, :3]
     c, s = np.cos(0.5), np.sin(0.5)
@@ -41,14 +44,11 @@ def test_an_action_moves_the_tcp_and_turns_it_about_the_vertical() -> None:
 def test_a_tool_that_leaned_at_the_edge_of_the_reach_is_upright_again_when_it_comes_back() -> None:
     env = make("ur5e")
     env.reset(seed=0)
-    leaned, worst = 0.0, 0.0
+    leaned = 0.0
     for direction in (1.0, -1.0):
         for _ in range(25):
-            observation = env.step({"xyzyaw": [0.03 * direction, 0.04 * direction, 0.0, 0.0], "gripper": OPEN})[0]
-            worst = max(worst, float(tilt(observation["tquat"])))
-        leaned = max(leaned, worst)
-    for _ in range(15):
-        observation = env.step({"xyzyaw": np.zeros(4), "gripper": OPEN})[0]
+            leaned = max(leaned, float(tilt(play(env, [0.03 * direction, 0.04 * direction, 0.0, 0.0], 1)["tquat"])))
+    observation = play(env, np.zeros(4), 15)
     assert leaned > 0.1
     assert tilt(observation["tquat"]) < 0.02
 
@@ -56,7 +56,8 @@ def test_a_tool_that_leaned_at_the_edge_of_the_reach_is_upright_again_when_it_co
 def test_copies_act_like_single_environments() -> None:
     rng = np.random.default_rng(0)
     options: Any = {"robot": "ur5e", "control": "xyzrpy", "frequency": 10.0, "layers": [KeepTilt]}
-    copies, single = rcs.make_vec("Free", copies=3, **options), rcs.make("Free", **options)
+    copies: Any = rcs.make_vec("Free", copies=3, **options)
+    single = rcs.make("Free", **options)
     many, one = copies.reset(seed=4)[0], single.reset(seed=5)[0]
     for _ in range(20):
         action = rng.uniform(-1, 1, (3, 4)) * copies.single_action_space["xyzyaw"].high
@@ -69,10 +70,8 @@ def test_copies_act_like_single_environments() -> None:
 def test_an_arm_with_five_joints_leans_as_it_must_and_reaches_the_place() -> None:
     env = make("so101")
     first = env.reset(seed=0)[0]["tquat"]
-    for _ in range(6):
-        env.step({"xyzyaw": [0.01, 0.0, -0.015, 0.0], "gripper": OPEN})
-    for _ in range(8):
-        observation = env.step({"xyzyaw": np.zeros(4), "gripper": OPEN})[0]
+    play(env, [0.01, 0.0, -0.015, 0.0], 6)
+    observation = play(env, np.zeros(4), 8)
     np.testing.assert_allclose(observation["tquat"][:3] - first[:3], [0.06, 0.0, -0.09], atol=3e-3)
 
 

@@ -30,8 +30,7 @@ def test_only_a_copy_that_starts_anew_has_a_new_target() -> None:
     envs = rcs.make_vec("Free", copies=2, autoreset="Disabled", **OPTIONS)
     first = envs.reset(seed=0)[0]
     move, opening = np.full((2, 6), 0.01), np.ones((2, 1), np.float32)
-    for _ in range(3):
-        before = envs.step({"xyzrpy": move, "gripper": opening})[0]
+    before = [envs.step({"xyzrpy": move, "gripper": opening})[0] for _ in range(3)][-1]
     after = envs.reset(options={"reset_mask": np.array([True, False])})[0]
     np.testing.assert_array_equal(after["target"]["tquat"][0], first["tquat"][0])
     np.testing.assert_array_equal(after["target"]["tquat"][1], before["target"]["tquat"][1])

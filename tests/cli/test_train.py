@@ -1,0 +1,178 @@
+"""`rcs train`: it trains, goes on, and says what is wrong; `rcs eval` and `rcs collect` take what it leaves."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rcs.cli.main import main
+
+pytestmark = pytest.mark.extras
+
+RCS = [sys.executable, "-c", "from rcs.cli.main import main; main()"]
+SMALL = (
+    "--steps", "240", "--copies", "2", "--episodes", "2", "--evaluate-every", "120", "--max-episode-steps", "6",
+    "--control", "joints", "--frequency", "30", "--threads", "1", "--torch-threads", "1",
+)  # fmt: skip
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+    with pytest.raises(SystemExit) as stopped:
+        main(list(arguments))
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), re.sub(r"\s+", " ", captured.out + captured.err)
+
+
+def newest(run: Path) -> int:
+    """Return the steps of the newest checkpoint; -1 for none."""
+    return max((int(path.name) for path in run.glob("checkpoints/0*")), default=-1)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small training, by the command."""
+    out = tmp_path_factory.mktemp("runs") / "x"
+    with pytest.raises(SystemExit) as stopped:
+        main(["train", "PickCuboid", "--out", str(out), *SMALL, "--no-video"])
+    assert stopped.value.code == 0
+    return out
+
+
+def test_it_leaves_checkpoints_figures_and_a_page(run: Path) -> None:
+    assert sorted(path.name for path in run.iterdir() if not path.name.startswith(".")) == [
+        "checkpoints", "metrics.jsonl", "report.html", "tensorboard", "training.json",
+    ]  # fmt: skip
+    page = (run / "report.html").read_text("utf-8")
+    assert "PickCuboid on fr3" in page
+    assert "http" not in re.sub(r"data:[^\"]*", "", page)  # nothing is loaded from elsewhere
+
+
+def test_the_same_command_and_resume_find_it_done(capsys: pytest.CaptureFixture[str], run: Path) -> None:
+    for words in (["train", "PickCuboid", "--out", str(run), *SMALL, "--no-video"], ["train", "--resume", str(run)]):
+        code, told = call(capsys, *words)
+        assert code == 0
+        assert f"{newest(run)} steps in" in told
+        assert f"Report: {run / 'report.html'}" in told
+
+
+def test_a_checkpoint_is_evaluated_in_its_own_environment(
+    capsys: pytest.CaptureFixture[str], run: Path, tmp_path: Path
+) -> None:
+    code, told = call(capsys, "eval", str(run), "--episodes", "3", "--out", str(tmp_path))
+    assert code == 0, told
+    assert f"Policy: {run}/checkpoints/" in told
+    assert "a batch of 3 copies" in told
+    figures = json.loads((tmp_path / "evaluation.json").read_text())
+    assert figures["setup"]["max_episode_steps"] == 6
+    assert figures["setup"]["observe"] == ["privileged", "contacts"]
+    assert [result["steps"] for result in figures["results"]] == [6, 6, 6]
+    code, told = call(capsys, "eval", "PickCuboid", "--agent", str(run), "--episodes", "3", "--out", str(tmp_path))
+    assert code == 0, told
+    assert json.loads((tmp_path / "evaluation.json").read_text())["results"] == figures["results"]
+
+
+def test_another_agent_is_evaluated_in_the_environment_of_a_checkpoint(
+    capsys: pytest.CaptureFixture[str], run: Path, tmp_path: Path
+) -> None:
+    options = ("--agent", "PickExpert", "--episodes", "1", "--workers", "1", "--out", str(tmp_path))
+    code, told = call(capsys, "eval", str(run), *options)
+    assert code == 0, told
+    figures = json.loads((tmp_path / "evaluation.json").read_text())
+    assert (figures["agent"], figures["results"][0]["steps"]) == ("PickExpert", 6)
+
+
+@pytest.mark.gl
+def test_what_it_does_is_recorded_with_cameras_that_it_does_not_need(
+    capsys: pytest.CaptureFixture[str], run: Path, tmp_path: Path
+) -> None:
+    options = ("--episodes", "1", "--workers", "1", "--cameras", "wrist", "--image-size", "64", "--no-report")
+    code, told = call(capsys, "collect", str(run), *options, "--out", str(tmp_path / "d"))
+    assert code == 0, told
+    from rcs.data import Dataset
+
+    dataset = Dataset.open(tmp_path / "d")
+    assert dataset.info.setup["cameras"] == ["wrist"]
+    assert [episode.length for episode in dataset] == [7]
+
+
+@pytest.mark.gl
+def test_a_policy_that_sees_and_its_videos(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    run, short = tmp_path / "run", ("--steps", "40", "--evaluate-every", "40", "--image-size", "40")
+    code, told = call(capsys, "train", "PickCuboid", "--out", str(run), *SMALL, *short, "--cameras", "wrist", "side")
+    assert code == 0, told
+    assert sorted(path.stem for path in (run / "videos").iterdir()) == ["000000000", f"{newest(run):09d}"]
+    assert "data:video/mp4;base64," in (run / "report.html").read_text("utf-8")
+    options = ("--episodes", "1", "--video", "--workers", "1", "--out", str(tmp_path / "e"))
+    code, told = call(capsys, "eval", str(run), *options)
+    assert code == 0, told
+    assert (tmp_path / "e" / "000000.mp4").exists()
+    assert json.loads((tmp_path / "e" / "evaluation.json").read_text())["setup"]["cameras"] == ["wrist", "side"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["train"], ["Give a task", "--resume RUN"]),
+        (["train", "PickCubiod"], ["PickCubiod", "Did you mean 'PickCuboid'"]),
+        (["train", "PickCuboid", "--copies", "-1"], ["copies is -1"]),
+        (["train", "PickCuboid", "--robot", "fr4"], ["fr4", "Did you mean 'fr3'"]),
+        (["train", "--resume", "nothing/here"], ["There is no training in nothing/here"]),
+        (["train", "PickCuboid", "--resume", "x"], ["With --resume, give neither a task nor --out"]),
+        (["eval", "nothing/here"], ["There is no checkpoint in nothing/here"]),
+        (["eval", "PickCuboid", "--agent", "nothing/here"], ["There is no checkpoint in nothing/here"]),
+    ],
+)
+def test_what_is_wrong_is_said(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], words: list[str]
+) -> None:
+    out = ["--out", str(tmp_path / "x")] if "--resume" not in arguments and len(arguments) > 1 else []
+    code, told = call(capsys, *arguments, *out)
+    assert code == 1
+    assert "Traceback" not in told
+    for word in words:
+        assert word in told
+    assert not (tmp_path / "x").exists()
+
+
+def test_options_that_contradict_a_checkpoint_are_refused(
+    capsys: pytest.CaptureFixture[str], run: Path, tmp_path: Path
+) -> None:
+    out = ("--episodes", "1", "--out", str(tmp_path))
+    code, told = call(capsys, "eval", str(run), "--robot", "ur5e", *out)
+    assert (code, "robot is 'ur5e', not 'fr3'" in told) == (1, True), told
+    code, told = call(capsys, "eval", "Push", "--agent", str(run), *out)
+    assert (code, "was trained for PickCuboid, not for Push" in told) == (1, True), told
+    code, told = call(capsys, "train", "PickCuboid", "--out", str(run), *SMALL, "--seed", "1")
+    assert (code, "another training began: seed is 1, not 0" in told) == (1, True), told
+
+
+def test_without_torch_the_extra_is_named(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    code, told = call(capsys, "train", "PickCuboid", "--out", str(tmp_path / "x"))
+    assert (code, "pip install 'robot-control-stack[rl]'" in told) == (1, True), told
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
+def test_ctrl_c_ends_with_a_checkpoint_and_the_same_command_goes_on(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    command = [*RCS, "train", "PickCuboid", "--out", str(run), *SMALL, "--no-video", "--steps", "100000"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    end = time.monotonic() + 90.0
+    while newest(run) <= 0 and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    told, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, told
+    assert "Ending after the update at work" in told
+    assert "Traceback" not in told
+    assert f"{newest(run)} steps in" in told
