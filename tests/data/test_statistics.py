@@ -86,3 +86,22 @@ def test_what_cannot_be_counted_is_refused() -> None:
         running.add(np.array([[0.0, np.nan]]))
     with pytest.raises(InvalidSetup, match="no normalisation 'median'"):
         of(np.zeros((3, 2))).normalise(np.zeros(2), "median")  # type: ignore[arg-type]
+
+
+def test_a_floor_keeps_numbers_that_hardly_vary_from_being_blown_up() -> None:
+    values = sample(1000)  # the first number has a spread of 0.001, the third has none
+    found = of(values)
+    moved = values + [0.05, 0.0, 0.05, 0.0]
+    assert found.normalise(moved)[:, 0].min() > 40.0
+    normal = found.normalise(moved, floor=0.05)
+    np.testing.assert_allclose(normal[:, [0, 2]], 1.0, atol=0.1)
+    np.testing.assert_array_equal(normal[:, [1, 3]], found.normalise(moved)[:, [1, 3]])
+    np.testing.assert_allclose(found.denormalise(normal, floor=0.05), moved, atol=1e-12)
+    own = np.array([0.1, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(found.normalise(moved, floor=own)[:, 0], 0.5 * normal[:, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("floor", [-0.1, np.nan, np.inf, (0.1, 0.1)])
+def test_a_floor_that_is_none_is_refused(floor: object) -> None:
+    with pytest.raises(InvalidSetup, match=r"floor is .* valid is a number from 0, or one for each of 4"):
+        of(np.zeros((3, 4))).normalise(np.zeros(4), floor=floor)  # type: ignore[arg-type]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.agents.grasp import CLOSE, REACH, are_empty, plan_from_above
+from rcs.agents.grasp import CLOSE, REACH, are_empty, closing_yaw, plan_from_above
 from rcs.agents.script import Phase, Plan, Script, ScriptedArm
 from rcs.envs.spaces import TQUAT
 from rcs.spatial import Pose
@@ -43,10 +43,8 @@ class PickExpert(Script):
     def plan(self, arm: ScriptedArm) -> Plan | None:
         """Plan the grasp."""
         cuboid = Pose.from_tquat(self.info["cuboid"])
-        axes = cuboid.matrix[:3, :3]
-        _, *level = np.argsort(-np.abs(axes[2]))  # the other one points up or down
-        short = min(level, key=lambda axis: self.info["edges"][axis])
-        return plan_from_above(arm, cuboid, across(axes[:, short]))
+        yaw = float(closing_yaw(self.info["cuboid"], self.info["edges"]))
+        return plan_from_above(arm, cuboid, [[yaw, yaw + np.pi]])
 
 
 class LiftExpert(Script):

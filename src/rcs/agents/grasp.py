@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rcs.agents.script import Phase, Plan, Script, ScriptedArm
 from rcs.envs.spaces import GRIPPER
 from rcs.kinematics import IkStatus, freedom_of
-from rcs.spatial import Pose
+from rcs.spatial import Pose, tquat_to_matrix
 
 CLEARANCE = 0.09
 """Height of the pre-grasp above the grasp [m]."""
@@ -124,6 +124,26 @@ def ways_from_above(
         if above and grasp and lifted:
             ways.append(({"above": above[0], "grasp": grasp[0], "lifted": lifted[0]}, grasp[1]))
     return ways
+
+
+def closing_yaw(pose: NDArray[np.float64], edges: Sequence[float]) -> NDArray[np.float64]:
+    """Return the turn of a tool about the vertical with which its jaws close across the shorter level edge of boxes.
+
+    Args:
+        pose: Poses of the boxes in the base frame, (*leading, 7).
+        edges: Edges along their x, y, z [m], (3,) or (*leading, 3).
+
+    Returns:
+        Angles [rad], (*leading,). The opposite ones do as well.
+    """
+    axes = tquat_to_matrix(pose)[..., :3, :3]
+    # The axis that points up or down does not count.
+    lengths = np.where(
+        np.abs(axes[..., 2, :]) == np.abs(axes[..., 2, :]).max(axis=-1, keepdims=True), np.inf, np.asarray(edges)
+    )
+    shortest = np.argmin(lengths, axis=-1)[..., None, None]
+    across = np.take_along_axis(axes, shortest, axis=-1)[..., 0]
+    return np.arctan2(-across[..., 0], across[..., 1])
 
 
 def raised(pose: Pose, height: float) -> Pose:

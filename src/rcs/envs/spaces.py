@@ -14,6 +14,7 @@
 | `finger_contacts` | (fingers,) uint8 | 1 for a finger that touches something |
 | `is_grasped` | (1,) uint8 | 1 if two fingers touch the same object |
 | `target`/`tquat` | (7,) float64 | the last target of the TCP, with the layer `ObserveTarget`: m, xyzw |
+| `target`/`joints` | (dof,) float64 | the last target of control by joints, with the same layer: rad |
 | `privileged`/object/`tquat` | (7,) float64 | pose in the base frame (of several robots: the scene), m, xyzw |
 | `privileged`/object/`velocity` | (6,) float64 | m/s, rad/s, in the axes of the same frame |
 | `frames`/camera/`rgb` | (H, W, 3) uint8 | |

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 from rcs.errors import InvalidSetup, UnknownName
 
-AlgorithmName = Literal["ppo", "sac"]
+AlgorithmName = Literal["ppo", "sac", "dagger", "bc"]
 Schedule = Literal["constant", "linear"]
 Activation = Literal["tanh", "relu"]
 
@@ -110,10 +110,77 @@ class Sac:
         _check_network(self)
 
 
-Algorithm = Ppo | Sac
+@dataclass(frozen=True, kw_only=True)
+class Dagger:
+    """Dataset aggregation (Ross et al. 2011): a student learns by regression what a teacher would do where it gets to.
+
+    The teacher sees everything, with `privileged` and `contacts`; the student sees what the setup observes.
+    """
+
+    teacher: str = "PickTeacher"
+    """Who says what to do: an agent that remembers nothing, by its name or as `module:Class`, or the folder of a
+    checkpoint."""
+    fade: float | None = 0.15
+    """Over this share of all steps, the share of episodes in which the teacher acts falls from 1 to 0; None for all."""
+    n_steps: int = 16
+    """Steps of every copy between two updates."""
+    warm_up: int = 2_048
+    """Steps before the first update, of all copies together; they decide what is normal in the numbers."""
+    batch_size: int = 128
+    """Steps per gradient step, from all that were seen."""
+    gradient_steps: int = 75
+    """Gradient steps of an update."""
+    learning_rate: float = 1e-3
+    """Step size of Adam; from the middle of the training on it falls to zero as a cosine."""
+    channels: tuple[int, int, int] = (16, 32, 32)
+    """Of the three convolutions of each camera."""
+    network: tuple[int, ...] = (256, 256)
+    """Neurons of the hidden layers."""
+
+    name: AlgorithmName = field(default="dagger", init=False)
+    schedule: ClassVar[Schedule] = "linear"
+    """The step size falls to zero by the last step, though not in a line."""
+
+    def __post_init__(self) -> None:
+        """Check every number.
+
+        Raises:
+            InvalidSetup: One is out of range.
+        """
+        check_fields(self, whole=("n_steps", "batch_size", "gradient_steps", "warm_up"), positive=("learning_rate",))
+        if self.fade is not None:
+            check_fields(self, unit=("fade",))
+        if not isinstance(self.teacher, str):
+            raise InvalidSetup(f"teacher is {self.teacher!r}; valid is the name of an agent, or a checkpoint's folder.")
+        if len(self.channels) != 3 or not all(_is_whole(n) and n >= 1 for n in self.channels):
+            raise InvalidSetup(f"channels is {self.channels!r}; valid are three whole numbers from 1.")
+        _check_layers(self.network)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bc(Dagger):
+    """Behaviour cloning: the teacher acts all the time, and the student never gets into states of its own making."""
+
+    fade: None = None
+    """The teacher acts in all episodes."""
+
+    name: AlgorithmName = field(default="bc", init=False)
+
+    def __post_init__(self) -> None:
+        """Check every number.
+
+        Raises:
+            InvalidSetup: One is out of range.
+        """
+        super().__post_init__()
+        if self.fade is not None:
+            raise InvalidSetup(f"fade is {self.fade!r}; in behaviour cloning it is None. Use 'dagger'.")
+
+
+Algorithm = Ppo | Sac | Dagger
 """What learns, with its hyperparameters. The discount is that of the setup, which the reward is made for."""
 
-ALGORITHMS: dict[str, type[Ppo] | type[Sac]] = {"ppo": Ppo, "sac": Sac}
+ALGORITHMS: dict[str, type[Ppo] | type[Sac] | type[Dagger]] = {"ppo": Ppo, "sac": Sac, "dagger": Dagger, "bc": Bc}
 
 
 def algorithm_to_json(algorithm: Algorithm) -> dict[str, Any]:
@@ -174,10 +241,13 @@ def check_fields(
                 raise InvalidSetup(f"{name} is {getattr(record, name)!r}; valid is {valid}.")
 
 
-def _check_network(algorithm: Algorithm) -> None:
-    is_valid = isinstance(algorithm.network, tuple) and all(_is_whole(n) and n >= 1 for n in algorithm.network)
-    if not is_valid:
-        raise InvalidSetup(f"network is {algorithm.network!r}; valid is a tuple of whole numbers from 1.")
+def _check_layers(network: Any) -> None:
+    if not (isinstance(network, tuple) and all(_is_whole(n) and n >= 1 for n in network)):
+        raise InvalidSetup(f"network is {network!r}; valid is a tuple of whole numbers from 1.")
+
+
+def _check_network(algorithm: Ppo | Sac) -> None:
+    _check_layers(algorithm.network)
     for name, choices in (("schedule", Schedule), ("activation", Activation)):
         if getattr(algorithm, name) not in get_args(choices):
             valid = ", ".join(map(repr, get_args(choices)))

@@ -44,6 +44,11 @@ class Learner:
         _, self._callback = self.model._setup_learn(training.steps, None, reset_num_timesteps=False)
 
     @property
+    def policy(self) -> Any:
+        """The policy, a torch module."""
+        return self.model.policy
+
+    @property
     def steps(self) -> int:
         """Environment steps so far, of all copies together."""
         return int(self.model.num_timesteps)

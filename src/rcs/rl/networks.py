@@ -8,10 +8,11 @@ from typing import Any
 
 from gymnasium import spaces
 
-from rcs.rl.algorithms import Algorithm, Ppo
+from rcs.rl.algorithms import Algorithm, Dagger, Ppo, Sac
 from rcs.rl.flat import Flat
 from rcs.rl.packages import package
 from rcs.rl.sb3 import Sb3VecEnv
+from rcs.rl.student import make_student
 from rcs.rl.training import Training
 
 _FIRST_VALUES = 0.02
@@ -27,6 +28,7 @@ def make_model(training: Training, envs: Sb3VecEnv) -> Any:
         MissingDependency: torch or Stable-Baselines3 is not installed.
     """
     algorithm, sb3 = training.algorithm, package("stable_baselines3")
+    assert not isinstance(algorithm, Dagger), "is made by TaughtLearner"
     has_images = isinstance(envs.observation_space, spaces.Dict)
     common: dict[str, Any] = {
         "policy": "MultiInputPolicy" if has_images else "MlpPolicy",
@@ -71,6 +73,8 @@ def make_policy(algorithm: Algorithm, flat: Flat) -> Any:
     Raises:
         MissingDependency: torch or Stable-Baselines3 is not installed.
     """
+    if isinstance(algorithm, Dagger):
+        return make_student(algorithm, flat).eval()
     has_images = isinstance(flat.observation_space, spaces.Dict)
     model = package("stable_baselines3").PPO if isinstance(algorithm, Ppo) else package("stable_baselines3").SAC
     kind = model.policy_aliases["MultiInputPolicy" if has_images else "MlpPolicy"]
@@ -88,12 +92,14 @@ def mean_action(policy: Any) -> Callable[[Any], Any]:
     if hasattr(policy, "actor"):
         actor, torch = policy.actor, package("torch")
         return lambda observation: torch.tanh(actor.get_action_dist_params(observation)[0])
+    if not hasattr(policy, "action_net"):
+        return policy  # a student, which is that function
     return lambda observation: policy.action_net(
         policy.mlp_extractor.forward_actor(policy.extract_features(observation, policy.pi_features_extractor))
     )
 
 
-def _network(algorithm: Algorithm, *, has_images: bool) -> dict[str, Any]:
+def _network(algorithm: Ppo | Sac, *, has_images: bool) -> dict[str, Any]:
     nn = package("torch.nn")
     how: dict[str, Any] = {
         "net_arch": list(algorithm.network),
@@ -124,6 +130,6 @@ def _near_and_far() -> Any:
     return NearAndFar
 
 
-def _rate(algorithm: Algorithm) -> Any:
+def _rate(algorithm: Ppo | Sac) -> Any:
     start = algorithm.learning_rate
     return start if algorithm.schedule == "constant" else lambda remaining: start * max(remaining, 0.0)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from rcs.envs.setup import Setup
 from rcs.errors import UnknownName
-from rcs.rl.algorithms import ALGORITHMS, Algorithm, AlgorithmName, Ppo, Sac, check_fields
+from rcs.rl.algorithms import ALGORITHMS, Algorithm, AlgorithmName, Bc, Dagger, Ppo, Sac, check_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +67,21 @@ def _setup(task: str, seconds: float) -> Setup:
     )
 
 
+_SEEN = Setup(
+    task="PickCuboid",
+    control="joints",
+    relative="last_step",
+    layers=("ObserveTarget",),  # what its teacher counts from, it knows too
+    cameras=("wrist", "side"),
+    image_size=(64, 64),
+    frequency=RATE,
+    max_episode_steps=75,
+    collision_reaction=False,
+    physics_step=0.004,
+)
+"""The environment of a policy that sees, and is not told where the objects are: its own joints and two cameras."""
+
+
 def _ppo(task: str, *, seconds: float, steps: int) -> Recipe:
     """Return the recipe of a task of which an episode lasts some seconds: each update sees all of it."""
     algorithm = Ppo(
@@ -88,8 +103,10 @@ RECIPES: dict[tuple[str, AlgorithmName], Recipe] = {
     ("Push", "ppo"): _ppo("Push", seconds=8.0, steps=1_000_000),
     ("Place", "ppo"): _ppo("Place", seconds=9.0, steps=1_500_000),
     ("PickCuboid", "sac"): Recipe(setup=_setup("PickCuboid", 6.0), copies=8, steps=200_000, algorithm=Sac()),
+    ("PickCuboid", "dagger"): Recipe(setup=_SEEN, copies=32, steps=40_960, algorithm=Dagger()),
+    ("PickCuboid", "bc"): Recipe(setup=_SEEN, copies=32, steps=40_960, algorithm=Bc()),
 }
-"""Recipes by task and algorithm. Nothing in them depends on the robot."""
+"""Recipes by task and algorithm. Nothing in them depends on the robot; cameras are those of the FR3's lab."""
 
 
 def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[str, ...] = ()) -> Recipe:
@@ -107,7 +124,9 @@ def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[st
         raise UnknownName("algorithm", str(algorithm), ALGORITHMS)
     recipe = RECIPES.get((task, algorithm), RECIPES["PickCuboid", algorithm])
     setup = replace(recipe.setup, task=task)
-    if cameras:
+    if cameras and isinstance(recipe.algorithm, Dagger):
+        setup = replace(setup, cameras=cameras)
+    elif cameras:
         setup = replace(setup, cameras=cameras, image_size=(84, 84), observe=(), control="joints", layers=())
         recipe = replace(recipe, steps=4 * recipe.steps)
         if isinstance(recipe.algorithm, Sac):  # two frames of 84 px and those of the next step are 85 kB

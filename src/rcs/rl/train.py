@@ -27,18 +27,16 @@ from rcs.rl.checkpoint import (
     write_checkpoint,
 )
 from rcs.rl.examiner import VIDEOS, Examiner, score_of
-from rcs.rl.flat import Flat
-from rcs.rl.learner import Learner
+from rcs.rl.learners import copies_for, flat_for, learner_for
 from rcs.rl.metrics import EPISODES, JUDGED, LENGTH, RATE, REWARD, SPEED, SUCCESSES, Metrics
-from rcs.rl.networks import mean_action, reward_scale
+from rcs.rl.networks import mean_action
 from rcs.rl.packages import package
 from rcs.rl.policy import PolicyAgent
 from rcs.rl.run import begin_run, lock_run
-from rcs.rl.sb3 import Sb3VecEnv
 from rcs.rl.threads import measure_physics, measure_torch
 from rcs.rl.training import Training
 from rcs.rollout.collect import Attempt
-from rcs.setups.make import make_vec, resolve
+from rcs.setups.make import resolve
 
 _ROWS = 200
 """About so many rows of figures has a whole training."""
@@ -108,10 +106,10 @@ class _Run:
             measured = measure_physics(training)
             progress.notes.append(str(measured))
             threads = measured.chosen
-        self._envs = make_vec(training.setup, copies=training.copies, threads=threads, autoreset="SameStep")
+        self._envs = copies_for(training, threads=threads)
         self._examiner: Examiner | None = None
         try:
-            flat = Flat(self._envs)
+            flat = flat_for(training, self._envs)
             if not training.torch_threads:
                 measured = measure_torch(training, flat)
                 progress.notes.append(str(measured))
@@ -119,8 +117,8 @@ class _Run:
                 begin_run(run, training)
             self._training = training
             package("torch").set_num_threads(training.torch_threads)
-            self._learner = Learner(training, Sb3VecEnv(self._envs, flat, reward_scale=reward_scale(training)))
-            self._agent = PolicyAgent(mean_action(self._learner.model.policy), flat.layout)
+            self._learner = learner_for(training, self._envs, flat)
+            self._agent = PolicyAgent(mean_action(self._learner.policy), flat.layout)
             self._last = self._restore()
             self._threads, self._learning, self._made = threads, 0.0, 0
         except BaseException:

@@ -3,11 +3,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
 
 import rcs
 from rcs.envs.layers import ObserveTarget
-from rcs.errors import InvalidSetup
 from rcs.spatial import distance
 
 OPTIONS: Any = {"control": "xyzrpy", "frequency": 10.0, "layers": [ObserveTarget]}
@@ -38,6 +36,14 @@ def test_only_a_copy_that_starts_anew_has_a_new_target() -> None:
     np.testing.assert_array_equal(after["target"]["tquat"][1], before["target"]["tquat"][1])
 
 
-def test_it_says_which_control_it_needs() -> None:
-    with pytest.raises(InvalidSetup, match="tquat"):
-        rcs.make("Free", control="joints", layers=[ObserveTarget])
+def test_on_joints_the_target_is_where_relative_actions_count_from() -> None:
+    env = rcs.make("Free", control="joints", layers=[ObserveTarget])
+    observation = env.reset(seed=0)[0]
+    assert env.observation_space.contains(observation)
+    np.testing.assert_array_equal(observation["target"]["joints"], observation["joints"])
+    move, opening = np.full(7, 0.02), np.ones(1, np.float32)
+    for _ in range(3):
+        before = observation["target"]["joints"]
+        observation, *_, info = env.step({"joints": move, "gripper": opening})
+        np.testing.assert_allclose(observation["target"]["joints"], before + move, atol=1e-12)
+        np.testing.assert_array_equal(observation["target"]["joints"], info["target"]["joints"])

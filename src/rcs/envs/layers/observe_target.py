@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
 from rcs.envs.spaces import JOINTS, TARGET, TQUAT, Action, Observation, tquat_space
-from rcs.errors import InvalidSetup
 
 
 class ObserveTarget(Layer):
-    """Add `target`/`tquat`, the TCP pose of the last target.
+    """Add `target`/`tquat`, the TCP pose of the last target, or on control by joints `target`/`joints`.
 
     A moving arm is behind its target, by up to 20 cm at full speed. A learner with actions relative to the last target
-    that does not know it overshoots. Put this layer on Cartesian control.
+    that does not know it overshoots.
     """
 
     memory = ("_target",)
@@ -26,37 +25,31 @@ class ObserveTarget(Layer):
     def __init__(self) -> None:
         """Know no target yet."""
         self._target: NDArray[np.float64] | None = None
+        self._key = TQUAT
 
     def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
-        """Check that there is a target pose; the actions are those of the level below.
-
-        Raises:
-            InvalidSetup: The arm is controlled by joints.
-        """
-        if JOINTS in inner:
-            raise InvalidSetup(
-                "ObserveTarget is on joints, which have no target pose; use control='tquat' or 'xyzrpy'."
-            )
+        """Return the actions of the level below; they say what a target is."""
+        self._key = JOINTS if JOINTS in inner else TQUAT
         return inner
 
     def observation_spaces(self, inner: Mapping[str, spaces.Space[Any]]) -> dict[str, spaces.Space[Any]]:
         """Add the key."""
-        return {**inner, TARGET: spaces.Dict({TQUAT: tquat_space()})}
+        return {**inner, TARGET: spaces.Dict({self._key: inner[JOINTS] if self._key == JOINTS else tquat_space()})}
 
     def reset(self, observation: Observation, where: Where = everywhere) -> None:
-        """Start with the measured pose."""
-        self._target = renew(self._target, observation[TQUAT], where)
+        """Start with what is measured."""
+        self._target = renew(self._target, observation[self._key], where)
 
     def rebase(self, observation: Observation) -> None:
-        """Go on from the measured pose."""
-        self._target = observation[TQUAT].copy()
+        """Go on from what is measured."""
+        self._target = observation[self._key].copy()
 
     def map_executed(self, executed: Action) -> Action:
         """Remember what was sent."""
-        self._target = executed[TQUAT]
+        self._target = executed[self._key]
         return executed
 
     def map_observation(self, observation: Observation) -> Observation:
-        """Add the pose."""
-        target = observation[TQUAT] if self._target is None else self._target
-        return {**observation, TARGET: {TQUAT: target.copy()}}
+        """Add the target."""
+        target = observation[self._key] if self._target is None else self._target
+        return {**observation, TARGET: {self._key: target.copy()}}
