@@ -378,3 +378,16 @@ def test_a_real_robot_has_the_layout_of_the_simulated_one() -> None:
 def test_the_maps_need_no_torch(run_program: Callable[..., Any]) -> None:
     done = run_program("import sys, rcs; rcs.rl.Flat, rcs.rl.Selection; print('torch' in sys.modules)")
     assert done.stdout.strip() == "False", done.stderr
+
+
+@pytest.mark.parametrize("pixels", [rcs.Pixels(), rcs.Pixels(grayscale=True, stack=2)])
+def test_pixels_that_are_planes_already_stay_as_they_are(pixels: rcs.Pixels) -> None:
+    envs = rcs.make_vec("PickCuboid", copies=2, cameras=("side",), image_size=(16, 12), pixels=pixels)
+    flat = Flat(envs)
+    observation, _ = envs.reset(seed=0)
+    seen = observation["frames"]["side"]["pixels"]
+    assert np.shares_memory(flat.observation(observation)["side"], seen)
+    assert flat.observation_space["side"].shape == seen.shape[1:]
+    back = flat.observation_dict(flat.observation(observation))
+    np.testing.assert_array_equal(back["frames"]["side"]["pixels"], seen)
+    envs.close()

@@ -251,6 +251,9 @@ def _images(frames: Mapping[Path, spaces.Box], cameras: Sequence[str] | None) ->
             if path[-1] == keys.RGB:
                 height, width, channels = box.shape
                 found.append(Image(path=path, name=name, shape=(channels, height, width)))
+            elif path[-1] == keys.PIXELS:
+                channels, height, width = box.shape
+                found.append(Image(path=path, name=name, shape=(channels, height, width)))
             elif path[-1] == keys.DEPTH:
                 shape = (1, box.shape[0], box.shape[1])
                 found.append(

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
+from rcs.envs.spaces import PIXELS
 from rcs.errors import InvalidAction, InvalidSetup
 from rcs.rl.entries import layout_of
 from rcs.rl.layout import FlatLayout, Image
@@ -170,4 +171,4 @@ def _picture(observation: Mapping[str, Any], image: Image) -> NDArray[np.uint8]:
 def _frame(picture: NDArray[np.uint8], image: Image) -> NDArray[Any]:
     if image.is_depth:
         return picture[..., 0, :, :].astype(np.uint16) * np.uint16(image.level_mm)
-    return np.moveaxis(picture, -3, -1)
+    return picture if image.path[-1] == PIXELS else np.moveaxis(picture, -3, -1)

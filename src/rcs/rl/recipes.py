@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from rcs.envs.setup import Setup
 from rcs.errors import UnknownName
 from rcs.rl.algorithms import ALGORITHMS, Algorithm, AlgorithmName, Bc, Dagger, Ppo, Sac, check_fields
+from rcs.sim.pixels import Pixels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +128,8 @@ def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[st
     if cameras and isinstance(recipe.algorithm, Dagger):
         setup = replace(setup, cameras=cameras)
     elif cameras:
-        setup = replace(setup, cameras=cameras, image_size=(84, 84), observe=(), control="joints", layers=())
+        setup = replace(setup, cameras=cameras, image_size=(84, 84), pixels=Pixels(), observe=())
+        setup = replace(setup, control="joints", layers=())
         recipe = replace(recipe, steps=4 * recipe.steps)
         if isinstance(recipe.algorithm, Sac):  # two frames of 84 px and those of the next step are 85 kB
             recipe = replace(recipe, algorithm=replace(recipe.algorithm, buffer_size=20_000))
