@@ -121,9 +121,7 @@ class Panel:
             starts = {"Reset": self._reset, "Next seed": self._next}
             _buttons(gui, "Begin", self._ask, starts, hint="An episode depends on its seed alone.")
             if session.has_agent:
-                agent = gui.add_checkbox(
-                    "Agent acts", initial_value=session.agent is not None, hint="In a new episode"
-                )
+                agent = gui.add_checkbox("Agent acts", initial_value=session.agent is not None, hint="In a new episode")
                 _on_value(agent, self._ask, self._let_agent)
 
     def _add_cameras(self) -> None:
