@@ -141,7 +141,7 @@ def test_a_teacher_that_is_none_is_refused() -> None:
 
 
 def test_records_of_teaching_survive_json_and_refuse_what_makes_no_sense() -> None:
-    for algorithm in (Dagger(fade=0.3, channels=(8, 16, 32)), Bc()):
+    for algorithm in (Dagger(fade=0.3, channels=(4, 8, 8)), Bc()):
         training = replace(TRAINING, algorithm=algorithm)
         assert Training.from_json(training.to_json()) == training
     for wrong in ({"fade": 1.5}, {"channels": (8, 16)}, {"network": (0,)}, {"teacher": 3}, {"warm_up": 0}):

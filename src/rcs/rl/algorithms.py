@@ -128,11 +128,11 @@ class Dagger:
     """Steps before the first update, of all copies together; they decide what is normal in the numbers."""
     batch_size: int = 128
     """Steps per gradient step, from all that were seen."""
-    gradient_steps: int = 75
+    gradient_steps: int = 100
     """Gradient steps of an update."""
     learning_rate: float = 1e-3
     """Step size of Adam; from the middle of the training on it falls to zero as a cosine."""
-    channels: tuple[int, int, int] = (16, 32, 32)
+    channels: tuple[int, int, int] = (8, 16, 32)
     """Of the three convolutions of each camera."""
     network: tuple[int, ...] = (256, 256)
     """Neurons of the hidden layers."""

@@ -104,8 +104,8 @@ RECIPES: dict[tuple[str, AlgorithmName], Recipe] = {
     ("Push", "ppo"): _ppo("Push", seconds=8.0, steps=1_000_000),
     ("Place", "ppo"): _ppo("Place", seconds=9.0, steps=1_500_000),
     ("PickCuboid", "sac"): Recipe(setup=_setup("PickCuboid", 6.0), copies=8, steps=200_000, algorithm=Sac()),
-    ("PickCuboid", "dagger"): Recipe(setup=_SEEN, copies=32, steps=40_960, algorithm=Dagger()),
-    ("PickCuboid", "bc"): Recipe(setup=_SEEN, copies=32, steps=40_960, algorithm=Bc()),
+    ("PickCuboid", "dagger"): Recipe(setup=_SEEN, copies=32, steps=20_480, algorithm=Dagger()),
+    ("PickCuboid", "bc"): Recipe(setup=_SEEN, copies=32, steps=20_480, algorithm=Bc()),
 }
 """Recipes by task and algorithm. Nothing in them depends on the robot; cameras are those of the FR3's lab."""
 
