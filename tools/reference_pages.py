@@ -74,9 +74,8 @@ MEANINGS = {  # keys of observations, then those of info
 """What the keys of observations, actions and info are; a key that is missing here is an error."""
 
 VALUES = {
-    "Quality": get_args(Quality), "Assets": get_args(Assets), "Control": get_args(Control),
-    "RelativeTo": get_args(RelativeTo), "Stepping": get_args(Stepping), "Preset": get_args(Preset),
-    "RewardKind": get_args(RewardKind),
+    "Quality": get_args(Quality), "Assets": get_args(Assets), "Control": get_args(Control), "Preset": get_args(Preset),
+    "RelativeTo": get_args(RelativeTo), "RewardKind": get_args(RewardKind), "Stepping": get_args(Stepping),
 }  # fmt: skip
 """Values of options by the name of their type."""
 
