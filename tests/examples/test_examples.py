@@ -29,6 +29,7 @@ def to_run(path: Path) -> object:
 def test_an_example_runs_and_tells_what_it_did(
     path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("EPISODES", "10")  # of the one that clones
     monkeypatch.setattr("sys.argv", [str(path), *SHORT.get(path.stem, [])])
     runpy.run_path(str(path), run_name="__main__")
     assert capsys.readouterr().out.strip()
