@@ -47,7 +47,7 @@ weights = [*actor.parameters(), *critic.parameters(), spread]
 optimiser = torch.optim.Adam(weights, eps=1e-5)
 
 
-@torch.no_grad()
+@torch.no_grad()  # pyright: ignore[reportUntypedFunctionDecorator]
 def success_rate() -> float:
     state, running, succeeded = vector(exam.reset(seed=1_000_000)[0]), torch.ones(options.unseen, dtype=torch.bool), 0
     while running.any():
