@@ -24,7 +24,10 @@ def same(one: dict[str, Any], other: dict[str, Any]) -> bool:
     return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
 
 
-def test_seeds_on_a_cluster_have_the_weights_of_trainings_alone(small: Any, weights: Weights, tmp_path: Path) -> None:
+def test_seeds_on_a_cluster_have_the_weights_of_trainings_alone(
+    small: Any, weights: Weights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # as in other tests: a process keeps the first that Ray has read
     training, tally = small.training(episodes=0), Tally()
     small.run(replace(training, seed=3), run_of(tmp_path / "seeds", 3), updates=4)  # as a kill leaves it
     runs = {one.seed: one for one in train_seeds(training, (0, 3), tmp_path / "seeds", videos=False, tally=tally)}
