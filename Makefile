@@ -4,6 +4,7 @@
 # make test-wheel    build a wheel, install it into an environment of its own, and run it there
 # make test-interop  open our exports with the readers of LeRobot and others; each gets an environment of its own (first time:
 #                    about 4 GB and 10 minutes)
+# make test-cluster  Ray clusters of two machines on this one, parts of which are killed; 3 to 5 minutes
 # make test-sanitize the C++ tests, and the Python tests of what uses the core, under the sanitizers of addresses and undefined
 #                    behaviour; the C++ tests under that of threads. Any finding ends it. About 15 minutes; FUZZ=300000 has the
 #                    fuzzer make that many calls besides
@@ -35,7 +36,7 @@ CXX_FILES = $(shell find core tests -name '*.cpp' -o -name '*.hpp')
 STUB := src/rcs/_core.pyi
 STUBGEN = $(BIN)/python -m nanobind.stubgen --quiet --module rcs._core --output-file
 
-.PHONY: help build gl demo docs test test-cpp test-sanitize test-extras test-wheel test-interop check bench format stubs clean
+.PHONY: help build gl demo docs test test-cpp test-sanitize test-extras test-cluster test-wheel test-interop check bench format stubs clean
 
 help:
 	@sed '/^$$/q; s/^# \{0,1\}//' Makefile
@@ -135,7 +136,7 @@ test-sanitized:
 	@TSAN_OPTIONS="suppressions=$(CURDIR)/tools/sanitized/threads.supp halt_on_error=1" \
 	  $(BIN)/ctest --test-dir $(SANITIZE)/thread --output-on-failure --no-label-summary -Q
 	@echo "==> Python under the sanitizers of addresses and undefined behaviour"
-	@$(RUN_SANITIZED) -m pytest -q -p no:faulthandler -m "not slow and not extras and not hardware" $(SANITIZED_TESTS)
+	@$(RUN_SANITIZED) -m pytest -q -p no:faulthandler -m "not slow and not extras and not cluster and not hardware" $(SANITIZED_TESTS)
 	@[ -z "$(FUZZ)" ] || $(RUN_SANITIZED) tests/fuzz/fuzz_core.py --calls $(FUZZ)
 
 # torch by itself and first: what depends on it then takes this version, and never looks for another.
@@ -149,6 +150,11 @@ test-extras: test-wheel $(VENV)/.stamp-extras gl
 	@tools/system_packages browser
 	@echo "==> Testing what needs extras"
 	@$(BIN)/python -m pytest -m "extras or browser" --durations=10
+
+# Minutes in which processes start, are killed and are waited for: by itself, on a machine that does nothing else.
+test-cluster: $(VENV)/.stamp-extras gl
+	@echo "==> Testing Ray clusters"
+	@$(BIN)/python -m pytest -m cluster --durations=10
 
 # With the tools that are installed; the environment has what a user's has, and nothing of this folder.
 WHEEL := build/wheel

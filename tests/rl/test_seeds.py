@@ -15,8 +15,6 @@ from rcs.rl.seeds import Trained, _Work, run_of, train_seeds
 from rcs.rollout.parcel import Courier
 from rcs.rollout.ray_pool import Tally
 
-pytestmark = pytest.mark.extras
-
 Weights = Callable[[Path], dict[str, Any]]
 
 
@@ -24,6 +22,7 @@ def same(one: dict[str, Any], other: dict[str, Any]) -> bool:
     return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
 
 
+@pytest.mark.cluster
 def test_seeds_on_a_cluster_have_the_weights_of_trainings_alone(
     small: Any, weights: Weights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -39,6 +38,7 @@ def test_seeds_on_a_cluster_have_the_weights_of_trainings_alone(
     assert sorted(path.name for path in (tmp_path / "seeds").iterdir()) == ["seed-0", "seed-3"]
 
 
+@pytest.mark.extras
 def test_a_machine_that_does_not_see_the_folder_sends_its_run(small: Any, weights: Weights, tmp_path: Path) -> None:
     training = small.training(episodes=0)
     worker = _Work(training, tmp_path / "elsewhere", tmp_path / "no-sign", 1, False)()
@@ -51,6 +51,7 @@ def test_a_machine_that_does_not_see_the_folder_sends_its_run(small: Any, weight
     assert same(weights(run_of(tmp_path / "here", 5)), weights(tmp_path / "alone"))
 
 
+@pytest.mark.extras
 def test_a_seed_is_not_trained_twice_at_a_time(small: Any, tmp_path: Path) -> None:
     with pytest.raises(InvalidSetup, match=r"\[0, 0\]; valid is one or more, all different"):
         list(train_seeds(small.training(), (0, 0), tmp_path / "out"))

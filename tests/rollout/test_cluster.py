@@ -74,7 +74,7 @@ def test_an_address_of_ray_client_is_refused() -> None:
         pass
 
 
-@pytest.mark.extras
+@pytest.mark.cluster
 def test_an_address_without_a_cluster_says_what_to_do() -> None:
     with (
         pytest.raises(Exception, match=r"Could not connect .*`ray start --head` starts one"),

@@ -26,7 +26,7 @@ from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.evaluate import Evaluation, Summary, evaluate
 from rcs.rollout.ray_pool import RayPool
 
-pytestmark = pytest.mark.extras
+pytestmark = pytest.mark.cluster
 
 SHORT = rcs.Setup(max_episode_steps=12)
 # A loaded machine takes its time to start processes.
