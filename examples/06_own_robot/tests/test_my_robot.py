@@ -123,7 +123,7 @@ class TestOurTask(EnvContract):
 class TestTheArmOfOurDriver(ArmContract):
     """What our driver makes of an address."""
 
-    distance = 0.6  # it moves in real time, and a busy machine looks late
+    distance = 1.2  # it moves in real time, and a busy machine looks late
 
     def make_arm(self) -> Arm:
         """Return the arm."""
