@@ -334,15 +334,8 @@ def robot_page(robot: str) -> str:
     parts += [listed(facts), "## Joints\n"]
     rows = zip(arm.joints, arm.joint_lower, arm.joint_upper, arm.home, arm.velocity_limit, arm.acceleration_limit,
                arm.effort_limit, strict=True)  # fmt: skip
-    head = (
-        "joint",
-        "lowest [rad]",
-        "highest [rad]",
-        "home [rad]",
-        "speed [rad/s]",
-        "acceleration [rad/s²]",
-        "torque [Nm]",
-    )
+    head = ("joint", "lowest [rad]", "highest [rad]", "home [rad]", "speed [rad/s]", "acceleration [rad/s²]",
+            "torque [Nm]")  # fmt: skip
     parts.append(table(head, [(f"`{name}`", *map(number, figures)) for name, *figures in rows]))
     parts += ["## Cameras\n", camera_table(lab)]
     has_depth = all(lookup.find("camera", mount.camera).has_depth for mount in lab.cameras.values())
