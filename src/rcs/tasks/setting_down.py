@@ -115,8 +115,8 @@ class Delivery:
     def judge(self, tolerance: float, is_ready: NDArray[np.bool_] | np.bool_ = np.True_) -> Judgement:
         """Judge the present state of all copies.
 
-        Progress has a quarter each for reaching, grasping, carrying to the goal what has been lifted, and letting go of
-        it there.
+        Progress has a fifth each for reaching, grasping, lifting, carrying to the goal what has been lifted, and letting
+        go of it there.
 
         Args:
             tolerance: Horizontal distance from the goal within which the object may lie [m].
@@ -138,8 +138,8 @@ class Delivery:
         success = self._rest.count(is_there & is_released, pose[..., None, :3])
         reach = 1.0 - np.tanh(5.0 * norm(pose[..., :3] - poses[..., self._tcp, :3]))
         near = 1.0 - np.tanh(5.0 * distance)
-        on_the_way = reach + is_grasped * (1.0 + self._was_lifted * near)
-        progress = 0.25 * np.where(is_there, 3.0 + is_released, on_the_way)
+        on_the_way = reach + is_grasped * (1.0 + self._was_lifted * (1.0 + near))
+        progress = 0.2 * np.where(is_there, 4.0 + is_released, on_the_way)
         is_touched = forces[..., self._touched] > TOUCH_FORCE
         info = {"is_grasped": is_grasped, "is_touched": is_touched, **self._poses()}
         return Judgement(success=success, progress=progress, is_placed=is_there & is_released, info=info)
