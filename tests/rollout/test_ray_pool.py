@@ -29,9 +29,6 @@ from rcs.rollout.ray_pool import RayPool
 pytestmark = pytest.mark.cluster
 
 SHORT = rcs.Setup(max_episode_steps=12)
-# A loaded machine takes its time to start processes.
-_PATIENCE = 240.0
-
 FOLDER = "RCS_TEST_FOLDER"
 """Environment variable: a folder of the test, in which files tell agents what to do."""
 
@@ -114,34 +111,6 @@ class Unlucky(Agent):
         return self._expert.failure
 
 
-class Stuck(Unlucky):
-    """An agent that never comes to an end."""
-
-    def act(self, observation: Any, info: Any) -> Any:
-        (self._folder / "waiting").touch()
-        time.sleep(600)
-
-
-def wait_for(is_true: Callable[[], Any], what: str, seconds: float = _PATIENCE) -> None:
-    end = time.monotonic() + seconds
-    while not is_true():
-        assert time.monotonic() < end, f"not so after {seconds} s: {what}"
-        time.sleep(0.05)
-
-
-def processes_with(mark: str) -> list[str]:
-    """Return the command lines of all processes that have a text in their environment."""
-    found: list[str] = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            if mark.encode() in (folder / "environ").read_bytes():
-                found.append((folder / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace"))
-        except OSError:  # it has ended
-            continue
-    # Pools of processes on this machine share a tracker, which ends with the tests.
-    return [line for line in found if line and "multiprocessing.resource_tracker" not in line]
-
-
 class Machines:
     """A cluster of two machines, simulated on this one, with a CPU each."""
 
@@ -157,7 +126,9 @@ class Machines:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def folder(
+    tmp_path_factory: pytest.TempPathFactory, wait_for: Callable[..., None], processes_with: Callable[[str], list[str]]
+) -> Iterator[Path]:
     """A folder that agents know, and an environment without tokens and reports."""
     folder = tmp_path_factory.mktemp("agents")
     mark = uuid.uuid4().hex
@@ -281,7 +252,9 @@ def test_a_killed_worker_loses_no_episode(machines: Machines, folder: Path, alon
     assert_same_bytes(alone, tmp_path / "killed")
 
 
-def test_a_machine_that_is_lost_loses_no_episode(machines: Machines, folder: Path, alone: Path, tmp_path: Path) -> None:
+def test_a_machine_that_is_lost_loses_no_episode(
+    machines: Machines, folder: Path, alone: Path, tmp_path: Path, wait_for: Callable[..., None]
+) -> None:
     lost = machines.cluster.add_node(num_cpus=1)
     (folder / "wait").write_text(lost.node_id)
     progress = Progress()
@@ -296,7 +269,9 @@ def test_a_machine_that_is_lost_loses_no_episode(machines: Machines, folder: Pat
     assert_same_bytes(alone, tmp_path / "lost")
 
 
-def test_a_collection_whose_driver_is_killed_goes_on(machines: Machines, alone: Path, tmp_path: Path) -> None:
+def test_a_collection_whose_driver_is_killed_goes_on(
+    machines: Machines, alone: Path, tmp_path: Path, wait_for: Callable[..., None]
+) -> None:
     out = tmp_path / "driver"
     driver = [sys.executable, "-c", DRIVER, str(out), machines.address]
     with subprocess.Popen(driver, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}) as process:
@@ -340,86 +315,3 @@ def test_an_evaluation_has_the_same_figures_and_videos(machines: Machines, folde
     for number in range(2):
         names = [tmp_path / name / f"{number:06d}.mp4" for name in ("here", "there")]
         assert names[0].read_bytes() == names[1].read_bytes()
-
-
-def collecting(out: Path, mark: str, episodes: int, agent: str | None = None) -> subprocess.Popen[str]:
-    """Start `rcs collect --ray` on a cluster of its own, in a process group of its own as in a terminal."""
-    program = "from rcs.cli.main import main; main()"
-    words = f"collect PickCuboid --cameras none --episodes {episodes} --seed 7 --ray --workers 2 --no-report".split()
-    words += [] if agent is None else ["--agent", agent]
-    plain = {key: value for key, value in os.environ.items() if not key.startswith(("RAY_", "TMPDIR"))}
-    return subprocess.Popen(
-        [sys.executable, "-c", program, *words, "--out", str(out)],
-        env={**plain, "RCS_TEST_MARK": mark, "PYTHONUNBUFFERED": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
-
-
-def leftovers() -> set[str]:
-    return {path.name for path in Path("/tmp").glob(".rcs-*")}
-
-
-def test_the_command_starts_a_cluster_of_its_own_that_ends_with_it(tmp_path: Path) -> None:
-    mark, before = uuid.uuid4().hex, leftovers()
-    with collecting(tmp_path / "ray", mark, 2) as process:
-        text, _ = process.communicate(timeout=_PATIENCE)
-    assert process.returncode == 0, text
-    assert "2 on 1 machine" in text
-    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 120)
-    assert leftovers() <= before
-    run(Collection(setup=rcs.Setup(), out=tmp_path / "alone", episodes=2, seed=7))
-    # The command leaves cameras out, too.
-    hashes = [[each.content_hash for each in Dataset.open(tmp_path / name).episodes] for name in ("ray", "alone")]
-    assert hashes[0] == hashes[1]
-
-
-def test_ctrl_c_ends_after_the_running_episodes(tmp_path: Path) -> None:
-    mark, before, out = uuid.uuid4().hex, leftovers(), tmp_path / "stopped"
-    with collecting(out, mark, 1000) as process:
-        wait_for(lambda: (out / "episodes/000000").exists() or process.poll() is not None, "an episode has arrived")
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers too
-        text, _ = process.communicate(timeout=_PATIENCE)
-    assert process.returncode == 130, text
-    assert "Ending after the episodes at work" in text and "2 on 1 machine" in text
-    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 120)
-    assert leftovers() <= before
-    assert check(out).is_ok
-    ids = [episode.id for episode in Dataset.open(out).episodes]
-    assert 1 <= len(ids) < 1000 and ids == [f"{number:06d}" for number in range(len(ids))]
-
-
-def test_the_second_ctrl_c_ends_at_once(folder: Path, tmp_path: Path) -> None:
-    mark, before, out = uuid.uuid4().hex, leftovers(), tmp_path / "stopped"
-    (folder / "waiting").unlink(missing_ok=True)
-    with collecting(out, mark, 1000, f"{__name__}:Stuck") as process:
-        wait_for(lambda: (folder / "waiting").exists() or process.poll() is not None, "an episode is under way")
-        os.killpg(process.pid, signal.SIGINT)
-        assert process.stdout is not None
-        said = ""
-        while "Ending after the episodes at work" not in said:
-            line = process.stdout.readline()
-            assert line, said
-            said += line
-        os.killpg(process.pid, signal.SIGINT)
-        text, _ = process.communicate(timeout=_PATIENCE)
-    assert process.returncode == 130 and "Traceback" not in text, text
-    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 120)
-    assert leftovers() <= before
-    assert check(out).is_ok and not Dataset.open(out).episodes
-
-
-def test_a_cluster_whose_command_is_killed_ends_and_is_cleared_away_by_the_next(tmp_path: Path) -> None:
-    mark, before, out = uuid.uuid4().hex, leftovers(), tmp_path / "killed"
-    with collecting(out, mark, 1000) as process:
-        wait_for(lambda: (out / "episodes/000000").exists() or process.poll() is not None, "an episode has arrived")
-        process.kill()
-    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 120)
-    assert leftovers() > before
-    with collecting(out, mark, len(Dataset.open(out).episodes) + 1) as process:
-        text, _ = process.communicate(timeout=_PATIENCE)
-    assert process.returncode == 0, text
-    assert leftovers() <= before
-    wait_for(lambda: not processes_with(mark), "all processes of the cluster have ended", 120)
