@@ -54,7 +54,7 @@ def test_alone_and_in_a_batch_it_does_the_same(small: Any, runs: Any, name: str)
     assert [attempt.result for attempt in attempts] == alone
 
 
-@pytest.mark.parametrize("name", ["ppo", "sac"])
+@pytest.mark.parametrize("name", ["ppo", "sac", "rlpd"])
 def test_it_is_the_learners_policy_without_exploration(small: Any, runs: Any, name: str) -> None:
     from rcs.rl.checkpoint import find_checkpoint
     from rcs.rl.networks import make_policy

@@ -41,7 +41,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any, str], Path
     return train
 
 
-@pytest.mark.parametrize("name", ["ppo", "sac"])
+@pytest.mark.parametrize("name", ["ppo", "sac", "rlpd"])
 def test_a_run_that_is_broken_off_again_and_again_ends_like_one_that_is_not(
     small: Any, whole: Any, weights: Weights, tmp_path: Path, name: str
 ) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, TypeGuard, get_args
 
 from rcs.errors import InvalidSetup, UnknownName
 
-AlgorithmName = Literal["ppo", "sac", "dagger", "bc"]
+AlgorithmName = Literal["ppo", "sac", "rlpd", "dagger", "bc"]
 Schedule = Literal["constant", "linear"]
 Activation = Literal["tanh", "relu"]
 
@@ -111,6 +111,34 @@ class Sac:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Rlpd(Sac):
+    """Reinforcement learning with prior data (Ball et al. 2023, arXiv:2302.02948): SAC that begins with demonstrations.
+
+    At first a teacher acts, in the place of chance. Of every batch, half are steps of the teacher and half the
+    learner's own, and the critics have layer normalisation, so that they do not overrate what nobody has tried. The
+    paper has ten critics and twenty gradient steps per step; here they are two and as many as `gradient_steps` says.
+    """
+
+    teacher: str = "PickTeacher"
+    """Who acts at first: an agent that remembers nothing, by its name or as `module:Class`, or the folder of a
+    checkpoint."""
+    learning_starts: int = 6_400
+    """Steps of the teacher before the first update, of all copies together, none of which is forgotten."""
+
+    name: AlgorithmName = field(default="rlpd", init=False)
+
+    def __post_init__(self) -> None:
+        """Check every number.
+
+        Raises:
+            InvalidSetup: One is out of range.
+        """
+        super().__post_init__()
+        check_fields(self, whole=("learning_starts",))
+        _check_teacher(self.teacher)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Dagger:
     """Dataset aggregation (Ross et al. 2011): a student learns by regression what a teacher would do where it gets to.
 
@@ -150,8 +178,7 @@ class Dagger:
         check_fields(self, whole=("n_steps", "batch_size", "gradient_steps", "warm_up"), positive=("learning_rate",))
         if self.fade is not None:
             check_fields(self, unit=("fade",))
-        if not isinstance(self.teacher, str):
-            raise InvalidSetup(f"teacher is {self.teacher!r}; valid is the name of an agent, or a checkpoint's folder.")
+        _check_teacher(self.teacher)
         if len(self.channels) != 3 or not all(_is_whole(n) and n >= 1 for n in self.channels):
             raise InvalidSetup(f"channels is {self.channels!r}; valid are three whole numbers from 1.")
         _check_layers(self.network)
@@ -180,7 +207,18 @@ class Bc(Dagger):
 Algorithm = Ppo | Sac | Dagger
 """What learns, with its hyperparameters. The discount is that of the setup, which the reward is made for."""
 
-ALGORITHMS: dict[str, type[Ppo] | type[Sac] | type[Dagger]] = {"ppo": Ppo, "sac": Sac, "dagger": Dagger, "bc": Bc}
+ALGORITHMS: dict[str, type[Ppo] | type[Sac] | type[Dagger]] = {
+    "ppo": Ppo,
+    "sac": Sac,
+    "rlpd": Rlpd,
+    "dagger": Dagger,
+    "bc": Bc,
+}
+
+
+def has_teacher(algorithm: Algorithm) -> TypeGuard[Rlpd | Dagger]:
+    """Return whether an algorithm learns from somebody who sees everything."""
+    return isinstance(algorithm, Rlpd | Dagger)
 
 
 def algorithm_to_json(algorithm: Algorithm) -> dict[str, Any]:
@@ -244,6 +282,11 @@ def check_fields(
 def _check_layers(network: Any) -> None:
     if not (isinstance(network, tuple) and all(_is_whole(n) and n >= 1 for n in network)):
         raise InvalidSetup(f"network is {network!r}; valid is a tuple of whole numbers from 1.")
+
+
+def _check_teacher(teacher: Any) -> None:
+    if not isinstance(teacher, str):
+        raise InvalidSetup(f"teacher is {teacher!r}; valid is the name of an agent, or a checkpoint's folder.")
 
 
 def _check_network(algorithm: Ppo | Sac) -> None:

@@ -11,10 +11,11 @@ import numpy as np
 
 from rcs.envs.state import EnvState
 from rcs.errors import CorruptCheckpoint
-from rcs.rl.algorithms import Sac
+from rcs.rl.algorithms import Rlpd, Sac
 from rcs.rl.networks import make_model
 from rcs.rl.packages import package
 from rcs.rl.sb3 import Sb3VecEnv
+from rcs.rl.teaching import teacher_for
 from rcs.rl.training import Training
 
 
@@ -39,6 +40,9 @@ class Learner:
         self.model = make_model(training, envs)
         """The learner, of Stable-Baselines3."""
         self.model.set_logger(package("stable_baselines3.common.logger").Logger(folder=None, output_formats=[]))
+        if isinstance(training.algorithm, Rlpd):
+            teacher = teacher_for(envs.envs, training.algorithm.teacher)
+            self.model.teach = lambda: envs.flat.action_vector(teacher.act(envs.observation, {}))
         envs.seed(training.first_seed)
         # Starts the episodes and makes the buffers of statistics; without a callback, it returns one that does nothing.
         _, self._callback = self.model._setup_learn(training.steps, None, reset_num_timesteps=False)
@@ -139,7 +143,7 @@ class Learner:
                     _at(model, name).copy_(own)
             for name in _COUNTERS:
                 setattr(model, name, state["counters"][name])
-            self.envs.envs.set_state(EnvState(**state["environment"]))
+            self.envs.observation = self.envs.envs.set_state(EnvState(**state["environment"]))
             self.envs.set_statistics(state["statistics"])
             model._last_obs, model._last_episode_starts = state["observation"], state["starts"]
             for buffer, own in ((model.ep_info_buffer, "episodes"), (model.ep_success_buffer, "successes")):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rcs.envs.vector import VecEnv
-from rcs.rl.algorithms import Dagger
+from rcs.rl.algorithms import Dagger, has_teacher
 from rcs.rl.flat import Flat
 from rcs.rl.learner import Learner
 from rcs.rl.networks import reward_scale
@@ -20,14 +20,13 @@ def copies_for(training: Training, *, threads: int = 0) -> VecEnv:
         training: What is learned.
         threads: Threads for physics and drawing, 0 for one per CPU.
     """
-    is_taught = isinstance(training.algorithm, Dagger)
-    setup = teaching_setup(training.setup) if is_taught else training.setup
+    setup = teaching_setup(training.setup) if has_teacher(training.algorithm) else training.setup
     return make_vec(setup, copies=training.copies, threads=threads, autoreset="SameStep")
 
 
 def flat_for(training: Training, envs: VecEnv) -> Flat:
     """Return the maps of the policy that is learned in copies of an environment."""
-    return student_flat(envs, training.setup) if isinstance(training.algorithm, Dagger) else Flat(envs)
+    return student_flat(envs, training.setup) if has_teacher(training.algorithm) else Flat(envs)
 
 
 def learner_for(training: Training, envs: VecEnv, flat: Flat) -> Learner | TaughtLearner:

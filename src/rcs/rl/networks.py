@@ -8,9 +8,10 @@ from typing import Any
 
 from gymnasium import spaces
 
-from rcs.rl.algorithms import Algorithm, Dagger, Ppo, Sac
+from rcs.rl.algorithms import Algorithm, Dagger, Ppo, Rlpd, Sac
 from rcs.rl.flat import Flat
 from rcs.rl.packages import package
+from rcs.rl.rlpd import rlpd_model, rlpd_replay
 from rcs.rl.sb3 import Sb3VecEnv
 from rcs.rl.student import make_student
 from rcs.rl.training import Training
@@ -27,7 +28,7 @@ def make_model(training: Training, envs: Sb3VecEnv) -> Any:
     Raises:
         MissingDependency: torch or Stable-Baselines3 is not installed.
     """
-    algorithm, sb3 = training.algorithm, package("stable_baselines3")
+    algorithm = training.algorithm
     assert not isinstance(algorithm, Dagger), "is made by TaughtLearner"
     has_images = isinstance(envs.observation_space, spaces.Dict)
     common: dict[str, Any] = {
@@ -42,14 +43,17 @@ def make_model(training: Training, envs: Sb3VecEnv) -> Any:
     }
     if isinstance(algorithm, Ppo):
         names = ("n_steps", "n_epochs", "gae_lambda", "clip_range", "ent_coef", "vf_coef", "max_grad_norm", "target_kl")
-        model = sb3.PPO(**common, **{name: getattr(algorithm, name) for name in names})
+        model = _class(algorithm)(**common, **{name: getattr(algorithm, name) for name in names})
         # Otherwise they are noise of about 1, which hides what is paid far from an object for coming nearer.
         with package("torch").no_grad():
             model.policy.value_net.weight.mul_(_FIRST_VALUES)
         return model
     names = ("gradient_steps", "buffer_size", "learning_starts", "tau")
-    ent_coef = "auto" if algorithm.ent_coef is None else algorithm.ent_coef
-    return sb3.SAC(**common, ent_coef=ent_coef, **{name: getattr(algorithm, name) for name in names})
+    common["ent_coef"] = "auto" if algorithm.ent_coef is None else algorithm.ent_coef
+    if isinstance(algorithm, Rlpd):
+        common["replay_buffer_class"] = rlpd_replay(has_images=has_images)
+        common["replay_buffer_kwargs"] = {"teacher_rows": -(-algorithm.learning_starts // training.copies)}
+    return _class(algorithm)(**common, **{name: getattr(algorithm, name) for name in names})
 
 
 def batch_size(training: Training) -> int:
@@ -76,8 +80,7 @@ def make_policy(algorithm: Algorithm, flat: Flat) -> Any:
     if isinstance(algorithm, Dagger):
         return make_student(algorithm, flat).eval()
     has_images = isinstance(flat.observation_space, spaces.Dict)
-    model = package("stable_baselines3").PPO if isinstance(algorithm, Ppo) else package("stable_baselines3").SAC
-    kind = model.policy_aliases["MultiInputPolicy" if has_images else "MlpPolicy"]
+    kind = _class(algorithm).policy_aliases["MultiInputPolicy" if has_images else "MlpPolicy"]
     network = _network(algorithm, has_images=has_images)
     policy = kind(flat.observation_space, flat.action_space, lambda _: 0.0, **network)
     policy.set_training_mode(False)
@@ -97,6 +100,13 @@ def mean_action(policy: Any) -> Callable[[Any], Any]:
     return lambda observation: policy.action_net(
         policy.mlp_extractor.forward_actor(policy.extract_features(observation, policy.pi_features_extractor))
     )
+
+
+def _class(algorithm: Ppo | Sac) -> Any:
+    if isinstance(algorithm, Rlpd):
+        return rlpd_model()
+    sb3 = package("stable_baselines3")
+    return sb3.PPO if isinstance(algorithm, Ppo) else sb3.SAC
 
 
 def _network(algorithm: Ppo | Sac, *, has_images: bool) -> dict[str, Any]:

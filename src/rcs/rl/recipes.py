@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from rcs.envs.setup import Setup
-from rcs.errors import UnknownName
-from rcs.rl.algorithms import ALGORITHMS, Algorithm, AlgorithmName, Bc, Dagger, Ppo, Sac, check_fields
+from rcs.errors import InvalidSetup, UnknownName
+from rcs.rl.algorithms import ALGORITHMS, Algorithm, AlgorithmName, Bc, Dagger, Ppo, Rlpd, Sac, check_fields
 from rcs.sim.pixels import Pixels
 
 
@@ -104,6 +104,12 @@ RECIPES: dict[tuple[str, AlgorithmName], Recipe] = {
     ("Push", "ppo"): _ppo("Push", seconds=8.0, steps=1_000_000),
     ("Place", "ppo"): _ppo("Place", seconds=9.0, steps=1_500_000),
     ("PickCuboid", "sac"): Recipe(setup=_setup("PickCuboid", 6.0), copies=8, steps=200_000, algorithm=Sac()),
+    ("PickCuboid", "rlpd"): Recipe(
+        setup=replace(_SEEN, cameras=(), observe=("privileged", "contacts"), reward="dense", discount=0.96),
+        copies=8,
+        steps=60_000,
+        algorithm=Rlpd(gradient_steps=8, buffer_size=100_000),
+    ),
     ("PickCuboid", "dagger"): Recipe(setup=_SEEN, copies=32, steps=20_480, algorithm=Dagger()),
     ("PickCuboid", "bc"): Recipe(setup=_SEEN, copies=32, steps=20_480, algorithm=Bc()),
 }
@@ -120,9 +126,12 @@ def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[st
 
     Raises:
         UnknownName: There is no such algorithm.
+        InvalidSetup: The algorithm has no recipe for policies that see.
     """
     if algorithm not in ALGORITHMS:
         raise UnknownName("algorithm", str(algorithm), ALGORITHMS)
+    if cameras and algorithm == "rlpd":
+        raise InvalidSetup("'rlpd' keeps every step in memory, and frames are too large for that; use 'dagger'.")
     recipe = RECIPES.get((task, algorithm), RECIPES["PickCuboid", algorithm])
     setup = replace(recipe.setup, task=task)
     if cameras and isinstance(recipe.algorithm, Dagger):

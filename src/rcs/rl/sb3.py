@@ -79,6 +79,8 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         """The copies."""
         self.flat = Flat(envs) if flat is None else flat
         """The maps between their dictionaries and vectors."""
+        self.observation: Mapping[str, Any] = {}
+        """What the copies observed last, as they tell it."""
         super().__init__(envs.num_envs, self.flat.observation_space, self.flat.action_space)
         self._keys = [entry.path for entry in self.flat.layout.state if entry.kind == "value"]
         self._keys += [image.path for image in self.flat.layout.images]
@@ -96,12 +98,12 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         """
         if any(self._options):
             raise InvalidSetup("set_options was called; copies take no options at a reset.")
-        observation, _ = self.envs.reset(seed=self._seeds)
+        self.observation, _ = self.envs.reset(seed=self._seeds)
         self._reset_seeds()
         self._returns[:] = 0.0
         self._lengths[:] = 0
         self._cuts = np.where(self._is_spread, self._first_steps, 0)
-        return self.flat.observation(observation)
+        return self.flat.observation(self.observation)
 
     def step_async(self, actions: NDArray[np.floating[Any]]) -> None:
         """Take the actions (copies, n) of the next step."""
@@ -129,6 +131,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
             self._tell_ended(infos, info, np.flatnonzero(done), truncated)
         if self._is_spread and (self._cuts > 0).any():
             observation, done = self._cut(observation, done, infos)
+        self.observation = observation
         return self.flat.observation(observation), (reward * self._reward_scale).astype(np.float32), done, infos
 
     def _tell_ended(

@@ -9,7 +9,7 @@ from typing import Any
 
 from rcs.envs.setup import Setup
 from rcs.errors import CorruptCheckpoint, InvalidSetup
-from rcs.rl.algorithms import Algorithm, Sac, algorithm_from_json, algorithm_to_json
+from rcs.rl.algorithms import Algorithm, Rlpd, Sac, algorithm_from_json, algorithm_to_json
 from rcs.rl.recipes import Recipe
 from rcs.rollout.look import require_trusted
 
@@ -80,6 +80,11 @@ class Training:
             raise InvalidSetup("stepping is 'realtime'; training has no wall clock: use 'async'.")
         if isinstance(self.algorithm, Sac) and self.algorithm.buffer_size < self.copies:
             raise InvalidSetup(f"buffer_size is {self.algorithm.buffer_size}; it must hold a step of each copy.")
+        if isinstance(self.algorithm, Rlpd) and self.algorithm.buffer_size < self.steps + self.copies:
+            raise InvalidSetup(
+                f"buffer_size is {self.algorithm.buffer_size}; RLPD forgets nothing: it must hold all {self.steps} steps, "
+                "and one more of each copy."
+            )
 
     @classmethod
     def of(cls, recipe: Recipe, **options: Any) -> Training:
