@@ -36,8 +36,8 @@ class Small:
     def training(self, name: str = "ppo", **changes: Any) -> Training:
         """Return a training by the name of its algorithm."""
         usual: dict[str, Any] = {
-            "setup": SETUPS.get(name, SETUP), "copies": 2, "steps": 160, "algorithm": ALGORITHMS[name], "evaluate_every": 60,
-            "checkpoint_every": 20, "episodes": 3, "torch_threads": 1,
+            "setup": SETUPS.get(name, SETUP), "copies": 2, "steps": 160, "algorithm": ALGORITHMS[name],
+            "evaluate_every": 60, "checkpoint_every": 20, "episodes": 3, "torch_threads": 1,
         }  # fmt: skip
         return Training(**{**usual, **changes})
 

@@ -15,6 +15,7 @@ from rich.text import Text
 
 from rcs.cli.console import plain_console
 from rcs.cli.runs import INTERRUPTED, interruptible, option_of_task
+from rcs.cli.train_seeds import train_each
 from rcs.data.verdicts import wilson_interval
 from rcs.envs.reward import RewardKind
 from rcs.envs.setup import Setup
@@ -54,6 +55,10 @@ class TrainCommand:
     """Environment steps of the whole training, of all copies together."""
     seed: int = 0
     """Same seed, same weights, on the same machine."""
+    seeds: tuple[int, ...] = ()
+    """Train with all of these seeds at a time, in folders `seed-N` of `--out`, with Ray; needs the extra `ray`."""
+    ray_address: str | None = None
+    """Address of the Ray cluster that trains `--seeds`, such as `auto`; without it, this machine does."""
     copies: int | None = None
     """Copies of the environment that are stepped together."""
     cameras: tuple[str, ...] = ()
@@ -102,6 +107,11 @@ class TrainCommand:
         """Train, print the results and return the exit code."""
         console, progress = plain_console(soft_wrap=False), Progress()
         training, out = self._training()
+        if self.seeds:
+            videos, address = self.video, self.ray_address
+            return train_each(
+                training, self.seeds, out, console, ray_address=address, threads=self.threads, videos=videos
+            )
         try:
             with interruptible(progress, console, "Ending after the update at work; Ctrl-C again ends at once."):
                 _show(training, out, progress, console, self.threads, self.video)
@@ -111,6 +121,10 @@ class TrainCommand:
         return INTERRUPTED if progress.is_interrupted and progress.steps < progress.total else 0
 
     def _training(self) -> tuple[Training, Path]:
+        if self.ray_address is not None and not self.seeds:
+            raise InvalidSetup("A cluster trains several seeds; give --seeds with --ray-address.")
+        if self.seeds and self.resume is not None:
+            raise InvalidSetup("--resume goes on with one run; the same command with --seeds goes on with all of them.")
         if self.resume is not None:
             if self.task or self.out is not None:
                 raise InvalidSetup("With --resume, give neither a task nor --out: the run's folder says both.")
@@ -133,7 +147,8 @@ class TrainCommand:
             torch_threads=self.torch_threads,
         )
         name = self.task.replace(":", ".").replace(os.sep, ".")
-        return training, self.out or Path("runs", f"{name}-{self.robot}-{self.algo}-{self.seed}")
+        run = f"{name}-{self.robot}-{self.algo}" + ("" if self.seeds else f"-{self.seed}")
+        return training, self.out or Path("runs", run)
 
     def _setup(self, setup: Setup) -> Setup:
         changes = {name: getattr(self, name) for name in _OF_SETUP if getattr(self, name) is not None}

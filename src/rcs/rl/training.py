@@ -82,8 +82,8 @@ class Training:
             raise InvalidSetup(f"buffer_size is {self.algorithm.buffer_size}; it must hold a step of each copy.")
         if isinstance(self.algorithm, Rlpd) and self.algorithm.buffer_size < self.steps + self.copies:
             raise InvalidSetup(
-                f"buffer_size is {self.algorithm.buffer_size}; RLPD forgets nothing: it must hold all {self.steps} steps, "
-                "and one more of each copy."
+                f"buffer_size is {self.algorithm.buffer_size}; RLPD forgets nothing: it must hold all {self.steps} "
+                "steps, and one more of each copy."
             )
 
     @classmethod

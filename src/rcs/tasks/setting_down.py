@@ -115,8 +115,8 @@ class Delivery:
     def judge(self, tolerance: float, is_ready: NDArray[np.bool_] | np.bool_ = np.True_) -> Judgement:
         """Judge the present state of all copies.
 
-        Progress has a fifth each for reaching, grasping, lifting, carrying to the goal what has been lifted, and letting
-        go of it there.
+        Progress has a fifth each for reaching, grasping, lifting, carrying to the goal what has been lifted, and
+        letting go of it there.
 
         Args:
             tolerance: Horizontal distance from the goal within which the object may lie [m].
