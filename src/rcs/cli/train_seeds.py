@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from rich.console import Console
@@ -67,20 +67,24 @@ def train_each(
         return _table(training, out, latest, trained)
 
     running = train_seeds(training, seeds, out, ray=ray_address or LOCAL, cpus=cpus, videos=videos)
-    at_once = SimpleNamespace(is_interrupted=True)  # the first Ctrl-C ends: checkpoints are there already
+    live = Live(console=console, get_renderable=table, refresh_per_second=1)
     try:
-        with interruptible(at_once, console), Live(console=console, get_renderable=table, refresh_per_second=1):
+        with interruptible(_AtOnce(), console), closing(running), live:
             for one in running:
                 trained[one.seed] = one
     except KeyboardInterrupt:
         console.print("Ended; the same command goes on from the last checkpoints that are here.")
         return INTERRUPTED
-    finally:
-        running.close()
     for seed in seeds:
         console.print(f"Seed {seed}: report {write_report(run_of(out, seed))}", soft_wrap=True)
     console.print(f"Evaluate: rcs eval {run_of(out, seeds[0])} --episodes 300", soft_wrap=True)
     return 0
+
+
+class _AtOnce:
+    """What the first Ctrl-C ends: there are checkpoints already."""
+
+    is_interrupted = True
 
 
 def _table(training: Training, out: Path, latest: dict[int, dict[str, float]], trained: Mapping[int, Trained]) -> Table:

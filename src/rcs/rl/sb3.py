@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from rcs.envs.engine import DIVERGED
+from rcs.envs.spaces import Observation
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup, MissingDependency, WrongOrder
 from rcs.rl.flat import Flat
@@ -79,7 +80,7 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         """The copies."""
         self.flat = Flat(envs) if flat is None else flat
         """The maps between their dictionaries and vectors."""
-        self.observation: Mapping[str, Any] = {}
+        self.observation: Observation = {}
         """What the copies observed last, as they tell it."""
         super().__init__(envs.num_envs, self.flat.observation_space, self.flat.action_space)
         self._keys = [entry.path for entry in self.flat.layout.state if entry.kind == "value"]
@@ -155,8 +156,8 @@ class Sb3VecEnv(_Base):  # pyright: ignore[reportUntypedBaseClass]
         self._lengths[ended] = 0
 
     def _cut(
-        self, observation: Mapping[str, Any], done: NDArray[np.bool_], infos: list[dict[str, Any]]
-    ) -> tuple[Mapping[str, Any], NDArray[np.bool_]]:
+        self, observation: Observation, done: NDArray[np.bool_], infos: list[dict[str, Any]]
+    ) -> tuple[Observation, NDArray[np.bool_]]:
         """End first episodes that have lasted long enough."""
         self._cuts[done] = 0  # it has ended by itself
         cut = (self._cuts > 0) & (self._lengths >= self._cuts)

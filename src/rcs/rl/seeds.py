@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -42,7 +42,7 @@ def train_seeds(
     cpus: int = 1,
     videos: bool = True,
     tally: Tally | None = None,
-) -> Iterator[Trained]:
+) -> Generator[Trained]:
     """Train with each seed, and yield each run as it is complete; the folder of a seed is `out/seed-N`.
 
     The weights are those of a training alone with as many threads. A machine that sees the folder `out` trains in it:
