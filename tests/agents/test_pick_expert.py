@@ -30,6 +30,13 @@ def test_the_expert_succeeds_with_every_kind_of_action(control: Any, relative: A
     assert result.failure is None
 
 
+def test_the_expert_succeeds_under_a_layer_that_keeps_the_tilt() -> None:
+    env = rcs.make(rcs.Setup(control="xyzrpy", relative="last_step", layers=("KeepTilt",)))
+    result = run_episode(env, agent_for(env), seed=5)
+    env.close()
+    assert result.success
+
+
 def test_the_expert_succeeds_with_synchronous_steps() -> None:
     setup = rcs.Setup(stepping="sync")
     env = rcs.make(setup)

@@ -9,8 +9,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
+from rcs.envs.layers.keep_tilt import KEPT
 from rcs.envs.setup import Setup
-from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Action, Observation
+from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, XYZYAW, Action, Observation
 from rcs.kinematics import IkStatus, Kinematics, freedom_of
 from rcs.spatial import Pose, compose, inverse, limit_step, tquat_to_xyzrpy
 
@@ -20,6 +21,8 @@ MARGIN = 0.9
 
 class ActionWriter:
     """Writes actions for one environment: joints or poses, absolute or relative, according to its setup.
+
+    Under the layer `KeepTilt`, which tilts the tool itself, it writes what is left of a pose.
 
     Relative actions count from the target actually reached, which `follow` takes from the step's info, since a layer
     may have limited it.
@@ -37,7 +40,8 @@ class ActionWriter:
             preferred: Joints to which an arm with more than six returns while its TCP moves [rad], shape (dof,), for
                 joint actions; None for none.
         """
-        box = action_space[setup.control]
+        self._name = XYZYAW if XYZYAW in action_space.keys() else setup.control
+        box = action_space[self._name]
         assert isinstance(box, spaces.Box)
         self._setup = setup
         self._key = JOINTS if setup.control == JOINTS else TQUAT
@@ -100,7 +104,7 @@ class ActionWriter:
         return self._with_gripper(joints, opening)
 
     def _with_gripper(self, arm: NDArray[np.float64], opening: float) -> Action:
-        return {self._setup.control: arm, GRIPPER: np.array([opening], np.float32)}
+        return {self._name: arm, GRIPPER: np.array([opening], np.float32)}
 
     def _pose_action(self, tcp: NDArray[np.float64]) -> NDArray[np.float64]:
         action = tcp
@@ -112,7 +116,9 @@ class ActionWriter:
             reached = limit_step(self._last, tcp, MARGIN * float(self._bound[0]), MARGIN * float(turn))
             action = difference(self._last, reached)
             self._last = reached
-        return action if self._setup.control == TQUAT else tquat_to_xyzrpy(action)
+        if self._setup.control == TQUAT:
+            return action
+        return tquat_to_xyzrpy(action)[KEPT] if self._name == XYZYAW else tquat_to_xyzrpy(action)
 
 
 def difference(start: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.float64]:

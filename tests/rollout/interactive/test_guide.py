@@ -15,7 +15,7 @@ from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.rollout.interactive.guide import JOINT_SPEED, SPEED, Guide
 from rcs.rollout.interactive.session import Session, playable
-from rcs.spatial import distance
+from rcs.spatial import compose, distance
 
 
 @contextmanager
@@ -41,6 +41,15 @@ def test_the_tcp_arrives_where_the_target_is_dragged(control: Any, relative: Any
         run(session, 3.0)
         assert (distance(guide.tcp_in_scene, goal) < (2e-3, 2e-2)).all()
         assert not guide.is_out_of_reach
+
+
+def test_under_a_layer_that_keeps_the_tilt_the_tcp_arrives_and_turns_about_the_vertical() -> None:
+    with quick(control="xyzrpy", relative="last_step", layers=("KeepTilt",)) as (session, guide):
+        goal = compose(guide.tcp_in_scene, (0.0, 0.0, 0.0, 0.0, 0.0, np.sin(0.2), np.cos(0.2)))  # the tool points down
+        goal[:3] += 0.06, 0.05, -0.08
+        guide.lead_to(goal)
+        run(session, 3.0)
+        assert (distance(guide.tcp_in_scene, goal) < (2e-3, 2e-2)).all()
 
 
 @pytest.mark.parametrize(

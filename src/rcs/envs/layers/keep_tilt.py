@@ -15,7 +15,7 @@ from rcs.errors import InvalidSetup
 from rcs.kinematics.freedom import POSE
 from rcs.spatial import compose, inverse, tquat_to_xyzrpy, xyzrpy_to_tquat
 
-_KEPT = [0, 1, 2, 5]
+KEPT = [0, 1, 2, 5]
 """Of translation and roll, pitch, yaw: what is left."""
 
 
@@ -48,7 +48,7 @@ class KeepTilt(Layer):
                 "relative='last_step'."
             )
         self._bound = box = inner[XYZRPY].high
-        own = spaces.Box(-box[_KEPT], box[_KEPT], dtype=np.float64)
+        own = spaces.Box(-box[KEPT], box[KEPT], dtype=np.float64)
         return {(XYZYAW if key == XYZRPY else key): (own if key == XYZRPY else space) for key, space in inner.items()}
 
     def observation_spaces(self, inner: Mapping[str, spaces.Space[Any]]) -> dict[str, spaces.Space[Any]]:
@@ -73,7 +73,7 @@ class KeepTilt(Layer):
             raise RuntimeError("KeepTilt.map_action was called before reset")
         given = action[XYZYAW]
         full = np.zeros((*given.shape[:-1], 6))
-        full[..., _KEPT] = given
+        full[..., KEPT] = given
         if not self._leans:
             full[..., 3:] = tquat_to_xyzrpy(compose(xyzrpy_to_tquat(full), _back(self._start, self._last)))[..., 3:]
         full = np.minimum(np.maximum(full, -self._bound), self._bound)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rcs.agents.action_writer import ActionWriter
 from rcs.envs.env import Env
-from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, Action, Observation
+from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, XYZYAW, Action, Observation
 from rcs.errors import InvalidSetup
 from rcs.kinematics import Kinematics, kinematics_of
 from rcs.sim.scene import RobotPlacement
@@ -51,7 +51,8 @@ class Guide:
         self._key = None if len(env.robots) == 1 else robot.name
         every: Any = env.action_space
         space = every if self._key is None else every[self._key]
-        valid = {env.setup.control} | ({GRIPPER} if robot.end_effector is not None else set())
+        arm = XYZYAW if XYZYAW in space.keys() else env.setup.control
+        valid = {arm} | ({GRIPPER} if robot.end_effector is not None else set())
         if set(space.keys()) != valid:
             raise InvalidSetup(
                 f"Actions of {robot.name!r} have the keys {sorted(space.keys())}; a person can lead it with the keys "
