@@ -40,7 +40,7 @@ class ActionWriter:
             preferred: Joints to which an arm with more than six returns while its TCP moves [rad], shape (dof,), for
                 joint actions; None for none.
         """
-        self._name = XYZYAW if XYZYAW in action_space.keys() else setup.control
+        self._name = XYZYAW if XYZYAW in action_space.spaces else setup.control
         box = action_space[self._name]
         assert isinstance(box, spaces.Box)
         self._setup = setup

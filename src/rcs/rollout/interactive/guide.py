@@ -51,7 +51,7 @@ class Guide:
         self._key = None if len(env.robots) == 1 else robot.name
         every: Any = env.action_space
         space = every if self._key is None else every[self._key]
-        arm = XYZYAW if XYZYAW in space.keys() else env.setup.control
+        arm = XYZYAW if XYZYAW in space.spaces else env.setup.control
         valid = {arm} | ({GRIPPER} if robot.end_effector is not None else set())
         if set(space.keys()) != valid:
             raise InvalidSetup(
