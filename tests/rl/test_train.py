@@ -68,6 +68,15 @@ def test_evaluations_checkpoints_and_threads_of_physics_change_no_weight(
     assert same(weights(tmp_path / "other"), weights(whole(small, "ppo")))
 
 
+def test_an_evaluation_may_take_longer_than_episodes_of_training(small: Any, tmp_path: Path) -> None:
+    from rcs.rl.checkpoint import checkpoints_of, open_checkpoint
+
+    small.run(small.training(steps=20, evaluation_steps=12, checkpoint_every=0), tmp_path / "run")
+    (first, *_) = (open_checkpoint(place) for place in checkpoints_of(tmp_path / "run"))
+    assert first.training.setup.max_episode_steps == 7
+    assert first.score is not None and first.score.length == 12
+
+
 def test_another_seed_gives_other_weights(small: Any, whole: Any, weights: Weights, tmp_path: Path) -> None:
     small.run(small.training(seed=1), tmp_path / "run")
     assert not same(weights(tmp_path / "run"), weights(whole(small, "ppo")))

@@ -119,7 +119,7 @@ class SetupOptions:
             usual = {own.name: own.default for own in fields(type(self))}
             given = [one for name, one in asked.items() if getattr(self, name) != usual[name]]
             changes = {name: value for one in given for name, value in one.items()}
-            setup = find_checkpoint(self.checkpoint, trust=self.trust).training.setup
+            setup = find_checkpoint(self.checkpoint, trust=self.trust).training.evaluation_setup
         cameras = changes.get("cameras", setup.cameras)
         for name in ("depth", "segmentation"):
             changes[name] = changes.get(name, getattr(setup, name)) and bool(cameras)

@@ -81,7 +81,7 @@ class TrainCommand:
     frequency: float | None = None
     """Control steps per second [Hz]."""
     max_episode_steps: int | None = None
-    """An episode is truncated after this many steps."""
+    """An episode is truncated after this many steps, in evaluations too."""
     randomise: Preset | None = None
     """Vary looks, objects, physics, start and timing of the robots from episode to episode, within these ranges."""
     learning_rate: float | None = None
@@ -142,6 +142,7 @@ class TrainCommand:
             seed=self.seed,
             evaluate_every=self.evaluate_every,
             episodes=self.episodes,
+            evaluation_steps=recipe.evaluation_steps if self.max_episode_steps is None else 0,
             checkpoint_every=self.checkpoint_every,
             device=self.device,
             torch_threads=self.torch_threads,

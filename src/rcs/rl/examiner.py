@@ -33,7 +33,7 @@ class Examiner:
         self._training = training
         self._agent = agent
         copies = max(min(training.copies, training.episodes), 1)
-        self._envs = make_vec(training.setup, copies=copies, threads=threads, autoreset="Disabled")
+        self._envs = make_vec(training.evaluation_setup, copies=copies, threads=threads, autoreset="Disabled")
         self._film_env = None
         self._film: Film | None = None
         self.cannot_film = ""
@@ -50,7 +50,7 @@ class Examiner:
             return None
         try:
             if self._film is None:
-                self._film_env = make(self._training.setup)
+                self._film_env = make(self._training.evaluation_setup)
                 self._film = Film(self._film_env)
             assert self._film_env is not None
             with self._film.into(path):

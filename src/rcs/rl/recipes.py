@@ -29,6 +29,8 @@ class Recipe:
     """Environment steps of the whole training, of all copies together."""
     algorithm: Algorithm
     """What learns, with its hyperparameters."""
+    evaluation_steps: int = 0
+    """An episode of an evaluation is truncated after this many steps; 0 for as many as in training."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -36,7 +38,7 @@ class Recipe:
         Raises:
             InvalidSetup: One is out of range.
         """
-        check_fields(self, whole=("copies", "steps"))
+        check_fields(self, whole=("copies", "steps"), natural=("evaluation_steps",))
 
     def on(self, robot: str, end_effector: str | None = None) -> Recipe:
         """Return the recipe for another robot, with its usual end effector or another one."""
@@ -46,6 +48,9 @@ class Recipe:
 RATE = 10.0
 """Decisions per second [Hz]. Nearly all that a step costs is physics, and from the same simulated time less was learned
 with 30 Hz than with 10 Hz."""
+
+_JUDGED = 10.0
+"""Least time that a policy has where it is judged [s]: what a `Setup` gives everybody, 300 steps at 30 Hz."""
 
 
 def _setup(task: str, seconds: float) -> Setup:
@@ -96,7 +101,8 @@ def _ppo(task: str, *, seconds: float, steps: int) -> Recipe:
         near_and_far=True,
         reward_scale=0.5,
     )
-    return Recipe(setup=_setup(task, seconds), copies=32, steps=steps, algorithm=algorithm)
+    judged = round(max(seconds, _JUDGED) * RATE)
+    return Recipe(setup=_setup(task, seconds), copies=32, steps=steps, algorithm=algorithm, evaluation_steps=judged)
 
 
 RECIPES: dict[tuple[str, AlgorithmName], Recipe] = {

@@ -41,6 +41,9 @@ class Training:
     """Steps between two evaluations; 0 for a twentieth of all."""
     episodes: int = 50
     """Episodes of an evaluation; 0 for no evaluations."""
+    evaluation_steps: int = 0
+    """An episode of an evaluation is truncated after this many steps; 0 for as many as in training. Short episodes
+    teach sooner, for they begin more often, and a policy may take longer where it is judged."""
     checkpoint_every: int = 0
     """Steps between two checkpoints; 0 for one at every evaluation. Every evaluation has one."""
     device: str = "cpu"
@@ -61,6 +64,7 @@ class Training:
             "seed": (0, _MOST_SEEDS),
             "evaluate_every": (0, None),
             "episodes": (0, None),
+            "evaluation_steps": (0, None),
             "checkpoint_every": (0, None),
             "torch_threads": (0, None),
         }
@@ -99,6 +103,13 @@ class Training:
         """
         fields = {own.name: getattr(recipe, own.name) for own in dataclasses.fields(Recipe)}
         return cls(**{**fields, **options})
+
+    @property
+    def evaluation_setup(self) -> Setup:
+        """The environment in which the policy is judged."""
+        if not self.evaluation_steps:
+            return self.setup
+        return dataclasses.replace(self.setup, max_episode_steps=self.evaluation_steps)
 
     @property
     def first_seed(self) -> int:
