@@ -47,7 +47,8 @@ class Place(Task):
     have let go of it within 3 cm of where it belongs: a cuboid that is pushed, dropped or thrown there does not count.
     This is judged at the end of each step.
 
-    Progress, of which the reward is made, has a fifth each for reaching, grasping, lifting, carrying and letting go.
+    Progress, of which the reward is made, has a sixth each for reaching, grasping, lifting, carrying, setting down
+    and letting go.
     """
 
     memory = ("_delivery",)
