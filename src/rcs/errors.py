@@ -83,3 +83,19 @@ class CorruptCheckpoint(RcsError, ValueError):
 
 class SimulationError(RcsError, RuntimeError):
     """MuJoCo failed, or left out contacts; the message has its words, such as that its memory is full."""
+
+
+def require_fields(kind: str, given: Iterable[object], valid: Iterable[str]) -> None:
+    """Check the keys of what was read.
+
+    Args:
+        kind: What a key is, such as "field of a selection".
+        given: The keys.
+        valid: The fields that there are.
+
+    Raises:
+        InvalidSetup: A key is none of them; the words name it, and the nearest field.
+    """
+    valid = set(valid)
+    if unknown := sorted(str(key) for key in given if key not in valid):
+        raise InvalidSetup(UnknownName(kind, unknown[0], valid).message)

@@ -40,7 +40,7 @@ def test_an_algorithm_survives_json(algorithm: Ppo | Sac) -> None:
         (lambda: Sac(ent_coef=float("nan")), "ent_coef is nan"),
         (lambda: Training.of(RECIPES["PickCuboid", "ppo"], steps=True), "steps is True"),
         (lambda: Training.of(RECIPES["PickCuboid", "ppo"], seed=1 << 40), "seed is 1099511627776; valid .* to"),
-        (lambda: algorithm_from_json({**algorithm_to_json(Ppo()), "n_step": 3}), r"no fields \['n_step'\]"),
+        (lambda: algorithm_from_json({**algorithm_to_json(Ppo()), "n_step": 3}), "no field of ppo named 'n_step'"),
     ],
 )
 def test_a_number_that_makes_no_sense_is_refused(algorithm: Any, words: str) -> None:

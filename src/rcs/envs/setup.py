@@ -12,7 +12,7 @@ import numpy as np
 
 from rcs.envs.reward import RewardKind
 from rcs.envs.spaces import Control, Observed
-from rcs.errors import InvalidSetup, UnknownName
+from rcs.errors import InvalidSetup, require_fields
 from rcs.robots.camera_mode import parse_mode
 from rcs.sim.camera import MAX_SIZE, Quality
 from rcs.sim.detail import Assets
@@ -191,9 +191,7 @@ class Setup:
         Raises:
             InvalidSetup: A key is unknown or a value is not valid.
         """
-        fields = {own.name for own in dataclasses.fields(Setup)}
-        if unknown := sorted(set(values) - fields):
-            raise InvalidSetup(UnknownName("option", unknown[0], fields).message)
+        require_fields("option", values, (own.name for own in dataclasses.fields(Setup)))
         return Setup(**values)
 
 

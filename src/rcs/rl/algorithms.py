@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, TypeGuard, get_args
 
-from rcs.errors import InvalidSetup, UnknownName
+from rcs.errors import InvalidSetup, UnknownName, require_fields
 
 AlgorithmName = Literal["ppo", "sac", "rlpd", "dagger", "bc"]
 Schedule = Literal["constant", "linear"]
@@ -238,9 +238,7 @@ def algorithm_from_json(values: Mapping[str, Any]) -> Algorithm:
     if kind not in ALGORITHMS:
         raise UnknownName("algorithm", str(kind), ALGORITHMS)
     given: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-    own = {one.name for one in dataclasses.fields(ALGORITHMS[kind])}
-    if unknown := sorted(set(given) - own):
-        raise InvalidSetup(f"{kind} has no fields {unknown}; valid: {', '.join(sorted(own - {'name'}))}.")
+    require_fields(f"field of {kind}", given, (one.name for one in dataclasses.fields(ALGORITHMS[kind])))
     del given["name"]
     return ALGORITHMS[kind](**given)
 

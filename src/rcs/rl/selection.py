@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-from rcs.errors import InvalidSetup, UnknownName
+from rcs.errors import InvalidSetup, require_fields
 
 Feature = Literal["offset", "near", "relative_turn", "half_turn"]
 """What is told of pairs of poses beside the poses, from each TCP, and from its target where that is observed, to each
@@ -59,7 +59,5 @@ class Selection:
         Raises:
             InvalidSetup: A key is unknown or a value is not valid.
         """
-        fields = {own.name for own in dataclasses.fields(Selection)}
-        if unknown := sorted(set(values) - fields):
-            raise InvalidSetup(UnknownName("field of a selection", unknown[0], fields).message)
+        require_fields("field of a selection", values, (own.name for own in dataclasses.fields(Selection)))
         return Selection(**values)

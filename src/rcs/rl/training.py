@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rcs.envs.setup import Setup
-from rcs.errors import CorruptCheckpoint, InvalidSetup
+from rcs.errors import CorruptCheckpoint, InvalidSetup, require_fields
 from rcs.rl.algorithms import Algorithm, Rlpd, Sac, algorithm_from_json, algorithm_to_json
 from rcs.rl.recipes import Recipe
 from rcs.rollout.look import require_trusted
@@ -147,8 +147,7 @@ class Training:
             setup, algorithm = dict(given.pop("setup")), given.pop("algorithm")
         except (KeyError, TypeError, ValueError) as err:
             raise CorruptCheckpoint(f"The record of a training lacks something: {type(err).__name__}: {err}.") from err
-        if unknown := sorted(set(given) - {own.name for own in dataclasses.fields(cls)}):
-            raise InvalidSetup(f"The record of a training has the unknown fields {unknown}.")
+        require_fields("field of a training", given, (own.name for own in dataclasses.fields(cls)))
         require_trusted(setup, "The setup of the training", trust)
         return cls(setup=Setup.from_json(setup), algorithm=algorithm_from_json(algorithm), **given)
 

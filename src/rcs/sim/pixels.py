@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs._core import PixelCameras
-from rcs.errors import InvalidSetup, UnknownName
+from rcs.errors import InvalidSetup, require_fields
 from rcs.sim.frame_clock import FrameClock
 from rcs.sim.optics import Optics
 from rcs.sim.scene import CameraPlacement
@@ -71,9 +71,7 @@ class Pixels:
         Raises:
             InvalidSetup: A key is unknown or a value is not valid.
         """
-        fields = {own.name for own in dataclasses.fields(Pixels)}
-        if unknown := sorted(map(str, set(values) - fields)):
-            raise InvalidSetup(UnknownName("option of pixels", unknown[0], fields).message)
+        require_fields("option of pixels", values, (own.name for own in dataclasses.fields(Pixels)))
         return Pixels(**values)
 
 

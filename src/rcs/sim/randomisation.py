@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, require_fields
 
 Range = tuple[float, float]
 """Lowest and highest value of a draw."""
@@ -151,9 +151,7 @@ class Randomisation:
         Raises:
             InvalidSetup: A key is unknown or a value is not valid.
         """
-        known = {field.name for field in dataclasses.fields(Randomisation)}
-        if unknown := sorted(set(values) - known):
-            raise InvalidSetup(f"A randomisation has no fields {unknown}; it has {sorted(known)}.")
+        require_fields("field of a randomisation", values, (field.name for field in dataclasses.fields(Randomisation)))
         return Randomisation.off(**values)
 
 
