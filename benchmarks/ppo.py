@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 from typing import Any
 
@@ -35,6 +35,8 @@ class Options:
     """The robot."""
     task: str = "PickCuboid"
     """The task."""
+    frequency: float | None = None
+    """Decisions per second [Hz]; None for the recipe's. A step has so much more physics the fewer they are."""
     threads: int = 0
     """Threads of the physics; 0 for one per CPU."""
     rounds: int = 7
@@ -61,6 +63,8 @@ class TimedEnvs(Sb3VecEnv):
 def main(options: Options) -> None:
     """Measure and print."""
     recipe = recipe_for(options.task).on(options.robot)
+    if options.frequency is not None:
+        recipe = replace(recipe, setup=replace(recipe.setup, frequency=options.frequency))
     threads = options.threads or cpus()
     envs = rcs.make_vec(recipe.setup, copies=recipe.copies, threads=threads, autoreset="SameStep")
     timed = TimedEnvs(envs)
