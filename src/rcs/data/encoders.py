@@ -6,15 +6,15 @@ import os
 import threading
 from collections.abc import Callable
 from queue import SimpleQueue
-from typing import Self
 
+from rcs.closing import Closing
 from rcs.errors import InvalidSetup, WrongOrder
 
 MOST_THREADS = 4
 """Threads by default, given as many CPUs: six cameras of 1280 x 720 at 30 Hz keep two busy."""
 
 
-class Encoders:
+class Encoders(Closing):
     """Threads that take work in order, several pieces at a time; a context manager."""
 
     def __init__(self, threads: int | None = None) -> None:
@@ -63,14 +63,6 @@ class Encoders:
             self._work.put(None)
         for thread in threads:
             thread.join()
-
-    def __enter__(self) -> Self:
-        """Return the threads themselves."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End the threads."""
-        self.close()
 
     def _run(self) -> None:
         while (work := self._work.get()) is not None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Self
 
+from rcs.closing import Closing
 from rcs.data.adopt import Files, adopt
 from rcs.data.durable import disk_errors, remove_folder, sync_folder
 from rcs.data.episode_writer import EpisodeWriter
@@ -30,7 +30,7 @@ from rcs.errors import DatasetError
 _log = logging.getLogger(__name__)
 
 
-class DatasetWriter:
+class DatasetWriter(Closing):
     """A dataset that is being recorded; a context manager.
 
     Several episodes can be open at the same time, for example one per copy of an environment.
@@ -192,14 +192,6 @@ class DatasetWriter:
             for episode in self._open:
                 if episode.state == "open":
                     last_to_first.callback(episode.end, "its dataset was closed")
-
-    def __enter__(self) -> Self:
-        """Return the writer itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close the writer."""
-        self.close()
 
 
 def _refuse_strangers(root: Path) -> None:

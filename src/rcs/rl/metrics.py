@@ -9,8 +9,8 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from rcs.closing import Closing
 from rcs.data.durable import disk_errors, remove_tree, write_all, write_file
 from rcs.data.json_file import parsed_json
 from rcs.errors import CorruptEpisode
@@ -60,7 +60,7 @@ def read_metrics(run: Path) -> list[Row]:
     return rows
 
 
-class Metrics:
+class Metrics(Closing):
     """Writes the figures of a run. After a kill, those that are made again are removed first: none is double."""
 
     def __init__(self, run: Path, *, after: int) -> None:
@@ -117,11 +117,3 @@ class Metrics:
             os.close(self._file)
             self._file = -1
             self._board.close()
-
-    def __enter__(self) -> Metrics:
-        """Return the writer itself."""
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        """Close the files."""
-        self.close()

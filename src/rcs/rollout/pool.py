@@ -15,9 +15,9 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from multiprocessing import get_context
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
+from rcs.closing import Closing
 from rcs.errors import RcsError
 
 
@@ -33,7 +33,7 @@ class Worker(Protocol):
         ...
 
 
-class WorkerPool:
+class WorkerPool(Closing):
     """Processes that map numbers to results, in order of completion."""
 
     def __init__(self, make: Callable[[], Worker], workers: int) -> None:
@@ -71,16 +71,6 @@ class WorkerPool:
     def close(self) -> None:
         """Let the workers finish their numbers, then end them. Closing twice is harmless."""
         self._pool.shutdown(cancel_futures=True)
-
-    def __enter__(self) -> Self:
-        """Return the pool."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the pool."""
-        self.close()
 
 
 class _Process:

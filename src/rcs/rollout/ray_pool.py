@@ -15,9 +15,9 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
+from rcs.closing import Closing
 from rcs.envs.observers.recorder import versions
 from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout.cluster import LOCAL, connected
@@ -66,7 +66,7 @@ class _Place:
     number: int | None = None
 
 
-class RayPool:
+class RayPool(Closing):
     """Workers on a cluster that map numbers to results, in order of completion."""
 
     def __init__(
@@ -171,16 +171,6 @@ class RayPool:
                 self._ray.wait(farewells, num_returns=len(farewells), timeout=_FAREWELL)
             for place in places:
                 self._ray.kill(place.actor)
-
-    def __enter__(self) -> Self:
-        """Return the pool."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the pool."""
-        self.close()
 
     def _hire(self) -> None:
         """Start workers up to the number that is wanted and that the cluster has CPUs for."""

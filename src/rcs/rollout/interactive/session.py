@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from rcs.agents import Agent
 from rcs.agents.choice import agent_for
+from rcs.closing import Closing
 from rcs.devices import lookup
 from rcs.envs.engine import DIVERGED, FAULT
 from rcs.envs.env import Env
@@ -40,7 +40,7 @@ def playable(setup: Setup, *, keep_gripper: bool = False) -> Setup:
     return replace(setup, stepping="realtime", max_episode_steps=None, binary_gripper=is_binary)
 
 
-class Session:
+class Session(Closing):
     """One episode after the other of an environment; one thread uses it. A context manager.
 
     Errors of a step do not end it: `problem` has the words, and `recover` goes on.
@@ -210,13 +210,3 @@ class Session:
         """Close the environment. Closing twice is harmless."""
         self._end_agent()
         self.env.close()
-
-    def __enter__(self) -> Self:
-        """Do nothing more."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the environment."""
-        self.close()
