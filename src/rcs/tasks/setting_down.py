@@ -115,9 +115,9 @@ class Delivery:
     def judge(self, tolerance: float, is_ready: NDArray[np.bool_] | np.bool_ = np.True_) -> Judgement:
         """Judge the present state of all copies.
 
-        Progress has a sixth each for reaching, grasping, lifting, carrying to the goal what has been lifted, setting it
-        down there, and letting go of it. Carrying is told twice, coarsely and finely: a centimetre from the goal must
-        be worth something, and so must half a metre.
+        Progress has an eighth each for reaching, grasping, lifting, setting down at the goal and letting go there, and
+        three for carrying to the goal what has been lifted, which is told coarsely and finely: a centimetre must be
+        worth something at half a metre from the goal, and near it.
 
         Args:
             tolerance: Horizontal distance from the goal within which the object may lie [m].
@@ -138,9 +138,9 @@ class Delivery:
         is_released = forces[..., self._elsewhere] == 0.0
         success = self._rest.count(is_there & is_released, pose[..., None, :3])
         reach = 1.0 - np.tanh(5.0 * norm(pose[..., :3] - poses[..., self._tcp, :3]))
-        near = 1.0 - 0.5 * (np.tanh(5.0 * distance) + np.tanh(25.0 * distance))
-        on_the_way = reach + is_grasped * (1.0 + self._was_lifted * (1.0 + near))
-        progress = np.where(is_there, 5.0 + is_released, on_the_way) * (1.0 / 6.0)
+        near = 1.0 - 0.5 * (np.tanh(2.5 * distance) + np.tanh(25.0 * distance))
+        on_the_way = reach + is_grasped * (1.0 + self._was_lifted * (1.0 + 3.0 * near))
+        progress = 0.125 * np.where(is_there, 7.0 + is_released, on_the_way)
         is_touched = forces[..., self._touched] > TOUCH_FORCE
         info = {"is_grasped": is_grasped, "is_touched": is_touched, **self._poses()}
         return Judgement(success=success, progress=progress, is_placed=is_there & is_released, info=info)
