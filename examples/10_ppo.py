@@ -9,7 +9,7 @@ from torch import nn  # pyright: ignore[reportMissingImports]
 import rcs
 from rcs.rl import Flat
 
-COPIES, ROLLOUT, EPOCHS, BATCH, DISCOUNT, TRACE, CLIP, RATE = 32, 60, 8, 480, 0.96, 0.9, 0.2, 5e-4
+COPIES, ROLLOUT, EPOCHS, BATCH, DISCOUNT, TRACE, CLIP, RATE = 32, 60, 8, 480, 0.98, 0.9, 0.2, 5e-4
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=300_000, help="steps of all copies together")
