@@ -47,8 +47,8 @@ class Place(Task):
     have let go of it within 3 cm of where it belongs: a cuboid that is pushed, dropped or thrown there does not count.
     This is judged at the end of each step.
 
-    Progress, of which the reward is made, has an eighth each for reaching, grasping, lifting, setting down and
-    letting go, and three for carrying.
+    Progress, of which the reward is made, has nine parts: one each for reaching, lifting, setting down and letting go,
+    two for grasping, and three for carrying.
     """
 
     memory = ("_delivery",)

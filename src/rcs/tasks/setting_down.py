@@ -115,9 +115,9 @@ class Delivery:
     def judge(self, tolerance: float, is_ready: NDArray[np.bool_] | np.bool_ = np.True_) -> Judgement:
         """Judge the present state of all copies.
 
-        Progress has an eighth each for reaching, grasping, lifting, setting down at the goal and letting go there, and
-        three for carrying to the goal what has been lifted, which is told coarsely and finely: a centimetre must be
-        worth something at half a metre from the goal, and near it.
+        Of nine parts of progress, reaching, lifting, setting down at the goal and letting go there have one each,
+        grasping two, and carrying to the goal what has been lifted three. Carrying is told coarsely and finely: a
+        centimetre must be worth something at half a metre from the goal, and near it.
 
         Args:
             tolerance: Horizontal distance from the goal within which the object may lie [m].
@@ -139,8 +139,8 @@ class Delivery:
         success = self._rest.count(is_there & is_released, pose[..., None, :3])
         reach = 1.0 - np.tanh(5.0 * norm(pose[..., :3] - poses[..., self._tcp, :3]))
         near = 1.0 - 0.5 * (np.tanh(2.5 * distance) + np.tanh(25.0 * distance))
-        on_the_way = reach + is_grasped * (1.0 + self._was_lifted * (1.0 + 3.0 * near))
-        progress = 0.125 * np.where(is_there, 7.0 + is_released, on_the_way)
+        on_the_way = reach + is_grasped * (2.0 + self._was_lifted * (1.0 + 3.0 * near))
+        progress = np.where(is_there, 8.0 + is_released, on_the_way) * (1.0 / 9.0)
         is_touched = forces[..., self._touched] > TOUCH_FORCE
         info = {"is_grasped": is_grasped, "is_touched": is_touched, **self._poses()}
         return Judgement(success=success, progress=progress, is_placed=is_there & is_released, info=info)

@@ -34,8 +34,8 @@ class StackCuboid(Task):
     lifted the cuboid off the table before, and must have let go of it within 3 cm of the place right above the block: a
     cuboid that is dropped or thrown there does not count. This is judged at the end of each step.
 
-    Progress, of which the reward is made, has an eighth each for reaching, grasping, lifting, setting down and
-    letting go, and three for carrying.
+    Progress, of which the reward is made, has nine parts: one each for reaching, lifting, setting down and letting go,
+    two for grasping, and three for carrying.
     """
 
     memory = ("_delivery",)
