@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import av
@@ -147,3 +149,18 @@ def test_a_png_is_decoded_exactly() -> None:
     np.testing.assert_array_equal(decode_image(data), given)
     with pytest.raises(CorruptEpisode, match="not an image"):
         decode_image(b"no image at all")
+
+
+def test_an_encoder_leaves_the_priority_of_this_process_alone(tmp_path: Path) -> None:
+    """SVT-AV1 takes real-time priority where it may, which is as root."""
+    before = os.sched_getscheduler(0)
+    seen: set[int] = set()
+
+    def watched() -> Iterator[NDArray[np.uint8]]:
+        for image in pictures(8):
+            yield image
+            seen.update(os.sched_getscheduler(int(thread)) for thread in os.listdir("/proc/self/task"))
+
+    encode_video(tmp_path / "v.mp4", watched(), (64, 80, 3), FPS, "av1")
+    assert os.sched_getscheduler(0) == before
+    assert os.SCHED_FIFO not in seen

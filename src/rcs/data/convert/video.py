@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import io
 import os
+import threading
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -85,6 +87,8 @@ def encode_video(
         stream.width, stream.height, stream.pix_fmt = width, height, format_
         stream.codec_context.thread_count = 1
         stream.codec_context.colorspace, stream.codec_context.color_range = _BT601, _LIMITED
+        if codec == "av1":
+            _open_quietly(stream.codec_context)
         for count, image in enumerate(frames, 1):
             rgb = av.VideoFrame.from_numpy_buffer(np.ascontiguousarray(image), format="rgb24")
             frame = rgb.reformat(format=format_, interpolation=Interpolation.AREA)
@@ -93,6 +97,21 @@ def encode_video(
         output.mux(stream.encode(None))
     check_video(path, count, fps)
     return count
+
+
+def _open_quietly(codec: Any) -> None:
+    """Open a codec, and take back the real-time priority that SVT-AV1 gives this thread and its own, where it may."""
+    if not hasattr(os, "sched_getscheduler"):
+        codec.open()
+        return
+    policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
+    known = set(os.listdir("/proc/self/task"))
+    codec.open()
+    own = str(threading.get_native_id())
+    for thread in os.listdir("/proc/self/task"):
+        if thread == own or thread not in known:
+            with suppress(ProcessLookupError):  # it has ended
+                os.sched_setscheduler(int(thread), policy, parameter)
 
 
 def check_video(path: Path, frames: int, fps: int) -> None:
