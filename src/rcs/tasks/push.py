@@ -19,7 +19,7 @@ from rcs.sim.scene import Scene
 from rcs.sim.world import World
 from rcs.spatial import xyzw_to_wxyz
 from rcs.tasks.holding import Grip, HoldTimer
-from rcs.tasks.lifting import FreeBody, add_box, lowest, norm, table_height, upright
+from rcs.tasks.lifting import FreeBody, add_box, lowest, nearness, norm, table_height, upright
 
 EDGES = (0.06, 0.06, 0.05)
 """Edges of the block along its x, y, z [m]. Lower than wide, so that it slides before it tips."""
@@ -75,8 +75,8 @@ class Push(Task):
     at the end of each step.
 
     Progress, of which the reward is made, is one third for the distance from the TCP to where the block is pushed, and
-    two thirds for the block's from the goal, in the form of ManiSkill 3's PushCube-v1 (`1 - tanh(5 d)`). Once the block
-    was lifted, it is 0.
+    two thirds for the block's from the goal, in the form of ManiSkill 3's PushCube-v1 (`1 - tanh(5 d)`), to which the
+    latter adds a finer one, for the goal is small. Once the block was lifted, it is 0.
     """
 
     memory = ("_lies_there", "_was_lifted", "_half_edges", "_table", "_grip")
@@ -200,7 +200,7 @@ class Push(Task):
         # Where to push is behind the block, on the side that is away from the goal.
         behind = block[..., :3] - way * (self._half_edges[..., 0] / np.maximum(distance, 1e-9))[..., None]
         reach = np.where(is_there, 1.0, 1.0 - np.tanh(5.0 * norm(poses[..., self._tcp, :3] - behind)))
-        progress = (1.0 / 3.0) * (reach + 2.0 * (1.0 - np.tanh(5.0 * distance)))
+        progress = (1.0 / 3.0) * (reach + 2.0 * nearness(distance))
         progress = np.where(self._was_lifted, 0.0, progress)
         is_touched = self._world.forces[..., self._touched] > TOUCH_FORCE
         info = {**self.describe(), "success": success, "is_touched": is_touched}

@@ -16,7 +16,7 @@ from rcs.sim.robot import SimRobot
 from rcs.sim.world import World
 from rcs.spatial import compose
 from rcs.tasks.holding import TOUCH_FORCE, Grip, HoldTimer, all_but
-from rcs.tasks.lifting import norm
+from rcs.tasks.lifting import nearness, norm
 
 MAX_TILT = np.deg2rad(5.0)
 """Tilt above which a cuboid does not count as lying flat [rad]."""
@@ -116,8 +116,7 @@ class Delivery:
         """Judge the present state of all copies.
 
         Of nine parts of progress, reaching, lifting, setting down at the goal and letting go there have one each,
-        grasping two, and carrying to the goal what has been lifted three. Carrying is told coarsely and finely: a
-        centimetre must be worth something at half a metre from the goal, and near it.
+        grasping two, and carrying to the goal what has been lifted three.
 
         Args:
             tolerance: Horizontal distance from the goal within which the object may lie [m].
@@ -138,7 +137,7 @@ class Delivery:
         is_released = forces[..., self._elsewhere] == 0.0
         success = self._rest.count(is_there & is_released, pose[..., None, :3])
         reach = 1.0 - np.tanh(5.0 * norm(pose[..., :3] - poses[..., self._tcp, :3]))
-        near = 1.0 - 0.5 * (np.tanh(2.5 * distance) + np.tanh(25.0 * distance))
+        near = nearness(distance, steepness=2.5)  # it is carried by up to half a metre
         on_the_way = reach + is_grasped * (2.0 + self._was_lifted * (1.0 + 3.0 * near))
         progress = np.where(is_there, 8.0 + is_released, on_the_way) * (1.0 / 9.0)
         is_touched = forces[..., self._touched] > TOUCH_FORCE
