@@ -99,7 +99,7 @@ def test_a_run_stands_for_its_best_checkpoint_and_for_the_newest_where_none_was_
     assert all(find_checkpoint(place).score.order <= best.score.order for place in scored)  # pyright: ignore
     few = replace(best, score=Score(episodes=9, successes=2, judged=9, reward=9.0, length=1.0), steps=1)
     most = replace(best, score=Score(episodes=9, successes=3, judged=9, reward=0.0, length=1.0), steps=2)
-    later = replace(most, steps=3)
+    later = replace(most, score=replace(most.score, reward=-1.0), steps=3)  # pyright: ignore[reportArgumentType]
     assert best_of([few, later, most, replace(best, score=None, steps=4)]) == later
     small.run(small.training(episodes=0, steps=40), tmp_path / "run")
     assert find_checkpoint(tmp_path / "run").steps == 40

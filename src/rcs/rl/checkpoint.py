@@ -55,9 +55,12 @@ class Score:
     """Mean number of steps of an episode."""
 
     @property
-    def order(self) -> tuple[float, float]:
-        """A higher one is better: the rate of success, then the reward."""
-        return (self.successes / self.judged if self.judged else 0.0, self.reward)
+    def order(self) -> float:
+        """A higher one is better: the rate of success, or the reward where nothing is judged.
+
+        Of equal rates, more reward is no better: the dense reward pays for every step, so for being slow, too.
+        """
+        return self.successes / self.judged if self.judged else self.reward
 
 
 @dataclass(frozen=True, kw_only=True)
