@@ -109,7 +109,7 @@ def _ppo(task: str, *, seconds: float, steps: int) -> Recipe:
 
 
 RECIPES: dict[tuple[str, AlgorithmName], Recipe] = {
-    ("PickCuboid", "ppo"): _ppo("PickCuboid", seconds=6.0, steps=700_000),
+    ("PickCuboid", "ppo"): _ppo("PickCuboid", seconds=6.0, steps=1_000_000),
     ("Push", "ppo"): _ppo("Push", seconds=8.0, steps=1_000_000),
     ("Place", "ppo"): _ppo("Place", seconds=9.0, steps=1_500_000),
     ("PickCuboid", "sac"): Recipe(setup=_setup("PickCuboid", 6.0), copies=8, steps=200_000, algorithm=Sac()),
