@@ -23,8 +23,9 @@ class KeepTilt(Layer):
     """Take `xyzyaw`, the change of translation and yaw, and pass on `xyzrpy` with which the tool keeps its tilt.
 
     Put it on relative `xyzrpy` control. Whenever the last target is tilted otherwise than the tool was at the start of
-    the episode, because the arm could not reach a pose, the tool turns back, as fast as relative control allows. An arm
-    with five joints leans as it must.
+    the episode, because the arm could not reach a pose, the tool turns back, as fast as relative control allows. The
+    tool of an arm with five joints leans at most places, the start among them; it is kept as near to the vertical as
+    the arm can.
     """
 
     memory = ("_start", "_last")
@@ -59,8 +60,9 @@ class KeepTilt(Layer):
         return dict(inner)
 
     def reset(self, observation: Observation, where: Where = everywhere) -> None:
-        """Remember how the tool is tilted."""
-        self._start = renew(self._start, observation[TQUAT], where)
+        """Remember how the tool is tilted; with five joints, how it would be if it leaned to no side."""
+        start = _upright(observation[TQUAT]) if self._leans else observation[TQUAT]
+        self._start = renew(self._start, start, where)
         self._last = renew(self._last, observation[TQUAT], where)
 
     def rebase(self, observation: Observation) -> None:
@@ -74,8 +76,7 @@ class KeepTilt(Layer):
         given = action[XYZYAW]
         full = np.zeros((*given.shape[:-1], 6))
         full[..., KEPT] = given
-        if not self._leans:
-            full[..., 3:] = tquat_to_xyzrpy(compose(xyzrpy_to_tquat(full), _back(self._start, self._last)))[..., 3:]
+        full[..., 3:] = tquat_to_xyzrpy(compose(xyzrpy_to_tquat(full), _back(self._start, self._last)))[..., 3:]
         full = np.minimum(np.maximum(full, -self._bound), self._bound)
         return {(XYZRPY if key == XYZYAW else key): (full if key == XYZYAW else own) for key, own in action.items()}
 
@@ -83,6 +84,20 @@ class KeepTilt(Layer):
         """Go on from what was sent."""
         self._last = executed[TQUAT]
         return executed
+
+
+def _upright(tool: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return poses (..., 7) turned in place by the least angle that brings their z axis to the vertical, up or down."""
+    x, y, z, w = (tool[..., 3 + i] for i in range(4))
+    axis_x, axis_y, axis_z = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
+    side = np.where(axis_z < 0.0, -1.0, 1.0)
+    # The turn from a unit vector a to b is the quaternion (a x b, 1 + a . b), normalised; b is the vertical.
+    turn = np.zeros(tool.shape)
+    turn[..., 3], turn[..., 4], turn[..., 6] = axis_y * side, -axis_x * side, 1.0 + axis_z * side
+    turn[..., 3:] /= np.sqrt(np.vecdot(turn[..., 3:], turn[..., 3:]))[..., None]
+    upright = compose(turn, tool)
+    upright[..., :3] = tool[..., :3]
+    return upright
 
 
 def _back(start: NDArray[np.float64], last: NDArray[np.float64]) -> NDArray[np.float64]:
