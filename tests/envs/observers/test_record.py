@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.data import Dataset
+from rcs.data import Dataset, DatasetWriter
 from rcs.envs.env import Env
 from rcs.envs.observers.record import record, record_all
+from rcs.envs.observers.recorder import Recorder, dataset_info
+from rcs.envs.observers.takes import Takes
 from rcs.errors import DatasetError
+from rcs.sim.pixels import Pixels
 
 COPIES = 24
 OPTIONS = {"task": "PickCuboid", "max_episode_steps": 6}
@@ -131,3 +134,26 @@ def test_what_cannot_be_recorded_leaves_the_environment_as_it_was(tmp_path: Path
         pass
     env.reset(seed=0)
     env.step(env.action_space.sample())
+
+
+@pytest.mark.parametrize("background", [False, True], ids=["here", "background"])
+def test_pixels_for_learners_are_recorded_as_they_were_though_their_memory_is_used_again(
+    background: bool, tmp_path: Path
+) -> None:
+    pixels = Pixels(stack=2, valid_steps=1)
+    env = rcs.make("PickCuboid", cameras=("side",), image_size=(16, 16), pixels=pixels)
+    env.action_space.seed(0)
+    with DatasetWriter.open(tmp_path, dataset_info(env)) as writer:
+        recorder = Recorder(writer, background=background)
+        env.add_observer(recorder)
+        takes = Takes(recorder, writer)
+        takes.start(at_reset=True)
+        seen = [env.reset(seed=0)[0]["frames"]["side"]["pixels"].copy()]
+        for _ in range(12):
+            seen.append(env.step(env.action_space.sample())[0]["frames"]["side"]["pixels"].copy())
+        takes.stop(success=None)
+        recorder.close()
+    env.close()
+    (episode,) = Dataset.open(tmp_path)
+    np.testing.assert_array_equal(episode.column("observation/frames/side/pixels"), seen)
+    assert len({frame.tobytes() for frame in seen}) > 6
