@@ -181,7 +181,7 @@ def test_shaping_changes_no_optimal_policy() -> None:
     np.testing.assert_allclose(shaped, sparse - potential[:goal, None], atol=1e-9)
 
 
-def test_the_dense_reward_is_that_of_pick_cube_and_success_is_worth_what_1_per_step_is_for_ever() -> None:
+def test_the_dense_reward_has_the_terms_of_pick_cube_and_success_is_worth_what_1_per_step_is_for_ever() -> None:
     env = rcs.make("PickCuboid", reward="dense", discount=0.9)
     agent = agent_for(env)
     observation, info = env.reset(seed=1)
@@ -193,10 +193,11 @@ def test_the_dense_reward_is_that_of_pick_cube_and_success_is_worth_what_1_per_s
         if terminated:
             break
         grasped = float(info["is_grasped"])
-        reach = 1.0 - np.tanh(5.0 * np.linalg.norm(info["cuboid"][:3] - robot.tcp_tquat[:3]))
+        away = np.linalg.norm(info["cuboid"][:3] - robot.tcp_tquat[:3])
+        reach = 1.0 - 0.5 * (np.tanh(5.0 * away) + np.tanh(25.0 * away))
         corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * info["edges"]
         height = rcs.Pose.from_tquat(world.poses[env.scenario.task._in_scene]).apply(corners)[:, 2].min()
-        place = 1.0 - np.tanh(5.0 * max(0.10 - height, 0.0))
+        place = np.clip(height / 0.10, 0.0, 1.0)
         is_placed = float(grasped and height >= 0.10)
         static = 1.0 - np.tanh(5.0 * np.linalg.norm(robot.joint_velocities))
         assert reward == pytest.approx((reach + grasped + grasped * place + is_placed * static) / 5.0, abs=1e-9)

@@ -81,13 +81,16 @@ def test_a_hold_of_less_than_a_step_still_takes_one() -> None:
 
 def test_progress_grows_from_0_to_1_with_each_of_its_parts() -> None:
     grasped = np.array([False, True])
-    assert progress(np.array(np.inf), grasped, np.array(0.0)).tolist() == pytest.approx([0.0, 2 / 3])
-    assert progress(np.array(0.0), grasped, np.array(np.inf)).tolist() == pytest.approx([1 / 3, 2 / 3])
-    assert progress(np.array(0.0), grasped, np.array(-0.1)).tolist() == pytest.approx([1 / 3, 1.0])
-    near, far = progress(np.array([0.01, 0.02]), np.array(True), np.array(0.1))
+    assert progress(np.array(np.inf), grasped, np.array(1.0)).tolist() == pytest.approx([0.0, 2 / 3])
+    assert progress(np.array(0.0), grasped, np.array(-0.1)).tolist() == pytest.approx([1 / 3, 2 / 3])
+    assert progress(np.array(0.0), grasped, np.array(1.1)).tolist() == pytest.approx([1 / 3, 1.0])
+    near, far = progress(np.array([0.01, 0.02]), np.array(True), np.array(0.0))
     assert near > far
-    high, low = progress(np.array(0.01), np.array(True), np.array([0.05, 0.06]))
-    assert high > low
+
+
+def test_every_centimetre_of_lifting_counts_alike() -> None:
+    steps = np.diff(progress(np.zeros(11), np.ones(11, np.bool_), np.linspace(0.0, 1.0, 11)))
+    np.testing.assert_allclose(steps, 1 / 30, atol=1e-12)
 
 
 def test_the_lowest_corner_of_a_box_is_the_lowest_of_its_eight() -> None:

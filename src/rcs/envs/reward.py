@@ -32,7 +32,7 @@ class Rewards:
       In an episode that the task terminates, Φ of the last state is 0. In one that is truncated it is the progress,
       because there the learner goes on with its estimate. So what shaping pays in T steps is, discounted,
       `discount^T · Φ_T - Φ_0`, and to stay where one is costs something, however near the goal.
-    - `dense` pays for where the state is, 0 … 0.8 per step: the reward of ManiSkill 3's PickCube-v1, divided by 5.
+    - `dense` pays for where the state is, 0 … 0.8 per step: the terms of ManiSkill 3's PickCube-v1, divided by 5.
       Success ends the episode here, and pays what 1 per step would be worth for ever: `1 / (1 - discount)`.
     - `sparse` pays 1 at success.
 

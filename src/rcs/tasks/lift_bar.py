@@ -112,7 +112,7 @@ class LiftBar(Task):
         is_held = (height >= goal) & is_level & both & self._grip.is_free()
         success = self._held.count(is_held, self._grip.places())
         distances = norm(poses[..., self._tcps, :3] - self._grasps(bar))
-        come = progress(distances, grasped, (goal - height)[..., None]).mean(axis=-1)
+        come = progress(distances, grasped, (height / goal)[..., None]).mean(axis=-1)
         info: dict[str, NDArray[Any]] = {
             "is_grasped": both,
             "bar_in_scene": bar,

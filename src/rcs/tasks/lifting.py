@@ -119,18 +119,20 @@ def lowest(pose: NDArray[np.float64], half_edges: NDArray[np.float64]) -> NDArra
 
 
 def progress(
-    distance: NDArray[np.float64], is_grasped: NDArray[np.bool_], missing: NDArray[np.float64]
+    distance: NDArray[np.float64], is_grasped: NDArray[np.bool_], lifted: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the mean of reaching, grasping, and carrying while grasping, 0 … 1 each (ManiSkill 3's PickCube-v1).
+    """Return the mean of reaching, grasping, and lifting while grasping, 0 … 1 each.
+
+    These are the terms of ManiSkill 3's PickCube-v1. There, lifting counts as reaching does, by `1 - tanh(5 d)` of the
+    missing height d. Of ten centimetres, the first then earn less than an object that slips away may cost, and
+    learners hardly dared to lift. Here, each earns as much; and reaching tells the last centimetres apart.
 
     Args:
         distance: Distance from the TCP to the grasp point [m].
         is_grasped: Whether the object is grasped.
-        missing: How far the object still has to be carried [m]; less than 0 counts as 0.
+        lifted: Share of the height that is wanted; it counts from 0 to 1.
     """
-    reach = 1.0 - np.tanh(5.0 * distance)
-    carried = 1.0 - np.tanh(5.0 * np.maximum(missing, 0.0))
-    return (reach + is_grasped * (1.0 + carried)) * (1.0 / 3.0)
+    return (nearness(distance) + is_grasped * (1.0 + np.minimum(np.maximum(lifted, 0.0), 1.0))) * (1.0 / 3.0)
 
 
 def nearness(distance: NDArray[np.float64], steepness: float = 5.0) -> NDArray[np.float64]:

@@ -181,8 +181,8 @@ class PickToy(Task):
         goal = self.options.lift_height
         is_held = is_grasped & (height > goal) & (from_home < NEAR_HOME) & (forces[..., self._others] == 0.0)
         success = self._held.count(is_held, compose(inverse(tcp), toy)[..., None, :3])
-        missing = np.maximum(goal - height, from_home - NEAR_HOME)
-        come = progress(norm(toy[..., :3] - tcp[..., :3]), is_grasped, missing)
+        back = 1.0 - np.tanh(5.0 * np.maximum(from_home - NEAR_HOME, 0.0))
+        come = progress(norm(toy[..., :3] - tcp[..., :3]), is_grasped, (0.5 + 0.5 * back) * height / goal)
         is_touched = forces[..., self._touched] > TOUCH_FORCE
         info = {"is_grasped": is_grasped, "is_touched": is_touched, "toy": toy}
         return Judgement(success=success, progress=come, is_placed=is_held, info=info)

@@ -48,7 +48,7 @@ class Place(Task):
     This is judged at the end of each step.
 
     Progress, of which the reward is made, has nine parts: one each for reaching, lifting, setting down and letting go,
-    two for grasping, and three for carrying.
+    two for grasping, and three for carrying; those of what is held count by how upright the cuboid is.
     """
 
     memory = ("_delivery",)

@@ -116,7 +116,8 @@ class Delivery:
         """Judge the present state of all copies.
 
         Of nine parts of progress, reaching, lifting, setting down at the goal and letting go there have one each,
-        grasping two, and carrying to the goal what has been lifted three.
+        grasping two, and carrying to the goal what has been lifted three. What is held counts by how upright it is: an
+        object that tipped over is hard to set down.
 
         Args:
             tolerance: Horizontal distance from the goal within which the object may lie [m].
@@ -136,9 +137,9 @@ class Delivery:
         is_there = is_there & is_flat(pose)
         is_released = forces[..., self._elsewhere] == 0.0
         success = self._rest.count(is_there & is_released, pose[..., None, :3])
-        reach = 1.0 - np.tanh(5.0 * norm(pose[..., :3] - poses[..., self._tcp, :3]))
+        reach = nearness(norm(pose[..., :3] - poses[..., self._tcp, :3]))
         near = nearness(distance, steepness=2.5)  # it is carried by up to half a metre
-        on_the_way = reach + is_grasped * (2.0 + self._was_lifted * (1.0 + 3.0 * near))
+        on_the_way = reach + is_grasped * uprightness(pose) * (2.0 + self._was_lifted * (1.0 + 3.0 * near))
         progress = np.where(is_there, 8.0 + is_released, on_the_way) * (1.0 / 9.0)
         is_touched = forces[..., self._touched] > TOUCH_FORCE
         info = {"is_grasped": is_grasped, "is_touched": is_touched, **self._poses()}
@@ -147,5 +148,10 @@ class Delivery:
 
 def is_flat(pose: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return whether the z axes of poses (*leading, 7) are vertical; a cuboid upside down is the same."""
+    return uprightness(pose) > np.cos(MAX_TILT)
+
+
+def uprightness(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the cosine of the angle between the z axes of poses (*leading, 7) and the vertical, up or down."""
     x, y = pose[..., 3], pose[..., 4]
-    return np.abs(1.0 - 2.0 * (x * x + y * y)) > np.cos(MAX_TILT)
+    return np.abs(1.0 - 2.0 * (x * x + y * y))

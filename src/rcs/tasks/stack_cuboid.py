@@ -35,7 +35,7 @@ class StackCuboid(Task):
     cuboid that is dropped or thrown there does not count. This is judged at the end of each step.
 
     Progress, of which the reward is made, has nine parts: one each for reaching, lifting, setting down and letting go,
-    two for grasping, and three for carrying.
+    two for grasping, and three for carrying; those of what is held count by how upright the cuboid is.
     """
 
     memory = ("_delivery",)
