@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-
 from vlagents import Observation
 from vlagents.policies.random import RandomPolicy
 from vlagents.server import Server

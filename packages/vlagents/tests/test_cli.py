@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-
 from vlagents import InvalidInput
 from vlagents.cli.main import main
 from vlagents.policies import catalogue

@@ -4,7 +4,6 @@ import importlib.util
 from pathlib import Path
 
 import pytest
-
 from vlagents.wire.shared import is_supported
 
 SCRIPT = Path(__file__).parents[1] / "tools" / "fuzz_wire.py"

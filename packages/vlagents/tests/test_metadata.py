@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 
 import pytest
-
 from vlagents import ImageSpec, InvalidInput, Metadata, Offer, PartSpec, differences
 
 METADATA = Metadata(

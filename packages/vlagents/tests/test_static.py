@@ -6,7 +6,6 @@ import ast
 from pathlib import Path
 
 import pytest
-
 import vlagents
 
 FILES = sorted(Path(vlagents.__file__).parent.rglob("*.py"))

@@ -1,8 +1,8 @@
 """Sends a server valid messages that were damaged, and what is no message at all, over each wire.
 
-A server in a process of its own serves a random policy, whose shared memory, TCP port and websocket get `--frames` frames
-each. Every hundredth frame, a client of the right kind asks for a chunk and must get it. A pickle that would make a file
-is among the frames.
+A server in a process of its own serves a random policy, whose shared memory, TCP port and websocket get `--frames`
+frames each. Every hundredth frame, a client of the right kind asks for a chunk and must get it. A pickle that would
+make a file is among the frames.
 
 Prints one JSON object: `frames` per wire, `crashes`, `mb_grown` (resident memory of the server since the first tenth),
 `canary` (whether the pickle ever ran), `refused` and `answered` frames by wire.
@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from vlagents import Observation
 from vlagents.client import Client
 from vlagents.websocket import WebsocketClient
@@ -138,6 +137,7 @@ class Peer:
         self.refused = 0
 
     def send(self, frame: bytes, file: int | None = None) -> None:
+        """Send a frame, with a file if there is one, and read whatever came back."""
         if self._socket is None:
             self._socket = socket.socket(self._family, socket.SOCK_STREAM)
             self._socket.settimeout(5.0)
@@ -228,7 +228,7 @@ def _send(
             evil._connection.send(drawn.openpi())
             if isinstance(evil._connection.recv(timeout=10.0), str):
                 raise ConnectionError
-        except Exception:  # whatever the library raises for a connection that was ended
+        except Exception:  # noqa: BLE001  whatever the library raises for a connection that was ended
             refused += 1
             evil.close()
             evil = None

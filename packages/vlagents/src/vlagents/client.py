@@ -12,8 +12,15 @@ from typing import Any
 
 from vlagents.address import Address, is_loopback, is_own_socket, parse, socket_beside
 from vlagents.chunk import Chunk
-from vlagents.errors import BadMessage, ConnectionLost, DeadlineExceeded, InvalidInput, Unauthorized, VlagentsError
-from vlagents.errors import from_failure
+from vlagents.errors import (
+    BadMessage,
+    ConnectionLost,
+    DeadlineExceeded,
+    InvalidInput,
+    Unauthorized,
+    VlagentsError,
+    from_failure,
+)
 from vlagents.metadata import Metadata, Offer
 from vlagents.observation import Observation
 from vlagents.policy import Policy
@@ -26,9 +33,9 @@ from vlagents.wire.stream import LARGEST_BODY, StreamChannel
 class Client(Policy):
     """Asks the policy of a `Server`.
 
-    On the server's machine, arrays go through shared memory; the client finds out by itself. An answer that is late raises
-    `DeadlineExceeded`, and is thrown away when it comes; the session goes on. After `ConnectionLost` the next `reset`
-    connects anew, nothing else does: whatever drives a robot must know that its policy was gone.
+    On the server's machine, arrays go through shared memory; the client finds out by itself. An answer that is late
+    raises `DeadlineExceeded`, and is thrown away when it comes; the session goes on. After `ConnectionLost` the next
+    `reset` connects anew, nothing else does: whatever drives a robot must know that its policy was gone.
     """
 
     def __init__(

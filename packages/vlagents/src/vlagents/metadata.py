@@ -206,7 +206,8 @@ def _part_differences(what: str, does: str, needed: Sequence[PartSpec], shown: S
             wanted, given = getattr(part, name), getattr(has, name)
             if wanted != given and wanted != "" and given != "":
                 found.append(
-                    f"{what}: the policy {verb} {part.name!r} with {name} {wanted!r}; the robot {does} it with {given!r}"
+                    f"{what}: the policy {verb} {part.name!r} with {name} {wanted!r}; the robot {does} it with "
+                    f"{given!r}"
                 )
     return found
 

@@ -22,7 +22,7 @@ class Observation:
     images: Mapping[str, NDArray[np.uint8] | Jpeg] = field(default_factory=dict)
     """Pictures by camera: RGB, uint8, (height, width, 3), or compressed."""
     state: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
-    """Numbers by part, such as `joints` [rad] or `gripper` (0 closed … 1 open), (n,) each. Units are in the metadata."""
+    """Numbers by part, such as `joints` [rad] or `gripper` (0 closed … 1 open), (n,) each. The metadata have units."""
     instruction: str = ""
     """What is to be done, in words. Where it is empty, that of the session's `reset` holds."""
     goals: Mapping[str, NDArray[np.uint8] | Jpeg] = field(default_factory=dict)

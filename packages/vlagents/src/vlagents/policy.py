@@ -37,7 +37,9 @@ class Policy(ABC):
             InvalidInput: Something that the policy needs is missing or wrong.
         """
 
-    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
+    def reset(  # noqa: B027  a policy may remember nothing
+        self, session: str = "", instruction: str = "", *, seed: int | None = None
+    ) -> None:
         """Begin an episode: forget what was in this session, and remember what is to be done.
 
         Args:
@@ -46,10 +48,10 @@ class Policy(ABC):
             seed: Of what the policy draws by chance; None for any.
         """
 
-    def forget(self, session: str) -> None:
+    def forget(self, session: str) -> None:  # noqa: B027  a policy may remember nothing
         """Let go of a session that does not come back. One that is not known does no harm."""
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027  a policy may hold nothing
         """Let go of everything. A second call does nothing."""
 
     def __enter__(self) -> Policy:

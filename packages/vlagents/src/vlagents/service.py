@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from vlagents.errors import BadMessage, InvalidInput, Mismatch, Unauthorized, VlagentsError
+from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, Mismatch, Unauthorized, VlagentsError
 from vlagents.metadata import Metadata, Offer, differences
 from vlagents.observation import Observation
 from vlagents.policy import Policy
@@ -41,8 +41,8 @@ class Caller:
 class Service:
     """Answers calls with a policy.
 
-    Sessions of one caller are not those of another, even if they are called alike: what a caller does, and that it goes,
-    touches nobody else. The policy is asked by one thread at a time.
+    Sessions of one caller are not those of another, even if they are called alike: what a caller does, and that it
+    goes, touches nobody else. The policy is asked by one thread at a time.
     """
 
     def __init__(self, policy: Policy, *, token: str | None = None) -> None:
@@ -100,7 +100,7 @@ class Service:
             return {"id": number, **self._answer(caller, str(values["call"]), values)}
         except (BadMessage, Unauthorized):
             raise
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001  whatever a policy raises, the caller is told
             if not isinstance(error, VlagentsError):
                 _log.exception("The policy failed to answer %s of %s", values["call"], caller.name)
             return failure(number, error)
@@ -152,7 +152,7 @@ class Service:
                 own = f"{caller.number}/{name}"
                 try:
                     self._in_turn(lambda own=own: self._policy.forget(own), LONGEST_WAIT)
-                except Exception:
+                except Exception:  # noqa: BLE001  the others' sessions must still be forgotten
                     _log.exception("The policy could not forget session %r of %s", name, caller.name)
 
     def close(self) -> None:
@@ -212,7 +212,7 @@ class Service:
             raise Deadline(wait, "the policy, which others are asking,").exceeded()
         try:
             if self._is_closed:
-                raise InvalidInput("The server is closing.")
+                raise ConnectionLost("The server is closing.")
             return act()
         finally:
             self._turn.release()

@@ -8,6 +8,7 @@ not have: sessions, resets, the offer, and errors that end nothing.
 from __future__ import annotations
 
 import contextlib
+import socket
 import ssl
 import threading
 import time
@@ -23,8 +24,17 @@ from websockets.sync.server import ServerConnection, serve
 
 from vlagents.address import Address, is_loopback, parse
 from vlagents.chunk import Chunk
-from vlagents.errors import BadMessage, ConnectionLost, DeadlineExceeded, InvalidInput, Mismatch, Unauthorized
-from vlagents.errors import VlagentsError, as_failure, from_failure
+from vlagents.errors import (
+    BadMessage,
+    ConnectionLost,
+    DeadlineExceeded,
+    InvalidInput,
+    Mismatch,
+    Unauthorized,
+    VlagentsError,
+    as_failure,
+    from_failure,
+)
 from vlagents.metadata import Metadata, Offer, differences
 from vlagents.observation import Observation
 from vlagents.policy import Policy
@@ -88,6 +98,7 @@ class WebsocketServer:
             "process_request": self._admit,
         }
         self._server: Any = None
+        self._open: set[ServerConnection] = set()
         self._thread: threading.Thread | None = None
 
     @property
@@ -112,6 +123,9 @@ class WebsocketServer:
         if self._server is not None:
             self._server.shutdown()
             self._server = None
+        for connection in list(self._open):  # older versions of the library leave them open
+            with contextlib.suppress(OSError):
+                connection.socket.shutdown(socket.SHUT_RDWR)
         self.service.close()
 
     def __enter__(self) -> WebsocketServer:
@@ -141,18 +155,18 @@ class WebsocketServer:
         caller = self.service.caller(str(connection.remote_address))
         caller.is_known = True  # `_admit` has let it in
         metadata = self.service.metadata
+        self._open.add(connection)
         try:
             connection.send(pack({"policy": metadata.name, OWN: metadata.to_dict()}))
             for message in connection:
-                try:
-                    connection.send(self._answer(caller, message))
-                except VlagentsError as error:
-                    with contextlib.suppress(ConnectionClosed):
-                        connection.send(f"{type(error).__name__}: {error}")
-                    return
+                connection.send(self._answer(caller, message))
+        except VlagentsError as error:
+            with contextlib.suppress(ConnectionClosed):
+                connection.send(f"{type(error).__name__}: {error}")
         except ConnectionClosed:
             pass
         finally:
+            self._open.discard(connection)
             self.service.forget(caller)
 
     def _answer(self, caller: Caller, message: str | bytes) -> bytes:
@@ -172,7 +186,7 @@ class WebsocketServer:
             return self._act(caller, values, own)
         except BadMessage:
             raise
-        except Exception as error:  # our client reads errors without losing its connection
+        except Exception as error:  # noqa: BLE001  our client reads errors without losing its connection
             return pack({OWN: {"error": as_failure(error)}})
 
     def _act(self, caller: Caller, values: Mapping[str, Any], own: Mapping[str, Any]) -> bytes:

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from vlagents import Chunk, ImageSpec, InvalidInput, Metadata, Observation, PartSpec
 from vlagents.around.recorded import Recorded, read_calls
 from vlagents.around.resized import Resized, resized

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-
 from vlagents import BadMessage, InvalidInput
 from vlagents.wire.message import ARRAY, DTYPES, body_of, pack, unpack
 

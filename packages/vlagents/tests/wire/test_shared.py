@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from vlagents import BadMessage
 from vlagents.wire.deadline import Deadline
 from vlagents.wire.shared import HEAD, MAGIC, PLACE, SharedChannel, is_supported

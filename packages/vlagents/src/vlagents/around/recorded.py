@@ -38,7 +38,7 @@ class Recorded(Around):
         super().__init__(inside)
         self._with_images = with_images
         self._lock = threading.Lock()
-        self._file = open(path, "xb")  # noqa: SIM115: it is open for as long as the policy
+        self._file = open(path, "xb")  # noqa: SIM115  it is open for as long as the policy
         self._file.write(MAGIC)
         self._write({"metadata": inside.metadata().to_dict()})
 

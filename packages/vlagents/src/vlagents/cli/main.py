@@ -83,7 +83,7 @@ def _serve(given: Any) -> int:
     policy = catalogue.load(given.policy, given.checkpoint)
     kind = WebsocketServer if given.ws else Server
     port = given.port if given.port is not None else 8000 if given.ws else 8090
-    options = {"host": given.host, "port": port, "token": _token(given)}
+    options: dict[str, Any] = {"host": given.host, "port": port, "token": _token(given)}
     server = kind(policy, **options, certificate=given.certificate, key=given.key)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -16,7 +16,7 @@ GROUP = "vlagents.policies"
 """Entry points of packages that add a policy: a function of the checkpoint."""
 
 BUILT_IN: dict[str, str] = {
-    "random": "vlagents.policies.catalogue:_random",
+    "random": "vlagents.policies.catalogue:random_policy",
     "replay": "vlagents.policies.replay:ReplayPolicy",
     "scripted": "vlagents.policies.scripted:ScriptedPolicy.load",
 }
@@ -68,7 +68,12 @@ def _found(place: str) -> Callable[[str], Policy]:
     return found  # type: ignore[return-value]
 
 
-def _random(checkpoint: str) -> Policy:
+def random_policy(checkpoint: str) -> Policy:
+    """Return a policy by chance, of as many numbers as the checkpoint says.
+
+    Raises:
+        InvalidInput: It says no number.
+    """
     from vlagents.policies.random import RandomPolicy
 
     if checkpoint and not checkpoint.isdecimal():

@@ -1,7 +1,7 @@
 """What is said on a wire: calls and answers as plain values, and what they mean to a policy.
 
-A connection begins with `hello`, which has the token and what the robot offers. Then it may ask for `metadata`, `reset`,
-`infer`, `forget` and `ping`, each with a number that the answer repeats.
+A connection begins with `hello`, which has the token and what the robot offers. Then it may ask for `metadata`,
+`reset`, `infer`, `forget` and `ping`, each with a number that the answer repeats.
 """
 
 from __future__ import annotations

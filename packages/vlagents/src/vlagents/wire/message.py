@@ -1,7 +1,7 @@
 """A message: plain values in a header, and the bytes of its arrays beside it, which nobody copies.
 
-The header is msgpack. An array in it is an extension of code 1 that holds `[dtype, shape, offset]`; its bytes lie at that
-offset of the body. Nothing in a message is code, and nothing is imported because of one.
+The header is msgpack. An array in it is an extension of code 1 that holds `[dtype, shape, offset]`; its bytes lie at
+that offset of the body. Nothing in a message is code, and nothing is imported because of one.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def pack(values: Any) -> tuple[bytes, list[memoryview], int]:
         raise InvalidInput(f"{type(value).__name__} does not travel; valid are plain values and NumPy arrays.")
 
     try:
-        header = msgpack.packb(values, default=extension)
+        header: Any = msgpack.packb(values, default=extension)
     except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, InvalidInput):
             raise

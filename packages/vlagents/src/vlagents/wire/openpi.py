@@ -1,8 +1,8 @@
 """openpi's messages: one msgpack per observation and per answer, arrays inside it as bytes.
 
-Layout as in openpi's `msgpack_numpy.py`: an array is a map with the bytes `__ndarray__`, `data`, `dtype`, `shape` as keys,
-a NumPy scalar one with `__npgeneric__`, `data`, `dtype`. A flat dictionary of arrays and `prompt` goes there; `actions`,
-(horizon, size), come back.
+Layout as in openpi's `msgpack_numpy.py`: an array is a map with the bytes `__ndarray__`, `data`, `dtype`, `shape` as
+keys, a NumPy scalar one with `__npgeneric__`, `data`, `dtype`. A flat dictionary of arrays and `prompt` goes there;
+`actions`, (horizon, size), come back.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ def pack(values: Any) -> bytes:
         InvalidInput: Something among them does not travel.
     """
     try:
-        return msgpack.packb(values, default=_to_map)
+        data: Any = msgpack.packb(values, default=_to_map)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInput(f"This does not travel: {error}") from error
+    return data
 
 
 def unpack(data: bytes) -> Any:
@@ -139,11 +140,11 @@ def _from_map(found: dict[Any, Any]) -> Any:
         data, dtype, shape = found.get(b"data"), found.get(b"dtype"), found.get(b"shape")
         if dtype not in DTYPES or not isinstance(data, bytes):
             raise BadMessage(f"An array has the dtype {dtype!r:.40}; valid: {', '.join(sorted(DTYPES))}.")
-        is_shape = isinstance(shape, (list, tuple)) and len(shape) <= MOST_AXES
-        if not is_shape or not all(isinstance(n, int) and not isinstance(n, bool) and 0 <= n < 1 << 40 for n in shape):
+        axes: list[Any] = list(shape) if isinstance(shape, (list, tuple)) else [None]
+        if len(axes) > MOST_AXES or not all(type(n) is int and 0 <= n < 1 << 40 for n in axes):
             raise BadMessage(f"An array has the shape {shape!r:.80}; valid are up to {MOST_AXES} whole numbers from 0.")
         try:
-            return np.frombuffer(data, np.dtype(dtype)).reshape(shape)
+            return np.frombuffer(data, np.dtype(dtype)).reshape(axes)
         except ValueError as error:
             raise BadMessage(f"An array of shape {shape} has {len(data)} bytes of {dtype}: {error}.") from error
     if b"__npgeneric__" in found:

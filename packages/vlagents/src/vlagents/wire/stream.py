@@ -126,7 +126,7 @@ class StreamChannel:
         header = bytearray(header_size)
         self._fill(memoryview(header), rest)
         body = np.empty(body_size, np.uint8)
-        self._fill(memoryview(body), rest)
+        self._fill(body.data, rest)
         return unpack(bytes(header), body)
 
     def _fill(self, view: memoryview, deadline: Deadline) -> None:
