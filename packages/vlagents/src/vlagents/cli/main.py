@@ -1,0 +1,116 @@
+"""Serve a policy, ask how a server is, and measure the way there and back."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from vlagents import __version__
+from vlagents.cli.bench import bench
+from vlagents.connect import connect
+from vlagents.errors import VlagentsError
+from vlagents.policies import catalogue
+from vlagents.server import Server
+from vlagents.websocket import WebsocketServer
+
+TOKEN = "VLAGENTS_TOKEN"
+"""Environment variable with the token: words of a command can be read by everybody on the machine."""
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status."""
+    given = _parser().parse_args(words)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    try:
+        return given.act(given)
+    except (VlagentsError, OSError) as error:
+        print(f"error: {type(error).__name__}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="vlagents", description=__doc__)
+    parser.add_argument("--version", action="version", version=f"vlagents {__version__}")
+    verbs = parser.add_subparsers(required=True, metavar="VERB")
+    token = f"a file with the token; without it, the environment variable {TOKEN} holds it"
+
+    serve = verbs.add_parser("serve", help="serve a policy until Ctrl-C")
+    serve.add_argument("policy", help=f"its name: {', '.join(catalogue.names())}")
+    serve.add_argument("--checkpoint", default="", help="folder, file, or whatever else the policy is made of")
+    serve.add_argument("--host", default="127.0.0.1", help="anything but this machine itself needs a token")
+    serve.add_argument("--port", type=int, default=None, help="of TCP; 8090, or 8000 with --ws")
+    serve.add_argument("--ws", action="store_true", help="openpi's websocket in place of TCP and shared memory")
+    serve.add_argument("--token-file", type=Path, help=token)
+    serve.add_argument("--certificate", type=Path, help="file with a certificate, for TLS")
+    serve.add_argument("--key", type=Path, help="file with its key")
+    serve.set_defaults(act=_serve)
+
+    ping = verbs.add_parser("ping", help="say how a server is, and what its policy needs and gives")
+    _add_server(ping, token)
+    ping.set_defaults(act=_ping)
+
+    measure = verbs.add_parser("bench", help="measure how long an answer takes")
+    _add_server(measure, token)
+    measure.add_argument("--calls", type=int, default=200, help="how many answers")
+    measure.add_argument("--image", action="append", default=[], metavar="HEIGHTxWIDTH", help="a picture of each call")
+    measure.set_defaults(act=_bench)
+    return parser
+
+
+def _add_server(parser: argparse.ArgumentParser, token: str) -> None:
+    parser.add_argument("address", help="vla://host:port, vlas://, unix:///path, ws:// or wss://")
+    parser.add_argument("--timeout", type=float, default=5.0, help="how long an answer may take [s]")
+    parser.add_argument("--token-file", type=Path, help=token)
+    parser.add_argument("--certificate", type=Path, help="that the server's must be signed by")
+
+
+def _token(given: Any) -> str | None:
+    if given.token_file is not None:
+        return given.token_file.read_text().strip()
+    return os.environ.get(TOKEN)
+
+
+def _serve(given: Any) -> int:
+    policy = catalogue.load(given.policy, given.checkpoint)
+    kind = WebsocketServer if given.ws else Server
+    port = given.port if given.port is not None else 8000 if given.ws else 8090
+    options: dict[str, Any] = {"host": given.host, "port": port, "token": _token(given)}
+    server = kind(policy, **options, certificate=given.certificate, key=given.key)
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with server:
+        metadata = server.service.metadata
+        print(f"Serving {metadata.name} at {server.address}. Ctrl-C ends it.", flush=True)
+        stop.wait()
+    return 0
+
+
+def _ping(given: Any) -> int:
+    with connect(given.address, token=_token(given), timeout=given.timeout, certificate=given.certificate) as client:
+        metadata = client.metadata()
+        print(f"{metadata.name}: chunks of {metadata.horizon} at {metadata.rate:g} Hz, {metadata.size} numbers each")
+        for what, parts in (("action", metadata.action), ("state", metadata.state)):
+            for part in parts:
+                print(f"  {what:<7}{part.name}: {part.size} {part.unit}, {part.meaning}".rstrip(", "))
+        for image in metadata.images:
+            print(f"  image  {image.name}: {image.height or 'any'} x {image.width or 'any'}")
+        if hasattr(client, "ping"):
+            for name, value in client.ping().items():
+                print(f"  {name}: {value}")
+    return 0
+
+
+def _bench(given: Any) -> int:
+    with connect(given.address, token=_token(given), timeout=given.timeout, certificate=given.certificate) as client:
+        print(bench(client, calls=given.calls, images=given.image))
+    return 0

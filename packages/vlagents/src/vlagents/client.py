@@ -1,0 +1,244 @@
+"""A policy somewhere else: the same interface, over a wire."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import ssl
+import threading
+from pathlib import Path
+from typing import Any
+
+from vlagents.address import Address, is_loopback, is_own_socket, parse, socket_beside
+from vlagents.chunk import Chunk
+from vlagents.errors import (
+    BadMessage,
+    ConnectionLost,
+    DeadlineExceeded,
+    InvalidInput,
+    Unauthorized,
+    VlagentsError,
+    from_failure,
+)
+from vlagents.metadata import Metadata, Offer
+from vlagents.observation import Observation
+from vlagents.policy import Policy
+from vlagents.wire.calls import VERSION, chunk_from_values, observation_to_values
+from vlagents.wire.deadline import Deadline
+from vlagents.wire.shared import SLOTS, SharedChannel, is_supported, peer_user
+from vlagents.wire.stream import LARGEST_BODY, StreamChannel
+
+
+class Client(Policy):
+    """Asks the policy of a `Server`.
+
+    On the server's machine, arrays go through shared memory; the client finds out by itself. An answer that is late
+    raises `DeadlineExceeded`, and is thrown away when it comes; the session goes on. After `ConnectionLost` the next
+    `reset` connects anew, nothing else does: whatever drives a robot must know that its policy was gone.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        *,
+        token: str | None = None,
+        timeout: float = 5.0,
+        offer: Offer | None = None,
+        certificate: str | Path | None = None,
+        is_shared: bool | None = None,
+    ) -> None:
+        """Connect, and compare what the robot offers with what the policy needs.
+
+        Args:
+            address: `vla://host:port`, `vlas://host:port` or `unix:///path`.
+            token: What the server wants to hear.
+            timeout: How long an answer may take [s].
+            offer: What the robot shows and takes; None to compare nothing.
+            certificate: File with the certificate that the server's must be signed by; None for those of the system.
+            is_shared: Whether arrays go through shared memory; None where it can be.
+
+        Raises:
+            InvalidInput: The address is none.
+            ConnectionLost: Nobody is there.
+            DeadlineExceeded: Somebody is, and says nothing.
+            Unauthorized: The token is wrong.
+            Mismatch: Robot and policy do not fit.
+        """
+        if not (isinstance(timeout, (int, float)) and 0 < timeout < float("inf")):
+            raise InvalidInput(f"timeout is {timeout!r}; valid is a number of seconds above 0.")
+        self.address: Address = parse(address)
+        if self.address.scheme in ("ws", "wss"):
+            raise InvalidInput(f"{address!r} is a websocket; use vlagents.websocket.WebsocketClient.")
+        self.timeout = float(timeout)
+        """How long an answer may take [s]."""
+        self._token, self._offer = token, offer
+        self._certificate, self._is_shared = certificate, is_shared
+        self._channel: StreamChannel | None = None
+        self._lock = threading.Lock()
+        self._number = 0
+        self._late: set[int] = set()
+        self._metadata = self._connect()
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether arrays go through shared memory."""
+        return isinstance(self._channel, SharedChannel)
+
+    def metadata(self) -> Metadata:
+        """Return what the policy told when the connection was made."""
+        return self._metadata
+
+    def infer(self, observation: Observation) -> Chunk:
+        """Return the policy's chunk for an observation.
+
+        Raises:
+            ConnectionLost: The server has gone.
+            DeadlineExceeded: It did not answer in time.
+            InvalidInput: The observation is not what the policy takes.
+            PolicyFailed: The policy raised an error.
+        """
+        return chunk_from_values(self._ask("infer", observation=observation_to_values(observation)).get("chunk"))
+
+    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
+        """Begin an episode; connect anew if the server was gone."""
+        with self._lock:
+            if self._channel is None:
+                self._metadata = self._connect()
+        self._ask("reset", session=session, instruction=instruction, seed=seed)
+
+    def forget(self, session: str) -> None:
+        """Let the server forget a session."""
+        self._ask("forget", session=session)
+
+    def ping(self) -> dict[str, Any]:
+        """Return the server's health: its policy, its version, how long it runs, how much it answered."""
+        health = self._ask("ping").get("health")
+        if not isinstance(health, dict):
+            raise BadMessage("The answer to ping has no health.")
+        return health
+
+    def close(self) -> None:
+        """End the connection. The server forgets this client's sessions."""
+        channel, self._channel = self._channel, None
+        if channel is not None:
+            channel.close()
+
+    def _ask(self, call: str, **given: Any) -> dict[str, Any]:
+        with self._lock:
+            channel = self._channel
+            if channel is None:
+                raise ConnectionLost(f"There is no connection to {self.address}; `reset` connects anew.")
+            return self._ask_over(channel, call, given)
+
+    def _ask_over(self, channel: StreamChannel, call: str, given: dict[str, Any]) -> dict[str, Any]:
+        deadline = Deadline(self.timeout, f"The answer of {self.address}")
+        while len(self._late) >= SLOTS:  # of shared memory, both slots may still be read
+            self._take(channel, deadline)
+        self._number += 1
+        number = self._number
+        try:
+            channel.send({"call": call, "id": number, "within": self.timeout, **given}, deadline)
+        except InvalidInput:
+            raise
+        except VlagentsError:
+            self._lose(channel)
+            raise
+        self._late.add(number)
+        while True:
+            answer = self._take(channel, deadline)
+            if answer.get("id") == number:
+                break
+        if "error" in answer:
+            error = from_failure(answer["error"])
+            if isinstance(error, (BadMessage, Unauthorized)):
+                self._lose(channel)
+            raise error
+        return answer
+
+    def _take(self, channel: StreamChannel, deadline: Deadline) -> dict[str, Any]:
+        """Return the next answer, to whichever call it is."""
+        try:
+            if not channel.wait(deadline.left()):
+                raise deadline.exceeded()
+        except (OSError, ValueError) as error:
+            if isinstance(error, DeadlineExceeded):
+                raise
+            self._lose(channel)
+            raise ConnectionLost(f"The connection broke: {error}.") from error
+        try:
+            # Once it begins to come it must come to its end, or the connection is out of step.
+            answer = channel.receive(Deadline(self.timeout, "The rest of an answer"))
+        except VlagentsError:
+            self._lose(channel)
+            raise
+        if not isinstance(answer, dict) or not (answer.get("id") is None or isinstance(answer.get("id"), int)):
+            self._lose(channel)
+            raise BadMessage(f"{self.address} sent something that is no answer.")
+        if answer.get("id") is None:
+            self._lose(channel)
+            raise from_failure(answer.get("error"))
+        self._late.discard(answer["id"])
+        return answer
+
+    def _lose(self, channel: StreamChannel) -> None:
+        channel.close()
+        if self._channel is channel:
+            self._channel = None
+
+    def _connect(self) -> Metadata:
+        channel = self._open()
+        self._number, self._late = 0, set()
+        offer = None if self._offer is None else self._offer.to_dict()
+        try:
+            answer = self._ask_over(channel, "hello", {"version": VERSION, "token": self._token, "offer": offer})
+            metadata = Metadata.from_dict(answer.get("metadata"))
+        except BaseException:
+            channel.close()
+            raise
+        self._channel = channel
+        return metadata
+
+    def _open(self) -> StreamChannel:
+        address = self.address
+        if address.scheme == "unix":
+            return self._open_shared(Path(address.path))
+        if self._is_shared is not False and address.scheme == "vla" and is_loopback(address.host) and is_supported():
+            with contextlib.suppress(OSError, InvalidInput):
+                path = socket_beside(address.port)
+                if is_own_socket(path):
+                    return self._open_shared(path)
+        if self._is_shared:
+            raise ConnectionLost(f"There is no shared memory to {address}: no server on this machine offers it there.")
+        try:
+            connection = socket.create_connection((address.host, address.port), timeout=self.timeout)
+        except TimeoutError as error:
+            raise DeadlineExceeded(f"{address} did not answer within {self.timeout:g} s.") from error
+        except OSError as error:
+            raise ConnectionLost(f"Nobody is at {address}: {error}.") from error
+        if address.scheme == "vlas":
+            connection = self._over_tls(connection)
+        return StreamChannel(connection, largest_body=LARGEST_BODY)
+
+    def _open_shared(self, path: Path) -> StreamChannel:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            connection.settimeout(self.timeout)
+            connection.connect(str(path))
+            if peer_user(connection) != os.getuid():
+                raise ConnectionLost(f"The server at {path} is somebody else's.")
+        except OSError:
+            connection.close()
+            raise
+        return SharedChannel(connection, largest_body=LARGEST_BODY)
+
+    def _over_tls(self, connection: socket.socket) -> socket.socket:
+        context = ssl.create_default_context(cafile=None if self._certificate is None else str(self._certificate))
+        try:
+            return context.wrap_socket(connection, server_hostname=self.address.host)
+        except TimeoutError as error:
+            connection.close()
+            raise DeadlineExceeded(f"{self.address} did not answer within {self.timeout:g} s.") from error
+        except OSError as error:  # SSLError is one
+            connection.close()
+            raise ConnectionLost(f"There is no TLS with {self.address}: {error}.") from error

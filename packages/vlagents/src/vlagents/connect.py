@@ -1,0 +1,36 @@
+"""A client for an address, whatever it speaks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from vlagents.address import parse
+from vlagents.client import Client
+from vlagents.metadata import Offer
+
+
+def connect(
+    address: str,
+    *,
+    token: str | None = None,
+    timeout: float = 5.0,
+    offer: Offer | None = None,
+    certificate: str | Path | None = None,
+    **options: Any,
+) -> Any:
+    """Return a `Client` for `vla://`, `vlas://` and `unix://`, a `WebsocketClient` for `ws://` and `wss://`.
+
+    Args:
+        address: Where the server is.
+        token: What it wants to hear.
+        timeout: How long an answer may take [s].
+        offer: What the robot shows and takes; None to compare nothing.
+        certificate: File with the certificate that the server's must be signed by.
+        options: Passed on to the client's class.
+    """
+    if parse(address).scheme in ("ws", "wss"):
+        from vlagents.websocket import WebsocketClient
+
+        return WebsocketClient(address, token=token, timeout=timeout, offer=offer, certificate=certificate, **options)
+    return Client(address, token=token, timeout=timeout, offer=offer, certificate=certificate, **options)

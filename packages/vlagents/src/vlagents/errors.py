@@ -1,0 +1,93 @@
+"""Every error that is raised on purpose. What goes wrong on the other side of a wire arrives as the same class here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class VlagentsError(Exception):
+    """Anything that is raised on purpose."""
+
+    kind = "error"
+    """How the error is called on the wire."""
+
+
+class InvalidInput(VlagentsError, ValueError):
+    """An observation, a session or an option is not what the policy takes; the message says what is valid."""
+
+    kind = "invalid"
+
+
+class Mismatch(VlagentsError):
+    """What the robot offers is not what the policy needs."""
+
+    kind = "mismatch"
+
+    def __init__(self, differences: Sequence[str]) -> None:
+        """Say all differences, a line each."""
+        self.differences = tuple(differences)
+        super().__init__("The policy and the robot do not fit:\n" + "\n".join(f"- {line}" for line in self.differences))
+
+
+class BadMessage(VlagentsError):
+    """The other side sent something that is no message, or is larger than allowed. The connection is closed."""
+
+    kind = "bad message"
+
+
+class ConnectionLost(VlagentsError, ConnectionError):
+    """The other side cannot be reached, or has gone."""
+
+    kind = "lost"
+
+
+class DeadlineExceeded(VlagentsError, TimeoutError):
+    """The other side did not answer, read or write in time."""
+
+    kind = "late"
+
+
+class Unauthorized(VlagentsError):
+    """The token is missing or wrong."""
+
+    kind = "unauthorized"
+
+
+class PolicyFailed(VlagentsError):
+    """The policy raised an error while it was asked; the message has its words."""
+
+    kind = "failed"
+
+
+class MissingStack(VlagentsError, ImportError):
+    """What a policy stands on is not installed in this environment."""
+
+    kind = "missing"
+
+    def __init__(self, policy: str, package: str) -> None:
+        """Name the package, and the recipe that installs it."""
+        super().__init__(
+            f"The policy {policy!r} needs the package {package!r}, which is not installed here. "
+            f"`vlagents recipe {policy}` prints how to make an environment for it."
+        )
+
+
+def as_failure(error: BaseException) -> dict[str, object]:
+    """Return an error as a wire carries it."""
+    if isinstance(error, Mismatch):
+        return {"kind": error.kind, "text": str(error), "differences": list(error.differences)}
+    if isinstance(error, VlagentsError):
+        return {"kind": error.kind, "text": str(error)}
+    return {"kind": PolicyFailed.kind, "text": f"{type(error).__name__}: {error}"}
+
+
+def from_failure(failure: object) -> VlagentsError:
+    """Return the error that a wire carried; one of an unknown kind is a `PolicyFailed`."""
+    fields = failure if isinstance(failure, dict) else {}
+    kind, text = fields.get("kind"), str(fields.get("text", "no reason was given"))[:10_000]
+    if kind == Mismatch.kind and isinstance(fields.get("differences"), list):
+        return Mismatch([str(line) for line in fields["differences"]])
+    for known in (InvalidInput, BadMessage, ConnectionLost, DeadlineExceeded, Unauthorized):
+        if kind == known.kind:
+            return known(text)
+    return PolicyFailed(text)

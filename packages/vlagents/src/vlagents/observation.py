@@ -1,0 +1,77 @@
+"""What a policy is shown: pictures, the robot's state by named parts, an instruction, and when each was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlagents.errors import InvalidInput
+from vlagents.jpeg import Jpeg
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One moment as a robot sees it.
+
+    A server hands a policy arrays that are read-only and valid until `infer` returns; who keeps one copies it.
+    """
+
+    images: Mapping[str, NDArray[np.uint8] | Jpeg] = field(default_factory=dict)
+    """Pictures by camera: RGB, uint8, (height, width, 3), or compressed."""
+    state: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    """Numbers by part, such as `joints` [rad] or `gripper` (0 closed … 1 open), (n,) each. The metadata have units."""
+    instruction: str = ""
+    """What is to be done, in words. Where it is empty, that of the session's `reset` holds."""
+    goals: Mapping[str, NDArray[np.uint8] | Jpeg] = field(default_factory=dict)
+    """Pictures of the goal, by camera."""
+    time: float = 0.0
+    """When the observation was made [s], by the robot's clock. A chunk's actions count from it."""
+    times: Mapping[str, float] = field(default_factory=dict)
+    """When single sensors measured, by name of image or part [s], by the same clock."""
+    session: str = ""
+    """Whose observation it is. A policy keeps its memory of each session apart."""
+
+    def __post_init__(self) -> None:
+        """Check types and shapes, so that a mistake is found where it was made.
+
+        Raises:
+            InvalidInput: One is wrong; the message names it.
+        """
+        for what, images in (("images", self.images), ("goals", self.goals)):
+            for name, image in images.items():
+                _check_image(f"{what}[{name!r}]", image)
+        for name, values in self.state.items():
+            array = np.asarray(values)
+            if array.dtype.kind not in "fiub" or array.ndim != 1:
+                raise InvalidInput(
+                    f"state[{name!r}] is {array.dtype} of shape {array.shape}; valid are numbers of shape (n,)."
+                )
+            if not np.isfinite(array).all():
+                raise InvalidInput(f"state[{name!r}] has a value that is not finite: {array}.")
+        if not np.isfinite(self.time):
+            raise InvalidInput(f"time is {self.time!r}; valid is a finite number of seconds.")
+        for name in ("instruction", "session"):
+            if not isinstance(getattr(self, name), str):
+                raise InvalidInput(f"{name} is {getattr(self, name)!r}; valid is a str.")
+
+    def image(self, name: str) -> NDArray[np.uint8]:
+        """Return a camera's picture as an array (height, width, 3), decompressed where needed.
+
+        Raises:
+            InvalidInput: There is no such camera, or its JPEG is damaged.
+        """
+        if name not in self.images:
+            raise InvalidInput(f"There is no image {name!r}; there are {sorted(self.images)}.")
+        image = self.images[name]
+        return image.decode() if isinstance(image, Jpeg) else image
+
+
+def _check_image(name: str, image: object) -> None:
+    if isinstance(image, Jpeg):
+        return
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+        came = f"{image.dtype} of shape {image.shape}" if isinstance(image, np.ndarray) else repr(type(image).__name__)
+        raise InvalidInput(f"{name} is {came}; valid is uint8 of shape (height, width, 3), or a Jpeg.")

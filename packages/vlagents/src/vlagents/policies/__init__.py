@@ -1,0 +1,1 @@
+"""Policies, one family per file; each imports its stack when it is made."""

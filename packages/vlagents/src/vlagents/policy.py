@@ -1,0 +1,65 @@
+"""The interface that everything here has: a policy, a server's client, and whatever is wrapped around one."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from types import TracebackType
+
+from vlagents.chunk import Chunk
+from vlagents.metadata import Metadata
+from vlagents.observation import Observation
+
+
+class Policy(ABC):
+    """Answers observations with chunks of actions. Clients and wrappers are policies too, so they nest.
+
+    Example:
+        >>> from vlagents import Observation
+        >>> from vlagents.policies.random import RandomPolicy
+        >>> policy = RandomPolicy(size=7)
+        >>> policy.reset("left arm", "pick up the green cuboid", seed=0)
+        >>> policy.infer(Observation(session="left arm")).actions.shape
+        (1, 7)
+    """
+
+    @abstractmethod
+    def metadata(self) -> Metadata:
+        """Return what the policy needs and gives."""
+
+    @abstractmethod
+    def infer(self, observation: Observation) -> Chunk:
+        """Return the actions from the time of an observation on.
+
+        Args:
+            observation: One moment; its `session` says whose.
+
+        Raises:
+            InvalidInput: Something that the policy needs is missing or wrong.
+        """
+
+    def reset(  # noqa: B027  a policy may remember nothing
+        self, session: str = "", instruction: str = "", *, seed: int | None = None
+    ) -> None:
+        """Begin an episode: forget what was in this session, and remember what is to be done.
+
+        Args:
+            session: Which robot, or which copy; others are not touched.
+            instruction: What is to be done, in words.
+            seed: Of what the policy draws by chance; None for any.
+        """
+
+    def forget(self, session: str) -> None:  # noqa: B027  a policy may remember nothing
+        """Let go of a session that does not come back. One that is not known does no harm."""
+
+    def close(self) -> None:  # noqa: B027  a policy may hold nothing
+        """Let go of everything. A second call does nothing."""
+
+    def __enter__(self) -> Policy:
+        """Return the policy, which is closed at the end of the block."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()

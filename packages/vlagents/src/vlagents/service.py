@@ -1,0 +1,239 @@
+"""A policy behind any wire: who may ask, whose session is whose, and one call at a time."""
+
+from __future__ import annotations
+
+import hmac
+import itertools
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, Mismatch, Unauthorized, VlagentsError
+from vlagents.metadata import Metadata, Offer, differences
+from vlagents.observation import Observation
+from vlagents.policy import Policy
+from vlagents.wire.calls import VERSION, chunk_to_values, failure, mapping, observation_from_values
+from vlagents.wire.deadline import Deadline
+
+_log = logging.getLogger(__name__)
+
+MOST_SESSIONS = 256
+"""Sessions of one connection."""
+LONGEST_WAIT = 60.0
+"""How long a call waits for the policy at most, if the client does not say [s]."""
+
+
+@dataclass(eq=False)
+class Caller:
+    """One connection, as the service knows it."""
+
+    name: str
+    """Where it comes from, for the log."""
+    number: int
+    is_known: bool = False
+    """Whether it has said hello, with the right token."""
+    sessions: set[str] = field(default_factory=set)
+
+
+class Service:
+    """Answers calls with a policy.
+
+    Sessions of one caller are not those of another, even if they are called alike: what a caller does, and that it
+    goes, touches nobody else. The policy is asked by one thread at a time.
+    """
+
+    def __init__(self, policy: Policy, *, token: str | None = None) -> None:
+        """Serve a policy.
+
+        Args:
+            policy: It is closed with the service.
+            token: What callers must know; None for nothing.
+
+        Raises:
+            InvalidInput: The token is empty.
+        """
+        if token is not None and not token:
+            raise InvalidInput("The token is empty; valid is a str that cannot be guessed, or None.")
+        self._policy = policy
+        self._token = token
+        self.metadata: Metadata = policy.metadata()
+        """What the policy needs and gives."""
+        self._turn = threading.Lock()
+        self._numbers = itertools.count()
+        self._started = time.monotonic()
+        self._answered = 0
+        self._is_closed = False
+
+    def caller(self, name: str) -> Caller:
+        """Return a new caller, who has not said hello yet."""
+        return Caller(name=name, number=next(self._numbers))
+
+    def admit(self, caller: Caller, token: object) -> None:
+        """Let a caller in who knows the token.
+
+        Raises:
+            Unauthorized: It does not.
+        """
+        if self._token is not None:
+            given = token if isinstance(token, str) else ""
+            if not hmac.compare_digest(given.encode(), self._token.encode()):
+                _log.warning("%s has no valid token and was refused", caller.name)
+                raise Unauthorized("The token is missing or wrong.")
+        caller.is_known = True
+
+    def answer(self, caller: Caller, values: object) -> dict[str, Any]:
+        """Return the answer to a call; whatever goes wrong is one too.
+
+        Raises:
+            BadMessage: It is no call at all.
+            Unauthorized: The caller does not know the token.
+        """
+        if not isinstance(values, Mapping) or not isinstance(values.get("call"), str):
+            raise BadMessage("This is no call.")
+        number = values.get("id")
+        if not isinstance(number, int):
+            raise BadMessage("A call has no number.")
+        try:
+            return {"id": number, **self._answer(caller, str(values["call"]), values)}
+        except (BadMessage, Unauthorized):
+            raise
+        except Exception as error:  # noqa: BLE001  whatever a policy raises, the caller is told
+            if not isinstance(error, VlagentsError):
+                _log.exception("The policy failed to answer %s of %s", values["call"], caller.name)
+            return failure(number, error)
+
+    def health(self) -> dict[str, Any]:
+        """Return how the service is."""
+        from vlagents import __version__
+
+        return {
+            "policy": self.metadata.name,
+            "version": __version__,
+            "wire": VERSION,
+            "seconds": round(time.monotonic() - self._started, 3),
+            "answered": self._answered,
+        }
+
+    def infer(self, caller: Caller, observation: Observation, within: float | None = None) -> dict[str, Any]:
+        """Return the policy's chunk for an observation of a caller, as values, and how long each part took."""
+        own = self._own(caller, observation.session)
+        begin = time.perf_counter()
+        waiting, working = 0.0, 0.0
+
+        def ask() -> Any:
+            nonlocal waiting
+            waiting = time.perf_counter() - begin
+            return self._policy.infer(replace(observation, session=own))
+
+        chunk = self._in_turn(ask, within)
+        working = time.perf_counter() - begin - waiting
+        if chunk.actions.shape[1] != self.metadata.size and self.metadata.action:
+            raise InvalidInput(
+                f"The policy gave actions of {chunk.actions.shape[1]} numbers; its metadata says {self.metadata.size}."
+            )
+        self._answered += 1
+        info = {**chunk.info, "wait_ms": 1e3 * waiting, "infer_ms": 1e3 * working}
+        return chunk_to_values(replace(chunk, time=observation.time, info=info))
+
+    def reset(self, caller: Caller, session: str, instruction: str, seed: int | None, within: float | None) -> None:
+        """Begin an episode in one of a caller's sessions."""
+        own = self._own(caller, session)
+        self._in_turn(lambda: self._policy.reset(own, instruction, seed=seed), within)
+
+    def forget(self, caller: Caller, session: str | None = None) -> None:
+        """Let go of one session of a caller, or of all of them when it goes."""
+        names = [session] if session is not None else list(caller.sessions)
+        for name in names:
+            if name in caller.sessions:
+                caller.sessions.discard(name)
+                own = f"{caller.number}/{name}"
+                try:
+                    self._in_turn(lambda own=own: self._policy.forget(own), LONGEST_WAIT)
+                except Exception:  # noqa: BLE001  the others' sessions must still be forgotten
+                    _log.exception("The policy could not forget session %r of %s", name, caller.name)
+
+    def close(self) -> None:
+        """Close the policy, after the call that it is in."""
+        if not self._is_closed:
+            self._is_closed = True
+            with self._turn:
+                self._policy.close()
+
+    def _answer(self, caller: Caller, call: str, values: Mapping[str, Any]) -> dict[str, Any]:
+        if call == "hello":
+            return self._hello(caller, values)
+        if not caller.is_known:
+            raise Unauthorized("A connection begins with hello.")
+        within = _seconds(values.get("within"))
+        if call == "infer":
+            return {"chunk": self.infer(caller, observation_from_values(values.get("observation")), within)}
+        if call == "reset":
+            session, instruction = _text("session", values), _text("instruction", values)
+            self.reset(caller, session, instruction, _seed(values.get("seed")), within)
+            return {}
+        if call == "forget":
+            self.forget(caller, _text("session", values))
+            return {}
+        if call == "metadata":
+            return {"metadata": self.metadata.to_dict()}
+        if call == "ping":
+            return {"health": self.health()}
+        raise InvalidInput(f"There is no call {call!r:.80}; valid: hello, metadata, reset, infer, forget, ping.")
+
+    def _hello(self, caller: Caller, values: Mapping[str, Any]) -> dict[str, Any]:
+        if values.get("version") != VERSION:
+            raise BadMessage(
+                f"The other side speaks version {values.get('version')!r:.40}; this server speaks {VERSION}."
+            )
+        self.admit(caller, values.get("token"))
+        if values.get("offer") is not None:
+            found = differences(self.metadata, Offer.from_dict(mapping("offer", values["offer"])))
+            if found:
+                raise Mismatch(found)
+        return {"metadata": self.metadata.to_dict(), "health": self.health()}
+
+    def _own(self, caller: Caller, session: str) -> str:
+        """Return what a caller's session is called here."""
+        if session not in caller.sessions and len(caller.sessions) >= MOST_SESSIONS:
+            raise InvalidInput(
+                f"A connection has up to {MOST_SESSIONS} sessions; `forget` one that does not come back."
+            )
+        if len(session) > 200:
+            raise InvalidInput("The name of a session has more than 200 characters.")
+        caller.sessions.add(session)
+        return f"{caller.number}/{session}"
+
+    def _in_turn(self, act: Callable[[], Any], within: float | None) -> Any:
+        wait = LONGEST_WAIT if within is None else min(within, LONGEST_WAIT)
+        if not self._turn.acquire(timeout=wait):
+            raise Deadline(wait, "the policy, which others are asking,").exceeded()
+        try:
+            if self._is_closed:
+                raise ConnectionLost("The server is closing.")
+            return act()
+        finally:
+            self._turn.release()
+
+
+def _text(name: str, values: Mapping[str, Any]) -> str:
+    value = values.get(name, "")
+    if not isinstance(value, str) or len(value) > 100_000:
+        raise InvalidInput(f"{name} is {value!r:.80}; valid is a str of up to 100000 characters.")
+    return value
+
+
+def _seed(value: object) -> int | None:
+    if value is not None and (not isinstance(value, int) or isinstance(value, bool) or value < 0):
+        raise InvalidInput(f"seed is {value!r:.80}; valid is a whole number from 0, or None.")
+    return value
+
+
+def _seconds(value: object) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < float("inf"):
+        raise InvalidInput(f"within is {value!r:.80}; valid is a number of seconds above 0, or None.")
+    return float(value)

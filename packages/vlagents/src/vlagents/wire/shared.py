@@ -1,0 +1,198 @@
+"""Messages between processes of one user on one machine: headers over a Unix socket, arrays in shared memory.
+
+The memory has no name: its file descriptor travels over the socket. So nothing is left behind by whoever is killed, and
+nobody else can open it. It cannot shrink (a seal that the reader checks), so that a reader never touches memory that is
+gone. It has two slots, which the sender fills in turn. Each begins with the number of the message that lies in it, and
+the reader looks twice: before it reads, and after the policy has read.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import os
+import socket
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlagents.errors import BadMessage, ConnectionLost
+from vlagents.wire.deadline import Deadline
+from vlagents.wire.message import pack, unpack
+from vlagents.wire.stream import LARGEST_BODY, LARGEST_HEADER, PREFIX, StreamChannel
+
+MAGIC = b"VLAS"
+PLACE = struct.Struct("<QQQ")
+"""After the prefix: the message's number, its slot, and how large a slot is [bytes]."""
+SLOTS = 2
+HEAD = 64
+"""Bytes before the arrays of a slot; the first 8 are the message's number."""
+LEAST = 64 << 10
+"""A body of fewer bytes travels over the socket."""
+SEALS = getattr(fcntl, "F_SEAL_SHRINK", 2) | getattr(fcntl, "F_SEAL_GROW", 4) | getattr(fcntl, "F_SEAL_SEAL", 1)
+
+
+def is_supported() -> bool:
+    """Return whether this system has memory without a name that can be sealed. Linux has."""
+    return hasattr(os, "memfd_create") and hasattr(fcntl, "F_ADD_SEALS") and hasattr(socket, "SO_PEERCRED")
+
+
+class SharedChannel(StreamChannel):
+    """A channel over a Unix socket whose large messages lie in shared memory.
+
+    No more than two messages may be on their way at a time: with the third, the slot of the first is used again.
+    """
+
+    def __init__(self, connection: socket.socket, *, largest_body: int = LARGEST_BODY) -> None:
+        """Take over a connected Unix socket."""
+        super().__init__(connection, largest_body=largest_body)
+        self._own: mmap.mmap | None = None
+        self._own_file = -1
+        self._slot_size = 0
+        self._number = 0
+        self._theirs: NDArray[np.uint8] | None = None
+        self._their_slot_size = 0
+        self._reading: tuple[int, int] | None = None
+
+    def send(self, values: Any, deadline: Deadline) -> None:
+        """Send a message, through the memory if it is large."""
+        header, parts, size = pack(values)
+        self._check_header(header)
+        if size < LEAST:
+            self._guarded(self._send_inline, header, parts, size, deadline)
+        else:
+            self._guarded(self._send_shared, header, parts, size, deadline)
+
+    def close(self) -> None:
+        """Close the socket and let go of the memory."""
+        super().close()
+        if self._own_file >= 0:
+            os.close(self._own_file)
+            self._own_file = -1
+        self._own, self._theirs, self._reading = None, None, None
+
+    def check(self) -> None:
+        """Look whether the last message is still what it was.
+
+        Raises:
+            BadMessage: Its sender has written over it.
+        """
+        if self._reading is None or self._theirs is None:
+            return
+        start, number = self._reading
+        if _number_at(self._theirs, start) != number:
+            self.close()
+            raise BadMessage("The other side wrote over a message that was being read.")
+
+    def _send_shared(self, header: bytes, parts: list[memoryview], size: int, deadline: Deadline) -> None:
+        is_new = self._own is None or size + HEAD > self._slot_size
+        if is_new:
+            self._make(size + HEAD)
+        memory = self._own
+        assert memory is not None
+        self._number += 1
+        slot = self._number % SLOTS
+        start = slot * self._slot_size
+        struct.pack_into("<Q", memory, start, 0)  # whoever still reads this slot learns that it is over
+        at = start + HEAD
+        for part in parts:
+            memory[at : at + len(part)] = part
+            at += len(part)
+        struct.pack_into("<Q", memory, start, self._number)
+        place = PLACE.pack(self._number, slot, self._slot_size)
+        frame = memoryview(PREFIX.pack(MAGIC, len(header), size) + place + header)
+        if is_new:
+            self._socket.settimeout(deadline.left())
+            count = socket.send_fds(self._socket, [frame], [self._own_file])
+            frame = frame[count:]
+        self._send_all([frame], deadline)
+
+    def _make(self, least: int) -> None:
+        """Make new memory; the other side keeps the old one for as long as it reads it."""
+        size = max(1 << 20, 1 << (least - 1).bit_length())
+        file = os.memfd_create("vlagents", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+        try:
+            os.ftruncate(file, SLOTS * size)
+            fcntl.fcntl(file, fcntl.F_ADD_SEALS, SEALS)  # type: ignore[attr-defined]
+            memory = mmap.mmap(file, SLOTS * size)
+        except BaseException:
+            os.close(file)
+            raise
+        if self._own_file >= 0:
+            os.close(self._own_file)
+        self._own, self._own_file, self._slot_size = memory, file, size
+
+    def _receive(self, deadline: Deadline, begun: Deadline | None) -> Any:
+        self._reading = None
+        first, files = self._first(deadline)
+        try:
+            rest = deadline if begun is None else Deadline(begun.seconds, "the rest of a message")
+            prefix = bytearray(first + bytes(PREFIX.size - 1))
+            self._fill(memoryview(prefix)[1:], rest)
+            if bytes(prefix[:4]) != MAGIC:
+                return self._receive_body(prefix, rest)
+            _, header_size, size = PREFIX.unpack(prefix)
+            if header_size > LARGEST_HEADER or size > self.largest_body:
+                raise BadMessage(
+                    f"A message of {header_size} and {size} bytes is too large; valid are up to {LARGEST_HEADER} and "
+                    f"{self.largest_body}."
+                )
+            place = bytearray(PLACE.size)
+            self._fill(memoryview(place), rest)
+            number, slot, slot_size = PLACE.unpack(place)
+            header = bytearray(header_size)
+            self._fill(memoryview(header), rest)
+            if files:
+                self._map(files[0], slot_size)
+        finally:
+            for file in files:
+                os.close(file)
+        if self._theirs is None or slot_size != self._their_slot_size or slot >= SLOTS or size + HEAD > slot_size:
+            raise BadMessage(f"A message of {size} bytes is said to be in slot {slot}, where there is no room for it.")
+        start = slot * slot_size
+        if _number_at(self._theirs, start) != number:
+            raise BadMessage(f"Slot {slot} does not hold message {number}.")
+        self._reading = (start, number)
+        return unpack(bytes(header), self._theirs[start + HEAD : start + HEAD + size])
+
+    def _first(self, deadline: Deadline) -> tuple[bytes, list[int]]:
+        """Return the first byte of a message, and the file that came with it."""
+        self._socket.settimeout(deadline.left())
+        try:
+            first, files, _, _ = socket.recv_fds(self._socket, 1, 1)
+        except TimeoutError as error:
+            raise deadline.exceeded() from error
+        if not first:
+            for file in files:
+                os.close(file)
+            raise ConnectionLost("The other side has closed the connection.")
+        return first, list(files)
+
+    def _map(self, file: int, slot_size: int) -> None:
+        """Look at the other side's memory, if it is what it should be.
+
+        Raises:
+            BadMessage: It is not, or larger than allowed.
+        """
+        if not HEAD < slot_size <= 2 * max(self.largest_body + HEAD, 1 << 20):
+            raise BadMessage(f"A slot of {slot_size} bytes is too large; valid are up to twice {self.largest_body}.")
+        try:
+            is_sealed = bool(fcntl.fcntl(file, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK)  # type: ignore[attr-defined]
+        except OSError:
+            is_sealed = False
+        if not is_sealed or os.fstat(file).st_size != SLOTS * slot_size:
+            raise BadMessage(f"The shared memory is not sealed, or does not have {SLOTS} slots of {slot_size} bytes.")
+        view = np.frombuffer(mmap.mmap(file, SLOTS * slot_size, prot=mmap.PROT_READ), np.uint8)
+        self._theirs, self._their_slot_size = view, slot_size
+
+
+def peer_user(connection: socket.socket) -> int:
+    """Return the number of the user on the other side of a Unix socket, as the kernel knows it."""
+    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+    return int(struct.unpack("3i", credentials)[1])
+
+
+def _number_at(memory: NDArray[np.uint8], start: int) -> int:
+    return int(memory[start : start + 8].view(np.uint64)[0])

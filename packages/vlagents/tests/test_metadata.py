@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+from vlagents import ImageSpec, InvalidInput, Metadata, Offer, PartSpec, differences
+
+METADATA = Metadata(
+    name="act",
+    action=(PartSpec("joints", 7, "rad"), PartSpec("gripper", 1, "0 closed, 1 open")),
+    images=(ImageSpec("wrist", 224, 224), ImageSpec("side")),
+    state=(PartSpec("joints", 7, "rad"),),
+    needs_instruction=True,
+    horizon=50,
+    rate=30.0,
+    checkpoint="runs/act",
+    checkpoint_hash="ab" * 32,
+)
+OFFER = Offer(
+    action=(PartSpec("gripper", 1), PartSpec("joints", 7, "rad")),
+    images=(ImageSpec("wrist", 224, 224), ImageSpec("side", 480, 640), ImageSpec("top", 10, 10)),
+    state=(PartSpec("joints", 7, "rad"), PartSpec("tquat", 7)),
+)
+
+
+def test_metadata_and_offers_survive_json() -> None:
+    assert Metadata.from_dict(json.loads(json.dumps(METADATA.to_dict()))) == METADATA
+    assert Offer.from_dict(json.loads(json.dumps(OFFER.to_dict()))) == OFFER
+
+
+def test_a_robot_that_shows_more_than_is_needed_fits() -> None:
+    assert differences(METADATA, OFFER) == []
+
+
+@pytest.mark.parametrize(
+    ("offer", "said"),
+    [
+        (replace(OFFER, images=OFFER.images[1:]), "needs 'wrist'; the robot shows 'side', 'top'"),
+        (replace(OFFER, images=(ImageSpec("wrist", 480, 224), *OFFER.images[1:])), "height of 224 pixels"),
+        (replace(OFFER, state=()), "the policy needs 'joints'; the robot shows none"),
+        (replace(OFFER, state=(PartSpec("joints", 6, "rad"),)), "size 7"),
+        (replace(OFFER, action=(PartSpec("joints", 7, "deg"), PartSpec("gripper", 1))), "unit 'rad'"),
+        (replace(OFFER, action=(PartSpec("joints", 7, "rad", "delta"), PartSpec("gripper", 1))), "meaning 'absolute'"),
+        (replace(OFFER, action=OFFER.action[1:]), "the policy gives 'gripper'"),
+        (replace(OFFER, action=(*OFFER.action, PartSpec("hand", 16))), "takes 'hand', which the policy does not give"),
+        (replace(OFFER, has_instruction=False), "instruction"),
+    ],
+)
+def test_each_difference_is_named(offer: Offer, said: str) -> None:
+    (found,) = differences(METADATA, offer)
+    assert said in found
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"name": ""}, "name of a policy"),
+        ({"horizon": 0}, "horizon"),
+        ({"rate": float("nan")}, "rate"),
+        ({"state": (PartSpec("a", 1), PartSpec("a", 2))}, "twice"),
+    ],
+)
+def test_what_is_wrong_is_named(changes: dict[str, object], said: str) -> None:
+    with pytest.raises(InvalidInput, match=said):
+        replace(METADATA, **changes)  # type: ignore[arg-type]
+
+
+def test_dictionaries_that_are_no_metadata_are_refused() -> None:
+    for given in (
+        None,
+        [],
+        {},
+        {"name": 3},
+        {**METADATA.to_dict(), "action": 5},
+        {**METADATA.to_dict(), "images": [3]},
+    ):
+        with pytest.raises(InvalidInput):
+            Metadata.from_dict(given)

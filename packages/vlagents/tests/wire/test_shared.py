@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from vlagents import BadMessage
+from vlagents.wire.deadline import Deadline
+from vlagents.wire.shared import HEAD, MAGIC, PLACE, SharedChannel, is_supported
+from vlagents.wire.stream import PREFIX
+
+pytestmark = pytest.mark.skipif(not is_supported(), reason="needs memory without a name, which this system has not")
+
+
+def soon() -> Deadline:
+    return Deadline(5.0, "a message")
+
+
+@pytest.fixture
+def channels() -> Iterator[tuple[SharedChannel, SharedChannel]]:
+    a, b = socket.socketpair(socket.AF_UNIX)
+    left, right = SharedChannel(a), SharedChannel(b)
+    yield left, right
+    left.close()
+    right.close()
+
+
+def test_messages_of_all_sizes_come_as_they_were_sent(channels: Any) -> None:
+    left, right = channels
+    random = np.random.default_rng(0)
+    for size in (0, 10, 70_000, 70_001, 5_000_000, 10, 900_000, 20_000_000, 100_000):
+        image = random.integers(0, 255, size, np.uint8)
+        left.send({"image": image, "n": size}, soon())
+        came = right.receive(soon())
+        assert came["n"] == size
+        np.testing.assert_array_equal(came["image"], image)
+        right.check()
+
+
+def test_two_messages_may_be_on_their_way_and_the_third_takes_the_place_of_the_first(channels: Any) -> None:
+    left, right = channels
+    for fill in (1, 2):
+        left.send(np.full(100_000, fill, np.uint8), soon())
+    first = right.receive(soon())
+    assert first[0] == 1
+    right.check()
+    left.send(np.full(100_000, 3, np.uint8), soon())
+    assert first[0] == 3
+    with pytest.raises(BadMessage, match="wrote over"):
+        right.check()
+
+
+def test_nothing_is_left_behind(channels: Any) -> None:
+    before = set(os.listdir("/dev/shm"))
+    left, right = channels
+    left.send(np.zeros(100_000, np.uint8), soon())
+    right.receive(soon())
+    assert set(os.listdir("/dev/shm")) == before
+
+
+def test_no_file_stays_open(channels: Any) -> None:
+    left, right = channels
+    before = len(os.listdir("/proc/self/fd"))
+    for size in (100_000, 3_000_000, 30_000_000):
+        left.send(np.zeros(size, np.uint8), soon())
+        right.receive(soon())
+    left.close()
+    right.close()
+    assert len(os.listdir("/proc/self/fd")) <= before
+
+
+def send_raw(left: SharedChannel, file: int | None, *, number: int, slot: int, slot_size: int, size: int) -> None:
+    frame = PREFIX.pack(MAGIC, 1, size) + PLACE.pack(number, slot, slot_size) + b"\xc0"
+    if file is None:
+        left._socket.sendall(frame)
+    else:
+        socket.send_fds(left._socket, [frame], [file])
+
+
+@pytest.mark.parametrize(
+    ("slot", "slot_size", "size", "number"),
+    [
+        (2, 1 << 20, 100, 0),
+        (2**63, 1 << 20, 100, 0),
+        (0, 1 << 20, 1 << 20, 0),
+        (0, 2**63, 100, 0),
+        (0, 1 << 20, 100, 5),
+    ],
+)
+def test_a_place_that_is_none_is_refused(channels: Any, slot: int, slot_size: int, size: int, number: int) -> None:
+    left, right = channels
+    left.send(np.zeros(100_000, np.uint8), soon())
+    right.receive(soon())
+    send_raw(left, None, number=number, slot=slot, slot_size=slot_size, size=size)
+    with pytest.raises(BadMessage):
+        right.receive(soon())
+
+
+def test_memory_that_could_shrink_is_refused(channels: Any) -> None:
+    left, right = channels
+    file = os.memfd_create("evil", os.MFD_ALLOW_SEALING)
+    os.ftruncate(file, 2 << 20)
+    send_raw(left, file, number=0, slot=0, slot_size=1 << 20, size=100)
+    os.close(file)
+    with pytest.raises(BadMessage, match="sealed"):
+        right.receive(soon())
+
+
+def test_a_file_on_disk_is_refused(channels: Any, tmp_path: Any) -> None:
+    left, right = channels
+    (tmp_path / "file").write_bytes(bytes(2 << 20))
+    file = os.open(tmp_path / "file", os.O_RDWR)
+    send_raw(left, file, number=0, slot=0, slot_size=1 << 20, size=100)
+    os.close(file)
+    with pytest.raises(BadMessage, match="sealed"):
+        right.receive(soon())
+
+
+def test_a_message_without_memory_is_refused(channels: Any) -> None:
+    left, right = channels
+    send_raw(left, None, number=0, slot=0, slot_size=1 << 20, size=100)
+    with pytest.raises(BadMessage, match="no room"):
+        right.receive(soon())
+
+
+def test_a_slot_has_room_for_its_number_before_the_arrays() -> None:
+    assert HEAD >= 8
+
+
+def test_channels_serve_threads_on_both_sides(channels: Any) -> None:
+    left, right = channels
+    answered = []
+
+    def serve() -> None:
+        for _ in range(50):
+            came = right.receive(soon())
+            right.send({"sum": int(came.sum())}, soon())
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    for i in range(50):
+        left.send(np.full(100_000, i, np.uint8), soon())
+        answered.append(left.receive(soon())["sum"])
+    thread.join()
+    assert answered == [100_000 * i for i in range(50)]
