@@ -56,9 +56,10 @@ $(VENV)/.stamp-tools: $(VENV)/.stamp-venv constraints.txt
 	@$(PIP) install -c constraints.txt $(BUILD_TOOLS)
 	@touch $@
 
-$(VENV)/.stamp-built: $(VENV)/.stamp-tools pyproject.toml $(CORE)
+$(VENV)/.stamp-built: $(VENV)/.stamp-tools pyproject.toml packages/vlagents/pyproject.toml $(CORE)
 	@echo "==> Compiling the core and installing rcs with its dependencies (first time: a minute or two)"
 	@$(PIP) install --no-build-isolation -c constraints.txt -e '.[dev]'
+	@$(PIP) install -c constraints.txt -e packages/vlagents
 	@touch $@
 
 # Without OpenGL everything but cameras works; so a library that cannot be installed is told, and no more.
