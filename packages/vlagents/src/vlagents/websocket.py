@@ -342,7 +342,7 @@ class WebsocketClient(Policy):
         headers = {} if self._token is None else {"Authorization": f"Api-Key {self._token}"}
         try:
             opened = contextlib.ExitStack()
-            connection = opened.enter_context(
+            connection: Any = opened.enter_context(
                 connect(
                     str(self.address),
                     additional_headers=headers,

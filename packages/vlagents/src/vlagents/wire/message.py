@@ -51,7 +51,7 @@ def pack(values: Any) -> tuple[bytes, list[memoryview], int]:
                 parts.append(memoryview(bytes(gap)))
             start = end + gap
             if array.nbytes:
-                parts.append(memoryview(array.reshape(-1).view(np.uint8)))
+                parts.append(array.reshape(-1).view(np.uint8).data)
             end = start + array.nbytes
             return msgpack.ExtType(ARRAY, msgpack.packb([array.dtype.str, list(array.shape), start]))
         if isinstance(value, (np.generic,)) and value.dtype.kind in "biuf":
