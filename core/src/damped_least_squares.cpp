@@ -330,9 +330,9 @@ IkResult DampedLeastSquares::inverse(const Pose& target, std::span<const double>
 
 void DampedLeastSquares::inverse_batch(std::span<const double> targets, std::span<const double> starts,
                                        const IkOptions& options, int threads, std::span<double> joints,
-                                       std::span<std::uint8_t> status) {
+                                       std::span<std::uint8_t> status, std::span<double> errors) {
   check_options(options);
-  solve_rows(targets, starts, options, threads, joints, status);
+  solve_rows(targets, starts, options, threads, joints, status, errors);
 }
 
 }  // namespace rcs

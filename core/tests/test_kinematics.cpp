@@ -155,7 +155,8 @@ void a_batch_is_a_loop_at_any_number_of_threads() {
   for (const int threads : {1, 2, 4, 64}) {
     std::vector<double> joints(count * kDof);
     std::vector<std::uint8_t> status(count);
-    solver.inverse_batch(targets, starts, IkOptions{}, threads, joints, status);
+    std::vector<double> errors(2 * count);
+    solver.inverse_batch(targets, starts, IkOptions{}, threads, joints, status, errors);
     answers.push_back(joints);
     CHECK(answers.back() == answers.front());
   }

@@ -19,7 +19,7 @@ from rcs.data.flags import FrameFlag, camera_of
 from rcs.data.info import DatasetInfo
 from rcs.data.output import OnProgress
 from rcs.errors import InvalidSetup
-from rcs.spatial import compose, normalize, tquat_to_xyzrpy, xyzrpy_to_tquat
+from rcs.spatial import Pose, compose, normalize, tquat_to_xyzrpy, xyzrpy_to_tquat
 
 
 def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | None = None) -> None:
@@ -27,7 +27,7 @@ def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | No
 
     A new step ends at the nearest old row; the last row always stays. Its action combines those of the steps it
     replaces: the last one if targets are absolute; if they are relative to the step before, their sum, with rotations
-        composed. Rewards are summed, and flags are combined by or.
+    composed; of velocities the mean. Rewards are summed, and flags are combined by or.
 
     Args:
         path: The dataset.
@@ -148,7 +148,15 @@ def _xyzrpy(steps: NDArray[np.float64]) -> NDArray[np.float64]:
     return tquat_to_xyzrpy(_tquat(xyzrpy_to_tquat(steps)))
 
 
-_TOGETHER: dict[str, Any] = {"joints": _joints, "tquat": _tquat, "xyzrpy": _xyzrpy}
+def _twist(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    # Each lasts as long; turns about different axes do not add up, so they are composed as those of poses are.
+    turn = Pose()
+    for step in steps:
+        turn = Pose.from_rotvec([0.0, 0.0, 0.0], step[3:] / len(steps)) * turn
+    return np.concatenate([steps[:, :3].mean(axis=0), turn.rotvec])
+
+
+_TOGETHER: dict[str, Any] = {"joints": _joints, "tquat": _tquat, "xyzrpy": _xyzrpy, "twist": _twist}
 """How to combine several relative actions, by the last word of their key."""
 
 
