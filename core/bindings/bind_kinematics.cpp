@@ -36,8 +36,7 @@ struct PyKinematics : rcs::Kinematics {
   std::vector<double> jacobian(std::span<const double> joints) override {
     const HeldGil gil;
     constexpr const char* name = "_jacobian";
-    if (!PyObject_HasAttrString(nb_trampoline.base().type().ptr(), name))
-      return rcs::Kinematics::jacobian(joints);
+    if (!PyObject_HasAttrString(nb_trampoline.base().type().ptr(), name)) return rcs::Kinematics::jacobian(joints);
     const auto matrix = call_override<Rows>(nb_trampoline, name, "a float64 array (6, dof)", joints);
     if (matrix.shape(0) != 6 || matrix.shape(1) != static_cast<std::size_t>(dof()))
       throw rcs::InvalidSetup("_jacobian returned an array of a wrong shape; it must be (6, dof)");
@@ -60,8 +59,7 @@ Array forward_rows(rcs::Kinematics& self, const Rows& joints) {
 
 // What is returned for a batch: joints, status, errors.
 struct Answers {
-  Answers(std::size_t count, std::size_t n)
-      : joints(count * n), status(count), errors(2 * count), shape{count, n} {}
+  Answers(std::size_t count, std::size_t n) : joints(count * n), status(count), errors(2 * count), shape{count, n} {}
 
   nb::tuple take() {
     auto* own = new std::vector<std::uint8_t>(std::move(status));
@@ -196,7 +194,8 @@ void bind_kinematics(nb::module_& m) {
           "damping"_a = 0.03)
       .def_prop_ro(
           "max_velocity", [](const rcs::VelocityOptions& o) { return to_array(o.max_velocity); }, nb::rv_policy::move,
-          "Largest speed of each joint [rad/s], shape (dof,), or (0,) for no bound. All joints are slowed down alike, so "
+          "Largest speed of each joint [rad/s], shape (dof,), or (0,) for no bound. All joints are slowed down alike, "
+          "so "
           "that the TCP keeps its direction.")
       .def_prop_ro(
           "preferred", [](const rcs::VelocityOptions& o) { return to_array(o.preferred); }, nb::rv_policy::move,
@@ -234,7 +233,8 @@ void bind_kinematics(nb::module_& m) {
   nb::class_<rcs::Kinematics, PyKinematics>(
       m, "Kinematics",
       "Kinematics of one arm: TCP pose in the base frame from joints, and back. Subclasses override `_dof`, "
-      "`_joint_lower`, `_joint_upper`, `_forward(joints)` and `_inverse(target, start, options)`, and where they have a "
+      "`_joint_lower`, `_joint_upper`, `_forward(joints)` and `_inverse(target, start, options)`, and where they have "
+      "a "
       "better one than finite differences `_jacobian(joints)`.")
       .def(nb::init<>())
       .def_prop_ro("dof", &rcs::Kinematics::dof)
@@ -279,13 +279,14 @@ void bind_kinematics(nb::module_& m) {
             return self.advance(to_span(joints), to_twist(twist), duration, options);
           },
           "joints"_a, "twist"_a, "duration"_a, "options"_a = rcs::VelocityOptions{},
-          "Joints after the TCP has moved from joints (dof,) at a twist (6,) for `duration` [s]: along a straight line, "
+          "Joints after the TCP has moved from joints (dof,) at a twist (6,) for `duration` [s]: along a straight "
+          "line, "
           "turning about one axis.\n\nThe errors are what the TCP's pose lacks of it. `clamped`: it went slower, the "
-          "same way, since a joint is as fast as it may be; `nearest`: a singular posture or a joint's limit made it go "
+          "same way, since a joint is as fast as it may be; `nearest`: a singular posture or a joint's limit made it "
+          "go "
           "another way. Zero twist leaves joints within their limits as they are.")
-      .def("advance_batch", &advance_rows, "joints"_a, "twists"_a, "duration"_a,
-           "options"_a = rcs::VelocityOptions{}, "threads"_a = 1,
-           "Advance many, joints (N, dof) at twists (N, 6).\n\nReturns what `inverse_batch` does.");
+      .def("advance_batch", &advance_rows, "joints"_a, "twists"_a, "duration"_a, "options"_a = rcs::VelocityOptions{},
+           "threads"_a = 1, "Advance many, joints (N, dof) at twists (N, 6).\n\nReturns what `inverse_batch` does.");
   nb::class_<rcs::DampedLeastSquares, rcs::Kinematics>(m, "DampedLeastSquares",
                                                        "Damped least squares on a chain of hinges and slides, with the "
                                                        "joint limits inside the solve. Several threads may use one "

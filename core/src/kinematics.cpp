@@ -54,8 +54,8 @@ void Kinematics::forward_batch(std::span<const double> joints, std::span<double>
 }
 
 void Kinematics::inverse_batch(std::span<const double> targets, std::span<const double> starts,
-                               const IkOptions& options, int, std::span<double> joints,
-                               std::span<std::uint8_t> status, std::span<double> errors) {
+                               const IkOptions& options, int, std::span<double> joints, std::span<std::uint8_t> status,
+                               std::span<double> errors) {
   solve_rows(targets, starts, options, 1, joints, status, errors);
 }
 

@@ -30,7 +30,9 @@ constexpr double kLean = 0.2;         // rad/rad; where such an arm's lean is da
 constexpr double kDeepest = 0.1;      // of the damping; an arm goes no nearer to a singular posture on its own
 constexpr double kNothing = 1e-12;    // rad/s, and rad to a limit
 
-double norm6(const Task& v) { return std::sqrt(norm3(v.data()) * norm3(v.data()) + norm3(v.data() + 3) * norm3(v.data() + 3)); }
+double norm6(const Task& v) {
+  return std::sqrt(norm3(v.data()) * norm3(v.data()) + norm3(v.data() + 3) * norm3(v.data() + 3));
+}
 
 // One posture, and how the joints may move there.
 class Posture {
@@ -149,7 +151,7 @@ class Posture {
   std::vector<char> is_free_;
   std::vector<double> jacobian_;
   Task weight_{};
-  Task least_{};  // eigenvalue at which damping begins
+  Task least_{};                                // eigenvalue at which damping begins
   std::array<double, kTask * kTask> factor_{};  // of the matrix without weights
   bool is_regular_ = false;                     // whether no direction is damped
   Spectrum spectrum_;
@@ -226,8 +228,7 @@ Velocities solve(Posture& posture, const std::vector<double>& q, const Range& ra
 // A pose after a motion along and about the axes of the base.
 Pose moved(const Pose& pose, const Task& motion) {
   const auto& at = pose.translation();
-  const Pose turned =
-      Pose::from_rotvec({}, {motion[3], motion[4], motion[5]}) * Pose({}, pose.quaternion());
+  const Pose turned = Pose::from_rotvec({}, {motion[3], motion[4], motion[5]}) * Pose({}, pose.quaternion());
   return Pose({at[0] + motion[0], at[1] + motion[1], at[2] + motion[2]}, turned.quaternion());
 }
 
@@ -320,8 +321,7 @@ IkResult Kinematics::advance(std::span<const double> joints, std::span<const dou
         const double room = ((v < 0.0 ? lower[c] : upper[c]) - q[c]) / v;
         time = std::min(time, std::max(room, 0.0));
       }
-      for (std::size_t c = 0; c < n; ++c)
-        candidate[c] = std::clamp(q[c] + time * found.joints[c], lower[c], upper[c]);
+      for (std::size_t c = 0; c < n; ++c) candidate[c] = std::clamp(q[c] + time * found.joints[c], lower[c], upper[c]);
       // The Jacobian has changed on the way; what the TCP misses by that is made up for.
       const Pose goal = moved(pose, scaled(posture.motion_of(found.joints), time));
       reached = forward(candidate);
@@ -334,8 +334,7 @@ IkResult Kinematics::advance(std::span<const double> joints, std::span<const dou
         std::fill(correction.begin(), correction.end(), 0.0);
         posture.add_motion(error, correction);
         if (!(fastest_of(correction) < kStride)) break;
-        for (std::size_t c = 0; c < n; ++c)
-          candidate[c] = std::clamp(candidate[c] + correction[c], lower[c], upper[c]);
+        for (std::size_t c = 0; c < n; ++c) candidate[c] = std::clamp(candidate[c] + correction[c], lower[c], upper[c]);
         reached = forward(candidate);
       }
       if (attempt > 0 || nearness > 2.0 * kDeepest) break;
@@ -384,8 +383,8 @@ void Kinematics::advance_batch(std::span<const double> starts, std::span<const d
   if (!(duration >= 0.0) || !std::isfinite(duration))
     throw InvalidSetup("velocity kinematics: the duration must be finite and not negative");
   over_rows(count, is_thread_safe() ? threads : 1, [&](std::size_t i) {
-    const IkResult result = advance(std::span(from).subspan(i * n, n), std::span(asked).subspan(i * kTask).first<6>(),
-                                    duration, options);
+    const IkResult result =
+        advance(std::span(from).subspan(i * n, n), std::span(asked).subspan(i * kTask).first<6>(), duration, options);
     std::copy(result.joints.begin(), result.joints.end(), joints.begin() + static_cast<std::ptrdiff_t>(i * n));
     status[i] = static_cast<std::uint8_t>(result.status);
     errors[2 * i] = result.translation_error;

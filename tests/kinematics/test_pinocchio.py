@@ -135,9 +135,7 @@ def test_a_seven_joint_arm_returns_to_the_preferred_joints(pair: Pair) -> None:
 def test_velocities_come_from_the_same_jacobian(pair: Pair) -> None:
     arm, own, other = pair
     home, twist = np.array(arm.home), np.array([0.05, -0.02, 0.04, 0.1, 0.0, -0.1])
-    np.testing.assert_allclose(
-        own.velocities(home, twist).joints, other.velocities(home, twist).joints, atol=1e-6
-    )
+    np.testing.assert_allclose(own.velocities(home, twist).joints, other.velocities(home, twist).joints, atol=1e-6)
 
 
 @extras

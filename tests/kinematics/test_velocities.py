@@ -148,7 +148,9 @@ def test_a_batch_is_a_loop_and_wild_twists_from_anywhere_stay_within_all_bounds(
     rng = np.random.default_rng(7)
     starts = random_of(arm, 3000)
     lower, upper = kinematics.joint_lower, kinematics.joint_upper
-    starts[::3] = np.where(rng.random(starts[::3].shape) < 0.4, np.clip(0.0, lower, upper), starts[::3])  # singular ones
+    starts[::3] = np.where(
+        rng.random(starts[::3].shape) < 0.4, np.clip(0.0, lower, upper), starts[::3]
+    )  # singular ones
     starts[::5] = np.where(rng.random(starts[::5].shape) < 0.5, lower, upper)
     twists = rng.normal(size=(len(starts), 6)) * 10.0 ** rng.uniform(-6, 3, (len(starts), 1))
     twists[::7, 3:] = 0.0

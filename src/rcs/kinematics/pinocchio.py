@@ -134,9 +134,7 @@ class PinocchioKinematics(Kinematics):
         status = IkStatus.clamped if is_far else IkStatus.ok
         return IkResult(answer.tolist(), status, found.translation, found.rotation, count[0])
 
-    def _attempt(
-        self, goal: Any, begin: Vector, max_step: ArrayLike, options: IkOptions, count: list[int]
-    ) -> _Search:
+    def _attempt(self, goal: Any, begin: Vector, max_step: ArrayLike, options: IkOptions, count: list[int]) -> _Search:
         """Go from joints towards a pose, by `max_step` at most."""
         bound = np.asarray(max_step, np.float64)
         search = _Search(begin.copy())
@@ -265,7 +263,9 @@ def _chain(
             order.append(joints.index(joint))
             reference = float(model.qpos0[model.jnt_qposadr[joint]])
             is_hinge = kind == mujoco.mjtJoint.mjJNT_HINGE
-            back = pin.SE3(pin.exp3(-reference * axis), np.zeros(3)) if is_hinge else pin.SE3(np.eye(3), -reference * axis)
+            back = (
+                pin.SE3(pin.exp3(-reference * axis), np.zeros(3)) if is_hinge else pin.SE3(np.eye(3), -reference * axis)
+            )
             fixed = back * pin.SE3(np.eye(3), -anchor)
     if len(order) != len(joints):
         raise InvalidSetup("inverse kinematics: a joint does not move the TCP; with Pinocchio every joint must")
