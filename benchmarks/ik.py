@@ -1,9 +1,9 @@
 """Inverse kinematics on random poses, checked independently.
 
 Reachable targets are the forward kinematics of joint vectors drawn uniformly inside the limits; every solve starts at
-home. So the orientation asked of an arm with five joints is one that it can take, too. Each answer is put into a model of its own and compared with its target; the reference time is
-one evaluation of MuJoCo's kinematics and Jacobian, in the same run. Where Pinocchio is installed (the extra
-`pinocchio`), its backend solves the same targets.
+home. So the orientation asked of an arm with five joints is one that it can take, too. Each answer is put into a model
+of its own and compared with its target; the reference time is one evaluation of MuJoCo's kinematics and Jacobian, in
+the same run. Where Pinocchio is installed (the extra `pinocchio`), its backend solves the same targets.
 
 Wild targets are mostly out of reach, and starts mostly at limits and in singular postures: there, with a bounded step,
 and for velocities, what counts is that answers are finite, inside the limits and the bound, and have a status.

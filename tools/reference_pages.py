@@ -69,7 +69,7 @@ MEANINGS = {  # keys of observations, then those of info
     "end": "why the step ended: `period`, `converged`, `interrupted`, `limit`, `diverged`, `fault`; after `step` only",
     "target": "what the action came to: absolute targets by key; after `step` only",
     "is_limited": "whether a joint target was cut to the robot's speed; after `step` only",
-    "ik_status": "result of the inverse kinematics, an `IkStatus`; with `tquat`, `xyzrpy` and `twist`, after `step` only",
+    "ik_status": "result of the inverse kinematics, an `IkStatus`; not with `joints`; after `step` only",
 }
 """What the keys of observations, actions and info are; a key that is missing here is an error."""
 

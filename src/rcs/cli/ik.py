@@ -98,6 +98,9 @@ def _print(console: Console, robot: RobotPlacement, kinematics: Kinematics, foun
 
 
 def _drawn(setup: Setup, joints: NDArray[np.float64]) -> NDArray[np.uint8]:
-    with rcs.make(setup, render_mode="rgb_array") as env:
+    env = rcs.make(setup, render_mode="rgb_array")
+    try:
         env.reset(options={"robot": {"joints": joints}})
         return env.render()
+    finally:
+        env.close()

@@ -160,8 +160,8 @@ class Setup:
                 raise InvalidSetup(f"{name} is {value!r}; valid: {', '.join(map(repr, get_args(options)))}.")
         if self.control == TWIST and self.relative != "last_step":
             raise InvalidSetup(
-                f"relative is {self.relative!r} and control is {TWIST!r}, a velocity that always moves the last target; "
-                "leave relative out."
+                f"relative is {self.relative!r} and control is {TWIST!r}, a velocity, which always moves the last "
+                "target; leave relative out."
             )
         if not (_is_number(self.physics_step) and 0 < self.physics_step <= 0.01):
             raise InvalidSetup(f"physics_step is {self.physics_step!r} s; valid is above 0 and up to 0.01 s.")

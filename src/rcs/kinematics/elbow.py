@@ -46,10 +46,10 @@ class Elbow:
         self._lower, self._upper = kinematics.joint_lower, kinematics.joint_upper
 
     def angle(self, joints: ArrayLike) -> float:
-        """Return the angle of the elbow [rad], -π … π: 0 above the line from shoulder to wrist, and growing by the
-        right-hand rule about it.
+        """Return the angle of the elbow [rad], -π … π.
 
-        An arm that is stretched, or whose wrist is right above its shoulder, has none: the number is then any.
+        It is 0 above the line from shoulder to wrist, and grows by the right-hand rule about that line. An arm that is
+        stretched, or whose wrist is right above its shoulder, has none: the number is then any.
 
         Args:
             joints: Joint positions [rad], shape (7,).
@@ -135,8 +135,9 @@ class Elbow:
         return None
 
     def direction(self, joints: ArrayLike) -> NDArray[np.float64]:
-        """Return the motion of the joints, of length 1 and shape (7,), that moves the elbow to greater angles and leaves
-        the TCP where it is.
+        """Return the motion of the joints that moves the elbow to greater angles and leaves the TCP where it is.
+
+        It has length 1 and shape (7,).
 
         Args:
             joints: Joint positions [rad], shape (7,).
@@ -147,8 +148,10 @@ class Elbow:
         return way if gained >= 0.0 else -way
 
     def _points(self, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-        """Return shoulder, elbow and wrist in the base frame [m]: the places on the axes of joints 2, 4 and 6 that are
-        nearest to the joints before them."""
+        """Return shoulder, elbow and wrist in the base frame [m].
+
+        They are on the axes of joints 2, 4 and 6, where these are nearest to the joints before them.
+        """
         jacobian = self._kinematics.jacobian(q)
         tcp = self._kinematics.forward(q).translation
         axes = jacobian[3:].T

@@ -110,8 +110,10 @@ class Quintic:
         return self._at(time, 3)
 
     def peaks(self) -> tuple[Numbers, Numbers, Numbers]:
-        """Return the largest speed, acceleration and jerk of each number on the way, without sign, (..., n) each; they
-        are looked for at a thousand times."""
+        """Return the largest speed, acceleration and jerk of each number on the way, without sign, (..., n) each.
+
+        They are looked for at a thousand times.
+        """
         moments = np.linspace(0.0, 1.0, 1000)
         most = [np.zeros(np.shape(self._coefficients[0])) for _ in range(3)]
         for moment in moments:
@@ -170,8 +172,10 @@ class PoseLine:
         return interpolate(self.start, self.end, minimum_jerk(x) if self._law == "minimum_jerk" else x)
 
     def twist(self, time: ArrayLike) -> Numbers:
-        """Return twists after times [s], shape (...): linear [m/s] and angular velocity [rad/s] along the axes of the
-        frame of the poses, (..., 6); 0 before the start and after the end."""
+        """Return twists after times [s], shape (...), as (..., 6): linear [m/s] and angular velocity [rad/s].
+
+        They are along and about the axes of the frame of the poses, and 0 before the start and after the end.
+        """
         now = np.asarray(time, np.float64)
         x = self._fraction(now)
         if self._law == "minimum_jerk":

@@ -75,7 +75,8 @@ class Reexecution(Derivation):
     control: Control | None = None
     """Control mode of the new actions; None for the recorded one."""
     relative: RelativeTo | None = None
-    """Reference of relative actions; None for absolute ones if `control` is given (a twist has none), else for the recorded one."""
+    """Reference of relative actions; None for absolute ones if `control` is given and not a twist, which has no other
+    than the last step, else for the recorded one."""
     tolerance: Tolerance = field(default_factory=Tolerance)
     grace: float = 1.0
     """How long to hold the last target if the task is not done yet [s]."""
