@@ -208,7 +208,8 @@ DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, cons
       is_blocked = true;
     }
     if (is_blocked && round < (options.best_effort ? n : 1)) continue;
-    if (stride.scale < 1.0) stride.stiffness = smallest_of(a, options.rotation_weight < 1.0 ? 3 : kTask);
+    if (options.best_effort && stride.scale < 1.0)
+      stride.stiffness = smallest_of(a, options.rotation_weight < 1.0 ? 3 : kTask);
     return stride;
   }
 }

@@ -1,7 +1,7 @@
 """Kinematics by Pinocchio, a second backend behind the same interface; `pip install 'robot-control-stack[pinocchio]'`.
 
 The chain comes from the compiled model of MuJoCo, joint by joint. Pinocchio's own reader of MJCF knows no includes and
-leaves out bodies without a word. Solved is in Python, which takes a hundred times as long as the built-in solver; it is
+leaves out bodies without a word. The solver is in Python and takes hundreds of times as long as the built-in one; it is
 there for those who go on with Pinocchio's model (`model`, `frame`), and to check one against the other.
 """
 
