@@ -47,7 +47,7 @@ class Options:
     """Threads of both; 0 for one per CPU that this process may use."""
     robot: str = "fr3"
     """The robot."""
-    control: Literal["joints", "tquat", "xyzrpy"] = "joints"
+    control: Literal["joints", "tquat", "xyzrpy", "twist"] = "joints"
     """What actions are."""
     setup: Literal["learning", "plain"] = "learning"
     """`learning` observes poses of objects and contacts and goes on after collisions; `plain` has the defaults."""

@@ -34,7 +34,7 @@ from rcs.sim.world import Stepping
 from rcs.tasks.lift_bar import MAX_YAW
 
 DOCS = Path(__file__).parents[1] / "docs"
-CONTROLS = ("joints", "tquat", "xyzrpy")
+CONTROLS = ("joints", "tquat", "xyzrpy", "twist")
 TASKS = ("PickCuboid", "Place", "StackCuboid", "Push", "PickToy", "LiftBar", "Free")
 NOTE = "<!-- Written by tools/reference_pages.py from the code; do not edit. -->\n"
 
@@ -69,7 +69,7 @@ MEANINGS = {  # keys of observations, then those of info
     "end": "why the step ended: `period`, `converged`, `interrupted`, `limit`, `diverged`, `fault`; after `step` only",
     "target": "what the action came to: absolute targets by key; after `step` only",
     "is_limited": "whether a joint target was cut to the robot's speed; after `step` only",
-    "ik_status": "result of the inverse kinematics, an `IkStatus`; with `tquat` and `xyzrpy`, after `step` only",
+    "ik_status": "result of the inverse kinematics, an `IkStatus`; not with `joints`; after `step` only",
 }
 """What the keys of observations, actions and info are; a key that is missing here is an error."""
 
@@ -184,7 +184,7 @@ def action_table(task: str, robot: str) -> str:
     """Return the keys of actions in every control mode, absolute and relative."""
     rows = []
     for control in CONTROLS:
-        for relative in ("last_step", "absolute"):
+        for relative in ("last_step", "absolute") if control != "twist" else ("last_step",):
             env = rcs.make(task, robot=robot, control=control, relative=relative)
             for path, box in leaves(env.action_space):
                 parts = path.split("/")

@@ -6,6 +6,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <optional>
 
@@ -32,6 +33,15 @@ struct PyKinematics : rcs::Kinematics {
                         const rcs::IkOptions& options) override {
     return call_override<rcs::IkResult>(nb_trampoline, "_inverse", "an IkResult", target, start, options);
   }
+  std::vector<double> jacobian(std::span<const double> joints) override {
+    const HeldGil gil;
+    constexpr const char* name = "_jacobian";
+    if (!PyObject_HasAttrString(nb_trampoline.base().type().ptr(), name)) return rcs::Kinematics::jacobian(joints);
+    const auto matrix = call_override<Rows>(nb_trampoline, name, "a float64 array (6, dof)", joints);
+    if (matrix.shape(0) != 6 || matrix.shape(1) != static_cast<std::size_t>(dof()))
+      throw rcs::InvalidSetup("_jacobian returned an array of a wrong shape; it must be (6, dof)");
+    return {matrix.data(), matrix.data() + matrix.size()};
+  }
 
  private:
   std::vector<double> limits(const char* name) const {
@@ -47,20 +57,57 @@ Array forward_rows(rcs::Kinematics& self, const Rows& joints) {
   return to_array(poses, {count, 7});
 }
 
+// What is returned for a batch: joints, status, errors.
+struct Answers {
+  Answers(std::size_t count, std::size_t n) : joints(count * n), status(count), errors(2 * count), shape{count, n} {}
+
+  nb::tuple take() {
+    auto* own = new std::vector<std::uint8_t>(std::move(status));
+    const nb::capsule owner(own, [](void* p) noexcept { delete static_cast<std::vector<std::uint8_t>*>(p); });
+    return nb::make_tuple(to_array(joints, {shape[0], shape[1]}),
+                          nb::ndarray<nb::numpy, std::uint8_t>(own->data(), {shape[0]}, owner),
+                          to_array(errors, {shape[0], 2}));
+  }
+
+  std::vector<double> joints;
+  std::vector<std::uint8_t> status;
+  std::vector<double> errors;
+  std::array<std::size_t, 2> shape;
+};
+
 nb::tuple inverse_rows(rcs::Kinematics& self, const Rows& targets, const Rows& starts, const rcs::IkOptions& options,
                        int threads) {
   const std::size_t count = targets.shape(0), n = static_cast<std::size_t>(self.dof());
   if (targets.shape(1) != 7 || starts.shape(0) != count || starts.shape(1) != n)
     throw rcs::InvalidSetup("inverse_batch: targets must be (N, 7) and starts (N, " + std::to_string(n) + ")");
-  std::vector<double> joints(count * n);
-  auto* status = new std::vector<std::uint8_t>(count);
-  const nb::capsule owner(status, [](void* p) noexcept { delete static_cast<std::vector<std::uint8_t>*>(p); });
+  Answers answers(count, n);
   {
     const ReleasedGil released;
-    self.inverse_batch({targets.data(), 7 * count}, {starts.data(), n * count}, options, threads, joints, *status);
+    self.inverse_batch({targets.data(), 7 * count}, {starts.data(), n * count}, options, threads, answers.joints,
+                       answers.status, answers.errors);
   }
-  return nb::make_tuple(to_array(joints, {count, n}),
-                        nb::ndarray<nb::numpy, std::uint8_t>(status->data(), {count}, owner));
+  return answers.take();
+}
+
+std::array<double, 6> to_twist(const Vector& twist) {
+  if (twist.shape(0) != 6) throw rcs::InvalidSetup("a twist must be 6 numbers: m/s and rad/s");
+  std::array<double, 6> copy;
+  std::copy_n(twist.data(), 6, copy.begin());
+  return copy;
+}
+
+nb::tuple advance_rows(rcs::Kinematics& self, const Rows& starts, const Rows& twists, double duration,
+                       const rcs::VelocityOptions& options, int threads) {
+  const std::size_t count = starts.shape(0), n = static_cast<std::size_t>(self.dof());
+  if (twists.shape(1) != 6 || twists.shape(0) != count || starts.shape(1) != n)
+    throw rcs::InvalidSetup("advance_batch: twists must be (N, 6) and joints (N, " + std::to_string(n) + ")");
+  Answers answers(count, n);
+  {
+    const ReleasedGil released;
+    self.advance_batch({starts.data(), n * count}, {twists.data(), 6 * count}, duration, options, threads,
+                       answers.joints, answers.status, answers.errors);
+  }
+  return answers.take();
 }
 
 std::vector<double> entries_of(const std::optional<Vector>& values) {
@@ -130,6 +177,44 @@ void bind_kinematics(nb::module_& m) {
               "against the end of the reach does not turn the tool, and a turn against a joint's limit does not move "
               "it.")
       .def_ro("seed", &rcs::IkOptions::seed, "Of the restarts: same seed, same answer.");
+  nb::class_<rcs::VelocityOptions>(m, "VelocityOptions", "How joints may move for a twist of the TCP.")
+      .def(
+          "__init__",
+          [](rcs::VelocityOptions* self, const std::optional<Vector>& max_velocity,
+             const std::optional<Vector>& preferred, double preferred_weight, double damping) {
+            rcs::VelocityOptions options{entries_of(max_velocity), entries_of(preferred), preferred_weight, damping};
+            if (!are_positive(options.max_velocity) || !are_finite(options.preferred) || !(preferred_weight >= 0) ||
+                !(damping > 0))
+              throw rcs::InvalidSetup(
+                  "VelocityOptions: max_velocity and damping must be positive, preferred_weight not negative, and "
+                  "preferred finite");
+            new (self) rcs::VelocityOptions(std::move(options));
+          },
+          nb::kw_only(), "max_velocity"_a = nb::none(), "preferred"_a = nb::none(), "preferred_weight"_a = 2.0,
+          "damping"_a = 0.03)
+      .def_prop_ro(
+          "max_velocity", [](const rcs::VelocityOptions& o) { return to_array(o.max_velocity); }, nb::rv_policy::move,
+          "Largest speed of each joint [rad/s], shape (dof,), or (0,) for no bound. All joints are slowed down alike, "
+          "so "
+          "that the TCP keeps its direction.")
+      .def_prop_ro(
+          "preferred", [](const rcs::VelocityOptions& o) { return to_array(o.preferred); }, nb::rv_policy::move,
+          "As in IkOptions: joints [rad] that an arm with more joints than it needs returns to, shape (dof,) or (0,).")
+      .def_ro("preferred_weight", &rcs::VelocityOptions::preferred_weight, "As in IkOptions.")
+      .def_ro("damping", &rcs::VelocityOptions::damping,
+              "How near a singular posture joints are slowed down [m/rad]: where the TCP moves by less than this when "
+              "the joints move by one radian, in the direction in which it does. No more than 1 / damping rad/s answer "
+              "to 1 m/s.");
+  nb::class_<rcs::Velocities>(m, "Velocities", "Joint velocities for a twist.")
+      .def_prop_ro(
+          "joints", [](const rcs::Velocities& v) { return to_array(v.joints); }, nb::rv_policy::move,
+          "rad/s, shape (dof,).")
+      .def_ro("status", &rcs::Velocities::status,
+              "`clamped`: slower, the same way; `nearest`: the TCP moves otherwise than asked.")
+      .def_ro("share", &rcs::Velocities::share, "Of the speed, 0 to 1; below 1 where a joint is as fast as it may be.")
+      .def_ro("translation_error", &rcs::Velocities::translation_error,
+              "m/s, between what is asked, at this share, and what the joints do.")
+      .def_ro("rotation_error", &rcs::Velocities::rotation_error, "rad/s, likewise.");
   nb::class_<rcs::IkResult>(m, "IkResult", "The answer of inverse kinematics.")
       .def(
           "__init__",
@@ -148,7 +233,9 @@ void bind_kinematics(nb::module_& m) {
   nb::class_<rcs::Kinematics, PyKinematics>(
       m, "Kinematics",
       "Kinematics of one arm: TCP pose in the base frame from joints, and back. Subclasses override `_dof`, "
-      "`_joint_lower`, `_joint_upper`, `_forward(joints)` and `_inverse(target, start, options)`.")
+      "`_joint_lower`, `_joint_upper`, `_forward(joints)` and `_inverse(target, start, options)`, and where they have "
+      "a "
+      "better one than finite differences `_jacobian(joints)`.")
       .def(nb::init<>())
       .def_prop_ro("dof", &rcs::Kinematics::dof)
       .def_prop_ro(
@@ -174,8 +261,32 @@ void bind_kinematics(nb::module_& m) {
       .def("forward_batch", &forward_rows, "joints"_a,
            "TCP poses (N, 7) in the base frame for joints (N, dof): translation [m], quaternion xyzw.")
       .def("inverse_batch", &inverse_rows, "targets"_a, "starts"_a, "options"_a = rcs::IkOptions{}, "threads"_a = 1,
-           "Solve for targets (N, 7) from starts (N, dof).\n\nReturns joints (N, dof) and IkStatus values (N,) uint8. "
-           "The GIL is released. Kinematics in Python take the rows one by one in the thread of the caller.");
+           "Solve for targets (N, 7) from starts (N, dof).\n\nReturns joints (N, dof), IkStatus values (N,) uint8, and "
+           "what is left of translation [m] and rotation [rad], (N, 2). The GIL is released. Kinematics in Python take "
+           "the rows one by one in the thread of the caller.")
+      .def(
+          "velocities",
+          [](rcs::Kinematics& self, const Vector& joints, const Vector& twist, const rcs::VelocityOptions& options) {
+            return self.velocities(to_span(joints), to_twist(twist), options);
+          },
+          "joints"_a, "twist"_a, "options"_a = rcs::VelocityOptions{},
+          "Joint velocities [rad/s] at joints (dof,) that move the TCP at a twist (6,): linear [m/s] and angular "
+          "velocity [rad/s] in the base frame.")
+      .def(
+          "advance",
+          [](rcs::Kinematics& self, const Vector& joints, const Vector& twist, double duration,
+             const rcs::VelocityOptions& options) {
+            return self.advance(to_span(joints), to_twist(twist), duration, options);
+          },
+          "joints"_a, "twist"_a, "duration"_a, "options"_a = rcs::VelocityOptions{},
+          "Joints after the TCP has moved from joints (dof,) at a twist (6,) for `duration` [s]: along a straight "
+          "line, "
+          "turning about one axis.\n\nThe errors are what the TCP's pose lacks of it. `clamped`: it went slower, the "
+          "same way, since a joint is as fast as it may be; `nearest`: a singular posture or a joint's limit made it "
+          "go "
+          "another way. Zero twist leaves joints within their limits as they are.")
+      .def("advance_batch", &advance_rows, "joints"_a, "twists"_a, "duration"_a, "options"_a = rcs::VelocityOptions{},
+           "threads"_a = 1, "Advance many, joints (N, dof) at twists (N, 6).\n\nReturns what `inverse_batch` does.");
   nb::class_<rcs::DampedLeastSquares, rcs::Kinematics>(m, "DampedLeastSquares",
                                                        "Damped least squares on a chain of hinges and slides, with the "
                                                        "joint limits inside the solve. Several threads may use one "

@@ -208,7 +208,8 @@ DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, cons
       is_blocked = true;
     }
     if (is_blocked && round < (options.best_effort ? n : 1)) continue;
-    if (stride.scale < 1.0) stride.stiffness = smallest_of(a, options.rotation_weight < 1.0 ? 3 : kTask);
+    if (options.best_effort && stride.scale < 1.0)
+      stride.stiffness = smallest_of(a, options.rotation_weight < 1.0 ? 3 : kTask);
     return stride;
   }
 }
@@ -330,9 +331,9 @@ IkResult DampedLeastSquares::inverse(const Pose& target, std::span<const double>
 
 void DampedLeastSquares::inverse_batch(std::span<const double> targets, std::span<const double> starts,
                                        const IkOptions& options, int threads, std::span<double> joints,
-                                       std::span<std::uint8_t> status) {
+                                       std::span<std::uint8_t> status, std::span<double> errors) {
   check_options(options);
-  solve_rows(targets, starts, options, threads, joints, status);
+  solve_rows(targets, starts, options, threads, joints, status, errors);
 }
 
 }  // namespace rcs

@@ -2,7 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <thread>
+
+#include "over_rows.hpp"
 
 namespace rcs {
 
@@ -53,15 +54,17 @@ void Kinematics::forward_batch(std::span<const double> joints, std::span<double>
 }
 
 void Kinematics::inverse_batch(std::span<const double> targets, std::span<const double> starts,
-                               const IkOptions& options, int, std::span<double> joints,
-                               std::span<std::uint8_t> status) {
-  solve_rows(targets, starts, options, 1, joints, status);
+                               const IkOptions& options, int, std::span<double> joints, std::span<std::uint8_t> status,
+                               std::span<double> errors) {
+  solve_rows(targets, starts, options, 1, joints, status, errors);
 }
 
 void Kinematics::solve_rows(std::span<const double> targets, std::span<const double> starts, const IkOptions& options,
-                            int threads, std::span<double> joints, std::span<std::uint8_t> status) {
+                            int threads, std::span<double> joints, std::span<std::uint8_t> status,
+                            std::span<double> errors) {
   const std::size_t n = static_cast<std::size_t>(dof()), count = status.size();
-  if (targets.size() != 7 * count || starts.size() != n * count || joints.size() != n * count)
+  if (targets.size() != 7 * count || starts.size() != n * count || joints.size() != n * count ||
+      errors.size() != 2 * count)
     throw InvalidSetup("inverse kinematics: targets, starts and outputs have different numbers of rows");
   // All poses are made first: a bad one throws here and not in a thread.
   std::vector<Pose> poses;
@@ -73,22 +76,14 @@ void Kinematics::solve_rows(std::span<const double> targets, std::span<const dou
   const std::vector<double> from(starts.begin(), starts.end());  // nobody writes to a copy once it is checked
   for (const double q : from)
     if (!std::isfinite(q)) throw InvalidSetup("inverse kinematics: a start joint is not finite");
-  const auto solve = [&](std::size_t first, std::size_t end) {
-    for (std::size_t i = first; i < end; ++i) {
-      const IkResult result = inverse(poses[i], std::span(from).subspan(i * n, n), options);
-      if (result.joints.size() != n) throw InvalidSetup("inverse kinematics: the answer has a wrong number of joints");
-      std::copy(result.joints.begin(), result.joints.end(), joints.begin() + static_cast<std::ptrdiff_t>(i * n));
-      status[i] = static_cast<std::uint8_t>(result.status);
-    }
-  };
-  // More threads than cores help nobody, and a machine may refuse to start them.
-  const std::size_t cores = std::max<std::size_t>(std::thread::hardware_concurrency(), 1);
-  const std::size_t workers = std::min({static_cast<std::size_t>(std::max(threads, 1)), cores, count});
-  if (workers <= 1) return solve(0, count);
-  std::vector<std::jthread> pool;
-  for (std::size_t w = 1; w < workers; ++w)
-    pool.emplace_back([&, w] { solve(count * w / workers, count * (w + 1) / workers); });
-  solve(0, count / workers);
+  over_rows(count, threads, [&](std::size_t i) {
+    const IkResult result = inverse(poses[i], std::span(from).subspan(i * n, n), options);
+    if (result.joints.size() != n) throw InvalidSetup("inverse kinematics: the answer has a wrong number of joints");
+    std::copy(result.joints.begin(), result.joints.end(), joints.begin() + static_cast<std::ptrdiff_t>(i * n));
+    status[i] = static_cast<std::uint8_t>(result.status);
+    errors[2 * i] = result.translation_error;
+    errors[2 * i + 1] = result.rotation_error;
+  });
 }
 
 }  // namespace rcs

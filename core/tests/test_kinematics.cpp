@@ -155,10 +155,40 @@ void a_batch_is_a_loop_at_any_number_of_threads() {
   for (const int threads : {1, 2, 4, 64}) {
     std::vector<double> joints(count * kDof);
     std::vector<std::uint8_t> status(count);
-    solver.inverse_batch(targets, starts, IkOptions{}, threads, joints, status);
+    std::vector<double> errors(2 * count);
+    solver.inverse_batch(targets, starts, IkOptions{}, threads, joints, status, errors);
     answers.push_back(joints);
     CHECK(answers.back() == answers.front());
   }
+}
+
+void velocities_move_the_tcp_at_the_twist_and_advancing_follows_it() {
+  DampedLeastSquares solver = make_solver();
+  std::mt19937 generator(9);
+  rcs::VelocityOptions options;
+  options.max_velocity.assign(kDof, 2.0);
+  const std::array<double, 6> twist = {0.02, -0.03, 0.01, 0.1, 0.0, -0.1};
+  int met = 0;
+  for (int round = 0; round < 50; ++round) {
+    const std::vector<double> start = random_joints(solver, generator);
+    const rcs::Velocities found = solver.velocities(start, twist, options);
+    const std::vector<double> jacobian = solver.jacobian(start);
+    for (const double v : found.joints) CHECK(std::abs(v) <= 2.0 + 1e-12);
+    const IkResult later = solver.advance(start, twist, 0.1, options);
+    CHECK(is_inside(solver, later.joints));
+    for (int i = 0; i < kDof; ++i) CHECK(std::abs(later.joints[i] - start[i]) <= 0.2 + 1e-12);
+    if (found.status == IkStatus::ok)
+      for (int r = 0; r < 6; ++r) {
+        double moved = 0.0;
+        for (int c = 0; c < kDof; ++c) moved += jacobian[r * kDof + c] * found.joints[c];
+        CHECK_NEAR(moved, twist[r], 1e-4);
+      }
+    if (later.status != IkStatus::ok) continue;
+    ++met;
+    const auto &before = solver.forward(start).translation(), &after = solver.forward(later.joints).translation();
+    for (int r = 0; r < 3; ++r) CHECK_NEAR(after[r] - before[r], 0.1 * twist[r], 1e-5);
+  }
+  CHECK(met > 10);
 }
 
 void one_solver_serves_many_threads() {
@@ -211,6 +241,7 @@ int main() {
   with_best_effort_a_pose_out_of_reach_gives_the_nearest();
   with_best_effort_no_joint_moves_farther_than_it_may();
   a_batch_is_a_loop_at_any_number_of_threads();
+  velocities_move_the_tcp_at_the_twist_and_advancing_follows_it();
   one_solver_serves_many_threads();
   what_makes_no_sense_is_refused();
   return rcs::test::result();

@@ -87,9 +87,9 @@ void one_solver_and_one_batch_of_targets_serve_all_threads() {
   }
   const std::vector<double> expected = solver.inverse(target, start, {}).joints;
   in_threads([&](int i) {
-    std::vector<double> joints(36);
+    std::vector<double> joints(36), errors(12);
     std::vector<std::uint8_t> status(6);
-    solver.inverse_batch(targets, starts, {}, 1 + i, joints, status);
+    solver.inverse_batch(targets, starts, {}, 1 + i, joints, status, errors);
     CHECK(std::equal(expected.begin(), expected.end(), joints.begin() + 30));
   });
 }

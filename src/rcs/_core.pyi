@@ -639,6 +639,58 @@ class IkOptions:
     def seed(self) -> int:
         """Of the restarts: same seed, same answer."""
 
+class VelocityOptions:
+    """How joints may move for a twist of the TCP."""
+
+    def __init__(self, *, max_velocity: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, preferred: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, preferred_weight: float = 2.0, damping: float = 0.03) -> None: ...
+
+    @property
+    def max_velocity(self) -> NDArray[numpy.float64]:
+        """
+        Largest speed of each joint [rad/s], shape (dof,), or (0,) for no bound. All joints are slowed down alike, so that the TCP keeps its direction.
+        """
+
+    @property
+    def preferred(self) -> NDArray[numpy.float64]:
+        """
+        As in IkOptions: joints [rad] that an arm with more joints than it needs returns to, shape (dof,) or (0,).
+        """
+
+    @property
+    def preferred_weight(self) -> float:
+        """As in IkOptions."""
+
+    @property
+    def damping(self) -> float:
+        """
+        How near a singular posture joints are slowed down [m/rad]: where the TCP moves by less than this when the joints move by one radian, in the direction in which it does. No more than 1 / damping rad/s answer to 1 m/s.
+        """
+
+class Velocities:
+    """Joint velocities for a twist."""
+
+    @property
+    def joints(self) -> NDArray[numpy.float64]:
+        """rad/s, shape (dof,)."""
+
+    @property
+    def status(self) -> IkStatus:
+        """
+        `clamped`: slower, the same way; `nearest`: the TCP moves otherwise than asked.
+        """
+
+    @property
+    def share(self) -> float:
+        """Of the speed, 0 to 1; below 1 where a joint is as fast as it may be."""
+
+    @property
+    def translation_error(self) -> float:
+        """m/s, between what is asked, at this share, and what the joints do."""
+
+    @property
+    def rotation_error(self) -> float:
+        """rad/s, likewise."""
+
 class IkResult:
     """The answer of inverse kinematics."""
 
@@ -664,7 +716,7 @@ class IkResult:
 
 class Kinematics:
     """
-    Kinematics of one arm: TCP pose in the base frame from joints, and back. Subclasses override `_dof`, `_joint_lower`, `_joint_upper`, `_forward(joints)` and `_inverse(target, start, options)`.
+    Kinematics of one arm: TCP pose in the base frame from joints, and back. Subclasses override `_dof`, `_joint_lower`, `_joint_upper`, `_forward(joints)` and `_inverse(target, start, options)`, and where they have a better one than finite differences `_jacobian(joints)`.
     """
 
     def __init__(self) -> None: ...
@@ -702,7 +754,26 @@ class Kinematics:
         """
         Solve for targets (N, 7) from starts (N, dof).
 
-        Returns joints (N, dof) and IkStatus values (N,) uint8. The GIL is released. Kinematics in Python take the rows one by one in the thread of the caller.
+        Returns joints (N, dof), IkStatus values (N,) uint8, and what is left of translation [m] and rotation [rad], (N, 2). The GIL is released. Kinematics in Python take the rows one by one in the thread of the caller.
+        """
+
+    def velocities(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], twist: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], options: VelocityOptions = ...) -> Velocities:
+        """
+        Joint velocities [rad/s] at joints (dof,) that move the TCP at a twist (6,): linear [m/s] and angular velocity [rad/s] in the base frame.
+        """
+
+    def advance(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], twist: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], duration: float, options: VelocityOptions = ...) -> IkResult:
+        """
+        Joints after the TCP has moved from joints (dof,) at a twist (6,) for `duration` [s]: along a straight line, turning about one axis.
+
+        The errors are what the TCP's pose lacks of it. `clamped`: it went slower, the same way, since a joint is as fast as it may be; `nearest`: a singular posture or a joint's limit made it go another way. Zero twist leaves joints within their limits as they are.
+        """
+
+    def advance_batch(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], twists: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], duration: float, options: VelocityOptions = ..., threads: int = 1) -> tuple:
+        """
+        Advance many, joints (N, dof) at twists (N, 6).
+
+        Returns what `inverse_batch` does.
         """
 
 class DampedLeastSquares(Kinematics):

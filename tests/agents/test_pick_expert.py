@@ -16,7 +16,8 @@ from rcs.rollout.episode import run_episode
 from rcs.spatial import Pose
 
 KINDS = [
-    (control, relative) for control in ("joints", "tquat", "xyzrpy") for relative in ("last_step", "origin", "absolute")
+    *((control, how) for control in ("joints", "tquat", "xyzrpy") for how in ("last_step", "origin", "absolute")),
+    ("twist", "last_step"),
 ]
 
 

@@ -49,6 +49,14 @@ class TestFreeWithPosesRelativeToAnOrigin(Made):
     options: ClassVar[dict[str, Any]] = {"task": "Free", "control": "tquat", "relative": "origin"}
 
 
+class TestPickCuboidWithTwists(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "PickCuboid", "control": "twist"}
+
+
+class TestTwoRobotsWithTwists(Made):
+    options: ClassVar[dict[str, Any]] = {"task": "Free", "robot": "dual_fr3", "control": "twist"}
+
+
 class TestFreeWithSynchronousSteps(Made):
     options: ClassVar[dict[str, Any]] = {"task": "Free", "stepping": "sync", "binary_gripper": False}
 

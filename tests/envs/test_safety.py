@@ -25,6 +25,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "absolute poses": {"task": "Free", "control": "tquat", "relative": False},
     "relative roll-pitch-yaw": {"task": "Free", "control": "xyzrpy"},
     "absolute roll-pitch-yaw": {"task": "Free", "control": "xyzrpy", "relative": False},
+    "velocities": {"task": "Free", "control": "twist"},
     "joints relative to an origin": {"task": "Free", "relative": "origin"},
     "poses relative to an origin": {"task": "Free", "control": "tquat", "relative": "origin"},
     "two robots by relative poses": {"task": "Free", "robot": "dual_fr3", "control": "tquat"},

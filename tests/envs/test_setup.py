@@ -13,8 +13,13 @@ from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.sim.randomisation import Randomisation
 
+
+def _made(control: Any, relative: Any, **options: Any) -> Setup:
+    return Setup(control=control, relative="last_step" if control == "twist" else relative, **options)
+
+
 SETUPS = st.builds(
-    Setup,
+    _made,
     task=st.sampled_from(["PickCuboid", "Free"]),
     end_effector=st.none() | st.just("franka_hand"),
     cameras=st.lists(st.sampled_from(["wrist", "side"]), unique=True).map(tuple),
@@ -22,7 +27,7 @@ SETUPS = st.builds(
     camera_fps=st.none() | st.floats(1.0, 90.0) | st.integers(1, 90),
     depth=st.booleans(),
     render_quality=st.sampled_from(["fast", "full"]),
-    control=st.sampled_from(["joints", "tquat", "xyzrpy"]),
+    control=st.sampled_from(["joints", "tquat", "xyzrpy", "twist"]),
     relative=st.sampled_from(["last_step", "origin", "absolute"]),
     binary_gripper=st.booleans(),
     frequency=st.floats(0.1, 100.0),
@@ -53,6 +58,12 @@ def test_a_setup_is_frozen_and_changed_with_replace() -> None:
 @pytest.mark.parametrize(("given", "relative"), [(True, "last_step"), (False, "absolute"), ("origin", "origin")])
 def test_relative_may_be_a_boolean(given: Any, relative: str) -> None:
     assert Setup(relative=given).relative == relative
+
+
+@pytest.mark.parametrize("relative", [False, "absolute", "origin"])
+def test_a_twist_is_relative_to_nothing_else_than_the_last_target(relative: Any) -> None:
+    with pytest.raises(InvalidSetup, match="always moves the last target; leave relative out"):
+        Setup(control="twist", relative=relative)
 
 
 @pytest.mark.parametrize(

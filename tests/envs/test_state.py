@@ -58,6 +58,15 @@ def test_every_task_goes_on_with_the_same_bits_in_another_environment(task: str)
 @pytest.mark.parametrize("control", ["joints", "tquat", "xyzrpy"])
 @pytest.mark.parametrize("stepping", ["async", "sync"])
 def test_every_control_goes_on_with_the_same_bits(control: Any, relative: Any, stepping: Any) -> None:
+    require_continuation(control, relative, stepping)
+
+
+@pytest.mark.parametrize("stepping", ["async", "sync"])
+def test_control_by_velocities_goes_on_with_the_same_bits(stepping: Any) -> None:
+    require_continuation("twist", "last_step", stepping)
+
+
+def require_continuation(control: Any, relative: Any, stepping: Any) -> None:
     env = rcs.make(setup_of("PickCuboid", control=control, relative=relative, stepping=stepping))
     env.reset(seed=1)
     actions = near(env, 3)
@@ -77,8 +86,8 @@ def near(env: Any, count: int) -> list[Any]:
     for _ in range(count):
         action = env.action_space.sample()
         key = env.setup.control
-        here = observation[key] if env.setup.relative == "absolute" else 0.0 * observation[key]
-        change = random.uniform(-0.01, 0.01, observation[key].shape)
+        here = observation[key] if env.setup.relative == "absolute" else np.zeros(action[key].shape)
+        change = random.uniform(-0.01, 0.01, action[key].shape)
         change[3:] *= key == "joints"
         action[key] = here + change
         if key == "tquat" and env.setup.relative != "absolute":

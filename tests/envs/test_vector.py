@@ -23,7 +23,9 @@ SETUPS: dict[str, dict[str, Any]] = {
     "absolute poses": {"control": "tquat", "relative": False},
     "relative roll-pitch-yaw": {"control": "xyzrpy"},
     "poses relative to an origin": {"control": "tquat", "relative": "origin"},
+    "velocities": {"control": "twist"},
     "synchronous": {"control": "joints", "stepping": "sync"},
+    "synchronous velocities": {"control": "twist", "stepping": "sync"},
 }
 
 

@@ -31,7 +31,7 @@ def follow(arm: tuple[ArmDescription, Kinematics], targets: Row, frequency: floa
     options = freedom_of(kinematics, best_effort=True, preferred=description.home, max_step=step)
     joints, found = [np.array(description.home)], []
     for target in targets:
-        solved, status = kinematics.inverse_batch(target[None], joints[-1][None], options)
+        solved, status, _ = kinematics.inverse_batch(target[None], joints[-1][None], options)
         joints.append(solved[0])
         found.append(status[0])
     return np.array(joints), np.array(found)

@@ -21,12 +21,13 @@ def test_at_least_99_percent_of_reachable_poses_are_solved_inside_the_limits(
 ) -> None:
     targets = solver.forward_batch(random_joints)
     starts = np.tile(HOME, (len(targets), 1))
-    joints, status = solver.inverse_batch(targets, starts, IkOptions())
+    joints, status, errors = solver.inverse_batch(targets, starts, IkOptions())
     is_solved = status == IkStatus.ok.value
     assert is_solved.mean() >= 0.99
     assert (joints >= solver.joint_lower).all()
     assert (joints <= solver.joint_upper).all()
     miss = distance(solver.forward_batch(joints), targets)[is_solved]
+    np.testing.assert_allclose(errors[is_solved], miss, atol=1e-7)
     assert miss[:, 0].max() <= 1e-4
     assert miss[:, 1].max() <= 2e-4
 
@@ -75,11 +76,12 @@ def test_a_batch_is_a_loop_at_any_number_of_threads(
     targets[3] = FAR.tquat
     starts = np.tile(HOME, (40, 1))
     options = IkOptions(restarts=3, max_step=np.full(7, 1.0), best_effort=is_followed, preferred=HOME)
-    joints, status = solver.inverse_batch(targets, starts, options, threads=threads)
+    joints, status, errors = solver.inverse_batch(targets, starts, options, threads=threads)
     for i, target in enumerate(targets):
         one = solver.inverse(Pose(target[:3], target[3:]), starts[i], options)
         np.testing.assert_array_equal(joints[i], one.joints)
         assert status[i] == one.status.value
+        np.testing.assert_array_equal(errors[i], [one.translation_error, one.rotation_error])
 
 
 @pytest.mark.parametrize(
@@ -186,7 +188,7 @@ def test_kinematics_written_in_python_have_batches_and_a_jacobian() -> None:
     joints = np.random.default_rng(0).uniform(-1, 1, (5, 3))
     poses = gantry.forward_batch(joints)
     np.testing.assert_array_equal(poses[:, :3], joints)
-    solved, status = gantry.inverse_batch(poses, np.zeros((5, 3)), threads=4)
+    solved, status, _ = gantry.inverse_batch(poses, np.zeros((5, 3)), threads=4)
     np.testing.assert_array_equal(solved, joints)
     assert (status == IkStatus.ok.value).all()
     np.testing.assert_allclose(gantry.jacobian(joints[0]), np.eye(6, 3), atol=1e-9)

@@ -34,6 +34,7 @@ SETUPS: dict[str, dict[str, Any]] = {
         "layers": ("rcs.envs.layers:ObserveTarget", "rcs.envs.layers:KeepTilt"),
         "observe": ("privileged",),
     },
+    "velocities": {"control": "twist", "observe": ("privileged",)},
     "nothing privileged": {"control": "joints", "relative": "absolute", "binary_gripper": False},
 }
 KINDS = pytest.mark.parametrize("kind", list(SETUPS))

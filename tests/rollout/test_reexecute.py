@@ -59,6 +59,7 @@ def test_recorded_actions_lead_to_the_very_same_rows(dataset: Path, tmp_path: Pa
         ("tquat", "last_step", np.inf),
         ("xyzrpy", "absolute", 4e-3),
         ("xyzrpy", "last_step", np.inf),
+        ("twist", "last_step", np.inf),
     ],
 )
 def test_in_every_control_mode_arms_go_where_they_went(

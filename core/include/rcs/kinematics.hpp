@@ -52,6 +52,28 @@ struct IkOptions {
   std::uint64_t seed = 0;  ///< of the restarts: same seed, same answer
 };
 
+/// How joints may move for a twist of the TCP.
+struct VelocityOptions {
+  /// Largest speed of each joint [rad/s], one entry per joint; empty for no bound. All joints are slowed down alike, so
+  /// that the TCP keeps its direction.
+  std::vector<double> max_velocity = {};
+  /// As in `IkOptions`.
+  std::vector<double> preferred = {};
+  double preferred_weight = 2.0;
+  /// How near a singular posture joints are slowed down [m/rad]: where the TCP moves by less than this when the joints
+  /// move by one radian, in the direction in which it does. No more than 1 / damping rad/s answer to 1 m/s.
+  double damping = 0.03;
+};
+
+/// Joint velocities for a twist.
+struct Velocities {
+  std::vector<double> joints;      ///< rad/s
+  IkStatus status = IkStatus::ok;  ///< `clamped`: slower, the same way; `nearest`: the TCP moves otherwise than asked
+  double share = 1.0;              ///< of the speed, 0 … 1; below 1 where a joint is as fast as it may be
+  double translation_error = 0.0;  ///< m/s, between what is asked, at this share, and what the joints do
+  double rotation_error = 0.0;     ///< rad/s, likewise
+};
+
 /// Kinematics of one arm: TCP pose in the base frame from joints, and back. Implementable in C++ and Python.
 class Kinematics {
  public:
@@ -71,14 +93,32 @@ class Kinematics {
   /// Many targets at once. Row i of every output depends on row i of the inputs alone, at any number of threads.
   ///
   /// `targets` is count × 7 (translation, quaternion xyzw), `starts` and `joints` are count × dof, `status` is count
-  /// long. Unless overridden, a loop in the thread of the caller.
+  /// long, `errors` count × 2: what is left of translation [m] and rotation [rad], as `IkResult` has it. Unless
+  /// overridden, a loop in the thread of the caller.
   virtual void inverse_batch(std::span<const double> targets, std::span<const double> starts, const IkOptions& options,
-                             int threads, std::span<double> joints, std::span<std::uint8_t> status);
+                             int threads, std::span<double> joints, std::span<std::uint8_t> status,
+                             std::span<double> errors);
+
+  /// Joint velocities that move the TCP at a twist: linear [m/s] above angular velocity [rad/s], in the base frame.
+  Velocities velocities(std::span<const double> joints, std::span<const double, 6> twist,
+                        const VelocityOptions& options);
+  /// Joints after the TCP has moved at a twist for `duration` [s]: along a straight line, turning about one axis. The
+  /// residual is what the TCP's pose lacks of it; `clamped` means that it went slower, the same way, `nearest` that a
+  /// singular posture or a joint's limit made it go another. Zero twist leaves joints within their limits as they are.
+  IkResult advance(std::span<const double> joints, std::span<const double, 6> twist, double duration,
+                   const VelocityOptions& options);
+  /// Many at once: `starts` and `joints` are count × dof, `twists` count × 6, the others as for `inverse_batch`. On one
+  /// thread unless several may call `forward` and `jacobian` at once.
+  void advance_batch(std::span<const double> starts, std::span<const double> twists, double duration,
+                     const VelocityOptions& options, int threads, std::span<double> joints,
+                     std::span<std::uint8_t> status, std::span<double> errors);
 
  protected:
+  /// Whether several threads may call at once.
+  virtual bool is_thread_safe() const { return false; }
   /// Solve the rows of a batch, whose shapes and numbers are checked, on at most `threads` threads.
   void solve_rows(std::span<const double> targets, std::span<const double> starts, const IkOptions& options,
-                  int threads, std::span<double> joints, std::span<std::uint8_t> status);
+                  int threads, std::span<double> joints, std::span<std::uint8_t> status, std::span<double> errors);
   /// Throws `InvalidSetup` for a wrong number of joints and for one that is not finite.
   void check_joints(std::span<const double> joints) const;
 };
@@ -107,7 +147,11 @@ class DampedLeastSquares final : public Kinematics {
   IkResult inverse(const Pose& target, std::span<const double> start, const IkOptions& options) override;
   std::vector<double> jacobian(std::span<const double> joints) override;
   void inverse_batch(std::span<const double> targets, std::span<const double> starts, const IkOptions& options,
-                     int threads, std::span<double> joints, std::span<std::uint8_t> status) override;
+                     int threads, std::span<double> joints, std::span<std::uint8_t> status,
+                     std::span<double> errors) override;
+
+ protected:
+  bool is_thread_safe() const override { return true; }
 
  private:
   /// What one call computes in.

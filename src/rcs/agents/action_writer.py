@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rcs.envs.layers.keep_tilt import KEPT
 from rcs.envs.setup import Setup
-from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, XYZYAW, Action, Observation
+from rcs.envs.spaces import GRIPPER, JOINTS, TQUAT, TWIST, XYZYAW, Action, Observation
 from rcs.kinematics import IkStatus, Kinematics, freedom_of
 from rcs.spatial import Pose, compose, inverse, limit_step, tquat_to_xyzrpy
 
@@ -20,7 +20,7 @@ MARGIN = 0.9
 
 
 class ActionWriter:
-    """Writes actions for one environment: joints or poses, absolute or relative, according to its setup.
+    """Writes actions for one environment: joints, poses or twists, absolute or relative, according to its setup.
 
     Under the layer `KeepTilt`, which tilts the tool itself, it writes what is left of a pose.
 
@@ -111,13 +111,17 @@ class ActionWriter:
         if self._setup.relative == "origin":
             action = difference(self._origin, tcp)
         elif self._setup.relative == "last_step":
-            # The bound of a quaternion's entry is that of the sine of half the angle.
+            # The bound of a quaternion's entry is that of the sine of half the angle, that of a twist is per second.
             turn = self._bound[3] if self._setup.control != TQUAT else 2 * np.arcsin(self._bound[3])
-            reached = limit_step(self._last, tcp, MARGIN * float(self._bound[0]), MARGIN * float(turn))
+            share = MARGIN / self._setup.frequency if self._setup.control == TWIST else MARGIN
+            reached = limit_step(self._last, tcp, share * float(self._bound[0]), share * float(turn))
             action = difference(self._last, reached)
             self._last = reached
         if self._setup.control == TQUAT:
             return action
+        if self._setup.control == TWIST:
+            # A twist turns about one axis, as the shortest way does; roll, pitch and yaw turn about three.
+            return self._setup.frequency * np.append(action[:3], Pose.from_tquat(action).rotvec)
         return tquat_to_xyzrpy(action)[KEPT] if self._name == XYZYAW else tquat_to_xyzrpy(action)
 
 

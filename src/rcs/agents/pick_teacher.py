@@ -96,7 +96,7 @@ class PickTeacher(Agent):
         is_grasped = observation[IS_GRASPED][..., 0] > 0
         goal, opens = self._goal(cuboid, observation[TQUAT], start, opening, is_grasped)
         target = self._towards(goal, start)
-        solved, _ = self._kinematics.inverse_batch(_rows(target), _rows(joints), self._options)
+        solved, *_ = self._kinematics.inverse_batch(_rows(target), _rows(joints), self._options)
         step = solved.reshape(joints.shape) - joints
         step = step / np.maximum(1.0, np.max(np.abs(step) / self._bound, axis=-1, keepdims=True))
         return {JOINTS: step, GRIPPER: opens.astype(np.float32)[..., None]}

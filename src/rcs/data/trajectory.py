@@ -21,7 +21,7 @@ OBSERVATION, ACTION, FRAMES = "observation", "action", "frames"
 
 # Joined in this order by default. Poses are left out, since they follow from the joints.
 _STATE_NAMES = ("joints", "gripper", "hand")
-_ACTION_NAMES = ("joints", "tquat", "xyzrpy", "gripper", "hand")
+_ACTION_NAMES = ("joints", "tquat", "xyzrpy", "twist", "gripper", "hand")
 
 
 @dataclass(frozen=True, kw_only=True)

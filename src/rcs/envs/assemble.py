@@ -24,6 +24,7 @@ from rcs.envs.layers import (
     LimitStep,
     PointClouds,
     Relative,
+    TwistControl,
     WristCamera,
     XyzrpyControl,
 )
@@ -35,7 +36,7 @@ from rcs.envs.randomiser import Randomiser
 from rcs.envs.scenario import Scenario
 from rcs.envs.setup import Setup
 from rcs.envs.sim_ports import SimArmPort, SimCameraPort, SimGripperPort, SimHandPort, SimTactilePort
-from rcs.envs.spaces import TQUAT, XYZRPY
+from rcs.envs.spaces import TQUAT, TWIST, XYZRPY
 from rcs.envs.stack import NAMELESS, Stack
 from rcs.envs.start import base_in_scene
 from rcs.envs.vector import VecEnv
@@ -374,7 +375,19 @@ def layers_of(setup: Setup, robot: RobotPlacement, *, threads: int = 1) -> list[
         kinematics = kinematics_of(robot.arm, robot.end_effector)
         bound = step if is_bounded else None
         layers.append(CartesianControl(kinematics, preferred=robot.arm.home, max_step=bound, threads=threads))
-    if setup.relative != "absolute":
+    if control == TWIST:
+        layers.append(
+            TwistControl(
+                kinematics_of(robot.arm, robot.end_effector),
+                frequency=setup.frequency,
+                joint_speed=robot.arm.velocity_limit,
+                translation_speed=robot.arm.tcp_speed,
+                rotation_speed=robot.arm.tcp_turn_speed,
+                preferred=robot.arm.home,
+                threads=threads,
+            )
+        )
+    elif setup.relative != "absolute":
         layers.append(
             Relative(
                 control,

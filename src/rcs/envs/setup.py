@@ -11,7 +11,7 @@ from typing import Any, Literal, TypedDict, get_args
 import numpy as np
 
 from rcs.envs.reward import RewardKind
-from rcs.envs.spaces import Control, Observed
+from rcs.envs.spaces import TWIST, Control, Observed
 from rcs.errors import InvalidSetup, require_fields
 from rcs.robots.camera_mode import parse_mode
 from rcs.sim.camera import MAX_SIZE, Quality
@@ -81,9 +81,11 @@ class Setup:
     """Whether a simulated arm that collides goes into its fault state, as the real one does, at its own limits: the
     episode ends as `fault`. Turn it off for learning by trial and error."""
     control: Control = "joints"
-    """An arm's action: joint positions, or the TCP pose with a quaternion or with roll, pitch, yaw."""
+    """An arm's action: joint positions; the TCP pose with a quaternion or with roll, pitch, yaw; or a twist, the TCP's
+    linear [m/s] and angular velocity [rad/s]."""
     relative: RelativeTo = "last_step"
-    """Reference of an arm's action: the last target, an origin set by the user, or none."""
+    """Reference of an arm's action: the last target, an origin set by the user, or none. A twist always moves the last
+    target."""
     binary_gripper: bool = True
     """Whether the gripper only opens and closes fully."""
     layers: tuple[str, ...] = ()
@@ -156,6 +158,11 @@ class Setup:
             value = getattr(self, name)
             if value not in get_args(options):
                 raise InvalidSetup(f"{name} is {value!r}; valid: {', '.join(map(repr, get_args(options)))}.")
+        if self.control == TWIST and self.relative != "last_step":
+            raise InvalidSetup(
+                f"relative is {self.relative!r} and control is {TWIST!r}, a velocity, which always moves the last "
+                "target; leave relative out."
+            )
         if not (_is_number(self.physics_step) and 0 < self.physics_step <= 0.01):
             raise InvalidSetup(f"physics_step is {self.physics_step!r} s; valid is above 0 and up to 0.01 s.")
         highest = 1 / self.physics_step

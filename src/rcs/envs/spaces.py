@@ -6,6 +6,7 @@
 | `tquat` | (7,) float64 | TCP translation m, quaternion xyzw |
 | `xyzrpy` | (6,) float64 | TCP translation m, roll-pitch-yaw rad (extrinsic xyz) |
 | `xyzyaw` | (4,) float64 | change of the TCP's translation m and of its yaw rad, with the layer `KeepTilt` |
+| `twist` | (6,) float64 | velocity of the TCP, in the base frame: linear m/s, angular rad/s |
 | `joint_velocities` | (dof,) float64 | rad/s |
 | `gripper` | (1,) float32 | 0 closed … 1 open |
 | `hand` | (n,) float32 | normalised joints 0 … 1 |
@@ -41,7 +42,7 @@ from rcs._core import clip_rows
 from rcs.errors import InvalidAction
 from rcs.spatial.pinhole import COEFFICIENTS
 
-Control = Literal["joints", "tquat", "xyzrpy"]
+Control = Literal["joints", "tquat", "xyzrpy", "twist"]
 """Kind of an arm's action."""
 
 Observed = Literal["torques", "wrench", "contacts", "privileged"]
@@ -60,6 +61,7 @@ JOINTS = "joints"
 TQUAT = "tquat"
 XYZRPY = "xyzrpy"
 XYZYAW = "xyzyaw"
+TWIST = "twist"
 JOINT_VELOCITIES = "joint_velocities"
 GRIPPER = "gripper"
 HAND = "hand"
@@ -89,6 +91,7 @@ UNITS = {
     TQUAT: "m, xyzw",
     XYZRPY: "m, rad",
     XYZYAW: "m, rad",
+    TWIST: "m/s, rad/s",
     JOINT_VELOCITIES: "rad/s",
     JOINT_TORQUES: "Nm",
     TCP_WRENCH: "N, Nm",

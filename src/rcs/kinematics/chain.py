@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args, overload
+
 import mujoco
 
-from rcs._core import DampedLeastSquares
+from rcs._core import DampedLeastSquares, Kinematics
+from rcs.errors import InvalidSetup
 from rcs.robots.description import ArmDescription, Description, GripperDescription, HandDescription, Mount
 from rcs.spatial import xyzw_to_wxyz
 
@@ -13,6 +16,9 @@ GRIPPER_PREFIX = "gripper/"
 
 EndEffector = GripperDescription | HandDescription
 """An end effector."""
+
+Backend = Literal["mujoco", "pinocchio"]
+"""Who computes: the built-in solver on the chain of MuJoCo's model, or Pinocchio on the same chain, an extra."""
 
 
 def load(description: Description) -> mujoco.MjSpec:
@@ -50,25 +56,41 @@ def mount_frame(body: mujoco.MjsBody, mount: Mount, *, inside: mujoco.MjsFrame |
     return frame
 
 
-def kinematics_of(arm: ArmDescription, gripper: EndEffector | None = None) -> DampedLeastSquares:
+@overload
+def kinematics_of(
+    arm: ArmDescription, gripper: EndEffector | None = None, *, backend: Literal["mujoco"] = "mujoco"
+) -> DampedLeastSquares: ...
+@overload
+def kinematics_of(arm: ArmDescription, gripper: EndEffector | None = None, *, backend: Backend) -> Kinematics: ...
+def kinematics_of(
+    arm: ArmDescription, gripper: EndEffector | None = None, *, backend: Backend = "mujoco"
+) -> Kinematics:
     """Make the kinematics of an arm: of its TCP with a gripper, of its flange without.
 
     Args:
         arm: The arm.
         gripper: The gripper or hand at its flange.
+        backend: `mujoco` for the built-in solver; `pinocchio` for a slower one, an extra.
 
     Returns:
         A new solver, which several threads may use.
+
+    Raises:
+        InvalidSetup: There is no such backend.
+        MissingDependency: Pinocchio is not installed.
     """
+    if backend not in get_args(Backend):
+        raise InvalidSetup(f"backend is {backend!r}; valid: {', '.join(map(repr, get_args(Backend)))}.")
     spec = load(arm)
     tcp = arm.flange_site
     if gripper is not None:
         attach_end_effector(spec, arm, gripper)
         tcp = GRIPPER_PREFIX + gripper.tcp_site
     model = spec.compile()
-    return DampedLeastSquares(
-        model,
-        [model.joint(name).id for name in arm.joints],
-        model.site(tcp).id,
-        model.body(arm.base_body).id,
-    )
+    joints = [model.joint(name).id for name in arm.joints]
+    site, base = model.site(tcp).id, model.body(arm.base_body).id
+    if backend == "mujoco":
+        return DampedLeastSquares(model, joints, site, base)
+    from rcs.kinematics.pinocchio import PinocchioKinematics
+
+    return PinocchioKinematics(model, joints, site, base)

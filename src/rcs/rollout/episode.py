@@ -11,7 +11,7 @@ import numpy as np
 from rcs.agents import Agent
 from rcs.envs.engine import DIVERGED, FAULT
 from rcs.envs.env import Env
-from rcs.envs.spaces import Observation
+from rcs.envs.spaces import TWIST, Observation
 from rcs.errors import InvalidSetup
 
 OPEN = 0.5
@@ -120,7 +120,7 @@ def _steps_per_decision(env: Env, agent: Agent) -> int:
             f"{type(agent).__name__} decides at {agent.rate:g} Hz and the environment steps at {env.frequency:g} Hz; "
             "its frequency must be a multiple of the agent's rate."
         )
-    if every > 1 and env.setup.relative == "last_step":
+    if every > 1 and env.setup.relative == "last_step" and env.setup.control != TWIST:
         raise InvalidSetup(
             f"{type(agent).__name__} decides at {agent.rate:g} Hz; in between its actions are repeated, and those "
             "relative to the last step would add up. Use relative='absolute' or 'origin'."

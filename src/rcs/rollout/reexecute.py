@@ -67,7 +67,7 @@ class Reexecution(Derivation):
     """Executes the actions of every episode from its first state, and records the result.
 
     In another control mode, actions are computed from the joint targets that were sent to the devices: the targets
-    themselves, or the TCP poses at them.
+    themselves, or the TCP poses at them, or the twists that lead there.
     """
 
     kind = "actions"
@@ -75,7 +75,8 @@ class Reexecution(Derivation):
     control: Control | None = None
     """Control mode of the new actions; None for the recorded one."""
     relative: RelativeTo | None = None
-    """Reference of relative actions; None for absolute ones if `control` is given, else for the recorded one."""
+    """Reference of relative actions; None for absolute ones if `control` is given and not a twist, which has no other
+    than the last step, else for the recorded one."""
     tolerance: Tolerance = field(default_factory=Tolerance)
     grace: float = 1.0
     """How long to hold the last target if the task is not done yet [s]."""
@@ -99,7 +100,8 @@ class Reexecution(Derivation):
         require_states(dataset)
         physics, before = physics_of(dataset, trust=self.trust), setup_of(dataset, trust=self.trust)
         require_rate(dataset, physics)
-        relative = self.relative or ("absolute" if self.control is not None else before.relative)
+        otherwise = "last_step" if self.control == keys.TWIST else "absolute"
+        relative = self.relative or (otherwise if self.control is not None else before.relative)
         setup = replace(before, control=self.control or before.control, relative=relative)
         return Stage.of(physics, setup, self.look)
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from rcs.envs.chain import Chain
 from rcs.envs.env import Env
-from rcs.envs.layers import Relative
-from rcs.envs.spaces import GRIPPER, HAND, JOINTS, XYZRPY
+from rcs.envs.layers import Relative, TwistControl
+from rcs.envs.spaces import GRIPPER, HAND, JOINTS, TQUAT, TWIST
 
 Action = dict[str, Any]
 
@@ -51,7 +51,7 @@ def _act(env: Env, observation: Mapping[str, Any], *, moves: bool) -> Action:
 
 
 def _act_of_one(stack: Chain, observation: Mapping[str, Any], *, moves: bool) -> Action:
-    is_relative = any(isinstance(layer, Relative) for layer in stack.layers)
+    is_relative = any(isinstance(layer, Relative | TwistControl) for layer in stack.layers)
     action: Action = {}
     for key, box in stack.action_spaces.items():
         assert isinstance(box, spaces.Box)
@@ -62,9 +62,9 @@ def _act_of_one(stack: Chain, observation: Mapping[str, Any], *, moves: bool) ->
             if moves:
                 value[0] = min(box.high[0], 0.2) if is_relative else value[0] + 0.5
         else:
-            nothing = np.zeros(box.shape) if key == XYZRPY else np.array([0.0] * 6 + [1.0])
+            nothing = np.array([0.0] * 6 + [1.0]) if key == TQUAT else np.zeros(box.shape)
             value = nothing if is_relative else np.array(observation[key])
             if moves:
-                value[1] += 0.05
+                value[1] += box.high[1] if key == TWIST else 0.05
         action[key] = np.clip(value, box.low, box.high).astype(box.dtype)
     return action

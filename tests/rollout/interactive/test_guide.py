@@ -31,8 +31,13 @@ def run(session: Session, seconds: float) -> None:
     assert not session.problem
 
 
-@pytest.mark.parametrize("relative", ["last_step", "origin", "absolute"])
-@pytest.mark.parametrize("control", ["joints", "tquat", "xyzrpy"])
+@pytest.mark.parametrize(
+    ("control", "relative"),
+    [
+        *((control, how) for control in ("joints", "tquat", "xyzrpy") for how in ("last_step", "origin", "absolute")),
+        ("twist", "last_step"),
+    ],
+)
 def test_the_tcp_arrives_where_the_target_is_dragged(control: Any, relative: Any) -> None:
     with quick(control=control, relative=relative) as (session, guide):
         goal = guide.tcp_in_scene

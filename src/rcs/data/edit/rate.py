@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from rcs.data.flags import FrameFlag, camera_of
 from rcs.data.info import DatasetInfo
 from rcs.data.output import OnProgress
 from rcs.errors import InvalidSetup
-from rcs.spatial import compose, normalize, tquat_to_xyzrpy, xyzrpy_to_tquat
+from rcs.spatial import Pose, compose, normalize, tquat_to_xyzrpy, xyzrpy_to_tquat
 
 
 def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | None = None) -> None:
@@ -27,7 +28,7 @@ def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | No
 
     A new step ends at the nearest old row; the last row always stays. Its action combines those of the steps it
     replaces: the last one if targets are absolute; if they are relative to the step before, their sum, with rotations
-        composed. Rewards are summed, and flags are combined by or.
+    composed; of velocities the mean. Rewards are summed, and flags are combined by or.
 
     Args:
         path: The dataset.
@@ -74,8 +75,8 @@ def resampled(rows: pa.Table, info: DatasetInfo, frequency: float) -> pa.Table:
     is_relative = info.setup.get("relative") == "last_step"
     for feature in info.features:
         column = rows.column(feature.key).combine_chunks()
-        if feature.key.startswith("action/") and is_relative and feature.key.split("/")[-1] in _TOGETHER:
-            columns[feature.key] = _together(column, feature, kept)
+        if feature.key.startswith("action/") and is_relative and feature.key.split("/")[-1] in (*_TOGETHER, TWIST):
+            columns[feature.key] = _together(column, feature, kept, info.frequency)
         elif feature.key in ("reward", "time/period"):
             columns[feature.key] = _summed(column, kept)
         elif feature.key in ("terminated", "truncated"):
@@ -148,13 +149,24 @@ def _xyzrpy(steps: NDArray[np.float64]) -> NDArray[np.float64]:
     return tquat_to_xyzrpy(_tquat(xyzrpy_to_tquat(steps)))
 
 
+def _twist(steps: NDArray[np.float64], frequency: float) -> NDArray[np.float64]:
+    # Turns about different axes do not add up, so they are composed as those of poses are.
+    turn = Pose()
+    for step in steps:
+        turn = Pose.from_rotvec([0.0, 0.0, 0.0], step[3:] / frequency) * turn
+    return np.concatenate([steps[:, :3].mean(axis=0), turn.rotvec * frequency / len(steps)])
+
+
+TWIST = "twist"
+
 _TOGETHER: dict[str, Any] = {"joints": _joints, "tquat": _tquat, "xyzrpy": _xyzrpy}
 """How to combine several relative actions, by the last word of their key."""
 
 
-def _together(column: pa.Array, feature: Feature, kept: NDArray[np.int64]) -> pa.Array:
+def _together(column: pa.Array, feature: Feature, kept: NDArray[np.int64], frequency: float) -> pa.Array:
     values = flat_numbers(column).reshape(len(column), -1)
-    do = _TOGETHER[feature.key.split("/")[-1]]
+    name = feature.key.split("/")[-1]
+    do = functools.partial(_twist, frequency=frequency) if name == TWIST else _TOGETHER[name]
     whole = np.zeros((len(kept), feature.size), feature.numpy_dtype)
     for i, group in enumerate(_groups(kept)):
         whole[i + 1] = do(values[group].astype(np.float64))

@@ -34,7 +34,12 @@ MOST_STEPS = 1 << 18
 """Longer episodes are not shown: at 30 Hz these are two hours and a half."""
 # More numbers than these are thinned out; each takes 32 bytes in Python and ten in the page.
 _MOST_NUMBERS = 1_000_000
-_POSE_NAMES = {"tquat": "x y z qx qy qz qw", "xyzrpy": "x y z roll pitch yaw", "quaternion": "x y z w"}
+_POSE_NAMES = {
+    "tquat": "x y z qx qy qz qw",
+    "xyzrpy": "x y z roll pitch yaw",
+    "twist": "vx vy vz wx wy wz",
+    "quaternion": "x y z w",
+}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,6 +13,7 @@ from rcs.envs.layers.limit_step import LimitStep as LimitStep
 from rcs.envs.layers.observe_target import ObserveTarget as ObserveTarget
 from rcs.envs.layers.point_clouds import PointClouds as PointClouds
 from rcs.envs.layers.relative import Relative as Relative
+from rcs.envs.layers.twist import TwistControl as TwistControl
 from rcs.envs.layers.wrapper import LayerWrapper as LayerWrapper
 from rcs.envs.layers.wrist_camera import WristCamera as WristCamera
 from rcs.envs.layers.xyzrpy import XyzrpyControl as XyzrpyControl

@@ -83,7 +83,7 @@ class CartesianControl(Layer):
         rows = normalize(target).reshape(-1, 7)
         starts = self._joints.reshape(len(rows), -1)
         threads = min(self._threads, max(1, len(rows) // ROWS_PER_THREAD))
-        joints, status = self._kinematics.inverse_batch(rows, starts, self._options, threads)
+        joints, status, _ = self._kinematics.inverse_batch(rows, starts, self._options, threads)
         solved = joints.reshape(self._joints.shape)
         self._solved = solved, rows.reshape(target.shape), status.reshape(target.shape[:-1])
         mapped: Action = {(JOINTS if key == TQUAT else key): value for key, value in action.items()}

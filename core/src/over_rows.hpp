@@ -1,0 +1,27 @@
+// Rows of a batch, shared out among threads.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <thread>
+#include <vector>
+
+namespace rcs {
+
+/// Call `solve(i)` for all rows below `count`, on at most `threads` threads. On more than one it must not throw.
+template <typename Solve>
+void over_rows(std::size_t count, int threads, const Solve& solve) {
+  const auto solve_from = [&](std::size_t first, std::size_t end) {
+    for (std::size_t i = first; i < end; ++i) solve(i);
+  };
+  // More threads than cores help nobody, and a machine may refuse to start them.
+  const std::size_t cores = std::max<std::size_t>(std::thread::hardware_concurrency(), 1);
+  const std::size_t workers = std::min({static_cast<std::size_t>(std::max(threads, 1)), cores, count});
+  if (workers <= 1) return solve_from(0, count);
+  std::vector<std::jthread> pool;
+  for (std::size_t w = 1; w < workers; ++w)
+    pool.emplace_back([&, w] { solve_from(count * w / workers, count * (w + 1) / workers); });
+  solve_from(0, count / workers);
+}
+
+}  // namespace rcs
