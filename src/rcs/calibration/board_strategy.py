@@ -43,6 +43,7 @@ class BoardStrategy(CalibrationStrategy):
         self.wanted = views
         self.views: list[View] = []
         """What was seen."""
+        self._boards: list[NDArray[np.float64]] = []
         self._joints: list[NDArray[np.float64]] = []
         self._looked = 0
         self._rng = np.random.default_rng(seed)
@@ -54,6 +55,7 @@ class BoardStrategy(CalibrationStrategy):
         if not len(found):
             return False
         self.views.append(View(flange_in_base=self.rig.kinematics.forward(joints), detections=found))
+        self._boards.append(board_poses(self.board, found, self.rig.intrinsics)[0].board_in_camera)
         self._joints.append(np.array(joints, np.float64))
         return True
 
@@ -89,10 +91,8 @@ class BoardStrategy(CalibrationStrategy):
             return None if near is None else Guess(self.rig.camera_in_mount, near)
         camera = self.rig.camera_in_mount
         anchors = np.array([view.anchor_in_mount(self.rig.arrangement) for view in self.views])
-        boards = np.array(
-            [board_poses(self.board, view.detections, self.rig.intrinsics)[0].board_in_camera for view in self.views]
-        )
-        guess = Guess(camera, rigid(middle_pose(board_in_anchor(camera.matrix, anchors, boards))))
+        boards = board_in_anchor(camera.matrix, anchors, np.array(self._boards))
+        guess = Guess(camera, rigid(middle_pose(boards)))
         if len(self.views) < ENOUGH:
             return guess
         seen = Sightings.of(self.board, self.views, self.rig.arrangement, self.rig.intrinsics)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,10 @@ class Detections:
     corners: NDArray[np.float64]
     """Their corners [px], (n, 4, 2): top left, top right, bottom right, bottom left as printed. The centre of the top
     left pixel is (0, 0)."""
+    _rays: dict[Intrinsics, NDArray[np.float64]] = field(
+        default_factory=dict[Intrinsics, NDArray[np.float64]], init=False, repr=False
+    )
+    """What `rays` has returned: taking out the distortion takes time."""
 
     def __len__(self) -> int:
         """Return the number of tags."""
@@ -47,9 +51,12 @@ class Detections:
         Args:
             intrinsics: Of the picture; its distortion is taken out.
         """
-        focal, centre = np.array([intrinsics.fx, intrinsics.fy]), np.array([intrinsics.cx, intrinsics.cy])
-        seen = (self.corners - centre) / focal
-        return undistort(seen, intrinsics.distortion) if intrinsics.is_distorted and len(self) else seen
+        if intrinsics not in self._rays:
+            focal, centre = np.array([intrinsics.fx, intrinsics.fy]), np.array([intrinsics.cx, intrinsics.cy])
+            seen = (self.corners - centre) / focal
+            is_bent = intrinsics.is_distorted and len(self) > 0
+            self._rays[intrinsics] = undistort(seen, intrinsics.distortion) if is_bent else seen
+        return self._rays[intrinsics]
 
 
 def detect(board: Board, picture: ArrayLike) -> Detections:

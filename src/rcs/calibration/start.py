@@ -14,7 +14,7 @@ from rcs.calibration.rig import Arrangement, View
 from rcs.errors import InvalidSetup
 from rcs.spatial import Intrinsics
 
-TRIES = 300
+TRIES = 120
 """Triples of views that are tried. With a third of them wrong or flipped, one in three triples is right."""
 NEAR = 30.0
 """Error of a tag up to which it counts for a start, which is coarse [px]."""
