@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcs.calibration.board import Board
-from rcs.calibration.board_pose import board_poses
-from rcs.calibration.closed_form import rigid
 from rcs.calibration.fit import Guess, Sightings, clustered_covariance, moved_by, refine, tag_errors
 from rcs.calibration.motion import motions
 from rcs.calibration.rig import Arrangement, View
 from rcs.calibration.start import start
+from rcs.calibration.verify import board_offset
 from rcs.errors import InvalidSetup
 from rcs.spatial import Intrinsics, Pose
 
@@ -186,14 +185,11 @@ def _jackknife(guess: Guess, without: Sequence[Guess]) -> NDArray[np.float64]:
 def _board_error(
     held_out: _HeldOut, board: Board, view: View, arrangement: Arrangement, intrinsics: Intrinsics, seen: Sightings
 ) -> tuple[float, float]:
-    """Return how far the board in a view is from where it is expected [mm, degrees]."""
+    """Return how far the board in a view is from where it is expected [mm, degrees], by the tags that are right."""
     right = np.isin(view.detections.ids, seen.ids[seen.view == held_out.view])
-    expected = held_out.guess.boards_in_camera(view.anchor_in_mount(arrangement))
-    found = [one.board_in_camera for one in board_poses(board, view.detections[right], intrinsics)]
-    # A flipped board is an error of that picture alone: the one that is meant is the nearer one.
-    off = [moved_by(rigid(expected), rigid(one)) for one in found]
-    nearest = min(off, key=lambda step: float(np.linalg.norm(step[3:])))
-    return 1000 * float(np.linalg.norm(nearest[:3])), float(np.rad2deg(np.linalg.norm(nearest[3:])))
+    return board_offset(
+        held_out.guess, board, replace(view, detections=view.detections[right]), arrangement, intrinsics
+    )
 
 
 def _check_lens(guess: Guess, seen: Sightings) -> tuple[float, tuple[float, float], tuple[str, ...]]:

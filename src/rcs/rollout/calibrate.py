@@ -11,12 +11,16 @@ from numpy.typing import NDArray
 from rcs.calibration import CalibrationStrategy, HandEye, IsFree
 from rcs.envs.by_robot import by_robot, joined
 from rcs.envs.env import Env
-from rcs.envs.spaces import DISTORTION, FRAMES, GRIPPER, HAND, INTRINSICS, JOINTS, RGB, Observation
+from rcs.envs.spaces import DISTORTION, FRAMES, INTRINSICS, JOINTS, RGB, Observation
 from rcs.errors import InvalidSetup, WrongOrder
+from rcs.setups.mounted_camera import MountedCamera
 from rcs.spatial import Intrinsics
 
 Confirm = Callable[[NDArray[np.float64], NDArray[np.float64]], bool]
 """Asks a person whether the arm may go from joints to joints [rad]."""
+
+OnLook = Callable[[CalibrationStrategy, bool], None]
+"""Is told after every picture, with whether it is of use."""
 
 ARRIVED = 3e-3
 """Largest distance of a joint from its target at arrival [rad]."""
@@ -35,25 +39,44 @@ def calibrate(
     speed: float = 0.5,
     is_free: IsFree | None = None,
     confirm: Confirm | None = None,
-    on_look: Callable[[CalibrationStrategy, bool], None] | None = None,
+    on_look: OnLook | None = None,
 ) -> HandEye:
-    """Calibrate a camera.
+    """Calibrate a camera: `look_around`, and then solve.
 
     Args:
         env: An environment with absolute joint targets that observes the camera; it is reset.
         strategy: What to look at and where to go.
         camera: Name of the camera.
-        robot: Name of the robot that moves, where there are several.
-        speed: Largest speed of a joint [rad/s].
+        robot: Name of the robot that moves; None for the one that carries the camera, or for the first.
+        speed: Largest speed of a joint in real time [rad/s].
         is_free: Whether the arm may go straight from joints to joints; None for anywhere.
-        confirm: Asked before every motion; None to go without. Where it says no, the next best pose is proposed.
+        confirm: Asked before every motion; None to go without.
         on_look: Called after every picture, with whether it is of use.
 
     Raises:
         InvalidSetup: The environment has other actions, the pictures cannot tell, or nowhere is to go.
         WrongOrder: The arm does not arrive, or the episode ends.
     """
-    tour = Tour(env, robot=robot, speed=speed)
+    look_around(env, strategy, camera, robot=robot, speed=speed, is_free=is_free, confirm=confirm, on_look=on_look)
+    return strategy.solve()
+
+
+def look_around(
+    env: Env,
+    strategy: CalibrationStrategy,
+    camera: str,
+    *,
+    robot: str | None = None,
+    speed: float = 0.5,
+    is_free: IsFree | None = None,
+    confirm: Confirm | None = None,
+    on_look: OnLook | None = None,
+) -> None:
+    """Show a strategy pictures, and go where it wants the next one from, until it wants no more.
+
+    Where `confirm` says no, the next best pose is proposed. Arguments and errors are those of `calibrate`.
+    """
+    tour = Tour(env, robot=robot or MountedCamera.of(env.setup, camera).robot.name, speed=speed)
 
     def may_go(start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
         return (is_free is None or is_free(start, end)) and (confirm is None or confirm(start, end))
@@ -64,7 +87,7 @@ def calibrate(
             on_look(strategy, is_of_use)
         joints = strategy.next_joints(tour.joints, may_go)
         if joints is None:
-            return strategy.solve()
+            return
         tour.go_to(joints)
 
 
@@ -157,12 +180,12 @@ class Tour:
         )
 
     def _step(self, target: NDArray[np.float64]) -> None:
-        actions = {name: _stay(part) for name, part in by_robot(self._env.robots, self._observation).items()}
+        spaces = by_robot(self._env.robots, self._env.action_space)
+        actions = {
+            name: {key: np.array(part[key]) for key in spaces[name]}  # where they are
+            for name, part in by_robot(self._env.robots, self._observation).items()
+        }
         actions[self._robot][JOINTS] = target
         self._observation, _, terminated, truncated, info = self._env.step(joined(actions))
         if terminated or truncated:
             raise WrongOrder(f"The episode ended on the way: {info.get('end')} {info.get('faults', '')}".rstrip())
-
-
-def _stay(part: dict[str, Any]) -> dict[str, Any]:
-    return {key: np.array(part[key]) for key in (JOINTS, GRIPPER, HAND) if key in part}
