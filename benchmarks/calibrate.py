@@ -35,7 +35,7 @@ from rcs.rollout.free_path import FreePath
 from rcs.setups.calibration import Calibration, write_calibration
 from rcs.setups.mounted_camera import MountedCamera
 from rcs.spatial import Intrinsics, Pose
-from rcs.tasks import ShowBoard
+from rcs.tasks import ShowBoardOptions
 
 CAMERAS = {"eye-in-hand": "wrist", "eye-to-hand": "side"}
 BOARDS: dict[str, dict[str, Any]] = {
@@ -91,7 +91,9 @@ def with_noise(views: Sequence[View], pictures: Sequence[NDArray[np.uint8]], boa
 
 def with_outliers(views: Sequence[View], share: float, rng: np.random.Generator) -> list[View]:
     """Return the views with some tags wrong: moved, swapped with another, or turned by half a turn."""
-    spoilt = [replace(view, detections=Detections(view.detections.ids, view.detections.corners.copy())) for view in views]
+    spoilt = [
+        replace(view, detections=Detections(view.detections.ids, view.detections.corners.copy())) for view in views
+    ]
     tags = [(view, i) for view in spoilt for i in range(len(view.detections))]
     for n, k in enumerate(rng.choice(len(tags), round(share * len(tags)), replace=False)):
         view, i = tags[k]
@@ -143,7 +145,7 @@ def is_single_axis_refused(tour: Tour, camera: str, strategy: Keeping) -> bool:
 def measure(arrangement: str, seed: int, options: Options, folder: Path) -> dict[str, Any]:
     """Return the errors of one camera."""
     rng = np.random.default_rng(seed)
-    name, task = CAMERAS[arrangement], ShowBoard.Options(**BOARDS[arrangement])
+    name, task = CAMERAS[arrangement], ShowBoardOptions(**BOARDS[arrangement])
     setup = rcs.Setup(
         task="rcs.tasks.show_board:ShowBoard", task_options=task.to_json(), robot=options.robot, cameras=(name,),
         image_size=options.size, relative="absolute", stepping="sync", max_episode_steps=None,

@@ -108,6 +108,6 @@ def test_the_png_knows_its_scale_and_its_tags_have_their_size() -> None:
 
 def test_a_board_takes_the_smallest_sheet_and_one_that_fits_on_none_is_refused() -> None:
     assert sheet_of(Board())[0] == "A4"
-    assert sheet_of(Board(rows=3, columns=3))[0] == "A3"
+    assert sheet_of(Board(rows=3))[0] == "A3"
     with pytest.raises(InvalidSetup, match="no sheet"):
         sheet_of(Board(tag_size=1.0, gap=0.3))

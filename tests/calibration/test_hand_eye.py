@@ -41,8 +41,7 @@ def spoilt(views: list[View], share: float, seed: int = 0) -> tuple[list[View], 
         else:
             own[k] = own[(k + 1) % len(own)] + rng.normal(0, 3, (4, 2))
     made = [
-        replace(view, detections=Detections(view.detections.ids, own))
-        for view, own in zip(views, corners, strict=True)
+        replace(view, detections=Detections(view.detections.ids, own)) for view, own in zip(views, corners, strict=True)
     ]
     return made, set(wrong)
 

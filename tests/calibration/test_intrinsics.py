@@ -16,13 +16,21 @@ from rcs.spatial import Intrinsics, Pose, distort
 pytestmark = pytest.mark.extras
 
 
-def pictures(lens: Intrinsics, *, count: int = 25, tilt: float = 0.5, spread: float = 1.0, noise: float = 0.05,
-             seed: int = 0) -> list[Detections]:  # fmt: skip
+def pictures(
+    lens: Intrinsics,
+    *,
+    count: int = 25,
+    tilt: float = 0.5,
+    spread: float = 1.0,
+    depths: tuple[float, float] = (0.3, 0.6),
+    noise: float = 0.05,
+    seed: int = 0,
+) -> list[Detections]:
     """Return what a camera sees of a board that is tilted by up to `tilt` and anywhere in a share of the picture."""
     rng = np.random.default_rng(seed)
     board, found = Board(), list[Detections]()
     while len(found) < count:
-        depth = rng.uniform(0.3, 0.6)
+        depth = rng.uniform(*depths)
         across = spread * rng.uniform(-0.7, 0.7, 2) * (1.0, 0.75) * depth
         tilted = Pose.from_rotvec([*across, depth], [np.pi, 0, 0]) * Pose.from_rpy(
             [0, 0, 0], [*rng.uniform(-tilt, tilt, 2), rng.uniform(-3, 3)]
@@ -60,7 +68,7 @@ def test_wrong_tags_change_nothing_to_speak_of(lens: Intrinsics) -> None:
     [
         ({"count": 4}, "too few: add 4"),
         ({"tilt": 0.02}, "never tilted"),
-        ({"spread": 0.1}, "of the picture's parts: add pictures"),
+        ({"spread": 0.1, "depths": (0.8, 1.0)}, "of the picture's parts: add pictures"),
     ],
 )
 def test_pictures_that_cannot_tell_are_refused_with_what_is_missing(

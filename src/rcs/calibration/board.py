@@ -77,7 +77,7 @@ class Board:
 
     @property
     def corners(self) -> NDArray[np.float64]:
-        """Corners of the tags in the board's frame [m], (tags, 4, 3): top left, top right, bottom right, bottom left."""
+        """Corners of the tags in the board's frame [m], (tags, 4, 3): top left, then clockwise as printed."""
         pitch, half = self.tag_size + self.gap, self.tag_size / 2
         column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
         middle = np.stack(

@@ -1,8 +1,8 @@
 """The pose of a board in one picture, and the second one that a flat board may have.
 
-A flat target that is small or far away looks nearly the same when it is tilted the other way: IPPE (Collins and Bartoli,
-"Infinitesimal Plane-based Pose Estimation", IJCV 2014) gives both poses. Each tag proposes its own two besides, so that
-a tag that was found in a wrong place does not spoil the board's.
+A flat target that is small or far away looks nearly the same when it is tilted the other way: IPPE (Collins and
+Bartoli, "Infinitesimal Plane-based Pose Estimation", IJCV 2014) gives both poses. Each tag proposes its own two
+besides, so that a tag that was found in a wrong place does not spoil the board's.
 """
 
 from __future__ import annotations

@@ -44,7 +44,8 @@ class BoardStrategy(CalibrationStrategy):
         self.views: list[View] = []
         """What was seen."""
         self._boards: list[NDArray[np.float64]] = []
-        self._joints: list[NDArray[np.float64]] = []
+        self.joints: list[NDArray[np.float64]] = []
+        """Where the arm was for each view [rad]."""
         self._looked = 0
         self._rng = np.random.default_rng(seed)
 
@@ -56,7 +57,7 @@ class BoardStrategy(CalibrationStrategy):
             return False
         self.views.append(View(flange_in_base=self.rig.kinematics.forward(joints), detections=found))
         self._boards.append(board_poses(self.board, found, self.rig.intrinsics)[0].board_in_camera)
-        self._joints.append(np.array(joints, np.float64))
+        self.joints.append(np.array(joints, np.float64))
         return True
 
     def next_joints(self, joints: NDArray[np.float64], is_free: IsFree | None = None) -> NDArray[np.float64] | None:
@@ -75,7 +76,7 @@ class BoardStrategy(CalibrationStrategy):
                 "whole board, or say about where it is."
             )
         seen = Sightings.of(self.board, self.views, self.rig.arrangement, self.rig.intrinsics)
-        around = [*self._joints, np.array(joints, np.float64)]
+        around = [*self.joints, np.array(joints, np.float64)]
         found = suggest(self.rig, self.board, guess, seen, around, rng=self._rng, is_free=is_free)
         if found is None:
             raise InvalidSetup(

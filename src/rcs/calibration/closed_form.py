@@ -1,8 +1,8 @@
 """Hand-eye calibration in closed form, as a start for the least squares.
 
-A X = X B for the rotations and then the translations, after Park and Martin, "Robot sensor calibration: solving AX = XB on
-the Euclidean group", IEEE Transactions on Robotics and Automation 10 (5), 1994. The rotation that turns the vectors of the
-one side best into those of the other is found by singular values (Kabsch).
+A X = X B for the rotations and then the translations, after Park and Martin, "Robot sensor calibration: solving
+AX = XB on the Euclidean group", IEEE Transactions on Robotics and Automation 10 (5), 1994. The rotation that turns the
+vectors of the one side best into those of the other is found by singular values (Kabsch).
 """
 
 from __future__ import annotations

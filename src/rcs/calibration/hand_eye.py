@@ -202,8 +202,8 @@ def _check_lens(guess: Guess, seen: Sightings) -> tuple[float, tuple[float, floa
     if abs(focal) > max(FOCAL_OFF, SURE * sigma[0]):
         alarms.append(
             f"focal lengths that are {abs(focal):.1%} {'longer' if focal > 0 else 'shorter'} explain the pictures "
-            f"better (standard deviation {sigma[0]:.2%}). Calibrate the intrinsics, and measure a tag: its size has the "
-            "same effect"
+            f"better (standard deviation {sigma[0]:.2%}). Calibrate the intrinsics, and measure a tag: its size has "
+            "the same effect"
         )
     if np.hypot(*centre) > CENTRE_OFF and any(
         abs(value) > SURE * one for value, one in zip(centre, sigma[1:], strict=True)

@@ -1,4 +1,4 @@
-"""How a camera sees, from pictures of a board: focal lengths, principal point and distortion (Zhang 2000, by OpenCV)."""
+"""How a camera sees, from pictures of a board: focal lengths, principal point, distortion (Zhang 2000, by OpenCV)."""
 
 from __future__ import annotations
 

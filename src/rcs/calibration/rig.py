@@ -1,6 +1,6 @@
 """What is calibrated: a camera on a gripper or beside the robot, and the board that it looks at.
 
-Two poses are unknown. `camera_in_mount` is that of the camera's optical frame (x right, y down, z forward) in its mount,
+Two poses are unknown. `camera_in_mount` is that of the optical frame (x right, y down, z forward) in its mount,
 `board_in_anchor` that of the board in what carries it. With the camera on the gripper ("eye in hand") the mount is the
 robot's flange and the anchor its base; with the camera beside the robot ("eye to hand") the mount is the base and the
 anchor the flange.

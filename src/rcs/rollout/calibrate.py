@@ -165,12 +165,13 @@ class Tour:
         """
         target = self.joints
         stride = self._speed / self._env.frequency if self._env.is_real else np.inf
+        off = np.inf
         for _ in range(int(LONGEST * self._env.frequency)):
             way = joints - target
             target = target + way * min(1.0, stride / max(float(np.abs(way).max()), 1e-12))
             before = self.joints
             self._step(target)
-            off, moved = np.abs(self.joints - joints).max(), np.abs(self.joints - before).max()
+            off, moved = float(np.abs(self.joints - joints).max()), float(np.abs(self.joints - before).max())
             if off < ARRIVED and moved < STILL:
                 self._step(joints)
                 return

@@ -1,4 +1,4 @@
-"""The setup in which a camera of a lab is calibrated: the robot, the camera, and a board where the camera can see it."""
+"""The setup in which a camera of a lab is calibrated: robot, camera, and a board where the camera can see it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rcs.setups.calibration import KnownBoard
 from rcs.setups.lab import lab_of
 from rcs.setups.mounted_camera import MountedCamera
 from rcs.spatial import Pose
-from rcs.tasks.show_board import THICKNESS, ShowBoard
+from rcs.tasks.show_board import THICKNESS, ShowBoardOptions
 
 HELD = 0.02
 """How much of a board's border is between the fingers of the gripper that holds it [m]."""
@@ -67,7 +67,7 @@ def board_setup(
     is_held = known.on_gripper_of is not None if at is not None else mounted.arrangement == "eye-to-hand"
     pose = known.mount.pose
     (x, y, z), (roll, pitch, yaw) = (tuple(float(value) for value in part) for part in (pose.translation, pose.rpy))
-    options = ShowBoard.Options(
+    options = ShowBoardOptions(
         **known.board.to_json(),
         on="gripper" if is_held else "scene",
         x=x, y=y, z=z, roll=roll, pitch=pitch, yaw=yaw,

@@ -14,8 +14,8 @@ data sheet. Pictures of another shape are cut out of the middle. `pose_covarianc
 Without a pose, the camera stays where the lab has it.
 
 Boards whose place is known, against which a camera can be checked, are in `boards`, by name: the fields of
-`rcs.calibration.Board`, and the pose of the board's middle in the scene, or in the base body of the gripper of the robot
-that `on_gripper_of` names. Any other key is refused.
+`rcs.calibration.Board`, and the pose of the board's middle in the scene, or in the base body of the gripper of the
+robot that `on_gripper_of` names. Any other key is refused.
 """
 
 from __future__ import annotations

@@ -55,9 +55,7 @@ class ShowBoardOptions(Free.Options):
     @property
     def board(self) -> Board:
         """The board."""
-        return Board(
-            rows=self.rows, columns=self.columns, tag_size=self.tag_size, gap=self.gap, first_id=self.first_id
-        )
+        return Board(rows=self.rows, columns=self.columns, tag_size=self.tag_size, gap=self.gap, first_id=self.first_id)
 
     @property
     def pose(self) -> Pose:

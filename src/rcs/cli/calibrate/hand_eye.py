@@ -19,7 +19,8 @@ class HandEyeCommand(SessionOptions):
 
     The arm goes by itself from pose to pose, to those from which the next picture tells most; on hardware each is
     asked for first. The camera's pose, its covariance and the place of the board are written to the calibration file,
-    which `calibration="…"` of an environment takes; if it says already how the camera sees, that is used. Exit code 1, and nothing is written, if something is amiss.
+    which `calibration="…"` of an environment takes; if it says already how the camera sees, that is used. Exit code 1,
+    and nothing is written, if something is amiss.
     """
 
     intrinsics: bool = False

@@ -23,7 +23,7 @@ from rcs.setups.board_setup import board_setup
 from rcs.setups.calibration import KnownBoard
 from rcs.setups.mounted_camera import MountedCamera
 from rcs.spatial import Intrinsics
-from rcs.tasks.show_board import ShowBoard
+from rcs.tasks.show_board import ShowBoard, ShowBoardOptions
 
 
 @dataclass(kw_only=True)
@@ -90,7 +90,7 @@ class SessionOptions(BoardOptions):
             lens: How the camera sees; None for as it says itself.
         """
         options = ShowBoard.parse_options(setup.task_options)
-        assert isinstance(options, ShowBoard.Options), "they are the task's"
+        assert isinstance(options, ShowBoardOptions), "they are the task's"
         rig = session.mounted.rig(lens or session.intrinsics, options.pose)
         return BoardStrategy(rig, options.board, views=self.views, seed=self.seed)
 
@@ -140,5 +140,3 @@ def _ask(start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
     console = plain_console()
     turns = ", ".join(f"{turn:+.0f}" for turn in np.rad2deg(end - start))
     return console.input(f"Next pose: joints turn by {turns} degrees. Is the way free? [y]es, [n]ext: ").lower() == "y"
-
-

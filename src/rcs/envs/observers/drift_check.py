@@ -1,7 +1,7 @@
 """Checks, while an environment runs, that a camera still is where its calibration says.
 
-Tags are looked for in a thread of its own, so that no step waits: while it works on a picture, the newest one waits, and
-those in between are counted as missed.
+Tags are looked for in a thread of its own, so that no step waits: while it works on a picture, the newest one waits,
+and those in between are counted as missed.
 """
 
 from __future__ import annotations
@@ -126,8 +126,8 @@ class DriftCheck(Observer):
         if self.drift.is_off and not self.has_alarmed:
             self.has_alarmed = True
             _log.warning(
-                "Camera %r sees the board %.1f px from where its calibration expects it, above %.1f px: camera or board "
-                "moved, so calibrate anew.",
+                "Camera %r sees the board %.1f px from where its calibration expects it, above %.1f px: camera or "
+                "board moved, so calibrate anew.",
                 self.camera,
                 self.drift.pixels,
                 self.drift.limit_px,
