@@ -32,10 +32,11 @@ with tempfile.TemporaryDirectory() as folder:
     setup = board_setup("fr3", "wrist")  # a board on the table, and what the lab's file says of the camera
     mounted = MountedCamera.of(setup, "wrist")
     board = ShowBoardOptions(**setup.task_options)
-    with rcs.make(replace(setup, calibration=str(truth))) as env:
-        lens = Tour(env).intrinsics("wrist")
-        strategy = BoardStrategy(mounted.rig(lens, board.pose), board.board, views=12)
-        found = calibrate(env, strategy, "wrist", is_free=FreePath(env, "fr3"))
+    env = rcs.make(replace(setup, calibration=str(truth)))
+    lens = Tour(env).intrinsics("wrist")
+    strategy = BoardStrategy(mounted.rig(lens, board.pose), board.board, views=12)
+    found = calibrate(env, strategy, "wrist", is_free=FreePath(env, "fr3"))
+    env.close()
     print(found)
 
     file = Path(folder) / "calibration.json"

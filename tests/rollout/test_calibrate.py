@@ -76,7 +76,7 @@ def test_an_episode_that_ends_on_the_way_is_told() -> None:
     with rcs.make(setup) as env:
         tour = Tour(env)
         with pytest.raises(WrongOrder, match="ended on the way"):  # the third step of two
-            tour.go_to(tour.joints + 3.0 * np.eye(7)[6])
+            tour.go_to(tour.joints - 3.0 * np.eye(7)[6])
 
 
 def test_a_camera_that_is_not_observed_is_told() -> None:
