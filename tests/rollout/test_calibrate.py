@@ -92,3 +92,27 @@ def test_a_camera_or_robot_that_is_not_there_is_refused(camera: str, robot: str 
     setup = board_setup("fr3", "wrist")
     with pytest.raises(rcs.errors.UnknownName, match=text):
         MountedCamera.of(setup, camera, robot)
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+def test_in_real_time_pictures_count_only_when_the_arm_has_come_to_rest() -> None:
+    setup = replace(board_setup("fr3", "wrist"), stepping="realtime", image_size=(640, 480))
+    options = ShowBoardOptions(**setup.task_options)
+    asked: list[bool] = []
+
+    def confirm(start: Any, end: Any) -> bool:
+        asked.append(len(asked) % 4 != 3)  # a person refuses some
+        return asked[-1]
+
+    twin = rcs.make(replace(setup, stepping="sync", cameras=()))
+    twin.reset()
+    env = rcs.make(setup, hardware={"fr3": "fake"})
+    rig = MountedCamera.of(setup, "wrist").rig(Tour(env).intrinsics("wrist"), options.pose)
+    strategy = BoardStrategy(rig, options.board, views=9)
+    found = calibrate(env, strategy, "wrist", speed=1.5, is_free=FreePath(twin, "fr3"), confirm=confirm)
+    env.close()
+    twin.close()
+    off = rig.camera_in_mount.inverse() * found.camera_in_mount
+    assert 1000 * np.linalg.norm(off.translation) < 0.5
+    assert asked.count(True) >= 8 and False in asked

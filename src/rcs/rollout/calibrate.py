@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -26,6 +27,8 @@ ARRIVED = 3e-3
 """Largest distance of a joint from its target at arrival [rad]."""
 STILL = 2e-4
 """Largest change of a joint per control step at rest [rad]."""
+SETTLING = 0.5
+"""How long a real arm is to be at rest before a picture counts: it swings a little longer than its joints turn [s]."""
 LONGEST = 30.0
 """Time after which an arm that does not arrive has failed [s]."""
 
@@ -116,7 +119,9 @@ class Tour:
         self._env = env
         self._robot = robot or names[0]
         self._speed = speed
-        self._observation: Observation = env.reset()[0]
+        self._observation: Observation
+        self._info: dict[str, Any]
+        self._observation, self._info = env.reset()
 
     @property
     def joints(self) -> NDArray[np.float64]:
@@ -165,20 +170,34 @@ class Tour:
         """
         target = self.joints
         stride = self._speed / self._env.frequency if self._env.is_real else np.inf
-        off = np.inf
+        off, since = np.inf, None
         for _ in range(int(LONGEST * self._env.frequency)):
             way = joints - target
             target = target + way * min(1.0, stride / max(float(np.abs(way).max()), 1e-12))
             before = self.joints
             self._step(target)
             off, moved = float(np.abs(self.joints - joints).max()), float(np.abs(self.joints - before).max())
-            if off < ARRIVED and moved < STILL:
-                self._step(joints)
+            if off >= ARRIVED or moved >= STILL:
+                since = None
+            elif since is None:
+                since = self._time
+            elif self._has_new_frames(since):
                 return
         raise WrongOrder(
             f"Robot {self._robot!r} did not arrive within {LONGEST:g} s: it is {np.rad2deg(off):.1f} degrees off. "
             "Is something in its way?"
         )
+
+    @property
+    def _time(self) -> float:
+        """Now [s], on the clock of the frames' ages."""
+        return time.perf_counter() if self._env.is_real else float(self._info["time"])
+
+    def _has_new_frames(self, since: float) -> bool:
+        """Return whether all frames were taken when the arm had been at rest for long enough."""
+        rest = self._time - since - (SETTLING if self._env.is_real else 0.0)
+        ages: dict[str, Any] = self._info.get("ages", {})
+        return rest > 0 and all(float(age) < rest for key, age in ages.items() if key.startswith(FRAMES))
 
     def _step(self, target: NDArray[np.float64]) -> None:
         spaces = by_robot(self._env.robots, self._env.action_space)
@@ -187,6 +206,7 @@ class Tour:
             for name, part in by_robot(self._env.robots, self._observation).items()
         }
         actions[self._robot][JOINTS] = target
-        self._observation, _, terminated, truncated, info = self._env.step(joined(actions))
+        self._observation, _, terminated, truncated, self._info = self._env.step(joined(actions))
         if terminated or truncated:
-            raise WrongOrder(f"The episode ended on the way: {info.get('end')} {info.get('faults', '')}".rstrip())
+            why = f"{self._info.get('end')} {self._info.get('faults', '')}".rstrip()
+            raise WrongOrder(f"The episode ended on the way: {why}")
