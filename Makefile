@@ -1,6 +1,7 @@
 # make demo          build, install into .venv, collect episodes of Pick-Cuboid with the scripted FR3, and say where the report is
 # make test          build, install, run the tests of C++ and Python
-# make test-extras   the tests that need torch, Stable-Baselines3, Ray, mujoco-menagerie, Pinocchio or a browser; test-wheel
+# make test-extras   the tests that need torch, Stable-Baselines3, Ray, Pinocchio, OMPL, OpenCV, mujoco-menagerie or a browser;
+#                    test-wheel
 # make test-wheel    build a wheel, install it into an environment of its own, and run it there
 # make test-interop  open our exports with the readers of LeRobot and others; each gets an environment of its own (first time:
 #                    about 4 GB and 10 minutes)
@@ -145,6 +146,7 @@ $(VENV)/.stamp-extras: $(VENV)/.stamp-built
 	@echo "==> Installing torch, Stable-Baselines3, Ray and Pinocchio (first time: about 1.4 GB)"
 	@$(PIP) install -c constraints.txt torch
 	@$(PIP) install -c constraints.txt stable-baselines3 tensorboard mujoco-menagerie ray pin
+	@$(PIP) install -c constraints.txt opencv-python-headless pupil-apriltags scipy
 	@touch $@
 
 test-extras: test-wheel $(VENV)/.stamp-extras gl

@@ -19,6 +19,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)]*)?\)")
 PYTHON, SHELL, NOT_RUN = "python", "sh", {"text", "toml", "json", "xml"}
+NEED_EXTRAS = ("docs/calibration.md",)
 MOST_LINES_OF_README = 150
 OWN_ROBOT = ROOT / "examples" / "06_own_robot" / "src"  # the package that docs/extend/robot.md shows pieces of
 
@@ -54,9 +55,13 @@ def run_shell(program: str) -> None:
             assert end.value.code == 0, line
 
 
+def to_run(path: Path) -> object:
+    return pytest.param(path, marks=pytest.mark.extras if name_of(path) in NEED_EXTRAS else (), id=name_of(path))
+
+
 @pytest.mark.gl
 @pytest.mark.slow
-@pytest.mark.parametrize("path", PAGES, ids=name_of)
+@pytest.mark.parametrize("path", [to_run(path) for path in PAGES])
 def test_what_a_page_shows_runs_in_order(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(OWN_ROBOT)

@@ -11,13 +11,23 @@ import numpy as np
 import pytest
 
 import rcs
+from rcs.calibration import Board
 from rcs.data import Dataset
 from rcs.devices import CameraCalibration, CameraMode
 from rcs.devices.fakes import FakeCamera
 from rcs.envs.observers.record import record
 from rcs.errors import InvalidSetup
 from rcs.hardware import Site
-from rcs.setups.calibration import calibrated, read_calibration
+from rcs.robots import Mount
+from rcs.robots import calibration as of_file
+from rcs.setups.calibration import (
+    Calibration,
+    KnownBoard,
+    calibrated,
+    read_boards,
+    read_calibration,
+    write_calibration,
+)
 from rcs.setups.labs.fr3 import LAB
 from rcs.spatial import Intrinsics
 
@@ -178,3 +188,39 @@ def test_a_recording_keeps_matrix_distortion_covariance_and_the_files_hash(tmp_p
     for key in ("intrinsics", "distortion"):
         stored = episode.column(f"observation/frames/side/{key}")
         np.testing.assert_array_equal(stored, np.broadcast_to(frame[key], stored.shape))
+
+
+def test_what_is_written_is_read_again_and_what_was_there_stays(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "lab.json"
+    seen = Intrinsics(width=640, height=480, fx=500.0, fy=501.0, cx=310.5, cy=241.0, distortion=(0.1, 0, 0, 0, 0))
+    covariance = tuple(tuple(1e-8 * float(i == j) for j in range(6)) for i in range(6))
+    about = of_file.CameraCalibration(intrinsics=seen, pose_covariance=covariance)
+    side = Calibration(optical=Mount(translation=(0.1, 0.2, 0.3)), camera=about)
+    board = KnownBoard(board=Board(rows=3), mount=Mount(translation=(0.5, 0.0, 0.0)), on_gripper_of="fr3")
+    write_calibration(path, {"side": side}, {"side": board})
+    write_calibration(path, {"wrist": Calibration(optical=None, camera=of_file.CameraCalibration(intrinsics=seen))})
+    found = read_calibration(path)
+    assert found["side"].optical == side.optical
+    assert found["side"].camera.intrinsics == seen and found["side"].camera.pose_covariance == covariance
+    assert read_boards(path) == {"side": board}
+    lab = calibrated(LAB, path)
+    assert lab.cameras["wrist"].optical == LAB.cameras["wrist"].optical, "without a pose, the lab's stays"
+    wrist = lab.cameras["wrist"].calibration
+    assert wrist is not None and wrist.intrinsics == seen
+
+
+@pytest.mark.parametrize(
+    ("board", "text"),
+    [
+        ({"rows": 0, "translation": [0, 0, 0], "quaternion": [0, 0, 0, 1]}, "rows"),
+        ({"tags": 4, "translation": [0, 0, 0], "quaternion": [0, 0, 0, 1]}, "tags"),
+        ({"translation": [0, 0, 0], "quaternion": [0, 0, 0, 2]}, "norm"),
+        ({"translation": [0, 0, 0], "quaternion": [0, 0, 0, 1], "on_gripper_of": 3}, "on_gripper_of"),
+        ({"quaternion": [0, 0, 0, 1]}, "translation"),
+    ],
+)
+def test_a_bad_board_is_refused_with_what_is_wrong(board: dict[str, Any], text: str, tmp_path: Path) -> None:
+    path = tmp_path / "lab.json"
+    path.write_text(json.dumps({"cameras": {}, "boards": {"wall": board}}))
+    with pytest.raises(InvalidSetup, match=text):
+        read_boards(path)

@@ -17,6 +17,7 @@ VERBS: Table = {
     "train": "rcs.cli.train:TrainCommand",
     "eval": "rcs.cli.eval:EvalCommand",
     "data": "rcs.cli.data:VERBS",
+    "calibrate": "rcs.cli.calibrate:VERBS",
     "sim": "rcs.cli.sim:SimCommand",
     "ik": "rcs.cli.ik:IkCommand",
     "gallery": "rcs.cli.gallery:GalleryCommand",

@@ -138,6 +138,7 @@ def compose(parts: Parts) -> Scene:
         parts.clutter.furnish(scene)
     for robot in parts.robots:
         scene.add_robot(robot, assets=parts.setup.assets)
+    parts.task.equip(scene, parts.robots)
     for camera in parts.cameras:
         scene.add_camera(camera)
     for sensor in parts.tactile:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # labs have an `Area`, and `rcs list` shows them without the 
     from rcs.envs.draws import Draws
     from rcs.envs.layers import Where
     from rcs.sim.robot import SimRobot
-    from rcs.sim.scene import Scene
+    from rcs.sim.scene import RobotPlacement, Scene
     from rcs.sim.world import World
 
 
@@ -179,6 +179,9 @@ class Task(ABC):
 
     def furnish(self, scene: Scene) -> None:  # noqa: B027  an empty scene is a fine scene
         """Add the task's objects to a scene before it is compiled."""
+
+    def equip(self, scene: Scene, robots: tuple[RobotPlacement, ...]) -> None:  # noqa: B027  most robots carry nothing
+        """Add what robots carry, once they are in the scene."""
 
     def objects(self) -> list[str]:
         """Return the names of the task's bodies, whose size, mass and colour may vary."""

@@ -1,3 +1,6 @@
+from rcs.rollout.calibrate import Tour as Tour
+from rcs.rollout.calibrate import calibrate as calibrate
+from rcs.rollout.calibrate import look_around as look_around
 from rcs.rollout.collect import Collection as Collection
 from rcs.rollout.collect import Progress as Progress
 from rcs.rollout.collect import collect as collect
@@ -8,4 +11,5 @@ from rcs.rollout.episode import run_episode as run_episode
 from rcs.rollout.evaluate import Evaluation as Evaluation
 from rcs.rollout.evaluate import Summary as Summary
 from rcs.rollout.evaluate import evaluate as evaluate
+from rcs.rollout.free_path import FreePath as FreePath
 from rcs.rollout.replay import replay as replay

@@ -1,4 +1,4 @@
-"""Where the cameras of a lab are and how they see, read from a calibration file.
+"""Where the cameras of a lab are and how they see, in a calibration file.
 
 A file is JSON, one entry per camera:
 
@@ -11,7 +11,11 @@ scene, or the gripper's base body for a camera on a gripper. Intrinsics are in p
 them: the centre of the top left pixel is (0, 0), and `distortion` is k1, k2, p1, p2, k3. Without `cx` and `cy` the
 principal point is the middle of the image, without `fx` pixels are square, without `fy` all are those of the camera's
 data sheet. Pictures of another shape are cut out of the middle. `pose_covariance`, 6 x 6, is kept with recordings.
-Any other key is refused.
+Without a pose, the camera stays where the lab has it.
+
+Boards whose place is known, against which a camera can be checked, are in `boards`, by name: the fields of
+`rcs.calibration.Board`, and the pose of the board's middle in the scene, or in the base body of the gripper of the
+robot that `on_gripper_of` names. Any other key is refused.
 """
 
 from __future__ import annotations
@@ -19,12 +23,15 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from rcs.calibration import Board
+from rcs.data.durable import write_file
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.calibration import CameraCalibration
 from rcs.robots.description import Mount
@@ -35,20 +42,33 @@ POSE = ("translation", "quaternion")
 FOCAL = ("width", "height", "fx", "fy")
 LENS = ("cx", "cy", "distortion")
 COVARIANCE = "pose_covariance"
+CARRIER = "on_gripper_of"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
     """What a calibration says of one camera."""
 
-    optical: Mount
-    """Pose of the optical frame in the frame that carries the camera."""
+    optical: Mount | None
+    """Pose of the optical frame in the frame that carries the camera; None for where the lab has it."""
     camera: CameraCalibration
     """How it sees."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class KnownBoard:
+    """A board whose place is known."""
+
+    board: Board
+    """The board."""
+    mount: Mount
+    """Pose of its middle in what carries it."""
+    on_gripper_of: str | None = None
+    """Name of the robot whose gripper's base body carries it; None for the scene."""
+
+
 def read_calibration(path: str | Path) -> dict[str, Calibration]:
-    """Read a calibration file.
+    """Read the cameras of a calibration file.
 
     Args:
         path: The file.
@@ -57,13 +77,30 @@ def read_calibration(path: str | Path) -> dict[str, Calibration]:
         InvalidSetup: The file cannot be read, does not say what it must, or says what is not known here; the message
             names the camera and the field.
     """
+    return _read(path)[0]
+
+
+def read_boards(path: str | Path) -> dict[str, KnownBoard]:
+    """Read the boards of a calibration file whose places are known.
+
+    Args:
+        path: The file.
+
+    Raises:
+        InvalidSetup: As `read_calibration`.
+    """
+    return _read(path)[1]
+
+
+def _read(path: str | Path) -> tuple[dict[str, Calibration], dict[str, KnownBoard]]:
     try:
         data = Path(path).read_bytes()
         content = json.loads(data)
-        if unknown := sorted(set(content) - {"cameras"}):
-            raise ValueError(f"unknown key {unknown[0]!r}; valid is 'cameras'")
+        if unknown := sorted(set(content) - {"cameras", "boards"}):
+            raise ValueError(f"unknown key {unknown[0]!r}; valid are 'cameras' and 'boards'")
         sha256 = hashlib.sha256(data).hexdigest()
-        return {name: _calibration(name, about, sha256) for name, about in content["cameras"].items()}
+        cameras = {name: _calibration(name, about, sha256) for name, about in content["cameras"].items()}
+        return cameras, {name: _board(name, about) for name, about in content.get("boards", {}).items()}
     except OSError as err:
         raise InvalidSetup(f"The calibration file {path} cannot be read: {err}.") from err
     except InvalidSetup as err:
@@ -82,24 +119,64 @@ def calibrated(lab: Lab, path: str | Path) -> Lab:
     if unknown := sorted(set(found) - set(lab.cameras)):
         raise InvalidSetup(f"{path} has the cameras {unknown}, which this lab has not; it has {sorted(lab.cameras)}.")
     cameras = {
-        name: replace(mount, optical=found[name].optical, calibration=found[name].camera) if name in found else mount
+        name: replace(mount, optical=found[name].optical or mount.optical, calibration=found[name].camera)
+        if name in found
+        else mount
         for name, mount in lab.cameras.items()
     }
     return replace(lab, cameras=cameras)
+
+
+def write_calibration(
+    path: str | Path, cameras: Mapping[str, Calibration], boards: Mapping[str, KnownBoard] | None = None
+) -> None:
+    """Write cameras and boards to a calibration file; those of other names that it has stay.
+
+    Args:
+        path: The file; made anew if there is none.
+        cameras: Cameras by name.
+        boards: Boards whose places are known, by name.
+
+    Raises:
+        InvalidSetup: There is a file, and it is not a calibration file.
+        OSError: The file cannot be written.
+    """
+    path = Path(path)
+    known, placed = _read(path) if path.exists() else ({}, {})
+    content: dict[str, Any] = {
+        "cameras": {name: _camera_as_json(one) for name, one in {**known, **cameras}.items()},
+    }
+    if every := {**placed, **(boards or {})}:
+        content["boards"] = {name: _board_as_json(one) for name, one in every.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_file(path, (json.dumps(content, indent=2) + "\n").encode())
+
+
+def _camera_as_json(calibration: Calibration) -> dict[str, Any]:
+    about: dict[str, Any] = {} if calibration.optical is None else _mount_as_json(calibration.optical)
+    seen = calibration.camera.intrinsics
+    if seen is not None:
+        about |= {"width": seen.width, "height": seen.height}
+        about |= {"fx": seen.fx, "fy": seen.fy, "cx": seen.cx, "cy": seen.cy, "distortion": list(seen.distortion)}
+    if calibration.camera.pose_covariance is not None:
+        about[COVARIANCE] = [list(row) for row in calibration.camera.pose_covariance]
+    return about
+
+
+def _board_as_json(known: KnownBoard) -> dict[str, Any]:
+    about = {**known.board.to_json(), **_mount_as_json(known.mount)}
+    return about if known.on_gripper_of is None else {**about, CARRIER: known.on_gripper_of}
+
+
+def _mount_as_json(mount: Mount) -> dict[str, Any]:
+    return {"translation": list(mount.translation), "quaternion": list(mount.quaternion)}
 
 
 def _calibration(name: str, about: dict[str, Any], sha256: str) -> Calibration:
     known = {*POSE, *FOCAL, *LENS, COVARIANCE}
     if unknown := sorted(set(about) - known):
         raise InvalidSetup(f"camera {name!r}: {UnknownName('key', unknown[0], known).message}")
-    x, y, z = (float(value) for value in about["translation"])
-    qx, qy, qz, qw = (float(value) for value in about["quaternion"])
-    norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
-    if not abs(norm - 1.0) < 1e-3:
-        raise ValueError(f"camera {name!r}: quaternion has norm {norm:.4g}, a rotation needs 1")
-    if not math.isfinite(x + y + z):
-        raise ValueError(f"camera {name!r}: translation is {about['translation']}, valid are finite numbers [m]")
-    optical = Mount(translation=(x, y, z), quaternion=(qx / norm, qy / norm, qz / norm, qw / norm))
+    optical = _mount(f"camera {name!r}", about) if any(key in about for key in POSE) else None
     try:
         intrinsics = _intrinsics(about)
     except InvalidSetup as err:
@@ -110,6 +187,28 @@ def _calibration(name: str, about: dict[str, Any], sha256: str) -> Calibration:
             intrinsics=intrinsics, pose_covariance=_covariance(name, about.get(COVARIANCE)), sha256=sha256
         ),
     )
+
+
+def _board(name: str, about: dict[str, Any]) -> KnownBoard:
+    on_gripper_of = about.get(CARRIER)
+    if not isinstance(on_gripper_of, str | None):
+        raise InvalidSetup(f"board {name!r}: {CARRIER} is {on_gripper_of!r}; valid is the name of a robot, or none.")
+    try:
+        board = Board.from_json({key: value for key, value in about.items() if key not in {*POSE, CARRIER}})
+    except InvalidSetup as err:
+        raise InvalidSetup(f"board {name!r}: {err}") from err
+    return KnownBoard(board=board, mount=_mount(f"board {name!r}", about), on_gripper_of=on_gripper_of)
+
+
+def _mount(what: str, about: dict[str, Any]) -> Mount:
+    x, y, z = (float(value) for value in about["translation"])
+    qx, qy, qz, qw = (float(value) for value in about["quaternion"])
+    norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
+    if not abs(norm - 1.0) < 1e-3:
+        raise ValueError(f"{what}: quaternion has norm {norm:.4g}, a rotation needs 1")
+    if not math.isfinite(x + y + z):
+        raise ValueError(f"{what}: translation is {about['translation']}, valid are finite numbers [m]")
+    return Mount(translation=(x, y, z), quaternion=(qx / norm, qy / norm, qz / norm, qw / norm))
 
 
 def _intrinsics(about: dict[str, Any]) -> Intrinsics | None:

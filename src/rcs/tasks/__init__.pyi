@@ -11,4 +11,6 @@ from rcs.tasks.pick_cuboid import PickCuboid as PickCuboid
 from rcs.tasks.pick_toy import PickToy as PickToy
 from rcs.tasks.place import Place as Place
 from rcs.tasks.push import Push as Push
+from rcs.tasks.show_board import ShowBoard as ShowBoard
+from rcs.tasks.show_board import ShowBoardOptions as ShowBoardOptions
 from rcs.tasks.stack_cuboid import StackCuboid as StackCuboid

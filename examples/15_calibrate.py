@@ -1,0 +1,58 @@
+"""Find where a camera is: a board of AprilTags, poses that the arm picks itself, a calibration file, a check.
+
+The wrist camera of this lab is some millimetres and degrees from where its file has it, as after somebody has hit it.
+The arm starts from what the file says, looks at the board on the table, and finds out. With a real robot, `rcs.make`
+gets `hardware=`, and `calibrate` a function that asks a person before each motion, `confirm=`.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import rcs
+from rcs.calibration import BoardStrategy
+from rcs.robots import Mount
+from rcs.rollout import FreePath, Tour, calibrate
+from rcs.setups import Calibration, MountedCamera, board_setup, drift_check, lab_of, write_calibration
+from rcs.spatial import Pose
+from rcs.tasks import ShowBoardOptions
+
+with tempfile.TemporaryDirectory() as folder:
+    # The lab as it is, and nobody knows: the camera was moved by (4, -3, 2) mm and turned by 2 degrees.
+    before = lab_of("fr3").cameras["wrist"]
+    assert before.calibration is not None
+    moved = before.optical.pose * Pose.from_rotvec([0.004, -0.003, 0.002], np.deg2rad([0.0, 2.0, 0.0]))
+    truth = Path(folder) / "truth.json"
+    write_calibration(truth, {"wrist": Calibration(optical=Mount.of(moved), camera=before.calibration)})
+
+    setup = board_setup("fr3", "wrist")  # a board on the table, and what the lab's file says of the camera
+    mounted = MountedCamera.of(setup, "wrist")
+    board = ShowBoardOptions(**setup.task_options)
+    env = rcs.make(replace(setup, calibration=str(truth)))
+    lens = Tour(env).intrinsics("wrist")
+    strategy = BoardStrategy(mounted.rig(lens, board.pose), board.board, views=12)
+    found = calibrate(env, strategy, "wrist", is_free=FreePath(env, "fr3"))
+    env.close()
+    print(found)
+
+    file = Path(folder) / "calibration.json"
+    calibration = mounted.calibration(found, lens)
+    write_calibration(file, {"wrist": calibration}, {"wrist": mounted.known_board(found, board.board)})
+    assert calibration.optical is not None
+    off = moved.inverse() * calibration.optical.pose
+    print(
+        f"off by {1000 * np.linalg.norm(off.translation):.3f} mm, {np.rad2deg(np.linalg.norm(off.rotvec)):.4f} degrees"
+    )
+
+    # From now on, whatever is made with this file has the camera there, and can watch that it stays there.
+    with rcs.make(replace(setup, calibration=str(file))) as env:
+        check = drift_check(env, "wrist")
+        tour = Tour(env)
+        for view in strategy.joints[:6]:
+            tour.go_to(view)
+        check.wait()
+        print(f"{check.pictures} pictures: the board is {check.drift.pixels:.2f} px from where it is expected")

@@ -1,0 +1,118 @@
+"""Calibration with a board of AprilTags."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.calibration.board import Board
+from rcs.calibration.board_pose import board_poses
+from rcs.calibration.closed_form import board_in_anchor, middle_pose, rigid
+from rcs.calibration.detection import detect
+from rcs.calibration.fit import Guess, Sightings, refine
+from rcs.calibration.hand_eye import HandEye, hand_eye
+from rcs.calibration.intrinsics import IntrinsicsFit, fit_intrinsics
+from rcs.calibration.motion import motions
+from rcs.calibration.rig import Rig, View
+from rcs.calibration.strategy import CalibrationStrategy
+from rcs.calibration.suggestion import IsFree, suggest
+from rcs.errors import InvalidSetup
+
+ENOUGH = 5
+"""Views from which the guess of the camera's pose is made better."""
+TRIES = 3
+"""Pictures per view that is wanted, after which it gives up."""
+
+
+class BoardStrategy(CalibrationStrategy):
+    """Goes where a board is in view and where the next picture tells most, until there are as many as wanted."""
+
+    def __init__(self, rig: Rig, board: Board, *, views: int = 20, seed: int = 0) -> None:
+        """Begin without a view.
+
+        Args:
+            rig: What is calibrated.
+            board: The board.
+            views: Views that are wanted.
+            seed: Of the poses that are tried.
+        """
+        self.rig = rig
+        self.board = board
+        self.wanted = views
+        self.views: list[View] = []
+        """What was seen."""
+        self._boards: list[NDArray[np.float64]] = []
+        self.joints: list[NDArray[np.float64]] = []
+        """Where the arm was for each view [rad]."""
+        self._looked = 0
+        self._rng = np.random.default_rng(seed)
+
+    def look(self, picture: NDArray[np.uint8], joints: NDArray[np.float64]) -> bool:
+        """Look for the board in a picture."""
+        self._looked += 1
+        found = detect(self.board, picture)
+        if not len(found):
+            return False
+        self.views.append(View(flange_in_base=self.rig.kinematics.forward(joints), detections=found))
+        self._boards.append(board_poses(self.board, found, self.rig.intrinsics)[0].board_in_camera)
+        self.joints.append(np.array(joints, np.float64))
+        return True
+
+    def next_joints(self, joints: NDArray[np.float64], is_free: IsFree | None = None) -> NDArray[np.float64] | None:
+        """Return the best joints among many that are tried."""
+        if len(self.views) >= self.wanted:
+            return None
+        if self._looked >= TRIES * self.wanted:
+            raise InvalidSetup(
+                f"The board was seen in {len(self.views)} of {self._looked} pictures; wanted are {self.wanted}. Is it "
+                "lit well, flat, whole in view and at rest?"
+            )
+        guess = self.guess()
+        if guess is None:
+            raise InvalidSetup(
+                "The board is not in view, and nobody has said where it is. Move the arm until the camera sees the "
+                "whole board, or say about where it is."
+            )
+        seen = Sightings.of(self.board, self.views, self.rig.arrangement, self.rig.intrinsics)
+        around = [*self.joints, np.array(joints, np.float64)]
+        found = suggest(self.rig, self.board, guess, seen, around, rng=self._rng, is_free=is_free)
+        if found is None:
+            raise InvalidSetup(
+                "No pose was found from which the whole board is in view and to which the arm can go freely. Move the "
+                "board to the middle of where the arm works, or take a smaller one."
+            )
+        return found
+
+    def guess(self) -> Guess | None:
+        """Return where camera and board are as far as is known; None if the board was never seen."""
+        if not self.views:
+            near = self.rig.board_in_anchor
+            return None if near is None else Guess(self.rig.camera_in_mount, near)
+        camera = self.rig.camera_in_mount
+        anchors = np.array([view.anchor_in_mount(self.rig.arrangement) for view in self.views])
+        boards = board_in_anchor(camera.matrix, anchors, np.array(self._boards))
+        guess = Guess(camera, rigid(middle_pose(boards)))
+        if len(self.views) < ENOUGH:
+            return guess
+        seen = Sightings.of(self.board, self.views, self.rig.arrangement, self.rig.intrinsics)
+        return refine(guess, seen, is_robust=True)
+
+    def solve(self) -> HandEye:
+        """Return where the camera is."""
+        return hand_eye(self.board, self.views, self.rig.arrangement, self.rig.intrinsics)
+
+    def intrinsics(self) -> IntrinsicsFit:
+        """Return how the camera sees, from the same pictures.
+
+        Raises:
+            InvalidSetup: They cannot tell; the message says what is missing.
+        """
+        size = self.rig.intrinsics.width, self.rig.intrinsics.height
+        return fit_intrinsics(self.board, [view.detections for view in self.views], size)
+
+    def about(self) -> dict[str, Any]:
+        """Return how many views there are, and how the arm has turned."""
+        turn = motions([view.flange_in_base for view in self.views]).largest_turn
+        return {"views": len(self.views), "wanted": self.wanted, "largest turn [degrees]": float(np.rad2deg(turn))}

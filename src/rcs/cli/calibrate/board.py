@@ -1,0 +1,59 @@
+"""`rcs calibrate board`: a board of AprilTags to print."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rcs.calibration import Board
+from rcs.calibration.printing import sheet_of, text_of, to_pdf, to_png
+from rcs.cli.console import plain_console
+
+
+@dataclass(kw_only=True)
+class BoardOptions:
+    """Which board it is."""
+
+    rows: int = Board.rows
+    """Rows of tags."""
+    columns: int = Board.columns
+    """Columns of tags."""
+    tag_size_mm: float = 1000 * Board.tag_size
+    """Edge of a tag's black square as measured on the print [mm]."""
+    gap_mm: float | None = None
+    """White between two tags [mm]; a quarter of a tag by default."""
+    first_id: int = Board.first_id
+    """Number of the tag at the top left."""
+
+    @property
+    def board(self) -> Board:
+        """The board."""
+        size = self.tag_size_mm / 1000
+        gap = size / 4 if self.gap_mm is None else self.gap_mm / 1000
+        return Board(rows=self.rows, columns=self.columns, tag_size=size, gap=gap, first_id=self.first_id)
+
+
+@dataclass(kw_only=True)
+class BoardCommand(BoardOptions):
+    """Draw a board of AprilTags to print, as PDF and as PNG, true to scale.
+
+    Print it at 100 %, fix it to something flat and stiff, measure a tag, and give what you measured to the other
+    commands as `--tag-size-mm`.
+    """
+
+    out: Path = field(default_factory=lambda: Path("board"))
+    """Path of the two files, without their endings."""
+
+    def run(self) -> int:
+        """Draw it and tell where it is."""
+        board = self.board
+        sheet, _ = sheet_of(board)
+        self.out.parent.mkdir(parents=True, exist_ok=True)
+        console = plain_console()
+        for ending, data in ((".pdf", to_pdf(board)), (".png", to_png(board))):
+            path = self.out.with_name(self.out.name + ending)
+            path.write_bytes(data)
+            console.print(f"{path}: on a sheet of {sheet}")
+        for line in text_of(board):
+            console.print(line)
+        return 0

@@ -1,0 +1,62 @@
+"""`rcs calibrate hand-eye`: where a camera is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rcs.calibration import hand_eye
+from rcs.cli.calibrate.session import SessionOptions
+from rcs.cli.console import plain_console
+from rcs.envs.setup import Setup
+from rcs.setups.calibration import read_calibration, write_calibration
+from rcs.spatial import Intrinsics
+
+
+@dataclass(kw_only=True)
+class HandEyeCommand(SessionOptions):
+    """Find where a camera is, on a gripper or beside the robot, by looking at a board from many poses.
+
+    The arm goes by itself from pose to pose, to those from which the next picture tells most; on hardware each is
+    asked for first. The camera's pose, its covariance and the place of the board are written to the calibration file,
+    which `calibration="…"` of an environment takes; if it says already how the camera sees, that is used. Exit code 1,
+    and nothing is written, if something is amiss.
+    """
+
+    intrinsics: bool = False
+    """Find how the camera sees from the same pictures, too."""
+    accept: bool = False
+    """Write the result even if something is amiss."""
+    out: Path = field(default_factory=lambda: Path("calibration.json"))
+    """Calibration file; what it has of other cameras stays."""
+
+    def run(self) -> int:
+        """Calibrate, tell how well, and write."""
+        console = plain_console()
+        setup = self.setup()
+        with self.session(setup, console) as session:
+            lens = self._known_lens(setup) or session.intrinsics
+            strategy = self.strategy(session, setup, lens)
+            session.look_around(strategy)
+            if self.intrinsics:
+                fit = strategy.intrinsics()
+                console.print(str(fit))
+                lens = fit.intrinsics
+            found = hand_eye(strategy.board, strategy.views, strategy.rig.arrangement, lens)
+            console.print(str(found))
+            if found.alarms and not self.accept:
+                console.print("Nothing was written; --accept writes it all the same.")
+                return 1
+            write_calibration(
+                self.out,
+                {self.camera: session.mounted.calibration(found, lens)},
+                {self.camera: session.mounted.known_board(found, strategy.board)},
+            )
+        console.print(f"{self.out}: camera {self.camera!r}, and the board that it looked at")
+        return 0
+
+    def _known_lens(self, setup: Setup) -> Intrinsics | None:
+        """Return how the camera sees if the file says it already, as `rcs calibrate intrinsics` has found it."""
+        known = read_calibration(self.out).get(self.camera) if self.out.exists() else None
+        seen = None if known is None else known.camera.intrinsics
+        return None if seen is None else seen.cut(setup.image_size)

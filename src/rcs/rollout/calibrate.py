@@ -1,0 +1,212 @@
+"""Calibration of a camera: drives a robot from pose to pose, and shows a strategy what the camera sees at rest."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.calibration import CalibrationStrategy, HandEye, IsFree
+from rcs.envs.by_robot import by_robot, joined
+from rcs.envs.env import Env
+from rcs.envs.spaces import DISTORTION, FRAMES, INTRINSICS, JOINTS, RGB, Observation
+from rcs.errors import InvalidSetup, WrongOrder
+from rcs.setups.mounted_camera import MountedCamera
+from rcs.spatial import Intrinsics
+
+Confirm = Callable[[NDArray[np.float64], NDArray[np.float64]], bool]
+"""Asks a person whether the arm may go from joints to joints [rad]."""
+
+OnLook = Callable[[CalibrationStrategy, bool], None]
+"""Is told after every picture, with whether it is of use."""
+
+ARRIVED = 3e-3
+"""Largest distance of a joint from its target at arrival [rad]."""
+STILL = 2e-4
+"""Largest change of a joint per control step at rest [rad]."""
+SETTLING = 0.5
+"""How long a real arm is to be at rest before a picture counts: it swings a little longer than its joints turn [s]."""
+LONGEST = 30.0
+"""Time after which an arm that does not arrive has failed [s]."""
+
+
+def calibrate(
+    env: Env,
+    strategy: CalibrationStrategy,
+    camera: str,
+    *,
+    robot: str | None = None,
+    speed: float = 0.5,
+    is_free: IsFree | None = None,
+    confirm: Confirm | None = None,
+    on_look: OnLook | None = None,
+) -> HandEye:
+    """Calibrate a camera: `look_around`, and then solve.
+
+    Args:
+        env: An environment with absolute joint targets that observes the camera; it is reset.
+        strategy: What to look at and where to go.
+        camera: Name of the camera.
+        robot: Name of the robot that moves; None for the one that carries the camera, or for the first.
+        speed: Largest speed of a joint in real time [rad/s].
+        is_free: Whether the arm may go straight from joints to joints; None for anywhere.
+        confirm: Asked before every motion; None to go without.
+        on_look: Called after every picture, with whether it is of use.
+
+    Raises:
+        InvalidSetup: The environment has other actions, the pictures cannot tell, or nowhere is to go.
+        WrongOrder: The arm does not arrive, or the episode ends.
+    """
+    look_around(env, strategy, camera, robot=robot, speed=speed, is_free=is_free, confirm=confirm, on_look=on_look)
+    return strategy.solve()
+
+
+def look_around(
+    env: Env,
+    strategy: CalibrationStrategy,
+    camera: str,
+    *,
+    robot: str | None = None,
+    speed: float = 0.5,
+    is_free: IsFree | None = None,
+    confirm: Confirm | None = None,
+    on_look: OnLook | None = None,
+) -> None:
+    """Show a strategy pictures, and go where it wants the next one from, until it wants no more.
+
+    Where `confirm` says no, the next best pose is proposed. Arguments and errors are those of `calibrate`.
+    """
+    tour = Tour(env, robot=robot or MountedCamera.of(env.setup, camera).robot.name, speed=speed)
+
+    def may_go(start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
+        return (is_free is None or is_free(start, end)) and (confirm is None or confirm(start, end))
+
+    while True:
+        is_of_use = strategy.look(tour.picture(camera), tour.joints)
+        if on_look is not None:
+            on_look(strategy, is_of_use)
+        joints = strategy.next_joints(tour.joints, may_go)
+        if joints is None:
+            return
+        tour.go_to(joints)
+
+
+class Tour:
+    """Moves one arm of an environment from joints to joints, at a bounded speed, and looks at rest."""
+
+    def __init__(self, env: Env, *, robot: str | None = None, speed: float = 0.5) -> None:
+        """Reset the environment.
+
+        Args:
+            env: An environment with absolute joint targets.
+            robot: Name of the robot, where there are several.
+            speed: Largest speed of a joint [rad/s].
+
+        Raises:
+            InvalidSetup: It has other actions, or there is no such robot.
+        """
+        if env.setup.control != "joints" or env.setup.relative != "absolute":
+            raise InvalidSetup(
+                f"Calibration drives with absolute joint targets; this environment has control={env.setup.control!r}, "
+                f"relative={env.setup.relative!r}. Use control='joints', relative='absolute'."
+            )
+        names = list(env.robots)
+        if robot is not None and robot not in names:
+            raise InvalidSetup(f"There is no robot named {robot!r}; this environment has {names}.")
+        self._env = env
+        self._robot = robot or names[0]
+        self._speed = speed
+        self._observation: Observation
+        self._info: dict[str, Any]
+        self._observation, self._info = env.reset()
+
+    @property
+    def joints(self) -> NDArray[np.float64]:
+        """Where the arm is [rad], (dof,)."""
+        return np.array(self._own[JOINTS], np.float64)
+
+    @property
+    def _own(self) -> dict[str, Any]:
+        return by_robot(self._env.robots, self._observation)[self._robot]
+
+    def frame(self, camera: str) -> dict[str, NDArray[Any]]:
+        """Return the last frame of a camera.
+
+        Raises:
+            InvalidSetup: It is not observed.
+        """
+        frames = self._observation.get(FRAMES, {})
+        if camera not in frames:
+            raise InvalidSetup(f"Camera {camera!r} is not observed; give cameras=({camera!r},) to the environment.")
+        return frames[camera]
+
+    def picture(self, camera: str) -> NDArray[np.uint8]:
+        """Return the last picture of a camera, (H, W, 3)."""
+        return self.frame(camera)[RGB]
+
+    def intrinsics(self, camera: str) -> Intrinsics:
+        """Return how a camera is said to see.
+
+        Raises:
+            InvalidSetup: It is not observed, or nobody says.
+        """
+        frame = self.frame(camera)
+        if INTRINSICS not in frame:
+            raise InvalidSetup(f"Nobody says how camera {camera!r} sees; calibrate its intrinsics first.")
+        height, width = frame[RGB].shape[:2]
+        return Intrinsics.of_matrix(frame[INTRINSICS], (width, height), frame.get(DISTORTION, ()))
+
+    def go_to(self, joints: NDArray[np.float64]) -> None:
+        """Move the arm and wait until it has arrived and is at rest, and the cameras have new pictures.
+
+        Args:
+            joints: Where to [rad], (dof,).
+
+        Raises:
+            WrongOrder: It does not arrive, or the episode ends.
+        """
+        target = self.joints
+        stride = self._speed / self._env.frequency if self._env.is_real else np.inf
+        off, since = np.inf, None
+        for _ in range(int(LONGEST * self._env.frequency)):
+            way = joints - target
+            target = target + way * min(1.0, stride / max(float(np.abs(way).max()), 1e-12))
+            before = self.joints
+            self._step(target)
+            off, moved = float(np.abs(self.joints - joints).max()), float(np.abs(self.joints - before).max())
+            if off >= ARRIVED or moved >= STILL:
+                since = None
+            elif since is None:
+                since = self._time
+            elif self._has_new_frames(since):
+                return
+        raise WrongOrder(
+            f"Robot {self._robot!r} did not arrive within {LONGEST:g} s: it is {np.rad2deg(off):.1f} degrees off. "
+            "Is something in its way?"
+        )
+
+    @property
+    def _time(self) -> float:
+        """Now [s], on the clock of the frames' ages."""
+        return time.perf_counter() if self._env.is_real else float(self._info["time"])
+
+    def _has_new_frames(self, since: float) -> bool:
+        """Return whether all frames were taken when the arm had been at rest for long enough."""
+        rest = self._time - since - (SETTLING if self._env.is_real else 0.0)
+        ages: dict[str, Any] = self._info.get("ages", {})
+        return rest > 0 and all(float(age) < rest for key, age in ages.items() if key.startswith(FRAMES))
+
+    def _step(self, target: NDArray[np.float64]) -> None:
+        spaces = by_robot(self._env.robots, self._env.action_space)
+        actions = {
+            name: {key: np.array(part[key]) for key in spaces[name]}  # where they are
+            for name, part in by_robot(self._env.robots, self._observation).items()
+        }
+        actions[self._robot][JOINTS] = target
+        self._observation, _, terminated, truncated, self._info = self._env.step(joined(actions))
+        if terminated or truncated:
+            why = f"{self._info.get('end')} {self._info.get('faults', '')}".rstrip()
+            raise WrongOrder(f"The episode ended on the way: {why}")

@@ -1,0 +1,118 @@
+"""Cameras in simulation are found where they are, in both arrangements, and the arm touches nothing on the way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.calibration import BoardStrategy, verify
+from rcs.errors import InvalidSetup, WrongOrder
+from rcs.rollout import FreePath, Tour, calibrate
+from rcs.setups import MountedCamera, board_setup
+from rcs.tasks import ShowBoardOptions
+
+pytestmark = pytest.mark.extras
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("robot", "camera", "size"),
+    [("fr3", "wrist", 0.08), ("fr3", "side", 0.08), ("so101", "wrist", 0.04), ("dual_fr3", "right_wrist", 0.08)],
+)
+def test_a_rendered_camera_is_found(robot: str, camera: str, size: float) -> None:
+    from rcs.calibration import Board
+
+    setup = board_setup(robot, camera, Board(tag_size=size, gap=size / 4))
+    mounted, options = MountedCamera.of(setup, camera), ShowBoardOptions(**setup.task_options)
+    refused: list[bool] = []
+    with rcs.make(setup) as env:
+        lens = Tour(env, robot=mounted.robot.name).intrinsics(camera)
+        rig = mounted.rig(lens, options.pose)
+        strategy = BoardStrategy(rig, options.board, views=12)
+        path = FreePath(env, mounted.robot.name)
+
+        def is_free(start: Any, end: Any) -> bool:
+            refused.append(not path(start, end))
+            return not refused[-1]
+
+        found = calibrate(env, strategy, camera, is_free=is_free)
+    off = rig.camera_in_mount.inverse() * found.camera_in_mount
+    assert 1000 * np.linalg.norm(off.translation) < 0.3
+    assert np.rad2deg(np.linalg.norm(off.rotvec)) < 0.03
+    assert not found.alarms
+    assert verify(rig, options.board, strategy.views).pixels < 0.3
+    again = mounted.calibration(found, lens)
+    assert again.optical is not None
+    np.testing.assert_allclose(again.optical.translation, mounted.camera.optical_in_parent.translation, atol=3e-4)
+    place = mounted.known_board(found, options.board).mount.pose
+    np.testing.assert_allclose(place.matrix, options.pose.matrix, atol=1e-3)
+
+
+def test_a_way_is_free_unless_the_arm_comes_near_something_on_it() -> None:
+    with rcs.make(replace(board_setup("fr3", "wrist"), cameras=())) as env:
+        home = env.reset(seed=0)[0]["joints"]
+        path = FreePath(env, "fr3")
+        turned, low = home.copy(), home.copy()
+        turned[0] = 0.5
+        low[1], low[3] = 0.9, -1.9  # the hand in the table
+        assert path(home, home) and path(home, turned)
+        assert not path(home, low)
+        assert not path(home, home + 2 * (low - home)), "what is beyond it does not matter"
+        assert path(low, low) and path(low, home), "away from what is near is free"
+
+
+def test_environments_with_other_actions_are_refused() -> None:
+    with rcs.make("Free", robot="fr3", control="tquat") as env, pytest.raises(InvalidSetup, match="absolute"):
+        Tour(env)
+
+
+def test_an_episode_that_ends_on_the_way_is_told() -> None:
+    setup = replace(board_setup("fr3", "wrist"), cameras=(), max_episode_steps=2)
+    with rcs.make(setup) as env:
+        tour = Tour(env)
+        with pytest.raises(WrongOrder, match="ended on the way"):  # the third step of two
+            tour.go_to(tour.joints - 3.0 * np.eye(7)[6])
+
+
+def test_a_camera_that_is_not_observed_is_told() -> None:
+    with rcs.make("Free", robot="fr3", relative=False) as env, pytest.raises(InvalidSetup, match="cameras="):
+        Tour(env).picture("wrist")
+
+
+@pytest.mark.parametrize(
+    ("camera", "robot", "text"),
+    [("wrist", "left", "robot"), ("nowhere", None, "nowhere")],
+)
+def test_a_camera_or_robot_that_is_not_there_is_refused(camera: str, robot: str | None, text: str) -> None:
+    setup = board_setup("fr3", "wrist")
+    with pytest.raises(rcs.errors.UnknownName, match=text):
+        MountedCamera.of(setup, camera, robot)
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+def test_in_real_time_pictures_count_only_when_the_arm_has_come_to_rest() -> None:
+    setup = replace(board_setup("fr3", "wrist"), stepping="realtime", image_size=(640, 480))
+    options = ShowBoardOptions(**setup.task_options)
+    asked: list[bool] = []
+
+    def confirm(start: Any, end: Any) -> bool:
+        asked.append(len(asked) % 4 != 3)  # a person refuses some
+        return asked[-1]
+
+    twin = rcs.make(replace(setup, stepping="sync", cameras=()))
+    twin.reset()
+    env = rcs.make(setup, hardware={"fr3": "fake"})
+    rig = MountedCamera.of(setup, "wrist").rig(Tour(env).intrinsics("wrist"), options.pose)
+    strategy = BoardStrategy(rig, options.board, views=9)
+    found = calibrate(env, strategy, "wrist", speed=1.5, is_free=FreePath(twin, "fr3"), confirm=confirm)
+    env.close()
+    twin.close()
+    off = rig.camera_in_mount.inverse() * found.camera_in_mount
+    assert 1000 * np.linalg.norm(off.translation) < 0.5
+    assert asked.count(True) >= 8 and False in asked
