@@ -1,7 +1,7 @@
 """Planning past obstacles: seeded problems for every robot, judged by MuJoCo's own collision detection.
 
-Each problem has its own obstacles on and above the table, and a start and a goal that are drawn at random inside the
-joint limits and free; in at least half of them the straight joint motion collides. A path that is found is shortened,
+Each problem has its own obstacles on and above the table, and a start and a goal that are drawn at random, free and
+up to half a turn of each joint from home; in at least half of them the straight joint motion collides. A path that is found is shortened,
 given times, and looked at at every millisecond: contacts (`mj_collision`, not the checker), and limits of velocity,
 acceleration and jerk.
 
@@ -27,7 +27,7 @@ from rcs.sim import RobotPlacement, Scene
 
 ROBOTS = ("fr3", "xarm7", "ur5e", "so101")
 END_EFFECTORS = {"xarm7": "robotiq_2f85"}
-OBSTACLES = 8
+OBSTACLES = 6
 MARGIN = {"so101": 0.002}
 """Distance to keep [m], if not 5 mm: parts of the SO101 pass each other closer."""
 ROUNDING = 1e-9
@@ -50,9 +50,11 @@ class Options:
 
 
 def make_scene(robot: RobotPlacement, random: np.random.Generator) -> mujoco.MjModel:
-    """Compile the robot at its table with boxes and posts around it."""
+    """Compile the robot on a table all around it, with boxes and posts."""
     scene = Scene.empty()
-    scene.add_table()
+    scene.spec.worldbody.add_geom(
+        name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=[2.0, 2.0, 0.02], pos=[0.0, 0.0, -0.02]
+    )
     scene.add_robot(robot)
     reach = robot.arm.workspace_reach
     for i in range(OBSTACLES):
@@ -107,10 +109,17 @@ def count_over_limits(path: TimedPath, limits: JointLimits) -> int:
     return sum(int((np.abs(values) > limit + ROUNDING).any(axis=1).sum()) for values, limit in pairs)
 
 
-def draw(checker: CollisionChecker, margin: float, random: np.random.Generator, must_detour: bool) -> np.ndarray:
-    """Return a free start and a free goal, (2, dof); if asked for, with something on the straight line between."""
+def draw(
+    checker: CollisionChecker, home: np.ndarray, margin: float, random: np.random.Generator, must_detour: bool
+) -> np.ndarray:
+    """Return a free start and a free goal, (2, dof); if asked for, with something on the straight line between.
+
+    Joints are drawn up to half a turn from home: one whole turn of a shoulder further on, an arm is where it was, but a
+    table is in between.
+    """
+    lower, upper = np.maximum(checker.joint_lower, home - np.pi), np.minimum(checker.joint_upper, home + np.pi)
     while True:
-        drawn = random.uniform(checker.joint_lower, checker.joint_upper, (64, checker.dof))
+        drawn = random.uniform(lower, upper, (64, checker.dof))
         free = drawn[checker.free_rows(drawn, 2 * margin)]
         for start, goal in zip(free[::2], free[1::2], strict=False):
             if not must_detour or checker.first_hit(start, goal) is not None:
@@ -135,7 +144,7 @@ def measure(name: str, options: Options) -> dict[str, object]:
         planner = Planner(
             checker, limits, kinematics, margin=margin, planner=options.planner, time_limit=options.time_limit
         )
-        start, goal = draw(checker, margin, random, must_detour=problem % 4 != 3)
+        start, goal = draw(checker, home, margin, random, must_detour=problem % 4 != 3)
         detours += checker.first_hit(start, goal) is not None
         problem += 1
         begin = time.perf_counter()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from rcs._core import CollisionChecker
 from rcs.envs.env import Env
@@ -51,9 +52,14 @@ class ScenePlanner(Planner):
             self.checker.set_state(state, data.mocap_pos.ravel(), data.mocap_quat.ravel())
 
     @property
-    def joints(self) -> np.ndarray:
+    def joints(self) -> NDArray[np.float64]:
         """The robot's joints now [rad], (dof,)."""
         return self._qpos()[self._layout.qpos].copy()
+
+    def put(self, joints: ArrayLike) -> None:
+        """Put the robot of the world at joints [rad], (dof,), to look at it; time does not pass."""
+        self._qpos()[self._layout.qpos] = joints
+        self._world.refresh()
 
     def attach(self, body: str) -> None:
         """Let a free body, such as a grasped object, move with the gripper from where both are now.
@@ -75,7 +81,7 @@ class ScenePlanner(Planner):
         self.checker.detach(self._body(body))
         self.look()
 
-    def _qpos(self) -> np.ndarray:
+    def _qpos(self) -> NDArray[np.float64]:
         qpos = self._world.qpos
         return qpos if qpos.ndim == 1 else qpos[self._copy]
 

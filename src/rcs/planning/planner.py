@@ -166,7 +166,7 @@ class Planner:
                 different.append(q)
         return np.array(different)
 
-    def time(self, path: Path, *, bend: float = 0.3) -> TimedPath:
+    def time(self, path: Path, *, bend: float = 0.5) -> TimedPath:
         """Give a path times, within the limits of the joints; corners are rounded off where that touches nothing.
 
         Args:

@@ -74,13 +74,14 @@ class JointLimits:
 _NAMES = ("velocity", "acceleration", "jerk")
 
 
-def time_path(path: Path, limits: JointLimits, *, bend: float = 0.3, is_free: Is | None = None) -> TimedPath:
+def time_path(path: Path, limits: JointLimits, *, bend: float = 0.5, is_free: Is | None = None) -> TimedPath:
     """Give a path times.
 
     Args:
         path: The path.
         limits: Limits of the joints, which hold at every moment.
-        bend: How long a bend may be [rad], half of it on each side of its corner; 0 stops at every corner.
+        bend: How long a bend may be [rad], half of it on each side of its corner; 0 stops at every corner. Where shorter
+            bends, or stops, are faster, all are: a sharp turn may take longer around than to a stop and back.
         is_free: Says whether a bend touches nothing, given joints along it that straight lines connect; None believes
             it. A bend that does is halved until it does not, and left out below 1 mrad.
 
@@ -96,6 +97,12 @@ def time_path(path: Path, limits: JointLimits, *, bend: float = 0.3, is_free: Is
     if len(points) == 1:
         standing = np.zeros(points.shape[1])
         return TimedPath((Line(points[0], standing, LineProfile(0.0, 0.0, 0.0, 1.0, 1.0, 1.0)),))
+    longest = (bend, bend / 3, 0.0) if bend > 0.0 else (0.0,)
+    return min((_timed(points, limits, length, is_free) for length in longest), key=lambda made: made.duration)
+
+
+def _timed(points: NDArray[np.float64], limits: JointLimits, bend: float, is_free: Is | None) -> TimedPath:
+    """Return the motion along points, all different, with bends of up to a length."""
     ways = np.diff(points, axis=0)
     lengths = np.linalg.norm(ways, axis=1)
     directions = ways / lengths[:, None]
