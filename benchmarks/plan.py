@@ -1,7 +1,7 @@
 """Planning past obstacles: seeded problems for every robot, judged by MuJoCo's own collision detection.
 
 Each problem has its own obstacles on and above the table, and a start and a goal that are drawn at random, free and
-up to half a turn of each joint from home; in at least half of them the straight joint motion collides. A path that is found is shortened,
+up to 2 rad of each joint from home; in at least half of them the straight joint motion collides. A path that is found is shortened,
 given times, and looked at at every millisecond: contacts (`mj_collision`, not the checker), and limits of velocity,
 acceleration and jerk.
 
@@ -28,6 +28,8 @@ from rcs.sim import RobotPlacement, Scene
 ROBOTS = ("fr3", "xarm7", "ur5e", "so101")
 END_EFFECTORS = {"xarm7": "robotiq_2f85"}
 OBSTACLES = 6
+SPREAD = 2.0
+"""How far from home joints are drawn [rad]."""
 MARGIN = {"so101": 0.002}
 """Distance to keep [m], if not 5 mm: parts of the SO101 pass each other closer."""
 ROUNDING = 1e-9
@@ -114,10 +116,10 @@ def draw(
 ) -> np.ndarray:
     """Return a free start and a free goal, (2, dof); if asked for, with something on the straight line between.
 
-    Joints are drawn up to half a turn from home: one whole turn of a shoulder further on, an arm is where it was, but a
-    table is in between.
+    Joints are drawn up to `SPREAD` from home: what is folded the other way round, an arm whose joints turn twice cannot
+    reach past itself and the table, even without obstacles.
     """
-    lower, upper = np.maximum(checker.joint_lower, home - np.pi), np.minimum(checker.joint_upper, home + np.pi)
+    lower, upper = np.maximum(checker.joint_lower, home - SPREAD), np.minimum(checker.joint_upper, home + SPREAD)
     while True:
         drawn = random.uniform(lower, upper, (64, checker.dof))
         free = drawn[checker.free_rows(drawn, 2 * margin)]
@@ -128,7 +130,9 @@ def draw(
 
 def measure(name: str, options: Options) -> dict[str, object]:
     """Plan all problems of a robot."""
-    with rcs.make("Free", robot=name, **({"end_effector": END_EFFECTORS[name]} if name in END_EFFECTORS else {})) as env:
+    with rcs.make(
+        "Free", robot=name, **({"end_effector": END_EFFECTORS[name]} if name in END_EFFECTORS else {})
+    ) as env:
         robot = next(iter(env.robots.values()))
     margin = MARGIN.get(name, 0.005)
     limits, home = JointLimits.of(robot.arm), np.array(robot.arm.home)

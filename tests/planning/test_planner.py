@@ -10,7 +10,6 @@ import pytest
 from rcs.errors import InvalidSetup, PlanningFailed
 from rcs.planning import Path, Planner
 from rcs.spatial import Pose
-
 from tests.planning.scene import HOME, LEFT, RIGHT, make_planner
 
 

@@ -10,7 +10,6 @@ import pytest
 
 from rcs.errors import PlanningFailed, UnknownName
 from rcs.planning import PLANNERS
-
 from tests.planning.scene import LEFT, RIGHT, make_planner
 
 pytestmark = pytest.mark.extras

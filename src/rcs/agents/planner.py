@@ -87,7 +87,9 @@ class PickPlanner(Agent):
         self._kinematics = self._planner.kinematics
         assert self._kinematics is not None
         self._writer = ActionWriter(env.setup, env.action_space, self._kinematics, preferred=self._robot.arm.home)  # pyright: ignore[reportArgumentType]
-        self._planner.limits, self._slowly = (slower(JointLimits.of(self._robot.arm), speed) for speed in (SPEED, SLOWLY))
+        self._planner.limits, self._slowly = (
+            slower(JointLimits.of(self._robot.arm), speed) for speed in (SPEED, SLOWLY)
+        )
         self._wander = wander
         self._period = 1.0 / env.setup.frequency
         self._parts: Sequence[Part] = ()
@@ -240,13 +242,13 @@ def slower(limits: JointLimits, speed: float) -> JointLimits:
 
 def has_arrived(agent: PickPlanner) -> bool:
     """Return whether a motion is over and the arm is at its end."""
-    motion = agent._parts[agent._at].motion  # noqa: SLF001
+    motion = agent._parts[agent._at].motion
     assert motion is not None
     late = agent.elapsed - motion.duration
-    return late >= 0.0 and (bool(np.abs(agent._joints - agent._goal).max() < ARRIVED) or late > PATIENCE)  # noqa: SLF001
+    return late >= 0.0 and (bool(np.abs(agent._joints - agent._goal).max() < ARRIVED) or late > PATIENCE)
 
 
 def has_closed(agent: PickPlanner) -> bool:
     """Return whether the gripper stands still, closed on something or on nothing."""
-    is_still = abs(agent._opening - agent._last_opening) < STILL * agent._period  # noqa: SLF001
-    return agent.elapsed > CLOSING_TIME and agent._opening < BARELY_CLOSED and is_still  # noqa: SLF001
+    is_still = abs(agent._opening - agent._last_opening) < STILL * agent._period
+    return agent.elapsed > CLOSING_TIME and agent._opening < BARELY_CLOSED and is_still

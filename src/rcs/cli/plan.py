@@ -102,4 +102,3 @@ class PlanCommand(SetupOptions):
             self.out.write_bytes(encode_png(np.hstack([at(joints) for joints in moments])))
         finally:
             picture.close()
-

@@ -51,7 +51,7 @@ def expansive(problem: Problem) -> Rows | None:
     """Return a way (n, dof); None if none is found in time."""
     end = time.monotonic() + problem.time_limit
     random = np.random.default_rng(problem.seed)
-    lower, upper = problem.checker.joint_lower, problem.checker.joint_upper
+    lower, upper = problem.lower, problem.upper
     reach = REACH * float(np.linalg.norm(upper - lower))
     trees = [_Tree(problem.start[None], reach / 3), _Tree(problem.goals, reach / 3)]
     turn = 0

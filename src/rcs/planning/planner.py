@@ -24,6 +24,8 @@ APART = 0.1
 """Solutions of inverse kinematics nearer to each other than this are one [rad]."""
 SHORTCUTS = 24
 """Random shortcuts that are tried on a path."""
+BEYOND = np.pi
+"""How far beyond start and goals it is looked for [rad]: joints of some arms turn twice, most of which leads nowhere."""
 INSIDE = 1e-4
 """By how much margins are lowered below the distance at which a path begins or ends [m]."""
 
@@ -113,6 +115,8 @@ class Planner:
             checker=self.checker,
             start=first,
             goals=goals,
+            lower=np.maximum(self.checker.joint_lower, ends.min(axis=0) - BEYOND),
+            upper=np.minimum(self.checker.joint_upper, ends.max(axis=0) + BEYOND),
             margin=max(min(self.margin, nearest - INSIDE), 0.0),
             step=STEP,
             turn=TURN,
@@ -145,7 +149,9 @@ class Planner:
             InvalidSetup: This planner has no kinematics.
         """
         if self.kinematics is None:
-            raise InvalidSetup("This planner has no kinematics, so a goal must be joints; give Planner(kinematics=...).")
+            raise InvalidSetup(
+                "This planner has no kinematics, so a goal must be joints; give Planner(kinematics=...)."
+            )
         first = self._joints("start", start)[0]
         lower, upper = self.kinematics.joint_lower, self.kinematics.joint_upper
         starts = np.random.default_rng(seed).uniform(lower, upper, (ATTEMPTS, len(lower)))

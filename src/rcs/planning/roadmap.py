@@ -22,7 +22,7 @@ def roadmap(problem: Problem) -> Rows | None:
     """Return a way (n, dof); None if none is found in time. Batches are drawn until one is found."""
     end = time.monotonic() + problem.time_limit
     random = np.random.default_rng(problem.seed)
-    lower, upper = problem.checker.joint_lower, problem.checker.joint_upper
+    lower, upper = problem.lower, problem.upper
     points = np.vstack([problem.start, problem.goals])
     first_sample = len(points)
     edges: list[dict[int, float]] = [{} for _ in points]
@@ -51,7 +51,9 @@ def _join(problem: Problem, points: Rows, edges: list[dict[int, float]], fresh: 
     if not pairs:
         return
     rows = np.array(sorted(pairs))
-    for (i, j), is_free in zip(rows.tolist(), problem.connect_rows(points[rows[:, 0]], points[rows[:, 1]]), strict=True):
+    for (i, j), is_free in zip(
+        rows.tolist(), problem.connect_rows(points[rows[:, 0]], points[rows[:, 1]]), strict=True
+    ):
         if is_free:
             edges[i][j] = edges[j][i] = float(np.linalg.norm(points[i] - points[j]))
 

@@ -20,7 +20,17 @@ from rcs.errors import MissingDependency, UnknownName
 
 PLANNERS = ("PRM", "RRT", "RRTConnect", "RRTstar", "EST", "FMT", "BITstar")
 """Planners that are tried and documented; OMPL's other geometric ones go by their names, too."""
-OPTIMISING = ("RRTstar", "BITstar", "PRMstar", "InformedRRTstar", "SORRTstar", "AORRTC", "LBTRRT", "ABITstar", "AITstar")
+OPTIMISING = (
+    "RRTstar",
+    "BITstar",
+    "PRMstar",
+    "InformedRRTstar",
+    "SORRTstar",
+    "AORRTC",
+    "LBTRRT",
+    "ABITstar",
+    "AITstar",
+)
 """Planners that go on after the first path, until their iterations are up."""
 SEEDS = 2**31
 """Seeds that OMPL takes."""
@@ -37,6 +47,9 @@ class Problem:
     """rad, (dof,)"""
     goals: Rows
     """rad, (n, dof)"""
+    lower: Rows
+    """Where it is looked for [rad], (dof,)."""
+    upper: Rows
     margin: float
     """Distance to keep [m]."""
     step: float
@@ -102,10 +115,10 @@ def _solve(planner: Any, is_optimising: bool, problem: Problem) -> Rows | None:
     util.setLogLevel(util.LOG_NONE)  # it says on standard output what is returned here
     # Generators made from here on follow from this seed; OMPL takes none of 0.
     util.RNG.setSeed(problem.seed % SEEDS + 1)
-    checker, dof = problem.checker, problem.checker.dof
+    dof = problem.checker.dof
     space = base.RealVectorStateSpace(dof)
     bounds = base.RealVectorBounds(dof)
-    for i, (low, high) in enumerate(zip(checker.joint_lower, checker.joint_upper, strict=True)):
+    for i, (low, high) in enumerate(zip(problem.lower, problem.upper, strict=True)):
         bounds.setLow(i, float(low))
         bounds.setHigh(i, float(high))
     space.setBounds(bounds)
@@ -137,10 +150,13 @@ def _solve(planner: Any, is_optimising: bool, problem: Problem) -> Rows | None:
     def is_over() -> bool:
         nonlocal asked
         asked += 1
-        is_good = is_optimising and asked > problem.iterations and definition.hasExactSolution()
-        return is_good or time.monotonic() > end
+        return (is_optimising and asked > problem.iterations) or time.monotonic() > end
 
-    made.solve(base.PlannerTerminationCondition(is_over))
+    while not definition.hasExactSolution() and time.monotonic() < end:  # an optimising one may need another round
+        asked = 0
+        made.solve(base.PlannerTerminationCondition(is_over))
+        if not is_optimising:
+            break
     if not definition.hasExactSolution():
         return None
     path = definition.getSolutionPath()

@@ -114,7 +114,11 @@ def _timed(points: NDArray[np.float64], limits: JointLimits, bend: float, is_fre
     rates = [_along(direction, limits) for direction in directions]
     cut = np.array([0.0, *(0.0 if b is None else b.length / 2 for b in bends), 0.0])
     left = np.maximum(lengths - cut[:-1] - cut[1:], 0.0)
-    speeds = [0.0, *(0.0 if b is None else min(b.speed, rates[i][0], rates[i + 1][0]) for i, b in enumerate(bends)), 0.0]
+    speeds = [
+        0.0,
+        *(0.0 if b is None else min(b.speed, rates[i][0], rates[i + 1][0]) for i, b in enumerate(bends)),
+        0.0,
+    ]
     for i in range(len(left)):  # what can be reached from before, then what can be braked from
         speeds[i + 1] = min(speeds[i + 1], LineProfile.fastest(speeds[i], left[i], *rates[i]))
     for i in reversed(range(len(left))):
