@@ -143,7 +143,7 @@ test-sanitized:
 $(VENV)/.stamp-extras: $(VENV)/.stamp-built
 	@echo "==> Installing torch, Stable-Baselines3 and Ray (first time: about 1 GB)"
 	@$(PIP) install -c constraints.txt torch
-	@$(PIP) install -c constraints.txt stable-baselines3 tensorboard mujoco-menagerie ray
+	@$(PIP) install -c constraints.txt stable-baselines3 tensorboard mujoco-menagerie ray ompl
 	@touch $@
 
 test-extras: test-wheel $(VENV)/.stamp-extras gl

@@ -834,6 +834,33 @@ class CollisionChecker:
         `first_hit` of rows (N, dof): fractions (N,), infinite for a free motion; `free_until` (N,); geoms (N, 2). The GIL is released.
         """
 
+class LineProfile:
+    """
+    The quickest motion along a line over a distance from speed to speed, at limited acceleration and jerk, without acceleration at either end (Ruckig).
+    """
+
+    def __init__(self, distance: float, from_speed: float, to_speed: float, velocity: float, acceleration: float, jerk: float) -> None:
+        """
+        Plan it; the unit of all numbers is that of the distance, and seconds.
+
+        Raises InvalidSetup for limits that are not positive, speeds outside 0 to `velocity`, or a distance too short to get from speed to speed.
+        """
+
+    @property
+    def duration(self) -> float:
+        """s"""
+
+    def at(self, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+        """
+        Way, velocity, acceleration and jerk, (N, 4), at times (N,) [s] after the start; before and after, those of the ends.
+        """
+
+    @staticmethod
+    def fastest(from_speed: float, distance: float, velocity: float, acceleration: float, jerk: float) -> float:
+        """
+        The highest speed up to `velocity` that can be reached from a speed over a distance.
+        """
+
 class StepView:
     """
     One copy of a scene while it is stepped; afterwards, using it raises WrongOrder. Arrays are views of MuJoCo's own memory and have meaning only during the call.

@@ -87,10 +87,9 @@ def test_a_pose_out_of_reach_says_so(planner: Planner) -> None:
 
 
 def test_without_a_way_the_search_ends_in_time(planner: Planner) -> None:
-    short = Planner(planner.checker, planner.limits, margin=0.005, planner=planner.planner, time_limit=1e-3)
-    with pytest.raises(PlanningFailed, match="no path in 0.001 s") as caught:
-        for seed in range(50):  # a way that the first batch finds is found
-            short.plan(LEFT, RIGHT, seed=seed)
+    closed = Planner(planner.checker, planner.limits, margin=0.0, planner=planner.planner, time_limit=1e-9)
+    with pytest.raises(PlanningFailed, match="no path in 1e-09 s") as caught:
+        closed.plan(LEFT, RIGHT)
     assert caught.value.reason == "time"
 
 
@@ -116,7 +115,7 @@ def test_a_grasped_object_is_carried_clear_of_everything() -> None:
 def test_what_makes_no_sense_is_refused(planner: Planner) -> None:
     with pytest.raises(InvalidSetup, match="7 finite joints"):
         planner.plan(LEFT[:6], RIGHT)
-    with pytest.raises(InvalidSetup, match="Joint 4 of the goal is 1.0000 rad; valid is -3.0421 to -0.1518"):
+    with pytest.raises(InvalidSetup, match=r"Joint 4 of the goal is 1\.0000 rad; valid is -3\.0421 to -0\.1518"):
         planner.plan(LEFT, [*RIGHT[:3], 1.0, *RIGHT[4:]])
     with pytest.raises(InvalidSetup, match="margin"):
         Planner(planner.checker, planner.limits, margin=-1.0)

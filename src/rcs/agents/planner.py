@@ -17,7 +17,7 @@ from rcs.envs.env import Env
 from rcs.envs.planner_for import ScenePlanner, planner_for
 from rcs.envs.spaces import GRIPPER, JOINTS, Action, Observation
 from rcs.errors import InvalidSetup, PlanningFailed, WrongOrder
-from rcs.kinematics import IkStatus, freedom_of
+from rcs.kinematics import IkStatus, Kinematics, freedom_of
 from rcs.planning.path import Path
 from rcs.planning.timed_path import TimedPath
 from rcs.planning.timing import JointLimits, time_path
@@ -84,8 +84,8 @@ class PickPlanner(Agent):
             raise InvalidSetup(f"PickPlanner moves one robot, there are {len(env.robots)}: {', '.join(env.robots)}.")
         self._robot = next(iter(env.robots.values()))
         self._planner: ScenePlanner = planner_for(env, margin=MARGIN, planner=planner, time_limit=10.0)
-        self._kinematics = self._planner.kinematics
-        assert self._kinematics is not None
+        assert self._planner.kinematics is not None
+        self._kinematics: Kinematics = self._planner.kinematics
         self._writer = ActionWriter(env.setup, env.action_space, self._kinematics, preferred=self._robot.arm.home)  # pyright: ignore[reportArgumentType]
         self._planner.limits, self._slowly = (
             slower(JointLimits.of(self._robot.arm), speed) for speed in (SPEED, SLOWLY)
@@ -109,6 +109,18 @@ class PickPlanner(Agent):
     def elapsed(self) -> float:
         """Time since the present part began [s]."""
         return self._now - self._began
+
+    def has_arrived(self) -> bool:
+        """Return whether the motion of the present part is over and the arm is at its end."""
+        motion = self._parts[self._at].motion
+        assert motion is not None
+        late = self.elapsed - motion.duration
+        return late >= 0.0 and (bool(np.abs(self._joints - self._goal).max() < ARRIVED) or late > PATIENCE)
+
+    def has_closed(self) -> bool:
+        """Return whether the gripper stands still, closed on something or on nothing."""
+        is_still = abs(self._opening - self._last_opening) < STILL * self._period
+        return self.elapsed > CLOSING_TIME and self._opening < BARELY_CLOSED and is_still
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Plan a new episode.
@@ -161,8 +173,8 @@ class PickPlanner(Agent):
         start = self._writer.joints
         back: list[Part] = []
         if self._attempt > 1:  # out of the grasp first, on the way that led in
-            up = np.array([part for part in self._descent[::-1]])
-            back = [Part("retreat", 1.0, self._straight(up), has_arrived)]
+            up = self._descent[::-1]
+            back = [Part("retreat", 1.0, self._straight(up), PickPlanner.has_arrived)]
             start = up[-1]
         yaw = float(closing_yaw(info["cuboid"], info["edges"]))
         ways = self._ways(Pose.from_tquat(info["cuboid"]), (yaw, yaw + np.pi), start)
@@ -178,10 +190,10 @@ class PickPlanner(Agent):
             self._descent = descent
             return [
                 *back,
-                Part("reach", 1.0, self._planner.time(way), has_arrived),
-                Part("descend", 1.0, self._straight(descent), has_arrived),
+                Part("reach", 1.0, self._planner.time(way), PickPlanner.has_arrived),
+                Part("descend", 1.0, self._straight(descent), PickPlanner.has_arrived),
                 Part("settle", 1.0, None, lambda agent: agent.elapsed >= SETTLING_TIME),
-                Part("close", 0.0, None, has_closed),
+                Part("close", 0.0, None, PickPlanner.has_closed),
                 Part("lift", 0.0, self._straight(lifted), lambda _: False),
             ]
         raise PlanningFailed("There is no way to any pre-grasp.", reason="time")
@@ -217,11 +229,11 @@ class PickPlanner(Agent):
         return ways
 
     def _line(self, tool: Pose, joints: Rows, begin: float, end: float) -> Rows | None:
-        """Return joints that lead the TCP straight from one height above the grasp to another; None if it is not free."""
+        """Return joints that lead the TCP straight from height to height above the grasp; None if it is not free."""
         rows = [joints]
         count = max(int(np.ceil(abs(end - begin) / STRIDE)), 1)
         for height in np.linspace(begin, end, count + 1)[1:]:
-            result = self._kinematics.inverse(raised(tool, float(height)), rows[-1], freedom_of(self._kinematics))  # pyright: ignore[reportOptionalMemberAccess]
+            result = self._kinematics.inverse(raised(tool, float(height)), rows[-1], freedom_of(self._kinematics))
             if result.status != IkStatus.ok or np.abs(result.joints - rows[-1]).max() > JUMP:
                 return None
             rows.append(result.joints)
@@ -238,17 +250,3 @@ def slower(limits: JointLimits, speed: float) -> JointLimits:
     return JointLimits(
         velocity=speed * limits.velocity, acceleration=EFFORT * limits.acceleration, jerk=EFFORT * limits.jerk
     )
-
-
-def has_arrived(agent: PickPlanner) -> bool:
-    """Return whether a motion is over and the arm is at its end."""
-    motion = agent._parts[agent._at].motion
-    assert motion is not None
-    late = agent.elapsed - motion.duration
-    return late >= 0.0 and (bool(np.abs(agent._joints - agent._goal).max() < ARRIVED) or late > PATIENCE)
-
-
-def has_closed(agent: PickPlanner) -> bool:
-    """Return whether the gripper stands still, closed on something or on nothing."""
-    is_still = abs(agent._opening - agent._last_opening) < STILL * agent._period
-    return agent.elapsed > CLOSING_TIME and agent._opening < BARELY_CLOSED and is_still

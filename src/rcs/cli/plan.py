@@ -72,7 +72,7 @@ class PlanCommand(SetupOptions):
             took = time.perf_counter() - begin
             timed = planner.time(path)
             console.print(
-                f"{self.planner}: {len(path.waypoints)} waypoints, {path.length:.2f} rad, found in {1e3 * took:.0f} ms; "
+                f"{self.planner}: {len(path.waypoints)} waypoints, {path.length:.2f} rad, in {1e3 * took:.0f} ms; "
                 f"takes {timed.duration:.2f} s"
             )
             for row in path.waypoints:

@@ -25,7 +25,7 @@ APART = 0.1
 SHORTCUTS = 24
 """Random shortcuts that are tried on a path."""
 BEYOND = np.pi
-"""How far beyond start and goals it is looked for [rad]: joints of some arms turn twice, most of which leads nowhere."""
+"""How far beyond start and goals is searched [rad]: joints of some arms turn twice, most of which leads nowhere."""
 INSIDE = 1e-4
 """By how much margins are lowered below the distance at which a path begins or ends [m]."""
 

@@ -19,7 +19,7 @@ MOST = 8
 HALF_WIDTH, HALF_HEIGHT = 0.015, 0.175
 """Half the edges of a post at the usual size of objects [m]: higher than the flange when it grasps."""
 NEAREST, FARTHEST = 0.15, 0.26
-"""Distances of posts from the object at its usual size [m]: beyond an open hand, 10 cm to each side, however it turns."""
+"""Distances of posts from the object at its usual size [m]: beyond an open hand, 10 cm to each side."""
 BASE = 0.20
 """Distance from the origin of the scene, where a single robot stands, that stays free [m]."""
 TRIES = 16
