@@ -1,8 +1,8 @@
 """Planning past obstacles: seeded problems for every robot, judged by MuJoCo's own collision detection.
 
 Each problem has its own obstacles on and above the table, and a start and a goal that are drawn at random, free and
-up to 2 rad of each joint from home; in at least half of them the straight joint motion collides. A path that is found is
-shortened, given times, and looked at at every millisecond: contacts (`mj_collision`, not the checker), and limits of
+with each joint within 2 rad of home; in at least half of them the straight joint motion collides. A path that is found
+is shortened, given times, and looked at at every millisecond: contacts (`mj_collision`, not the checker), and limits of
 velocity, acceleration and jerk.
 
 Prints one JSON object per robot: `solved_fraction`; `collisions`, paths with a contact; `median_ms`, of the planning

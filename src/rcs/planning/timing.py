@@ -81,7 +81,7 @@ def time_path(path: Path, limits: JointLimits, *, bend: float = 0.5, is_free: Is
         path: The path.
         limits: Limits of the joints, which hold at every moment.
         bend: How long a bend may be [rad], half of it on each side of its corner; 0 stops at every corner. Where
-            shorter bends, or stops, are faster, all are so: a sharp turn may take longer around than to a stop and back.
+            shorter bends, or stops, are faster, all are: a sharp turn may take longer than a stop.
         is_free: Says whether a bend touches nothing, given joints along it that straight lines connect; None believes
             it. A bend that does is halved until it does not, and left out below 1 mrad.
 
