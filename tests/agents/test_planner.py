@@ -25,7 +25,7 @@ def way(env: rcs.envs.Env, agent: rcs.agents.Agent, seed: int, steps: int = 60) 
     return np.array(rows)
 
 
-@pytest.mark.parametrize("relative", ["last_step", "none"])
+@pytest.mark.parametrize("relative", ["last_step", "absolute"])
 def test_it_picks_between_posts_where_the_script_runs_into_them(relative: str) -> None:
     options = {"relative": relative, "control": "joints", "task_options": {"obstacles": 4}}
     with rcs.make("PickCuboid", robot="fr3", **options) as env:

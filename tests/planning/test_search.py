@@ -17,7 +17,7 @@ pytestmark = pytest.mark.extras
 
 @pytest.mark.parametrize("name", [*PLANNERS, "KPIECE1", "InformedRRTstar"])
 def test_every_planner_finds_a_way_and_the_same_again(name: str) -> None:
-    planner = make_planner(planner=name, time_limit=60.0, iterations=300)
+    planner = make_planner(planner=name, time_limit=60.0, iterations=60)
     first, again = (planner.plan(LEFT, RIGHT, seed=2) for _ in range(2))
     np.testing.assert_array_equal(first.waypoints, again.waypoints)
     assert planner.checker.free_rows(first.at(np.linspace(0.0, 1.0, 1500)), 0.002).all()
