@@ -143,9 +143,9 @@ test-sanitized:
 
 # torch by itself and first: what depends on it then takes this version, and never looks for another.
 $(VENV)/.stamp-extras: $(VENV)/.stamp-built
-	@echo "==> Installing torch, Stable-Baselines3, Ray and Pinocchio (first time: about 1.4 GB)"
+	@echo "==> Installing torch, Stable-Baselines3, Ray, Pinocchio and OMPL (first time: about 2 GB)"
 	@$(PIP) install -c constraints.txt torch
-	@$(PIP) install -c constraints.txt stable-baselines3 tensorboard mujoco-menagerie ray pin
+	@$(PIP) install -c constraints.txt stable-baselines3 tensorboard mujoco-menagerie ray pin ompl
 	@$(PIP) install -c constraints.txt opencv-python-headless pupil-apriltags scipy
 	@touch $@
 

@@ -5,6 +5,7 @@ from rcs import envs as envs
 from rcs import errors as errors
 from rcs import hardware as hardware
 from rcs import kinematics as kinematics
+from rcs import planning as planning
 from rcs import rl as rl
 from rcs import robots as robots
 from rcs import rollout as rollout

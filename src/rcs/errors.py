@@ -57,6 +57,24 @@ class Refused(RcsError, RuntimeError):
     """A gate lets an action through to no device; all devices hold."""
 
 
+class PlanningFailed(RcsError, RuntimeError):
+    """There is no path: start or goal collide, the goal is out of reach, or the time is up."""
+
+    def __init__(self, message: str, reason: str = "") -> None:
+        """Keep the reason.
+
+        Args:
+            message: What is wrong and what to do.
+            reason: `start`, `goal`, `unreachable` or `time`.
+        """
+        super().__init__(message)
+        self.reason = reason
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Say how to make it anew in another process."""
+        return type(self), (str(self), self.reason), vars(self)
+
+
 class WrongOrder(RcsError, RuntimeError):
     """A call came at a time when it has no meaning: a step before reset, a use after close."""
 

@@ -16,7 +16,7 @@ from rcs.setups.lab import lab_of
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 MOST_LINES_IN_README = 12
-NEED_EXTRAS = ("07_train_on_it", "10_ppo", "15_calibrate")
+NEED_EXTRAS = ("07_train_on_it", "10_ppo", "12_planning", "15_calibrate")
 SHORT = {"10_ppo": ["--steps", "2048", "--unseen", "4"]}
 """Options with which an example that takes long ends soon."""
 

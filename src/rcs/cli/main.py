@@ -20,6 +20,7 @@ VERBS: Table = {
     "calibrate": "rcs.cli.calibrate:VERBS",
     "sim": "rcs.cli.sim:SimCommand",
     "ik": "rcs.cli.ik:IkCommand",
+    "plan": "rcs.cli.plan:PlanCommand",
     "gallery": "rcs.cli.gallery:GalleryCommand",
     "list": "rcs.cli.list:ListCommand",
     "doctor": "rcs.cli.doctor:DoctorCommand",

@@ -14,6 +14,8 @@ from rcs.envs.observers.recorder import Recorder as Recorder
 from rcs.envs.observers.recorder import dataset_info as dataset_info
 from rcs.envs.observers.show import Show as Show
 from rcs.envs.observers.takes import Takes as Takes
+from rcs.envs.planner_for import ScenePlanner as ScenePlanner
+from rcs.envs.planner_for import planner_for as planner_for
 from rcs.envs.ports import ArmPort as ArmPort
 from rcs.envs.ports import GripperPort as GripperPort
 from rcs.envs.ports import HandPort as HandPort

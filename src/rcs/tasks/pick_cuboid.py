@@ -20,6 +20,8 @@ from rcs.spatial import compose
 from rcs.tasks.distractors import MOST, Distractors
 from rcs.tasks.holding import SLIP, TOUCH_FORCE, Grip, HoldTimer
 from rcs.tasks.lifting import FreeBody, LiftOptions, add_box, lowest, progress, table_height, upright
+from rcs.tasks.obstacles import MOST as MOST_OBSTACLES
+from rcs.tasks.obstacles import Obstacles
 from rcs.tasks.sizes import SizedBodies
 
 SIZE = (0.064, 0.032, 0.0576)
@@ -42,7 +44,7 @@ POSES = {
 
 @dataclass(frozen=True, kw_only=True)
 class PickOptions(LiftOptions):
-    """Options of Pick-Cuboid; each of the last four makes it harder, and they combine."""
+    """Options of Pick-Cuboid; each of the last five makes it harder, and they combine."""
 
     distractors: int = 0
     """How many boxes and cylinders of random sizes and colours, none of them green, lie around the cuboid, 0 to 16."""
@@ -53,6 +55,10 @@ class PickOptions(LiftOptions):
     does nothing to the cuboid."""
     area: Literal["lab", "large"] = "lab"
     """Where the cuboid lies: in the lab's area, or in the larger one that the robot reaches."""
+    obstacles: int = 0
+    """How many posts stand around the cuboid, 0 to 8: firm, and higher than the flange when it
+    grasps. The scripted expert
+    does not see them; the agent `planner` goes around them."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -64,6 +70,10 @@ class PickOptions(LiftOptions):
         if not 0 <= self.distractors <= MOST:
             raise InvalidSetup(
                 f"The task option distractors is {self.distractors!r}; valid is a whole number from 0 to {MOST}."
+            )
+        if not 0 <= self.obstacles <= MOST_OBSTACLES:
+            raise InvalidSetup(
+                f"The task option obstacles is {self.obstacles!r}; valid is a whole number from 0 to {MOST_OBSTACLES}."
             )
 
 
@@ -93,6 +103,7 @@ class PickCuboid(Task):
         self.edges = tuple(area.object_scale * edge for edge in SIZE)
         """Edges of the cuboid here [m], unless they are random."""
         self._distractors = Distractors(self.options.distractors, scale=area.object_scale)
+        self._obstacles = Obstacles(self.options.obstacles, scale=area.object_scale)
 
     def furnish(self, scene: Scene) -> None:
         """Add a table and the cuboid."""
@@ -100,6 +111,7 @@ class PickCuboid(Task):
         mass = MASS * self.area.object_scale**3
         add_box(scene, CUBOID, self.area.center, edges=self.edges, mass=mass, rgb=(0.10, 0.55, 0.20))
         self._distractors.furnish(scene)
+        self._obstacles.furnish(scene)
 
     def objects(self) -> list[str]:
         """Return the cuboid."""
@@ -128,6 +140,7 @@ class PickCuboid(Task):
         self._half_edges = np.zeros((*world.leading, 3))
         self._sizes = SizedBodies(world, [CUBOID]) if self.options.edges == "random" else None
         self._distractors.bind(world)
+        self._obstacles.bind(world)
         self._table = table_height(world)
         # The pose for agents is in the base frame, which may be anywhere; the height is in the scene.
         self._in_scene = world.core.read_body_pose(model.body(CUBOID).id, 0)
@@ -145,9 +158,9 @@ class PickCuboid(Task):
         pose[..., 2] += self._table[where] - lowest(pose, self._half_edges[where])
         self._body.place(pose, where)
         scale = self.area.object_scale
-        self._distractors.reset(
-            draws, where, self.area, [(middle, scale * FREE)], around=(middle, np.full(middle.shape[:-1], scale * NEAR))
-        )
+        taken = [(middle, scale * FREE), *self._obstacles.reset(draws, where, middle)]
+        around = (middle, np.full(middle.shape[:-1], scale * NEAR))
+        self._distractors.reset(draws, where, self.area, taken, around=around)
         self._held.reset(where)
         self._grip.reset()
 

@@ -1,0 +1,54 @@
+"""Planners made from environments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.envs import planner_for
+from rcs.errors import InvalidSetup, UnknownName
+
+
+def test_a_planner_sees_the_scene_as_it_is_and_looks_again_when_asked() -> None:
+    with rcs.make("PickCuboid", robot="fr3", task_options={"obstacles": 4}) as env:
+        env.reset(seed=0)
+        planner = planner_for(env, planner="EST")
+        before = planner.checker.clearance(planner.joints, 1.0).distance
+        data = env.scenario.world.data
+        assert data is not None
+        tcp = data.site("fr3/gripper/tcp").xpos
+        data.mocap_pos[0] = tcp  # a post where the hand is
+        assert planner.checker.clearance(planner.joints, 1.0).distance == before
+        planner.look()
+        assert planner.checker.clearance(planner.joints, 1.0).distance < 0.0
+
+
+def test_what_is_attached_moves_with_the_gripper() -> None:
+    with rcs.make("PickCuboid", robot="fr3") as env:
+        env.reset(seed=0)
+        planner = planner_for(env)
+        loose = len(planner.checker.pairs)
+        planner.attach("cuboid")
+        held = {tuple(pair) for pair in planner.checker.pairs.tolist()}
+        cuboid, table = (env.scenario.world.model.geom(name).id for name in ("cuboid", "table top"))
+        assert (min(cuboid, table), max(cuboid, table)) in held
+        planner.detach("cuboid")
+        assert len(planner.checker.pairs) == loose
+        with pytest.raises(UnknownName, match="Did you mean 'cuboid'"):
+            planner.attach("cubiod")
+
+
+def test_one_of_two_robots_is_named_and_the_other_one_is_an_obstacle() -> None:
+    with rcs.make("LiftBar", robot="dual_fr3") as env:
+        env.reset(seed=0)
+        with pytest.raises(InvalidSetup, match="name one"):
+            planner_for(env)
+        with pytest.raises(UnknownName):
+            planner_for(env, "middle")
+        first, second = env.robots
+        planner = planner_for(env, first)
+        model = env.scenario.world.model
+        bodies = {model.body(model.geom_bodyid[g]).name for g in np.unique(planner.checker.pairs)}
+        assert any(name.startswith(f"{second}/") for name in bodies)
+        assert planner.checker.dof == 7

@@ -1,0 +1,123 @@
+"""Planning past obstacles with the planners that need no extra."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from rcs.errors import InvalidSetup, PlanningFailed
+from rcs.planning import Path, Planner
+from rcs.spatial import Pose
+from tests.planning.scene import HOME, LEFT, RIGHT, make_planner
+
+
+@pytest.fixture(params=["PRM", "EST"])
+def planner(request: pytest.FixtureRequest) -> Planner:
+    return make_planner(planner=request.param, time_limit=30.0)
+
+
+def require_free(planner: Planner, path: Path, margin: float = 0.0) -> None:
+    rows = path.at(np.linspace(0.0, 1.0, 2000))
+    assert planner.checker.free_rows(rows, margin).all()
+
+
+def test_a_path_leads_around_the_wall_and_the_timed_one_does(planner: Planner) -> None:
+    assert planner.checker.first_hit(LEFT, RIGHT) is not None
+    path = planner.plan(LEFT, RIGHT, seed=1)
+    np.testing.assert_allclose(path.waypoints[[0, -1]], [LEFT, RIGHT])
+    require_free(planner, path, margin=0.002)
+    samples = planner.time(path).sampled(500.0)
+    assert planner.checker.free_rows(samples.positions, 0.002).all()
+    assert (np.abs(samples.jerks) <= planner.limits.jerk).all()
+
+
+def test_the_same_seed_gives_the_same_path_and_another_one_another(planner: Planner) -> None:
+    first, again, other = (planner.plan(LEFT, RIGHT, seed=seed).waypoints for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first, again)
+    assert first.shape != other.shape or not np.array_equal(first, other)
+
+
+def test_shortcuts_shorten_and_keep_the_ends() -> None:
+    planner = make_planner(planner="EST", time_limit=30.0)
+    long, short = (planner.plan(LEFT, RIGHT, seed=5, shortcut=is_short) for is_short in (False, True))
+    assert short.length < long.length
+    require_free(planner, short)
+
+
+def test_a_pose_is_reached_by_the_nearest_of_several_solutions(planner: Planner) -> None:
+    assert planner.kinematics is not None
+    pose = planner.kinematics.forward(RIGHT)
+    roots = planner.goals(pose, start=LEFT)
+    assert len(roots) > 3
+    for q in roots:
+        reached = planner.kinematics.forward(q)
+        np.testing.assert_allclose(reached.translation, pose.translation, atol=2e-4)
+        assert (q >= planner.checker.joint_lower).all()
+        assert (q <= planner.checker.joint_upper).all()
+    path = planner.plan(LEFT, pose, seed=2)
+    np.testing.assert_allclose(planner.kinematics.forward(path.waypoints[-1]).translation, pose.translation, atol=2e-4)
+    require_free(planner, path)
+
+
+def test_a_start_in_collision_names_the_pair(planner: Planner) -> None:
+    inside = np.array(LEFT)
+    inside[0] = 0.0
+    with pytest.raises(PlanningFailed, match=r"start is in collision: .*wall.* and .*fr3") as caught:
+        planner.plan(inside, RIGHT)
+    assert caught.value.reason == "start"
+    assert pickle.loads(pickle.dumps(caught.value)).reason == "start"
+    with pytest.raises(PlanningFailed, match="goal is in collision") as caught:
+        planner.plan(LEFT, inside)
+    assert caught.value.reason == "goal"
+
+
+def test_of_several_goals_those_in_collision_are_left_out(planner: Planner) -> None:
+    inside = np.array(LEFT)
+    inside[0] = 0.0
+    path = planner.plan(LEFT, [inside, RIGHT], seed=1)
+    np.testing.assert_allclose(path.waypoints[-1], RIGHT)
+
+
+def test_a_pose_out_of_reach_says_so(planner: Planner) -> None:
+    with pytest.raises(PlanningFailed, match="No joints inside the limits reach") as caught:
+        planner.plan(HOME, Pose((2.0, 0.0, 0.5)))
+    assert caught.value.reason == "unreachable"
+
+
+def test_without_a_way_the_search_ends_in_time(planner: Planner) -> None:
+    closed = Planner(planner.checker, planner.limits, margin=0.0, planner=planner.planner, time_limit=1e-9)
+    with pytest.raises(PlanningFailed, match="no path in 1e-09 s") as caught:
+        closed.plan(LEFT, RIGHT)
+    assert caught.value.reason == "time"
+
+
+def test_a_grasped_object_is_carried_clear_of_everything() -> None:
+    planner = make_planner(planner="EST", time_limit=30.0)
+    bare = planner.plan(LEFT, RIGHT, seed=1)
+    from tests.planning.scene import make_model  # names of its bodies
+
+    model, joints = make_model()
+    qpos = model.qpos0.copy()
+    qpos[model.jnt_qposadr[joints]] = LEFT
+    planner.checker.set_state(qpos)
+    hand, stick = model.body("fr3/gripper/hand").id, model.body("stick").id
+    planner.checker.attach(stick, hand, Pose((0.0, 0.0, 0.12), (0.0, 0.7071067811865476, 0.0, 0.7071067811865476)))
+    path = planner.plan(LEFT, RIGHT, seed=1)
+    require_free(planner, path)
+    assert not np.array_equal(bare.waypoints, path.waypoints)
+    pairs = {tuple(pair) for pair in planner.checker.pairs.tolist()}
+    wall, geom = model.geom("wall").id, model.geom("stick").id
+    assert (min(wall, geom), max(wall, geom)) in pairs
+
+
+def test_what_makes_no_sense_is_refused(planner: Planner) -> None:
+    with pytest.raises(InvalidSetup, match="7 finite joints"):
+        planner.plan(LEFT[:6], RIGHT)
+    with pytest.raises(InvalidSetup, match=r"Joint 4 of the goal is 1\.0000 rad; valid is -3\.0421 to -0\.1518"):
+        planner.plan(LEFT, [*RIGHT[:3], 1.0, *RIGHT[4:]])
+    with pytest.raises(InvalidSetup, match="margin"):
+        Planner(planner.checker, planner.limits, margin=-1.0)
+    with pytest.raises(InvalidSetup, match="no kinematics"):
+        Planner(planner.checker, planner.limits, planner="PRM").plan(LEFT, Pose())

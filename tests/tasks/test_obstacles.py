@@ -1,0 +1,50 @@
+"""Posts around the cuboid."""
+
+from __future__ import annotations
+
+from contextlib import closing
+
+import mujoco
+import numpy as np
+import pytest
+
+import rcs
+from rcs.errors import InvalidSetup
+from rcs.tasks.obstacles import FARTHEST, NEAREST
+
+
+def posts(world: rcs.sim.World) -> np.ndarray:
+    model = world.model
+    which = [model.body(f"obstacle {i}").mocapid[0] for i in range(4)]
+
+    return world.core.component(mujoco.mjtState.mjSTATE_MOCAP_POS.value).reshape(*world.leading, -1, 3)[..., which, :]
+
+
+def test_posts_stand_around_the_cuboid_and_leave_everything_else_as_it_is() -> None:
+    with (
+        rcs.make("PickCuboid", robot="fr3") as bare,
+        rcs.make("PickCuboid", robot="fr3", task_options={"obstacles": 4}) as env,
+    ):
+        for seed in range(5):
+            plain, with_posts = bare.reset(seed=seed)[1], env.reset(seed=seed)[1]
+            np.testing.assert_array_equal(plain["cuboid"], with_posts["cuboid"])
+            apart = np.linalg.norm(posts(env.scenario.world)[:, :2] - with_posts["cuboid"][:2], axis=1)
+            standing = posts(env.scenario.world)[:, 2] > 0.0
+            assert standing.any()
+            assert (apart[standing] >= NEAREST - 1e-9).all()
+            assert (apart[standing] <= FARTHEST + 1e-9).all()
+
+
+def test_copies_have_the_posts_of_single_environments() -> None:
+    options = {"robot": "fr3", "task_options": {"obstacles": 4}}
+    with closing(rcs.make_vec("PickCuboid", copies=3, **options)) as batch, rcs.make("PickCuboid", **options) as env:
+        batch.reset(seed=5)
+        for i in range(3):
+            env.reset(seed=5 + i)
+            np.testing.assert_array_equal(posts(batch.scenario.world)[i], posts(env.scenario.world))
+
+
+@pytest.mark.parametrize("count", [-1, 9])
+def test_a_number_of_posts_that_does_not_fit_is_refused(count: int) -> None:
+    with pytest.raises(InvalidSetup, match="obstacles"):
+        rcs.make("PickCuboid", task_options={"obstacles": count})
