@@ -18,6 +18,7 @@ VERBS: Table = {
     "eval": "rcs.cli.eval:EvalCommand",
     "data": "rcs.cli.data:VERBS",
     "sim": "rcs.cli.sim:SimCommand",
+    "twin": "rcs.cli.twin:TwinCommand",
     "gallery": "rcs.cli.gallery:GalleryCommand",
     "list": "rcs.cli.list:ListCommand",
     "doctor": "rcs.cli.doctor:DoctorCommand",

@@ -8,12 +8,16 @@ from rcs.envs.gate import Gate as Gate
 from rcs.envs.layers.layer import Layer as Layer
 from rcs.envs.layers.layer import Where as Where
 from rcs.envs.limits import Limits as Limits
+from rcs.envs.observers.in_background import InBackground as InBackground
 from rcs.envs.observers.observer import Observer as Observer
 from rcs.envs.observers.observer import Transition as Transition
 from rcs.envs.observers.recorder import Recorder as Recorder
 from rcs.envs.observers.recorder import dataset_info as dataset_info
 from rcs.envs.observers.show import Show as Show
 from rcs.envs.observers.takes import Takes as Takes
+from rcs.envs.observers.twin import Alarm as Alarm
+from rcs.envs.observers.twin import Comparison as Comparison
+from rcs.envs.observers.twin import Twin as Twin
 from rcs.envs.ports import ArmPort as ArmPort
 from rcs.envs.ports import GripperPort as GripperPort
 from rcs.envs.ports import HandPort as HandPort

@@ -190,6 +190,7 @@ class Engine:
         told: dict[str, Any] = {}
         ids = None if starting is None else np.flatnonzero(starting).astype(np.int32)
         try:
+            self.audience.after_hold = self._must_rebase
             if self._must_rebase:
                 self._must_rebase = False  # before, for another thread may set it meanwhile
                 self.stack.rebase()
@@ -201,7 +202,9 @@ class Engine:
                 told["refused"] = str(err)
                 self.stack.stay()
                 self._must_rebase = True
+            self.audience.command_time = self._clock.now()
             if self._must_rebase:
+                self.audience.after_hold = True
                 self.stack.hold()  # refused, or another thread has said so before the targets were sent
             if ids is None or starting is None:
                 self._clock.advance()
@@ -263,6 +266,7 @@ class Engine:
             info["ages"] = ages
         if not self.leading:
             info = row(info, ...)
+            info.update(self.audience.info())
         info["target"] = copied(self.stack.target)
         if told:
             info.update(told)
