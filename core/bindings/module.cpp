@@ -15,6 +15,7 @@ void bind_arm(nb::module_& m);
 void bind_hand(nb::module_& m);
 void bind_camera(nb::module_& m);
 void bind_kinematics(nb::module_& m);
+void bind_collision_checker(nb::module_& m);
 void bind_callback(nb::module_& m);
 void bind_measurement(nb::module_& m);
 void bind_world(nb::module_& m);
@@ -70,6 +71,7 @@ NB_MODULE(_core, m) {
   bind_hand(m);
   bind_camera(m);
   bind_kinematics(m);
+  bind_collision_checker(m);
   bind_callback(m);
   bind_measurement(m);
   bind_world(m);

@@ -715,6 +715,125 @@ class DampedLeastSquares(Kinematics):
         Take the chain out of a model; the ids of joints (base to tip), TCP site and base body are its. The model is not kept.
         """
 
+class Clearance:
+    """How near robots are to what they must not touch."""
+
+    @property
+    def distance(self) -> float:
+        """m, negative inside each other; at most the margin."""
+
+    @property
+    def geoms(self) -> tuple[int, int]:
+        """
+        Ids of the nearest pair in the model; (-1, -1) when none is nearer than the margin.
+        """
+
+class Hit:
+    """Where a joint motion first comes too near."""
+
+    @property
+    def fraction(self) -> float:
+        """Of the motion, 0 to 1, at which a pair was found too near."""
+
+    @property
+    def free_until(self) -> float:
+        """
+        Fraction up to which no pair was too near; 0 when the motion starts so.
+        """
+
+    @property
+    def distance(self) -> float:
+        """Of the pair at `fraction` [m]."""
+
+    @property
+    def geoms(self) -> tuple[int, int]:
+        """Ids of the pair in the model."""
+
+class CollisionChecker:
+    """
+    Distances and contacts of robots in a scene of MuJoCo, at given joints and along straight joint motions.
+
+    The geometry that takes part is everything that the joints move: links, end effectors, mounted cameras, attached objects. It is checked against itself and against everything else, as far as MuJoCo would let the two touch and the pair is not allowed. Geoms that no joint moves relative to each other are not checked. Soft bodies take no part. Several threads may use one checker at once; what changes the scene changes it for later calls.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robots: Sequence[Sequence[int]]) -> None:
+        """
+        Copy a model; `robots` are the joint ids of each robot, hinges and slides with limits.
+
+        Raises InvalidSetup when a joint is not in the model, or no geometry takes part that could touch anything.
+        """
+
+    @property
+    def dof(self) -> int:
+        """Number of joints of all robots."""
+
+    @property
+    def joints(self) -> list[int]:
+        """Joint ids in the order of every vector of joints."""
+
+    @property
+    def joint_lower(self) -> NDArray[numpy.float64]:
+        """rad or m"""
+
+    @property
+    def joint_upper(self) -> NDArray[numpy.float64]:
+        """rad or m"""
+
+    @property
+    def pairs(self) -> NDArray[numpy.int32]:
+        """Ids of the geoms that are checked against each other, (pairs, 2)."""
+
+    def describe(self, geom: int) -> str:
+        """A geom in words, such as "geom 'shelf' of body 'rack'"."""
+
+    def set_state(self, qpos: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], mocap_pos: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, mocap_quat: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> None:
+        """
+        Say where everything else is: `qpos` (nq,), and mocap bodies' positions (3 * nmocap,) and quaternions wxyz (4 * nmocap,), None to leave them.
+
+        The robots' own entries only say where they were when something is attached.
+        """
+
+    def allow(self, a: str, b: str) -> int:
+        """
+        Let two things touch: all geoms of a body, or one geom, by name on each side. Returns how many pairs this drops.
+        """
+
+    def attach(self, body: int, to: int, pose_in_to: Pose | None = None) -> None:
+        """
+        Let a body with a free joint, or a mocap body, move with the body `to` (ids), from where both are in the present state or at `pose_in_to`. It may then touch what moves with `to` alone.
+        """
+
+    def detach(self, body: int) -> None:
+        """Leave an attached body where the state has it."""
+
+    def clearance(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], margin: float) -> Clearance:
+        """Smallest distance at joints `q` (dof,) [rad], if below `margin` [m]."""
+
+    def is_free(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], margin: float = 0.0) -> bool:
+        """
+        Whether no pair is nearer than `margin` [m] at joints `q` (dof,) [rad].
+        """
+
+    def first_hit(self, q_from: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], q_to: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], step: float = 0.002, turn: float = 0.0087, margin: float = 0.0) -> Hit | None:
+        """
+        First place on the straight joint motion (dof,) -> (dof,) [rad] where a pair is nearer than `margin` [m]; None when it is free.
+
+        Between two checks of a pair that is near, no point of a robot moves by more than `step` [m] and nothing turns by more than `turn` [rad]; larger strides are made only where the distance proves them free. Contact deeper than half a step is never missed, and with a margin of at least half a step no contact is. The GIL is released.
+        """
+
+    def clearance_rows(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], margin: float, threads: int = 1) -> tuple:
+        """
+        `clearance` of rows (N, dof): distances (N,) [m] and geoms (N, 2). The GIL is released.
+        """
+
+    def free_rows(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], margin: float = 0.0, threads: int = 1) -> NDArray[numpy.bool_]:
+        """`is_free` of rows (N, dof): flags (N,). The GIL is released."""
+
+    def first_hit_rows(self, q_from: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], q_to: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], step: float = 0.002, turn: float = 0.0087, margin: float = 0.0, threads: int = 1) -> tuple:
+        """
+        `first_hit` of rows (N, dof): fractions (N,), infinite for a free motion; `free_until` (N,); geoms (N, 2). The GIL is released.
+        """
+
 class StepView:
     """
     One copy of a scene while it is stepped; afterwards, using it raises WrongOrder. Arrays are views of MuJoCo's own memory and have meaning only during the call.

@@ -1,0 +1,151 @@
+"""The collision checker in the scenes of the built-in robots."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+import pytest
+
+import rcs
+from rcs._core import CollisionChecker
+from rcs.envs.env import Env
+from rcs.errors import InvalidSetup
+
+
+@pytest.fixture(params=["fr3", "ur5e", "so101"], scope="module")
+def env(request: pytest.FixtureRequest) -> Iterator[Env]:
+    env = rcs.make("PickCuboid", robot=request.param, task_options={"distractors": 6})
+    with env:
+        env.reset(seed=1)
+        yield env
+
+
+def joints_of(env: Env) -> list[int]:
+    model, robot = env.scenario.world.model, next(iter(env.robots.values()))
+    return [model.joint(robot.prefix + name).id for name in robot.arm.joints]
+
+
+@pytest.fixture
+def checker(env: Env) -> CollisionChecker:
+    world = env.scenario.world
+    checker = CollisionChecker(world.model, [joints_of(env)])
+    checker.set_state(world.qpos)
+    return checker
+
+
+def random_joints(checker: CollisionChecker, count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(checker.joint_lower, checker.joint_upper, (count, checker.dof))
+
+
+def data_at(env: Env, checker: CollisionChecker, q: np.ndarray) -> mujoco.MjData:
+    world = env.scenario.world
+    data = mujoco.MjData(world.model)
+    data.qpos[:] = world.qpos
+    data.qpos[world.model.jnt_qposadr[checker.joints]] = q
+    mujoco.mj_kinematics(world.model, data)
+    return data
+
+
+def test_clearance_is_the_smallest_of_mujocos_distances(env: Env, checker: CollisionChecker) -> None:
+    rows = random_joints(checker, 40)
+    distances, geoms = checker.clearance_rows(rows, 1.0, threads=2)
+    for q, distance, pair in zip(rows, distances, geoms, strict=True):
+        data = data_at(env, checker, q)
+        every = [mujoco.mj_geomDistance(env.scenario.world.model, data, a, b, 1.0, None) for a, b in checker.pairs]
+        assert distance == pytest.approx(min(every), abs=1e-9)
+        own = mujoco.mj_geomDistance(env.scenario.world.model, data, *pair, 1.0, None)
+        assert own == pytest.approx(distance, abs=1e-9)
+
+
+def test_what_is_free_makes_no_contact_of_a_checked_pair(env: Env, checker: CollisionChecker) -> None:
+    model, pairs = env.scenario.world.model, {tuple(pair) for pair in checker.pairs.tolist()}
+    rows = random_joints(checker, 200, seed=2)
+    for q, is_free in zip(rows, checker.free_rows(rows), strict=True):
+        data = data_at(env, checker, q)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        touching = {tuple(sorted(c.geom.tolist())) for c in data.contact[: data.ncon] if c.dist < 0}
+        assert is_free == (not touching & pairs)
+
+
+def test_every_contact_that_joints_can_make_belongs_to_a_checked_pair(env: Env, checker: CollisionChecker) -> None:
+    """MuJoCo's own choice of pairs is the reference; a pair that no joint moves has the same distance everywhere."""
+    model, pairs = env.scenario.world.model, {tuple(pair) for pair in checker.pairs.tolist()}
+    always: set[tuple[int, ...]] | None = None
+    seen: set[tuple[int, ...]] = set()
+    for q in random_joints(checker, 200, seed=3):
+        data = data_at(env, checker, q)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        touching = {tuple(sorted(c.geom.tolist())) for c in data.contact[: data.ncon]}
+        always = touching if always is None else always & touching
+        seen |= touching
+    assert always is not None
+    assert seen - always <= pairs
+
+
+def test_a_free_motion_is_free_at_every_sample(checker: CollisionChecker) -> None:
+    rows = random_joints(checker, 400, seed=4)
+    rows = rows[checker.free_rows(rows, 0.01)][:60] if checker.dof > 5 else rows[checker.free_rows(rows, 0.002)][:60]
+    margin = 0.002
+    fractions, free_until, _ = checker.first_hit_rows(rows[:-1], rows[1:], margin=margin, threads=2)
+    assert np.isinf(fractions).any()
+    for start, goal, until in zip(rows[:-1], rows[1:], free_until, strict=True):
+        samples = start + np.linspace(0.0, until, 400)[:, None] * (goal - start)
+        assert checker.free_rows(samples, margin - 0.001).all()
+
+
+def test_a_thin_wall_in_mid_path_is_never_missed() -> None:
+    """A wall of 1 mm stands where neither end of the motion is near it."""
+    with rcs.make("Free", robot="fr3") as env:
+        env.reset(seed=0)
+        robot = env.robots["fr3"]
+        from rcs.sim.scene import Scene  # a scene of its own, to put the wall into
+
+        scene = Scene.empty()
+        scene.add_robot(robot)
+        for x in np.linspace(-0.02, 0.02, 9):
+            scene.spec.worldbody.add_geom(
+                name=f"wall {x:.3f}", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.3, 0.0005, 0.6], pos=[0.6, x, 0.4]
+            )
+        model = scene.compile()
+        ids = [model.joint(robot.prefix + name).id for name in robot.arm.joints]
+        checker = CollisionChecker(model, [ids])
+        home = np.array(robot.arm.home)
+        start, goal = home.copy(), home.copy()
+        start[0], goal[0] = -1.2, 1.2
+        assert checker.is_free(start, 0.01)
+        assert checker.is_free(goal, 0.01)
+        rng = np.random.default_rng(0)
+        starts = start + rng.normal(0.0, 0.1, (200, 7))
+        goals = goal + rng.normal(0.0, 0.1, (200, 7))
+        fractions, _, geoms = checker.first_hit_rows(starts, goals)
+        assert np.isfinite(fractions).all()
+        assert all("wall" in checker.describe(min(pair)) or "wall" in checker.describe(max(pair)) for pair in geoms)
+
+
+def test_a_motion_into_the_table_names_it(env: Env, checker: CollisionChecker) -> None:
+    rows = random_joints(checker, 400, seed=5)
+    home = np.array(next(iter(env.robots.values())).arm.home)
+    names = set()
+    for q in rows:
+        hit = checker.first_hit(home, q)
+        if hit is not None:
+            names |= {checker.describe(geom) for geom in hit.geoms}
+            assert 0.0 <= hit.free_until <= hit.fraction <= 1.0
+            assert hit.distance < 0.0
+    assert "geom 'table top' of body 'table'" in names
+
+
+def test_without_geometry_of_a_robot_there_is_an_error(env: Env) -> None:
+    with pytest.raises(InvalidSetup, match="no geometry of the robots takes part"):
+        CollisionChecker(env.scenario.world.model, [])
+
+
+def test_rows_of_a_wrong_width_are_refused(checker: CollisionChecker) -> None:
+    with pytest.raises(InvalidSetup, match=r"\(N, "):
+        checker.free_rows(np.zeros((3, checker.dof + 1)))
+    with pytest.raises(InvalidSetup, match="joints given"):
+        checker.is_free(np.zeros(checker.dof + 1))
