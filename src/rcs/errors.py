@@ -56,6 +56,9 @@ def _unknown_name(kind: type[UnknownName], message: str) -> UnknownName:
 class Refused(RcsError, RuntimeError):
     """A gate lets an action through to no device; all devices hold."""
 
+    ends_episode: bool = False
+    """Whether the episode ends with it, as truncated."""
+
 
 class WrongOrder(RcsError, RuntimeError):
     """A call came at a time when it has no meaning: a step before reset, a use after close."""

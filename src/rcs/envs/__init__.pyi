@@ -5,6 +5,7 @@ from rcs.envs.clock import Clock as Clock
 from rcs.envs.draws import Draws as Draws
 from rcs.envs.env import Env as Env
 from rcs.envs.gate import Gate as Gate
+from rcs.envs.guard import Guard as Guard
 from rcs.envs.layers.layer import Layer as Layer
 from rcs.envs.layers.layer import Where as Where
 from rcs.envs.limits import Limits as Limits

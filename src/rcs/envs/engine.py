@@ -188,6 +188,7 @@ class Engine:
     def _step(self, action: Any, starting: NDArray[np.bool_] | None) -> Step:
         measured: Nested | None = None
         told: dict[str, Any] = {}
+        ended: dict[str, str] = {}
         ids = None if starting is None else np.flatnonzero(starting).astype(np.int32)
         try:
             self.audience.after_hold = self._must_rebase
@@ -200,6 +201,7 @@ class Engine:
                 self.stack.send(self.stack.admit(mapped))
             except Refused as err:
                 told["refused"] = str(err)
+                ended = {"gate": str(err)} if err.ends_episode else ended
                 self.stack.stay()
                 self._must_rebase = True
             self.audience.command_time = self._clock.now()
@@ -212,7 +214,7 @@ class Engine:
                 self._clock.advance(np.flatnonzero(~starting).astype(np.int32))
                 self._begin(ids)
             measured = self.stack.measure()
-            faults = self.stack.faults()
+            faults = {**self.stack.faults(), **ended}
         except DeviceFault as err:
             faults = self.stack.faults() or {"device": str(err)}
         if faults:
