@@ -20,7 +20,7 @@ from rcs.envs.guarded_scene import Box, GuardedScene
 from rcs.envs.layers.layer import Where
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS, Action, Observation
 from rcs.errors import InvalidSetup, Refused
-from rcs.sim.scene import TABLE, Scene
+from rcs.sim.scene import Scene
 
 if TYPE_CHECKING:
     from rcs.envs.parts import Parts
@@ -44,6 +44,9 @@ SLACK = 1e-5
 SAFE = 1e-3
 """Part of a way that is left out before a hit, for rounding."""
 
+SAME = 1e-4
+"""An arm that is measured this close to where it was commanded stands there [rad]: at 1 m these are 0.1 mm."""
+
 FRACTION = "guard_fraction"
 """Key of `info`: the part of the way that was admitted, 1 for all of it."""
 
@@ -59,7 +62,7 @@ class Guard(Gate):
         on_hit: OnHit = "reject",
         margin: float = 0.01,
         near_margin: float = 0.001,
-        near: Sequence[str] = (TABLE,),
+        near: Sequence[str] | None = None,
         touch: Sequence[str] | None = None,
         allow: Sequence[Sequence[str]] = (),
         workspace: Box | None = None,
@@ -72,7 +75,7 @@ class Guard(Gate):
             margin: Distance that robots keep from themselves, each other and everything else [m].
             near_margin: Distance that end effectors keep from the bodies in `near`, and links of a robot from each other
                 that are close by construction [m].
-            near: Bodies that work brings end effectors close to.
+            near: Bodies that work brings end effectors close to; None for the table, if there is one.
             touch: Bodies that end effectors may touch; None for the task's objects.
             allow: More bodies that may touch, in pairs of names, such as `[["fr3/gripper/hand", "fixture"]]`.
             workspace: Lowest and highest corner [m] in the frame of the scene, of a box that end effectors may not
@@ -93,7 +96,7 @@ class Guard(Gate):
             raise InvalidSetup(f"deadline is {deadline!r} s; valid is a time above 0, or None.")
         self.on_hit: OnHit = on_hit
         self._margin, self._near_margin = margin, near_margin
-        self._near, self._touch = tuple(near), None if touch is None else tuple(touch)
+        self._near, self._touch = None if near is None else tuple(near), None if touch is None else tuple(touch)
         self._allow = [(str(a), str(b)) for a, b in allow]
         self._workspace = workspace
         self._deadline = deadline
@@ -134,7 +137,6 @@ class Guard(Gate):
         self._accelerations = scene.accelerations
         self._is_batch = world is not None and bool(world.leading)
         self._arm_mask = scene.arm_mask
-        self._checks = [(scene.far, self._margin), (scene.near, self._near_margin)]
 
     def reset(self, measured: Mapping[str, Observation], where: Where) -> None:
         """Count from where the robots are."""
@@ -218,12 +220,14 @@ class Guard(Gate):
         stop = velocity * np.abs(velocity) / (2.0 * self._accelerations)
         least: tuple[float, str] | None = None
         ways = [(start, goal, 0.0, 1.0)]
-        if np.abs(stop).max() > 0.0:
+        if np.abs(stop).max() > SAME:
             share = np.abs(stop).max() / np.abs(goal - start).max()
             ways = [(start, goal, 0.0, 1 / (1 + share)), (goal, goal + stop, 1 / (1 + share), 1.0)]
-        if np.abs(here - start).max() > 0.0:
+        if np.abs(here - start).max() > SAME:
             ways.append((here, goal, 0.0, 1.0))
-        for number, (checker, margin) in enumerate(self._checks):
+        scene = self._require_scene()
+        checks = [(scene.far, self._margin), (scene.near, self._near_margin)]  # they are made anew with the geometry
+        for number, (checker, margin) in enumerate(checks):
             for begin, end, first, last in ways:
                 found = self._first_hit((copy, number), checker, begin, end, margin)
                 if found is not None:
@@ -255,8 +259,8 @@ class Guard(Gate):
                     return None
         else:
             self._floors.pop(key, None)
-        words = self._require_scene().describe(hit.clearance.geoms)
-        distance = 1e3 * hit.clearance.distance
+        words = self._require_scene().describe(hit.geoms)
+        distance = 1e3 * hit.distance
         return hit.free_until, (
             f"After {100 * hit.free_until:.0f} % of the way, {words} would be {distance:.1f} mm apart; the guard keeps "
             f"{1e3 * margin:g} mm."

@@ -2,7 +2,7 @@
 
 The joints of all robots are one flat vector: of each robot those of the arm, then those of its fingers. Distances come
 from two collision checkers. `far` keeps the margin, but leaves out the pairs that work brings together: end effectors and
-the table, and links of one robot that are close to each other by construction. `near` has these too, at a small margin.
+the table, and links of one robot that are close to each other by construction. `near` has these alone, for a small margin.
 Both leave out what may touch: end effectors and the task's objects, and the fingers of one gripper.
 """
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rcs._core import CollisionChecker
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS
 from rcs.errors import InvalidSetup
-from rcs.sim.scene import RobotPlacement, Scene
+from rcs.sim.scene import TABLE, RobotPlacement, Scene
 from rcs.sim.world import World
 
 Box = tuple[Sequence[float], Sequence[float]]
@@ -45,7 +45,7 @@ class GuardedScene:
         *,
         margin: float,
         near_margin: float,
-        near: Collection[str] = (),
+        near: Collection[str] | None = None,
         touch: Collection[str] = (),
         ignore: Collection[str] = (),
         allow: Iterable[tuple[str, str]] = (),
@@ -59,7 +59,7 @@ class GuardedScene:
             world: Where its objects are; None for where they are in the files.
             margin: Distance that is kept [m].
             near_margin: Distance that is kept where work brings things together [m].
-            near: Bodies that end effectors may approach up to `near_margin`.
+            near: Bodies that end effectors may approach up to `near_margin`; None for the table, if there is one.
             touch: Bodies that end effectors may touch.
             ignore: Bodies that all of the robots may touch, because nobody knows where they are.
             allow: More bodies that may touch, in pairs.
@@ -70,6 +70,8 @@ class GuardedScene:
         """
         self._robots = list(robots)
         self._world = world
+        kinds = (mujoco.mjtState.mjSTATE_MOCAP_POS, mujoco.mjtState.mjSTATE_MOCAP_QUAT)
+        self._mocap = [world.core.component(kind.value) for kind in kinds] if world and world.model.nmocap else []
         if world is not None and world.leading and (varied := sorted(set(GEOMETRY) & set(world.varied))):
             raise InvalidSetup(
                 f"A guard knows one geometry, and copies differ in {', '.join(varied)}; leave sizes of objects out of "
@@ -81,6 +83,7 @@ class GuardedScene:
         self._model = scene.spec.compile()
         self._joints = [self._joints_of(robot) for robot in self._robots]
         names = {self._model.body(i).name for i in range(self._model.nbody)}
+        near = names & {TABLE} if near is None else near
         asked = [*near, *touch, *ignore, *itertools.chain.from_iterable(allow)]
         if unknown := sorted(set(asked) - names):
             raise InvalidSetup(f"The scene has no body {unknown[0]!r}; there are {', '.join(sorted(names))}.")
@@ -99,15 +102,19 @@ class GuardedScene:
 
     def _build(self) -> None:
         """Make the checkers for the present geometry."""
+        self._own = self._model.jnt_qposadr[[joint for own in self._joints for joint in own]]
+        self._seen: list[NDArray[np.float64]] = []
         if self._world is not None:
             for name in GEOMETRY:
                 values: NDArray[Any] = getattr(self._world.model, name)
                 getattr(self._model, name)[: len(values)] = values
                 self._geometry[name] = values.copy()
-        self.near = self._checker(self._allowed)
-        """Everything that must not touch."""
         self.far = self._checker([*self._allowed, *self._near])
-        """The same without what work brings together."""
+        """What keeps the margin."""
+        bodies = self._model.geom_bodyid[self.far.pairs]
+        kept = [(self._model.body(a).name, self._model.body(b).name) for a, b in np.unique(bodies, axis=0)]
+        self.near = self._checker([*self._allowed, *kept])
+        """What work brings together."""
 
     def _checker(self, allowed: Iterable[tuple[str, str]]) -> CollisionChecker:
         checker = CollisionChecker(self._model, self._joints)
@@ -126,9 +133,13 @@ class GuardedScene:
             if name in world.varied
         ):
             self._build()
-        qpos = np.ascontiguousarray(world.qpos[copy] if world.leading else world.qpos)
+        state = [np.array(part[copy] if world.leading else part) for part in (world.qpos, *self._mocap)]
+        state[0][self._own] = self._model.qpos0[self._own]  # where robots are is said with every question
+        if self._seen and all(map(np.array_equal, self._seen, state)):
+            return
+        self._seen = state
         for checker in (self.near, self.far):
-            checker.set_state(qpos)
+            checker.set_state(*state)
 
     def vector(
         self, values: Mapping[str, Mapping[str, Any]], fingers: Mapping[str, Mapping[str, Any]]
@@ -183,11 +194,7 @@ class GuardedScene:
         return {name for name in names if name.startswith(prefix)}
 
     def _close_by_construction(self, margin: float) -> list[tuple[str, str]]:
-        """Return the bodies of one robot that are nearer to each other than the margin at home.
-
-        Raises:
-            InvalidSetup: Robots are in contact with themselves or each other at home.
-        """
+        """Return the bodies of one robot that are nearer to each other than the margin at home."""
         model, data = self._model, mujoco.MjData(self._model)
         for robot, ids in zip(self._robots, self._joints, strict=True):
             data.qpos[model.jnt_qposadr[ids[: robot.arm.dof]]] = robot.arm.home
