@@ -102,8 +102,7 @@ void CollisionChecker::publish(Scene scene, bool has_new_geometry) {
 
 std::shared_ptr<const CollisionChecker::Geometry> CollisionChecker::geometry_of(const Scene& scene) const {
   const std::size_t n = joints_.size();
-  auto made =
-      std::make_shared<Geometry>(Geometry{MovingParts(model_.get(), joints_, scene.attachments, scene.qpos)});
+  auto made = std::make_shared<Geometry>(Geometry{MovingParts(model_.get(), joints_, scene.attachments, scene.qpos)});
   const MovingParts& parts = made->parts;
   made->pairs = pairs_to_check(model_.get(), parts, scene.allowed);
   made->levers.assign(made->pairs.size() * n, 0.0);
@@ -151,7 +150,8 @@ CollisionChecker::Lease CollisionChecker::borrow() const {
   std::copy(newest->mocap_pos.begin(), newest->mocap_pos.end(), data->mocap_pos);
   std::copy(newest->mocap_quat.begin(), newest->mocap_quat.end(), data->mocap_quat);
   trapped("collision checker", [&] { mj_kinematics(model_.get(), data); });
-  for (auto* values : {&lease->speed, &lease->least, &lease->early, &lease->due}) values->resize(newest->geometry->pairs.size());
+  for (auto* values : {&lease->speed, &lease->least, &lease->early, &lease->due})
+    values->resize(newest->geometry->pairs.size());
   lease->last_hit = 0;
   lease->scene = std::move(newest);
   return lease;

@@ -103,8 +103,8 @@ class CollisionChecker {
 
  private:
   struct Geometry;  ///< what a scene and the ones after it share
-  struct Scene;    ///< what does not change while a call uses it
-  struct Scratch;  ///< what one call computes in
+  struct Scene;     ///< what does not change while a call uses it
+  struct Scratch;   ///< what one call computes in
   struct GiveBack {
     const CollisionChecker* owner;
     void operator()(Scratch* scratch) const;

@@ -1,4 +1,4 @@
-"""An agent that sways every joint a little about where its robot stands: the smallest motion that shows how it follows."""
+"""An agent that sways every joint a little: the smallest motion that shows how a robot follows."""
 
 from __future__ import annotations
 

@@ -33,8 +33,8 @@ REFRESH = 0.25
 class TwinCommand:
     """Sway a robot a little and show how it follows its digital twin: errors of the joints, lag, alarms.
 
-    Without `--hardware`, a simulated robot with delay and noise stands in for the real one. With it, a real robot moves:
-    every joint by `--amplitude` towards the middle of its range and back. Exit code 1 if there was an alarm.
+    Without `--hardware`, a simulated robot with delay and noise stands in for the real one. With it, a real robot
+    moves: every joint by `--amplitude` towards the middle of its range and back. Exit code 1 if there was an alarm.
     """
 
     robot: str = "fr3"
@@ -77,11 +77,13 @@ class TwinCommand:
             max_episode_steps=None,
         )
         hardware = self._stand_ins(setup) if self.hardware is None else self.hardware
+        comparisons: Mapping[str, Comparison] = {}
         with make(setup, hardware=hardware) as env, attach_twin(env, on_alarm=self.on_alarm, limit=self.limit) as twin:
             with ended_by_signals(), self._page(env, twin, console) as show:
                 self._sway(env, twin, console, show)
-            console.print(figures(env, twin.comparisons))
-            return int(any(one.alarm is not None for one in twin.comparisons.values()))
+            comparisons = twin.comparisons
+            console.print(figures(env, comparisons))
+        return int(any(one.alarm is not None for one in comparisons.values()))
 
     def _stand_ins(self, setup: Setup) -> Site:
         if self.delay < 0 or self.noise < 0:

@@ -1,8 +1,8 @@
 """A guard: no target reaches a device whose way there comes too near to anything.
 
-What is checked is the way, not its end: from what was commanded last to the target and on to where the arm could stop, and
-from where the arm is measured to the target, for all robots at once, in steps of at most 2 mm and 0.5 degrees (in C++).
-Where a robot stands too near already, it may move along and away, but no nearer.
+What is checked is the way, not its end: from what was commanded last to the target and on to where the arm could stop,
+and from where the arm is measured to the target, for all robots at once, in steps of at most 2 mm and 0.5 degrees (in
+C++). Where a robot stands too near already, it may move along and away, but no nearer.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from rcs.sim.world import World
 
 OnHit = Literal["reject", "clip", "stop"]
-"""What follows when the way is not free: all devices hold; all robots go the last safe part of their way; all devices hold
-and the episode ends."""
+"""What follows when the way is not free: all devices hold; all robots go the last safe part of their way; all devices
+hold and the episode ends."""
 
 STEP = 0.002
 """No point of a robot moves by more than this between two checks of what is near [m]."""
@@ -73,8 +73,8 @@ class Guard(Gate):
         Args:
             on_hit: What follows when a way is not free. Copies of a batch are cut one by one, which is `clip`.
             margin: Distance that robots keep from themselves, each other and everything else [m].
-            near_margin: Distance that end effectors keep from the bodies in `near`, and links of a robot from each other
-                that are close by construction [m].
+            near_margin: Distance that end effectors keep from the bodies in `near`, and links of a robot from each
+                other that are close by construction [m].
             near: Bodies that work brings end effectors close to; None for the table, if there is one.
             touch: Bodies that end effectors may touch; None for the task's objects.
             allow: More bodies that may touch, in pairs of names, such as `[["fr3/gripper/hand", "fixture"]]`.
@@ -89,7 +89,9 @@ class Guard(Gate):
         if on_hit not in get_args(OnHit):
             raise InvalidSetup(f"on_hit is {on_hit!r}; valid: {', '.join(map(repr, get_args(OnHit)))}.")
         if not (0 <= near_margin <= margin < math.inf):
-            raise InvalidSetup(f"margin is {margin} m and near_margin {near_margin} m; valid is 0 <= near_margin <= margin.")
+            raise InvalidSetup(
+                f"margin is {margin} m and near_margin {near_margin} m; valid is 0 <= near_margin <= margin."
+            )
         if any(isinstance(pair, str) or len(pair) != 2 for pair in allow):
             raise InvalidSetup(f"allow is {allow!r}; valid are pairs of names of bodies.")
         if deadline is not None and not deadline > 0:
@@ -178,7 +180,7 @@ class Guard(Gate):
         else:
             part = self._part_of(0, here, start, goal)
             self._fraction = part.fraction
-            if part.why and (self.on_hit != "clip" or part.fraction == 0.0 and not part.is_free):
+            if part.why and (self.on_hit != "clip" or not part.is_free):
                 self._fraction = 0.0
                 refused = Refused(part.why)
                 refused.ends_episode = self.on_hit == "stop"
@@ -307,7 +309,7 @@ class _Part:
         self.fraction = fraction
         """Of the way from what was commanded last."""
         self.is_free = is_free
-        """Whether this part is free; if not, not even staying at the last command is, and the robots stay as measured."""
+        """Whether this part is free; if not, not even staying at the last command is, so they stay as measured."""
         self.has_fingers = has_fingers
         """Whether fingers go all of their way."""
         self.why = why

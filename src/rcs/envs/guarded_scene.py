@@ -1,9 +1,9 @@
 """The scene of an environment as a guard looks at it: what may come how near to what, and which joints move it.
 
 The joints of all robots are one flat vector: of each robot those of the arm, then those of its fingers. Distances come
-from two collision checkers. `far` keeps the margin, but leaves out the pairs that work brings together: end effectors and
-the table, and links of one robot that are close to each other by construction. `near` has these alone, for a small margin.
-Both leave out what may touch: end effectors and the task's objects, and the fingers of one gripper.
+from two collision checkers. `far` keeps the margin, but leaves out the pairs that work brings together: end effectors
+and the table, and links of one robot that are close to each other by construction. `near` has these alone, for a small
+margin. Both leave out what may touch: end effectors and the task's objects, and the fingers of one gripper.
 """
 
 from __future__ import annotations

@@ -240,7 +240,7 @@ def _task_options(value: Any) -> dict[str, Any]:
 
 
 def _gates(value: Any) -> dict[str, dict[str, Any]]:
-    given = value if isinstance(value, Mapping) else dict.fromkeys(_names("gates", value), {})
+    given = value if isinstance(value, Mapping) else {name: {} for name in _names("gates", value)}
     if not all(isinstance(name, str) and isinstance(options, Mapping) for name, options in given.items()):
         raise InvalidSetup(f"gates is {value!r}; valid is a sequence of names, or a mapping from names to options.")
     return {name: {str(key): own for key, own in options.items()} for name, options in given.items()}

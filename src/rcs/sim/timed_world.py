@@ -2,8 +2,9 @@
 
 Time: nothing runs by itself. `advance_to` makes as many physics steps as have become due, so an arm is always where it
 would be now, on a clock of the wall or one that is moved by hand. The steps between targets are smoothed, as drivers of
-real arms do, within the arm's limits of velocity and acceleration. The smoothing depends on time alone, so a target that
-comes a little late changes the motion a little. (`Motion` plans for targets at a known rate, which these have not.)
+real arms do, within the arm's limits of velocity and acceleration. The smoothing depends on time alone, so a target
+that comes a little late changes the motion a little. (`Motion` plans for targets at a known rate, which these have
+not.)
 """
 
 from __future__ import annotations

@@ -20,7 +20,8 @@ OPTIONS = ("delay", "noise", "seed", "smoothing", "gripper")
 class SimDriver(Driver):
     """Makes arms with physics that run in real time, and grippers that move at the speed of their descriptions.
 
-    Options of an arm in a site: `delay` [s], `noise` [rad], `seed`, `smoothing` [s], and `gripper`, the name of what it carries.
+    Options of an arm in a site: `delay` [s], `noise` [rad], `seed`, `smoothing` [s], and `gripper`, the name of what it
+    carries.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

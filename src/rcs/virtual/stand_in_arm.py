@@ -28,9 +28,9 @@ _NAME = "arm"
 class StandInArm(Arm):
     """An arm with physics that obeys `delay` seconds late and measures its joints with noise.
 
-    It is simulated up to the present moment of its clock whenever it is asked or told something, so it moves in real time
-    without a thread. `freeze` has it stand still without a word, as a robot does whose controller hangs; `lose_link` and
-    `restore` are those of the fakes.
+    It is simulated up to the present moment of its clock whenever it is asked or told something, so it moves in real
+    time without a thread. `freeze` has it stand still without a word, as a robot does whose controller hangs;
+    `lose_link` and `restore` are those of the fakes.
     """
 
     def __init__(

@@ -1,4 +1,5 @@
-"""A twin beside a stand-in with delay and noise: lag and errors are right, and a stand-in that freezes is found at once."""
+"""A twin beside a stand-in with delay and noise: lag and errors are right, and a stand-in that freezes is found at
+once."""
 
 from __future__ import annotations
 
@@ -33,9 +34,7 @@ def bench(
     clock: Any, *, delay: float, noise: float = NOISE, robot: str = "fr3", frequency: float = 30.0
 ) -> tuple[Env, dict[str, StandInArm]]:
     """Return an environment with stand-ins for its arms, on a clock that is moved by hand."""
-    setup = rcs.Setup(
-        task="Free", robot=robot, relative="absolute", frequency=frequency, max_episode_steps=None
-    )
+    setup = rcs.Setup(task="Free", robot=robot, relative="absolute", frequency=frequency, max_episode_steps=None)
     parts = resolve(setup)
     robots = {one.name: (one.arm, one.end_effector) for one in parts.robots}
     arms = {
@@ -83,9 +82,7 @@ def test_without_noise_a_twin_in_the_loop_is_the_robot_itself_some_time_ago(cloc
 
 @pytest.mark.parametrize("delay", [0.01, 0.03, 0.05])
 @pytest.mark.parametrize("steps", [41, 53, 67, 131])  # in motion; the turning points are elsewhere
-def test_an_alarm_comes_within_100_ms_when_the_stand_in_stops_following(
-    clock: Any, delay: float, steps: int
-) -> None:
+def test_an_alarm_comes_within_100_ms_when_the_stand_in_stops_following(clock: Any, delay: float, steps: int) -> None:
     alarms: list[Alarm] = []
     env, arms = bench(clock, delay=delay)
     env.add_observer(Twin(env.robots, on_alarm=alarms.append))

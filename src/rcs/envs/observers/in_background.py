@@ -1,8 +1,8 @@
 """Runs an observer beside the loop of an environment, in a thread of its own.
 
-Time: the loop puts each transition into a bounded queue and goes on. When the thread falls behind by the bound, new steps
-are left out and counted; starts and ends of episodes are never left out. Transitions are handed over as they are: their
-arrays are written once.
+Time: the loop puts each transition into a bounded queue and goes on. When the thread falls behind by the bound, new
+steps are left out and counted; starts and ends of episodes are never left out. Transitions are handed over as they are:
+their arrays are written once.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ class InBackground(Observer):
                 self._is_busy = True
             try:
                 call()
-            except Exception as err:  # a thread has no caller: it is logged, told in `info`, and raised by `close`
+            except Exception as err:  # noqa: BLE001  a thread has no caller; `info` tells it and `close` raises it
                 _log.exception("%s failed and sees no more steps.", self._name)
                 self.error = err
             with self._changed:

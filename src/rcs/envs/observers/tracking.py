@@ -1,8 +1,8 @@
 """How well one arm follows another in time: the error of every joint, and the lag, over a sliding window.
 
-Both are of joints over time: what is expected, on a grid of moments, and what is measured, at any moments. The lag is the
-shift in time that makes the variance of their difference least (a constant difference, such as sag, is no lag), refined by
-the parabola through the least value and its neighbours.
+Both are of joints over time: what is expected, on a grid of moments, and what is measured, at any moments. The lag is
+the shift in time that makes the variance of their difference least (a constant difference, such as sag, is no lag),
+refined by the parabola through the least value and its neighbours.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Tracking:
             self._measured.popleft()
 
     def expected_at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the expected joints [rad], (*times.shape, dof), at moments [s]; before the start, those of the start."""
+        """Return the expected joints [rad], (*times.shape, dof), at moments [s], from those of the start on."""
         place = np.clip((times - self._last) / self._grid + self._count - 1, 0, self._count - 1)
         before = np.minimum(place.astype(np.int64), max(self._count - 2, 0))
         part = (place - before)[..., None]

@@ -74,8 +74,8 @@ class Comparison:
 class Twin(Observer):
     """Follows robots with a simulation of them and measures how they differ; use it in `InBackground`.
 
-    The lag of a robot is not an error: each measurement is compared with where the twin was about a lag ago. Before a lag
-    is known, it may be any up to the longest.
+    The lag of a robot is not an error: each measurement is compared with where the twin was about a lag ago. Before a
+    lag is known, it may be any up to the longest.
     """
 
     def __init__(
@@ -120,7 +120,8 @@ class Twin(Observer):
         }
         self._alarms: dict[str, Alarm] = {}
         self.comparisons: Mapping[str, Comparison] = {}
-        """How every robot compares with its twin, after the last step; replaced as a whole, so any thread may read it."""
+        """How every robot compares with its twin, after the last step; replaced as a whole, so any thread may read
+        it."""
 
     def on_reset(self, first: Transition, seed: int | None) -> None:
         """Put the twin where the robots are."""
@@ -139,12 +140,23 @@ class Twin(Observer):
         if transition.after_hold or max(times.values()) - self.world.time > LONGEST_GAP:
             self._start(max(times.values()), measured)
         self.world.advance_to(max(times.values()), self._trace)
+        before = dict(self._alarms)
         self.comparisons = {name: self._compare(name, times[name], measured[name]) for name in self._robots}
+        for name, alarm in self._alarms.items():
+            if name not in before:
+                _log.warning("%s", alarm)
+                if self._on_alarm is not None:
+                    self._on_alarm(alarm)
 
     def info(self) -> Mapping[str, Any]:
         """Return `twin`: by robot, the last errors, lag and alarm in words, of the step before or an earlier one."""
         told = {
-            name: {"rms": one.rms, "lag": one.lag, "error": one.error, "alarm": "" if one.alarm is None else str(one.alarm)}
+            name: {
+                "rms": one.rms,
+                "lag": one.lag,
+                "error": one.error,
+                "alarm": "" if one.alarm is None else str(one.alarm),
+            }
             for name, one in self.comparisons.items()
         }
         return {"twin": told}
@@ -171,10 +183,7 @@ class Twin(Observer):
         if error.max() > self._limit and name not in self._alarms:
             worst = int(error.argmax())
             joint = self._robots[name].arm.joints[worst]
-            self._alarms[name] = alarm = Alarm(robot=name, joint=joint, error=float(error[worst]), time=time)
-            _log.warning("%s", alarm)
-            if self._on_alarm is not None:
-                self._on_alarm(alarm)
+            self._alarms[name] = Alarm(robot=name, joint=joint, error=float(error[worst]), time=time)
         return Comparison(
             rms=tracking.rms(lag or 0.0),
             raw_rms=tracking.rms(),

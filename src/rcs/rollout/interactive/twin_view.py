@@ -56,9 +56,7 @@ class TwinView:
             for name, side in (("robot", -0.5), ("twin", 0.5)):
                 world = TimedWorld(robots)  # for this page alone, put where the robots are
                 place = (0.0, side * apart, 0.0)
-                self._pictures.append(
-                    (world, BrowserScene(server, world.world, robots, name=name, place=place))
-                )
+                self._pictures.append((world, BrowserScene(server, world.world, robots, name=name, place=place)))
                 server.scene.add_label(f"/{name}/label", name, position=(0.0, 0.0, 1.2 * robots[0].arm.workspace_reach))
             self._text = server.gui.add_markdown("Waiting for the first step.")
         except BaseException:
