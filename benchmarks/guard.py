@@ -34,7 +34,7 @@ import rcs
 from rcs.envs import Guard
 from rcs.errors import Refused
 from rcs.sim import Scene
-from rcs.tasks.free import Free
+from rcs.tasks import Free
 
 MARGIN, NEAR_MARGIN, SAMPLING = 0.01, 0.001, 0.002
 BOXES = 3

@@ -9,7 +9,7 @@ import rcs
 from rcs.agents import PickExpert
 from rcs.envs import Guard
 from rcs.sim import Scene
-from rcs.tasks.free import Free
+from rcs.tasks import Free
 
 
 class Shelf(Free):

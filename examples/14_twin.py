@@ -12,8 +12,7 @@ import numpy as np
 
 import rcs
 from rcs.agents import Sway
-from rcs.robots.fr3.description import FR3
-from rcs.robots.franka_hand.description import FRANKA_HAND
+from rcs.robots import FR3, FRANKA_HAND
 from rcs.virtual import StandInArm
 
 arm = StandInArm(FR3, gripper=FRANKA_HAND, delay=0.03, noise=0.0005)
