@@ -86,7 +86,7 @@ def test_a_public_function_is_not_hidden_by_the_module_of_its_name() -> None:
 
 
 def test_options_are_the_fields_of_a_setup() -> None:
-    arguments = {"task", "layers"}  # of `make`, where they may also be classes and objects
+    arguments = {"task", "layers", "gates"}  # of `make`, where they may also be classes and objects
     assert [*get_type_hints(Options)] == [own.name for own in dataclasses.fields(Setup) if own.name not in arguments]
 
 

@@ -14,8 +14,9 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 PACKAGES = (
     "rcs", "rcs.envs", "rcs.envs.layers", "rcs.tasks", "rcs.agents", "rcs.rollout", "rcs.rl", "rcs.devices",
-    "rcs.hardware", "rcs.calibration", "rcs.setups", "rcs.robots", "rcs.kinematics", "rcs.planning", "rcs.sim",
-    "rcs.spatial", "rcs.data", "rcs.data.edit", "rcs.data.convert", "rcs.data.torch", "rcs.testing", "rcs.errors",
+    "rcs.hardware", "rcs.virtual", "rcs.calibration", "rcs.setups", "rcs.robots", "rcs.kinematics", "rcs.planning",
+    "rcs.sim", "rcs.spatial", "rcs.data", "rcs.data.edit", "rcs.data.convert", "rcs.data.torch", "rcs.testing",
+    "rcs.errors",
 )  # fmt: skip
 
 

@@ -21,6 +21,8 @@ constexpr double kHorizon = 0.1;
 constexpr double kFar = 0.3;
 /// Where that promises less than this beyond the margin [m], measuring the distance pays.
 constexpr double kNear = 0.05;
+/// Rounding of distances and of the way ahead [m].
+constexpr double kRounding = 1e-6;
 
 std::string name_of(const mjModel* model, mjtObj type, int id) {
   const char* name = mj_id2name(model, type, id);
@@ -33,16 +35,20 @@ void check_margin(double margin) {
 
 }  // namespace
 
+/// What follows from the robots' own joints and what is attached to them, not from where other things are.
+struct CollisionChecker::Geometry {
+  MovingParts parts;
+  std::vector<GeomPair> pairs{};
+  std::vector<double> levers{};  ///< pairs × dof: how much a radian brings the two nearer at most [m]
+  std::vector<double> turns{};   ///< pairs × dof: 1 for a hinge between the two
+  std::vector<double> radii{};   ///< pairs: sum of the radii of the bounding spheres [m]
+};
+
 struct CollisionChecker::Scene {
   std::vector<double> qpos, mocap_pos, mocap_quat;
   std::vector<Attachment> attachments;
   std::set<GeomPair> allowed;
-  // Made from the above by `publish`:
-  std::optional<MovingParts> parts;
-  std::vector<GeomPair> pairs;
-  std::vector<double> levers;  ///< pairs × dof: how much a radian brings the two nearer at most [m]
-  std::vector<double> turns;   ///< pairs × dof: 1 for a hinge between the two
-  std::vector<double> radii;   ///< pairs: sum of the radii of the bounding spheres [m]
+  std::shared_ptr<const Geometry> geometry{};  ///< made by `publish`
 };
 
 struct CollisionChecker::Scratch {
@@ -79,7 +85,7 @@ CollisionChecker::CollisionChecker(const mjModel* model, const std::vector<std::
       scene.mocap_quat.insert(scene.mocap_quat.end(), model->body_quat + 4 * body, model->body_quat + 4 * body + 4);
     }
   publish(std::move(scene));
-  if (scene_->pairs.empty())
+  if (scene_->geometry->pairs.empty())
     throw InvalidSetup(
         "collision checker: no geometry of the robots takes part: the joints that were given move no geom that could "
         "touch anything (contype and conaffinity). Give the joints of the robot, and a model that has collision geoms");
@@ -87,27 +93,32 @@ CollisionChecker::CollisionChecker(const mjModel* model, const std::vector<std::
 
 CollisionChecker::~CollisionChecker() = default;
 
-void CollisionChecker::publish(Scene scene, bool has_new_pairs) {
-  const std::size_t n = joints_.size();
-  scene.parts.emplace(model_.get(), joints_, scene.attachments, scene.qpos);
-  if (has_new_pairs) scene.pairs = pairs_to_check(model_.get(), *scene.parts, scene.allowed);
-  scene.levers.assign(scene.pairs.size() * n, 0.0);
-  scene.turns.assign(scene.pairs.size() * n, 0.0);
-  scene.radii.resize(scene.pairs.size());
-  for (std::size_t p = 0; p < scene.pairs.size(); ++p) {
-    const auto [a, b] = scene.pairs[p];
-    scene.radii[p] = radii_of(model_.get(), a, b);
-    const std::uint64_t between =
-        scene.parts->movers(model_->geom_bodyid[a]) ^ scene.parts->movers(model_->geom_bodyid[b]);
-    for (std::size_t j = 0; j < n; ++j) {
-      if (!(between >> j & 1)) continue;
-      scene.levers[p * n + j] = std::max(scene.parts->lever(a, j), scene.parts->lever(b, j));
-      scene.turns[p * n + j] = model_->jnt_type[joints_[j]] == mjJNT_HINGE;
-    }
-  }
+void CollisionChecker::publish(Scene scene, bool has_new_geometry) {
+  if (has_new_geometry) scene.geometry = geometry_of(scene);
   auto made = std::make_shared<const Scene>(std::move(scene));
   const std::lock_guard lock(mutex_);
   scene_ = std::move(made);
+}
+
+std::shared_ptr<const CollisionChecker::Geometry> CollisionChecker::geometry_of(const Scene& scene) const {
+  const std::size_t n = joints_.size();
+  auto made = std::make_shared<Geometry>(Geometry{MovingParts(model_.get(), joints_, scene.attachments, scene.qpos)});
+  const MovingParts& parts = made->parts;
+  made->pairs = pairs_to_check(model_.get(), parts, scene.allowed);
+  made->levers.assign(made->pairs.size() * n, 0.0);
+  made->turns.assign(made->pairs.size() * n, 0.0);
+  made->radii.resize(made->pairs.size());
+  for (std::size_t p = 0; p < made->pairs.size(); ++p) {
+    const auto [a, b] = made->pairs[p];
+    made->radii[p] = radii_of(model_.get(), a, b);
+    const std::uint64_t between = parts.movers(model_->geom_bodyid[a]) ^ parts.movers(model_->geom_bodyid[b]);
+    for (std::size_t j = 0; j < n; ++j) {
+      if (!(between >> j & 1)) continue;
+      made->levers[p * n + j] = std::max(parts.lever(a, j), parts.lever(b, j));
+      made->turns[p * n + j] = model_->jnt_type[joints_[j]] == mjJNT_HINGE;
+    }
+  }
+  return made;
 }
 
 std::shared_ptr<const CollisionChecker::Scene> CollisionChecker::scene() const {
@@ -139,7 +150,8 @@ CollisionChecker::Lease CollisionChecker::borrow() const {
   std::copy(newest->mocap_pos.begin(), newest->mocap_pos.end(), data->mocap_pos);
   std::copy(newest->mocap_quat.begin(), newest->mocap_quat.end(), data->mocap_quat);
   trapped("collision checker", [&] { mj_kinematics(model_.get(), data); });
-  for (auto* values : {&lease->speed, &lease->least, &lease->early, &lease->due}) values->resize(newest->pairs.size());
+  for (auto* values : {&lease->speed, &lease->least, &lease->early, &lease->due})
+    values->resize(newest->geometry->pairs.size());
   lease->last_hit = 0;
   lease->scene = std::move(newest);
   return lease;
@@ -162,7 +174,7 @@ std::vector<double> CollisionChecker::joint_upper() const {
   return upper;
 }
 
-std::vector<std::array<int, 2>> CollisionChecker::pairs() const { return scene()->pairs; }
+std::vector<std::array<int, 2>> CollisionChecker::pairs() const { return scene()->geometry->pairs; }
 
 std::string CollisionChecker::describe(int geom) const {
   if (geom < 0 || geom >= model_->ngeom)
@@ -188,7 +200,8 @@ void CollisionChecker::set_state(std::span<const double> qpos, std::span<const d
   changed.qpos.assign(qpos.begin(), qpos.end());
   if (!mocap_pos.empty()) changed.mocap_pos.assign(mocap_pos.begin(), mocap_pos.end());
   if (!mocap_quat.empty()) changed.mocap_quat.assign(mocap_quat.begin(), mocap_quat.end());
-  publish(std::move(changed), false);
+  const bool has_new_geometry = !changed.geometry->parts.stays_as_made(model_.get(), changed.qpos);
+  publish(std::move(changed), has_new_geometry);
 }
 
 std::vector<int> CollisionChecker::geoms_named(const std::string& name) const {
@@ -208,11 +221,11 @@ int CollisionChecker::allow(const std::string& a, const std::string& b) {
   const std::vector<int> of_a = geoms_named(a), of_b = geoms_named(b);
   const std::lock_guard lock(changing_);
   Scene changed = *scene();
-  const std::size_t before = changed.pairs.size();
+  const std::size_t before = changed.geometry->pairs.size();
   for (const int i : of_a)
     for (const int j : of_b) changed.allowed.insert({std::min(i, j), std::max(i, j)});
   publish(std::move(changed));
-  return static_cast<int>(before - scene()->pairs.size());
+  return static_cast<int>(before - scene()->geometry->pairs.size());
 }
 
 void CollisionChecker::attach(int body, int to, const std::optional<Pose>& pose_in_to) {
@@ -237,7 +250,7 @@ void CollisionChecker::attach(int body, int to, const std::optional<Pose>& pose_
     // Queries may have left the robots elsewhere.
     for (std::size_t i = 0; i < joints_.size(); ++i)
       scratch->q[i] = changed.qpos[static_cast<std::size_t>(model_->jnt_qposadr[joints_[i]])];
-    scratch->scene->parts->put(model_.get(), scratch->data, scratch->q);
+    scratch->scene->geometry->parts.put(model_.get(), scratch->data, scratch->q);
     const mjData* data = scratch->data;
     double back[4], away[3];
     mju_negQuat(back, data->xquat + 4 * to);
@@ -258,11 +271,11 @@ void CollisionChecker::detach(int body) {
 }
 
 Clearance CollisionChecker::nearest(Scratch& scratch, double margin, bool any) const {
-  const Scene& scene = *scratch.scene;
+  const Geometry& scene = *scratch.scene->geometry;
   const mjModel* model = model_.get();
   Clearance best{margin, {-1, -1}};
   trapped("collision checker", [&] {
-    scene.parts->put(model, scratch.data, scratch.q);
+    scene.parts.put(model, scratch.data, scratch.q);
     const std::size_t count = scene.pairs.size();
     for (std::size_t k = 0; k < count; ++k) {
       std::size_t p = k;
@@ -285,7 +298,7 @@ Clearance CollisionChecker::nearest(Scratch& scratch, double margin, bool any) c
 
 std::optional<Hit> CollisionChecker::sweep(Scratch& scratch, std::span<const double> from, std::span<const double> to,
                                            const SweepOptions& options) const {
-  const Scene& scene = *scratch.scene;
+  const Geometry& scene = *scratch.scene->geometry;
   const mjModel* model = model_.get();
   const std::size_t n = joints_.size(), count = scene.pairs.size();
   for (std::size_t p = 0; p < count; ++p) {
@@ -305,15 +318,17 @@ std::optional<Hit> CollisionChecker::sweep(Scratch& scratch, std::span<const dou
     double next = std::numeric_limits<double>::infinity();
     trapped("collision checker", [&] {
       for (std::size_t j = 0; j < n; ++j) scratch.q[j] = from[j] + s * (to[j] - from[j]);
-      scene.parts->put(model, scratch.data, scratch.q);
+      scene.parts.put(model, scratch.data, scratch.q);
       for (std::size_t p = 0; p < count; ++p) {
         // With what is due, all are looked at that are half way there: kinematics are computed less often.
         if (scratch.early[p] <= s) {
           const auto [a, b] = scene.pairs[p];
+          // What cannot come too near on the rest of the way need not be known better.
+          const double enough = options.margin + scratch.speed[p] * (1.0 - s) + kRounding;
           double distance = std::sqrt(squared_distance(scratch.data, a, b)) - scene.radii[p];
-          if (distance < options.margin + kFar) distance = bound_of(model, scratch.data, a, b);
-          if (distance < options.margin + kNear)
-            distance = mj_geomDistance(model, scratch.data, a, b, options.margin + kHorizon, nullptr);
+          if (distance < std::min(options.margin + kFar, enough)) distance = bound_of(model, scratch.data, a, b);
+          if (distance < std::min(options.margin + kNear, enough))
+            distance = mj_geomDistance(model, scratch.data, a, b, std::min(options.margin + kHorizon, enough), nullptr);
           if (distance < found.distance) found = {distance, {a, b}};
           const double ahead = scratch.speed[p] > 0.0 ? (distance - options.margin) / scratch.speed[p]
                                                       : std::numeric_limits<double>::infinity();

@@ -66,7 +66,8 @@ void MovingParts::add(const mjModel* model, int body, std::span<const double> qp
   for (int k = 0; k < count; ++k) {
     const int joint = first + k, address = model->jnt_qposadr[joint], type = model->jnt_type[joint];
     const double* value = qpos.data() + address;
-    Joint made{index_of_joint_[static_cast<std::size_t>(joint)],
+    Joint made{joint,
+               index_of_joint_[static_cast<std::size_t>(joint)],
                type,
                value[0] - model->qpos0[address],
                model->qpos0[address],
@@ -79,6 +80,17 @@ void MovingParts::add(const mjModel* model, int body, std::span<const double> qp
     }
     joints_.push_back(made);
   }
+}
+
+bool MovingParts::stays_as_made(const mjModel* model, std::span<const double> qpos) const {
+  return std::ranges::all_of(joints_, [&](const Joint& joint) {
+    if (joint.index >= 0) return true;
+    const int address = model->jnt_qposadr[joint.id];
+    if (joint.type != mjJNT_BALL) return qpos[static_cast<std::size_t>(address)] - model->qpos0[address] == joint.way;
+    std::array<double, 4> turn = values<4>(qpos.data() + address);
+    mju_normalize4(turn.data());
+    return turn == joint.turn;
+  });
 }
 
 void MovingParts::put(const mjModel* model, mjData* data, std::span<const double> q) const {

@@ -30,6 +30,8 @@ class MovingParts {
 
   /// Put the moving bodies and their geoms where joints `q` bring them; the others must be in place already.
   void put(const mjModel* model, mjData* data, std::span<const double> q) const;
+  /// Whether the joints that stay are where `qpos` has them too.
+  bool stays_as_made(const mjModel* model, std::span<const double> qpos) const;
   /// The joints that move a body, one bit each.
   std::uint64_t movers(int body) const { return movers_[static_cast<std::size_t>(body)]; }
   /// Upper bound of how far joint `joint` moves any point of a geom per radian, or per metre of a slide.
@@ -39,6 +41,7 @@ class MovingParts {
 
  private:
   struct Joint {
+    int id;     ///< in the model
     int index;  ///< in the joints that are given; -1 for one that stays
     int type;
     double way;                  ///< of one that stays: from the reference [rad] or [m]

@@ -14,8 +14,10 @@ from rcs import sim as sim
 from rcs import spatial as spatial
 from rcs import tasks as tasks
 from rcs import testing as testing
+from rcs import virtual as virtual
 from rcs.envs.observers.record import record as record
 from rcs.envs.observers.record import record_all as record_all
+from rcs.envs.observers.twin import attach_twin as attach_twin
 from rcs.envs.setup import Setup as Setup
 from rcs.hardware.site import Site as Site
 from rcs.rollout.episode import run_episode as run_episode

@@ -56,6 +56,9 @@ def _unknown_name(kind: type[UnknownName], message: str) -> UnknownName:
 class Refused(RcsError, RuntimeError):
     """A gate lets an action through to no device; all devices hold."""
 
+    ends_episode: bool = False
+    """Whether the episode ends with it, as truncated."""
+
 
 class PlanningFailed(RcsError, RuntimeError):
     """There is no path: start or goal collide, the goal is out of reach, or the time is up."""

@@ -102,8 +102,9 @@ class CollisionChecker {
                                                  const SweepOptions& options, int threads) const;
 
  private:
-  struct Scene;    ///< what does not change while a call uses it
-  struct Scratch;  ///< what one call computes in
+  struct Geometry;  ///< what a scene and the ones after it share
+  struct Scene;     ///< what does not change while a call uses it
+  struct Scratch;   ///< what one call computes in
   struct GiveBack {
     const CollisionChecker* owner;
     void operator()(Scratch* scratch) const;
@@ -116,7 +117,8 @@ class CollisionChecker {
   Lease borrow() const;
   std::shared_ptr<const Scene> scene() const;
   /// Complete what follows from a changed scene, and let later calls use it.
-  void publish(Scene scene, bool has_new_pairs = true);
+  void publish(Scene scene, bool has_new_geometry = true);
+  std::shared_ptr<const Geometry> geometry_of(const Scene& scene) const;
   Clearance nearest(Scratch& scratch, double margin, bool any) const;
   std::optional<Hit> sweep(Scratch& scratch, std::span<const double> from, std::span<const double> to,
                            const SweepOptions& options) const;

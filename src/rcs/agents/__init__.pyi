@@ -15,3 +15,4 @@ from rcs.agents.script import Phase as Phase
 from rcs.agents.script import Plan as Plan
 from rcs.agents.script import Script as Script
 from rcs.agents.script import ScriptedArm as ScriptedArm
+from rcs.agents.sway import Sway as Sway

@@ -21,6 +21,7 @@ VERBS: Table = {
     "sim": "rcs.cli.sim:SimCommand",
     "ik": "rcs.cli.ik:IkCommand",
     "plan": "rcs.cli.plan:PlanCommand",
+    "twin": "rcs.cli.twin:TwinCommand",
     "gallery": "rcs.cli.gallery:GalleryCommand",
     "list": "rcs.cli.list:ListCommand",
     "doctor": "rcs.cli.doctor:DoctorCommand",

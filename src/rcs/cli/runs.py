@@ -57,6 +57,8 @@ class SetupOptions:
     """What a reward one step later is worth to the learner; the shaped and the dense reward depend on it."""
     layers: tuple[str, ...] = ()
     """Names of more layers on top, or `module:Class`, from the lowest to the highest."""
+    gates: tuple[str, ...] = ()
+    """Names of gates that every target must pass before a device sees it, such as Guard, or `module:Class`."""
     seed: int = 0
     """Same seed, same episodes."""
     cameras: tuple[str, ...] | None = None
@@ -132,8 +134,8 @@ class SetupOptions:
 
 
 _AS_THEY_ARE = (
-    "reward", "discount", "robot", "end_effector", "layers", "camera_mode", "camera_fps", "camera_noise", "depth",
-    "segmentation", "tactile", "control", "frequency", "assets",
+    "reward", "discount", "robot", "end_effector", "layers", "gates", "camera_mode", "camera_fps", "camera_noise",
+    "depth", "segmentation", "tactile", "control", "frequency", "assets",
 )  # fmt: skip
 """Options that are fields of a setup."""
 

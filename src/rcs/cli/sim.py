@@ -49,7 +49,7 @@ class SimCommand(ActorOptions):
             except BaseException:
                 session.close()
                 raise
-        with _ended_by_signals():
+        with ended_by_signals():
             if in_browser:
                 self._serve(session, console)
             else:
@@ -77,7 +77,7 @@ def _show(session: Session, console: Console) -> None:
 
 
 @contextmanager
-def _ended_by_signals() -> Generator[None]:
+def ended_by_signals() -> Generator[None]:
     """Take Ctrl-C and SIGTERM for a wish to end, which is no error."""
 
     def on_termination(number: int, frame: object) -> None:

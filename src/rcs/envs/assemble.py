@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -190,6 +191,8 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
         scenario.guards = _guards(parts, bodies)
         shared += _simulated_sensors(parts, simulated, world, robots, clock, randomiser)
     gates = list(parts.gates)
+    for gate in gates:
+        gate.bind(parts, world, partial(compose, parts))
     if real and setup.segmentation:
         raise InvalidSetup(
             f"Real cameras ({', '.join(camera.name for camera in real)}) have no segmentation; use segmentation=False."

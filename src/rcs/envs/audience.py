@@ -41,6 +41,10 @@ class Audience:
         self._is_batch = scenario is not None and bool(scenario.world.leading)
         self._observers: list[tuple[int, Observer]] = []
         self._notes: dict[str, Any] = {}
+        self.command_time: float | None = None
+        """When the targets of the present step were sent [s]."""
+        self.after_hold = False
+        """Whether the devices were made to hold since the last step."""
 
     def add(self, observer: Observer, copy: int = 0) -> None:
         """Have an observer see every step of a copy from its next episode on."""
@@ -78,6 +82,14 @@ class Audience:
         told = [observer for own, observer in self._observers if copy in (None, own)]
         for_all([lambda observer=observer: observer.on_end(end, reasons) for observer in told])
 
+    def info(self) -> dict[str, Any]:
+        """Return what the observers of a single environment have to say."""
+        told: dict[str, Any] = {}
+        for _, observer in self._observers:
+            if type(observer).info is not Observer.info:
+                told.update(observer.info())
+        return told
+
     def closes(self) -> list[Callable[[], None]]:
         """Return the calls that close the observers."""
         return [observer.close for _, observer in self._observers]
@@ -102,6 +114,8 @@ class Audience:
             truncated=truncated,
             info=info,
             time=self._clock.now(),
+            command_time=None if step is None else self.command_time,
+            after_hold=step is not None and self.after_hold,
             capture_times=row(self._stack.capture_times(), copy) if self._is_batch else self._stack.capture_times(),
             sim_state=None if scenario is None else scenario.world.core.get_state(copy),
             objects=row(objects, copy) if self._is_batch else objects,

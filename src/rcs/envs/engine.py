@@ -188,8 +188,10 @@ class Engine:
     def _step(self, action: Any, starting: NDArray[np.bool_] | None) -> Step:
         measured: Nested | None = None
         told: dict[str, Any] = {}
+        ended: dict[str, str] = {}
         ids = None if starting is None else np.flatnonzero(starting).astype(np.int32)
         try:
+            self.audience.after_hold = self._must_rebase
             if self._must_rebase:
                 self._must_rebase = False  # before, for another thread may set it meanwhile
                 self.stack.rebase()
@@ -199,9 +201,12 @@ class Engine:
                 self.stack.send(self.stack.admit(mapped))
             except Refused as err:
                 told["refused"] = str(err)
+                ended = {"gate": str(err)} if err.ends_episode else ended
                 self.stack.stay()
                 self._must_rebase = True
+            self.audience.command_time = self._clock.now()
             if self._must_rebase:
+                self.audience.after_hold = True
                 self.stack.hold()  # refused, or another thread has said so before the targets were sent
             if ids is None or starting is None:
                 self._clock.advance()
@@ -209,7 +214,7 @@ class Engine:
                 self._clock.advance(np.flatnonzero(~starting).astype(np.int32))
                 self._begin(ids)
             measured = self.stack.measure()
-            faults = self.stack.faults()
+            faults = {**self.stack.faults(), **ended}
         except DeviceFault as err:
             faults = self.stack.faults() or {"device": str(err)}
         if faults:
@@ -263,6 +268,7 @@ class Engine:
             info["ages"] = ages
         if not self.leading:
             info = row(info, ...)
+            info.update(self.audience.info())
         info["target"] = copied(self.stack.target)
         if told:
             info.update(told)

@@ -3,20 +3,41 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
+from rcs.envs.layers.layer import Where
 from rcs.envs.spaces import Action, Observation
+
+if TYPE_CHECKING:
+    from rcs.envs.parts import Parts
+    from rcs.sim.scene import Scene
+    from rcs.sim.world import World
 
 
 class Gate(ABC):
     """Admits, cuts or refuses what all layers of all robots came to.
 
-    When a gate refuses, all devices hold, `info["refused"]` says why, and the episode goes on. A gate that takes longer
-    than its deadline refuses too. One that raises anything else breaks the episode off, and all devices hold.
+    When a gate refuses, all devices hold, `info["refused"]` says why, and the episode goes on, unless the refusal ends
+    it (`Refused.ends_episode`). A gate that takes longer than its deadline refuses too. One that raises anything else
+    breaks the episode off, and all devices hold.
     """
 
     deadline: float = float("inf")
     """Longest time that `admit` may take [s]; a later answer counts as a refusal."""
+    memory: tuple[str, ...] = ()
+    """Attributes that decide what follows; see `Layer.memory`."""
+
+    def bind(  # noqa: B027  most gates need no more than targets and measurements
+        self, parts: Parts, world: World | None, compose: Callable[[], Scene]
+    ) -> None:
+        """Look up what the gate needs of the environment, before anything is opened or moves.
+
+        Args:
+            parts: What the environment is made of.
+            world: The simulated world; None where everything is real.
+            compose: Puts the scene together anew: furniture, objects, robots, cameras.
+        """
 
     @abstractmethod
     def admit(self, targets: Mapping[str, Action], measured: Mapping[str, Observation]) -> Mapping[str, Action]:
@@ -24,12 +45,25 @@ class Gate(ABC):
 
         Args:
             targets: Targets on the lowest level by robot, absolute: `joints` [rad], `gripper`, `hand`. A single robot
-                without a name is "".
+                without a name is "". Of a batch, arrays (copies, ...).
             measured: What the robots measure at this moment, by the same names.
 
         Raises:
-            Refused: Nothing may move; the message says why.
+            Refused: Nothing may move; the message says why. A batch has no refusals of single copies.
         """
+
+    def sent(self, targets: Mapping[str, Action]) -> None:  # noqa: B027  most gates do not remember
+        """See what the devices were sent in the end, after all gates."""
+
+    def reset(self, measured: Mapping[str, Observation], where: Where) -> None:  # noqa: B027
+        """Some copies start anew, where they are measured."""
+
+    def rebase(self, measured: Mapping[str, Observation]) -> None:  # noqa: B027
+        """What follows counts from the measured state: after a hold, or a push."""
+
+    def info(self) -> dict[str, Any]:
+        """Return what to tell of the last action in `info`."""
+        return {}
 
     def __str__(self) -> str:
         """Return the gate as the printed environment shows it."""

@@ -90,6 +90,9 @@ class Setup:
     """Whether the gripper only opens and closes fully."""
     layers: tuple[str, ...] = ()
     """Names of more layers on top, or `module:Class`, from the lowest to the highest; each robot has its own."""
+    gates: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Mapping[str, Any]])
+    """What every target must pass before a device sees it, by name or `module:Class`, each with its options, such as
+    `{"Guard": {"on_hit": "clip"}}`; a sequence of names for their usual options."""
     frequency: float = 30.0
     """Control steps per second [Hz]."""
     stepping: Stepping = "async"
@@ -126,6 +129,7 @@ class Setup:
         if self.points and not self.depth:
             raise InvalidSetup("points is True and depth is False; points come from depth, so give depth=True too.")
         object.__setattr__(self, "task_options", _task_options(self.task_options))
+        object.__setattr__(self, "gates", _gates(self.gates))
         if not (_is_number(self.discount) and 0 < self.discount <= 1):
             raise InvalidSetup(f"discount is {self.discount!r}; valid is above 0 and up to 1.")
         if self.reward == "dense" and self.discount == 1:
@@ -240,6 +244,13 @@ def _task_options(value: Any) -> dict[str, Any]:
     if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
         raise InvalidSetup(f"task_options is {value!r}; valid is a mapping of the task's options by name.")
     return dict(options)
+
+
+def _gates(value: Any) -> dict[str, dict[str, Any]]:
+    given = value if isinstance(value, Mapping) else {name: {} for name in _names("gates", value)}
+    if not all(isinstance(name, str) and isinstance(options, Mapping) for name, options in given.items()):
+        raise InvalidSetup(f"gates is {value!r}; valid is a sequence of names, or a mapping from names to options.")
+    return {name: {str(key): own for key, own in options.items()} for name, options in given.items()}
 
 
 def _ranges(value: Any) -> Randomisation | None:

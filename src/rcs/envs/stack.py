@@ -144,6 +144,8 @@ class Stack:
         """Set the targets of all devices; nothing moves yet."""
         for name, chain in self.chains.items():
             chain.send(mapped[name])
+        for gate in self.gates:
+            gate.sent(mapped)
 
     def stay(self) -> None:
         """Hold all devices where they are measured, and take that for what the last action came to."""
@@ -161,6 +163,8 @@ class Stack:
         """Tell all layers that some copies start anew, with the lowest level's observations."""
         for name, chain in self.chains.items():
             chain.reset(measured[name], where)
+        for gate in self.gates:
+            gate.reset(measured, where)
 
     def rebase(self, robot: str | None = None) -> None:
         """Make the layers of one robot, or of all, count from the measured state.
@@ -174,6 +178,10 @@ class Stack:
         for name, chain in self.chains.items():
             if robot in (None, name):
                 chain.rebase()
+        if self.gates:
+            measured = {name: chain.measure_devices() for name, chain in self.chains.items()}
+            for gate in self.gates:
+                gate.rebase(measured)
 
     def faults(self) -> dict[str, str]:
         """Return the reason of every device that is in its fault state, by the device's name or `robot/device`."""
@@ -184,10 +192,11 @@ class Stack:
         return {prefix + key: age for prefix, port in self._aged for key, age in port.ages().items()}
 
     def info(self) -> dict[str, Any]:
-        """Return what the layers tell of the last action; of several robots, `robot/key`."""
-        if not self._names:
-            return self._shared.info()
-        return {self._prefix(name) + key: v for name, one in self.chains.items() for key, v in one.info().items()}
+        """Return what layers and gates tell of the last action; of several robots' layers, `robot/key`."""
+        told = {self._prefix(name) + key: v for name, one in self.chains.items() for key, v in one.info().items()}
+        for gate in self.gates:
+            told.update(gate.info())
+        return told
 
     def capture_times(self) -> dict[str, float]:
         """Return when each sensor was last read [s, monotonic clock], by its key such as `frames/wrist`."""

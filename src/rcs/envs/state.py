@@ -137,6 +137,8 @@ def _parts(engine: Engine) -> dict[str, tuple[Any, tuple[int, ...]]]:
     for chain, own in engine.stack.chains.items():
         for i, part in enumerate([*own.layers, *own.ports]):
             parts[f"{chain}{'/' if chain else ''}{i} {type(part).__name__}"] = part, leading
+    for i, gate in enumerate(engine.stack.gates):
+        parts[f"gate {i} {type(gate).__name__}"] = gate, leading
     return parts
 
 

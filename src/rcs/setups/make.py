@@ -42,6 +42,10 @@ RENDER_MODES = (None, "rgb_array", "rgb_array_list", "human")
 AnyLayer = Layer | type[Layer] | str
 """A layer, its class, the name of its entry point, or `module:Class`."""
 
+AnyGate = Gate | type[Gate] | str
+AnyGates = Sequence[AnyGate] | Mapping[str, Mapping[str, Any]]
+"""Gates, their classes, or their names, in the order in which targets pass them; or options by name."""
+
 Hardware = str | Path | DeviceAddress | Arm | Gripper | Hand | Camera
 """A device, or how it is reached."""
 
@@ -51,7 +55,7 @@ def make(
     *,
     hardware: Site | Hardware | Mapping[str, Hardware] | None = None,
     layers: Sequence[AnyLayer] | Mapping[str, Sequence[AnyLayer]] = (),
-    gates: Sequence[Gate | type[Gate] | str] = (),
+    gates: AnyGates = (),
     observers: Sequence[Observer] = (),
     render_mode: Literal["rgb_array", "rgb_array_list", "human"] | None = None,
     **options: Unpack[Options],
@@ -66,7 +70,9 @@ def make(
         layers: Your own layers on top of those of the setup, from the lowest to the highest, as objects, classes or
             names; of several robots, a sequence per robot by name. Names and classes in a sequence, up to its first
             object, become part of the setup, which recordings keep; replays go without the others.
-        gates: What the targets of all robots must pass before a device sees them, as objects, classes or names.
+        gates: What the targets of all robots must pass before a device sees them: objects, classes or names, or a
+            mapping from names to options, such as `{"Guard": {"on_hit": "clip"}}`. Names and classes up to the first
+            object become part of the setup.
         observers: See every step.
         render_mode: `rgb_array` for an environment whose `render` draws, `rgb_array_list` for one that draws every
             step, `human` for a window; None for none.
@@ -84,13 +90,8 @@ def make(
     """
     if render_mode not in RENDER_MODES:
         raise InvalidSetup(f"render_mode is {render_mode!r}; valid: {', '.join(map(repr, RENDER_MODES))}.")
-    parts = _parts(_setup(task, dict(options)), layers)
-    parts = replace(
-        parts,
-        devices=_devices(hardware, parts),
-        gates=[_one("gate", gate, Gate) for gate in gates],
-        observers=list(observers),
-    )
+    parts = _parts(_setup(task, dict(options)), layers, gates)
+    parts = replace(parts, devices=_devices(hardware, parts), observers=list(observers))
     return assemble(parts, render_mode=render_mode)
 
 
@@ -101,6 +102,7 @@ def make_vec(
     threads: int = 0,
     autoreset: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     layers: Sequence[AnyLayer] | Mapping[str, Sequence[AnyLayer]] = (),
+    gates: AnyGates = (),
     render_mode: None = None,
     **options: Unpack[Options],
 ) -> VecEnv:
@@ -112,6 +114,7 @@ def make_vec(
         threads: Threads for physics and rendering, 0 for one per CPU.
         autoreset: When a copy starts its next episode: `NextStep`, `SameStep` or `Disabled` (gymnasium's).
         layers: Your own layers, as in `make`.
+        gates: As in `make`; a guard of copies must have `on_hit="clip"`.
         render_mode: None: copies have `cameras`, and nothing else that draws.
         options: Fields of `Setup`; their defaults and units are listed there.
 
@@ -141,7 +144,7 @@ def make_vec(
     except ValueError as err:
         valid = ", ".join(repr(one.value) for one in AutoresetMode)
         raise InvalidSetup(f"autoreset is {autoreset!r}; valid: {valid}.") from err
-    return assemble_vec(_parts(setup, layers), copies=copies, threads=threads, autoreset=mode)
+    return assemble_vec(_parts(setup, layers, gates), copies=copies, threads=threads, autoreset=mode)
 
 
 def _setup(task: str | type[Task] | Setup, options: dict[str, Any]) -> Setup:
@@ -152,8 +155,16 @@ def _setup(task: str | type[Task] | Setup, options: dict[str, Any]) -> Setup:
     return Setup.from_json({"task": lookup.name_of("task", task), **options})
 
 
-def _parts(setup: Setup, layers: Sequence[AnyLayer] | Mapping[str, Sequence[AnyLayer]]) -> Parts:
-    """Return what a setup names, with the user's layers on top: those that have a name in the setup itself."""
+def _parts(setup: Setup, layers: Sequence[AnyLayer] | Mapping[str, Sequence[AnyLayer]], gates: AnyGates) -> Parts:
+    """Return what a setup names, with the user's layers and gates: those that have a name in the setup itself."""
+    if isinstance(gates, str):
+        raise InvalidSetup(f"gates is the text {gates!r}; give a sequence, such as [{gates!r}].")
+    if not isinstance(gates, Mapping):
+        by_name = {lookup.name_of("gate", gate): {} for gate in takewhile(_has_name, gates)}
+        own_gates, gates = list(gates)[len(by_name) :], by_name
+    else:
+        own_gates = []
+    setup = replace(setup, gates={**setup.gates, **gates})
     if isinstance(layers, str):
         raise InvalidSetup(f"layers is the text {layers!r}; give a sequence, such as [{layers!r}].")
     if not isinstance(layers, Mapping):
@@ -162,11 +173,15 @@ def _parts(setup: Setup, layers: Sequence[AnyLayer] | Mapping[str, Sequence[AnyL
     parts = resolve(setup)
     robots = [robot.name for robot in parts.robots]
     own = _layers(layers if isinstance(layers, Mapping) else dict.fromkeys(robots, layers), robots)
-    return replace(parts, layers={name: [*parts.layers[name], *own.get(name, ())] for name in robots})
+    return replace(
+        parts,
+        layers={name: [*parts.layers[name], *own.get(name, ())] for name in robots},
+        gates=[*parts.gates, *(_one("gate", gate, Gate) for gate in own_gates)],
+    )
 
 
-def _has_name(layer: AnyLayer) -> bool:
-    """Return whether a layer is found again by its name; one that is defined inside of a function is not."""
+def _has_name(layer: AnyLayer | AnyGate) -> bool:
+    """Return whether a layer or gate is found again by its name; one that is defined inside of a function is not."""
     return isinstance(layer, str) or (isinstance(layer, type) and "<locals>" not in layer.__qualname__)
 
 
@@ -187,6 +202,18 @@ def _one(kind: Literal["layer", "gate"], given: Any, wanted: type[Any]) -> Any:
     if not isinstance(found, wanted):
         raise InvalidSetup(f"{given!r} is no {kind}; valid is an object or class of {wanted.__name__}, or its name.")
     return found
+
+
+def _gate(name: str, options: Mapping[str, Any]) -> Gate:
+    """Return a gate that a setup names."""
+    found = lookup.find("gate", name)
+    if not (isinstance(found, type) and issubclass(found, Gate)):
+        raise InvalidSetup(f"{name!r} is {found!r}; valid is a subclass of rcs.envs.Gate.")
+    try:
+        return found(**options)
+    except TypeError as err:
+        valid = ", ".join(one for one in inspect.signature(found.__init__).parameters if one != "self")
+        raise InvalidSetup(f"The gate {name!r} does not take {sorted(options)}; valid options: {valid}.") from err
 
 
 def _devices(hardware: Any, parts: Parts) -> Devices:
@@ -252,6 +279,7 @@ def resolve(setup: Setup) -> Parts:
         task=task(lab.area, setup.task_options),
         clutter=Distractors(count, scale=lab.area.object_scale) if count else None,
         layers=_layers(dict.fromkeys(names, setup.layers), names),
+        gates=[_gate(name, options) for name, options in setup.gates.items()],
     )
 
 

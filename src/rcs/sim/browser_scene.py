@@ -33,19 +33,27 @@ NEWTON_LENGTH = 0.01
 MOVED = 1e-6
 """Least change of a coordinate that is sent [m]."""
 
-_ROOT = "/scene"
-
 
 class BrowserScene:
     """Shapes of a world under a `viser` server. The server is the caller's."""
 
-    def __init__(self, server: viser.ViserServer, world: World, robots: Sequence[RobotPlacement]) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        world: World,
+        robots: Sequence[RobotPlacement],
+        *,
+        name: str = "scene",
+        place: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:
         """Show a world.
 
         Args:
             server: Where it is shown.
             world: A world of one copy.
             robots: Its robots, which pages look at first.
+            name: Of this scene on the page, where there are several.
+            place: Where the origin of the world is on the page [m].
 
         Raises:
             InvalidSetup: The world has many copies.
@@ -61,6 +69,8 @@ class BrowserScene:
         self._poses: NDArray[np.float64] = np.full((world.model.nbody, 7), np.inf)
         self._soft: dict[int, NDArray[np.float32]] = {}
         self._arrows: Any = None
+        self._root = f"/{name}"
+        server.scene.add_frame(self._root, show_axes=False, position=np.array(place, np.float64))
         self.has_contacts = False
         """Whether contact forces are shown."""
         self._look_at(robots)
@@ -134,7 +144,7 @@ class BrowserScene:
     def _add(self, shape: Shape) -> Any:
         vertices, faces = shape.mesh
         scene = self._server.scene
-        body = f"{_ROOT}/{_node(body_name(self._model, shape.body))}"
+        body = f"{self._root}/{_node(body_name(self._model, shape.body))}"
         if shape.body and shape.body not in self._bodies:
             self._bodies[shape.body] = scene.add_frame(body, show_axes=False)
         return scene.add_mesh_simple(
@@ -157,7 +167,7 @@ class BrowserScene:
             return
         if self._arrows is None:
             self._arrows = self._server.scene.add_arrows(
-                "/contacts", arrows, (230, 60, 60), shaft_radius=0.002, head_radius=0.005, head_length=0.01
+                f"{self._root}/contacts", arrows, (230, 60, 60), shaft_radius=0.002, head_radius=0.005, head_length=0.01
             )
         else:
             self._arrows.points, self._arrows.visible = arrows.astype(np.float32), True

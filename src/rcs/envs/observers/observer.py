@@ -28,6 +28,10 @@ class Transition:
     info: dict[str, Any]
     time: float
     """When the observation was complete [s], on the monotonic clock."""
+    command_time: float | None = None
+    """When the targets of this step were sent [s], on the monotonic clock; None for the start of an episode."""
+    after_hold: bool = False
+    """Whether the devices were made to hold since the last step, or in this one because a gate refused it."""
     capture_times: dict[str, float] = field(default_factory=dict[str, float])
     """When each sensor was read [s], on the monotonic clock, by the sensor's key such as `frames/wrist`."""
     sim_state: NDArray[np.float64] | None = None
@@ -57,6 +61,13 @@ class Observer(ABC):
             end: `fault` when a device entered its fault state, `exception` when a step raised an error.
             reasons: The faults by device, or the error's message by its class.
         """
+
+    def info(self) -> Mapping[str, Any]:
+        """Return what is to be in `info` of the present step; asked in every step of a single environment.
+
+        It is asked before the observer sees the step, and must answer at once.
+        """
+        return {}
 
     def close(self) -> None:  # noqa: B027  most observers hold nothing
         """Release all resources; closing twice is harmless."""

@@ -1,0 +1,108 @@
+"""A page in the browser with a robot as it is measured, and beside it its twin as it should be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from rcs.envs.observers.twin import Twin
+from rcs.rollout.interactive.browser_view import start_server
+from rcs.sim.browser_scene import BrowserScene
+from rcs.sim.scene import RobotPlacement
+from rcs.sim.timed_world import TimedWorld
+
+if TYPE_CHECKING:
+    import viser
+
+APART = 1.3
+"""Distance between a robot and its twin, in parts of its reach."""
+
+
+class TwinView:
+    """Serves both to browsers; a context manager. One thread calls `show`."""
+
+    def __init__(
+        self, robots: Mapping[str, RobotPlacement], twin: Twin, *, host: str = "127.0.0.1", port: int = 8080
+    ) -> None:
+        """Prepare to serve; nothing is open yet.
+
+        Args:
+            robots: The robots by name.
+            twin: What follows them.
+            host: Address to listen at; the default is for this machine alone. There is no password.
+            port: Port to listen at, or the next one that is free; 0 for any.
+        """
+        self._robots, self._twin = dict(robots), twin
+        self._host, self._port = host, port
+        self._server: viser.ViserServer | None = None
+        self._pictures: list[tuple[TimedWorld, BrowserScene]] = []
+        self._text: Any = None
+
+    def open(self) -> None:
+        """Start to serve.
+
+        Raises:
+            MissingDependency: viser is not installed.
+            InvalidSetup: This machine cannot listen at the address.
+        """
+        self._server = server = start_server(self._host, self._port)
+        robots = list(self._robots.values())
+        bases = np.array([robot.base_in_scene.translation for robot in robots])
+        apart = APART * max(robot.arm.workspace_reach for robot in robots) + np.ptp(bases[:, 1])
+        try:
+            for name, side in (("robot", -0.5), ("twin", 0.5)):
+                world = TimedWorld(robots)  # for this page alone, put where the robots are
+                place = (0.0, side * apart, 0.0)
+                self._pictures.append((world, BrowserScene(server, world.world, robots, name=name, place=place)))
+                server.scene.add_label(f"/{name}/label", name, position=(0.0, 0.0, 1.2 * robots[0].arm.workspace_reach))
+            self._text = server.gui.add_markdown("Waiting for the first step.")
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        assert self._server is not None, "it is open"
+        host = "localhost" if self._host in ("0.0.0.0", "127.0.0.1") else self._host
+        return f"http://{host}:{self._server.get_port()}"
+
+    def show(self) -> None:
+        """Show the present state of both."""
+        comparisons = self._twin.comparisons
+        if not comparisons:
+            return
+        for (world, scene), which in zip(self._pictures, ("measured", "expected"), strict=True):
+            for name, one in comparisons.items():
+                world.arms[name].put(getattr(one, which))
+            scene.show()
+        self._text.content = "\n\n".join(_words(name, one) for name, one in comparisons.items())
+
+    def close(self) -> None:
+        """End the server. Closing twice is harmless."""
+        if self._server is not None:
+            server, self._server = self._server, None
+            server.stop()
+        for world, _ in self._pictures:
+            world.close()
+        self._pictures = []
+
+    def __enter__(self) -> Self:
+        """Start to serve."""
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the server."""
+        self.close()
+
+
+def _words(name: str, one: Any) -> str:
+    lag = "not known yet" if one.lag is None else f"{1e3 * one.lag:.0f} ms"
+    alarm = "" if one.alarm is None else f"\n\n**Alarm: {one.alarm}**"
+    return f"**{name}**: lag {lag}, largest RMS error {1e3 * one.rms.max():.1f} mrad{alarm}"

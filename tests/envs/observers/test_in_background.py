@@ -1,0 +1,133 @@
+"""An observer beside the loop: it sees everything in order, never slows the loop, and its errors are told."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.envs import InBackground, Observer, Transition
+from rcs.errors import InvalidSetup
+
+ACTION = {"joints": np.zeros(7), "gripper": np.ones(1, np.float32)}
+
+
+class Witness(Observer):
+    """Remembers what it sees; waits for `go` before every step."""
+
+    def __init__(self, *, go: threading.Event | None = None, fail_at: int | None = None) -> None:
+        self.seen: list[Any] = []
+        self.threads: set[str] = set()
+        self.is_closed = False
+        self._go, self._fail_at = go, fail_at
+
+    def on_reset(self, first: Transition, seed: int | None) -> None:
+        self.seen.append(("reset", seed))
+
+    def on_step(self, transition: Transition) -> None:
+        self.threads.add(threading.current_thread().name)
+        if self._go is not None:
+            assert self._go.wait(10)
+        if len(self.seen) == self._fail_at:
+            raise ValueError("the disk is full")
+        self.seen.append(transition.observation["joints"])
+
+    def on_end(self, end: str, reasons: Mapping[str, str]) -> None:
+        self.seen.append(("end", end))
+
+    def info(self) -> Mapping[str, Any]:
+        return {"witness": len(self.seen)}
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+def test_it_sees_what_an_observer_in_the_loop_sees_in_a_thread_of_its_own() -> None:
+    beside, within = Witness(), Witness()
+    background = InBackground(beside)
+    with rcs.make("Free", observers=[background, within]) as env:
+        for seed in (3, 4):
+            env.reset(seed=seed)
+            for _ in range(20):
+                env.step(env.action_space.sample())
+        assert background.wait()
+        assert background.missed == 0
+    assert beside.is_closed
+    assert beside.threads == {"rcs observer Witness"}
+    assert len(beside.seen) == len(within.seen) == 42
+    for one, other in zip(beside.seen, within.seen, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert "rcs observer Witness" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_one_that_hangs_misses_steps_and_holds_up_nothing_but_starts_and_ends_get_through() -> None:
+    go = threading.Event()
+    slow = Witness(go=go)
+    background = InBackground(slow, bound=5)
+    with rcs.make("Free", observers=[background]) as env:
+        env.reset(seed=0)
+        for _ in range(50):
+            env.step(ACTION)  # would hang for good if it waited
+        env.reset(seed=1)
+        go.set()
+        assert background.wait()
+        resets = [seen for seen in slow.seen if isinstance(seen, tuple)]
+        assert resets == [("reset", 0), ("reset", 1)]
+        steps = len(slow.seen) - 2
+        assert steps + background.missed == 50
+        assert 4 <= steps <= 7
+
+
+def test_its_error_is_in_the_info_of_later_steps_and_raised_by_close_and_the_loop_goes_on() -> None:
+    background = InBackground(Witness(fail_at=3))
+    env = rcs.make("Free", observers=[background])
+    env.reset(seed=0)
+    infos = [env.step(ACTION)[-1] for _ in range(2)]
+    assert background.wait()
+    assert "observers" not in infos[0]
+    env.step(ACTION)
+    background.wait()
+    info = env.step(ACTION)[-1]
+    assert info["observers"] == {"Witness": "ValueError: the disk is full"}
+    assert info["witness"] == 3
+    with pytest.raises(ValueError, match="disk is full"):
+        env.close()
+    env.close()
+
+
+def test_closing_waits_for_what_is_in_the_queue() -> None:
+    witness = Witness()
+    with rcs.make("Free", observers=[InBackground(witness)]) as env:
+        env.reset(seed=0)
+        for _ in range(10):
+            env.step(ACTION)
+    assert len(witness.seen) == 11
+
+
+def test_what_the_program_does_to_its_observation_is_not_seen() -> None:
+    go = threading.Event()
+    witness = Witness(go=go)
+    background = InBackground(witness)
+    with rcs.make("Free", observers=[background]) as env:
+        env.reset(seed=0)
+        observation, *_, info = env.step(ACTION)
+        del observation["joints"], info["time"]
+        go.set()
+        assert background.wait()
+        assert witness.seen[1].shape == (7,)
+
+
+def test_without_an_episode_there_is_no_thread() -> None:
+    before = threading.active_count()
+    InBackground(Witness()).close()
+    assert threading.active_count() == before
+
+
+@pytest.mark.parametrize("bound", [0, -1, 1.5, True])
+def test_a_bound_that_makes_no_sense_is_refused(bound: Any) -> None:
+    with pytest.raises(InvalidSetup, match="bound is"):
+        InBackground(Witness(), bound=bound)
