@@ -157,7 +157,7 @@ class Planner:
         starts = np.random.default_rng(seed).uniform(lower, upper, (ATTEMPTS, len(lower)))
         starts[0] = first
         targets = np.tile(pose.tquat, (ATTEMPTS, 1))
-        joints, status = self.kinematics.inverse_batch(targets, starts, freedom_of(self.kinematics))
+        joints, status, _ = self.kinematics.inverse_batch(targets, starts, freedom_of(self.kinematics))
         found = joints[status == IkStatus.ok.value]
         if not len(found):
             x, y, z = pose.translation
