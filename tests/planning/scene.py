@@ -19,7 +19,7 @@ def make_model() -> tuple[mujoco.MjModel, list[int]]:
     scene.add_table()
     scene.add_robot(robot)
     for name, size, pos in [
-        ("wall", [0.15, 0.01, 0.17], [0.5, 0.0, 0.17]),
+        ("wall", [0.15, 0.01, 0.14], [0.5, 0.0, 0.14]),
         ("post", [0.03, 0.03, 0.5], [0.1, 0.5, 0.5]),
     ]:
         scene.spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=pos)

@@ -32,6 +32,9 @@ OPTIMISING = (
     "AITstar",
 )
 """Planners that go on after the first path, until their iterations are up."""
+RANGE = 0.6
+"""Longest motion that a tree grows by [rad]. OMPL's own choice, a fifth of the space's extent, is 2.5 rad for seven joints:
+most such motions run into something."""
 SEEDS = 2**31
 """Seeds that OMPL takes."""
 
@@ -143,6 +146,8 @@ def _solve(planner: Any, is_optimising: bool, problem: Problem) -> Rows | None:
     if is_optimising:
         definition.setOptimizationObjective(base.PathLengthOptimizationObjective(information))
     made = planner(information)
+    if hasattr(made, "setRange"):
+        made.setRange(RANGE)
     made.setProblemDefinition(definition)
     made.setup()
     end, asked = time.monotonic() + problem.time_limit, 0
