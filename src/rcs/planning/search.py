@@ -33,8 +33,8 @@ OPTIMISING = (
 )
 """Planners that go on after the first path, until their iterations are up."""
 RANGE = 0.6
-"""Longest motion that a tree grows by [rad]. OMPL's own choice, a fifth of the space's extent, is 2.5 rad for seven joints:
-most such motions run into something."""
+"""Longest motion that a tree grows by [rad]. OMPL's own choice, a fifth of the space's extent, is 2.5 rad for seven
+joints: most such motions run into something."""
 SEEDS = 2**31
 """Seeds that OMPL takes."""
 
