@@ -8,6 +8,7 @@
 
 #include "collision_pairs.hpp"
 #include "geom_bound.hpp"
+#include "geom_distance.hpp"
 #include "moving_parts.hpp"
 #include "trap.hpp"
 
@@ -285,7 +286,7 @@ Clearance CollisionChecker::nearest(Scratch& scratch, double margin, bool any) c
       const double reach = scene.radii[p] + limit;
       if (squared_distance(scratch.data, a, b) >= reach * reach) continue;
       if (bound_of(model, scratch.data, a, b) >= limit) continue;
-      const double distance = mj_geomDistance(model, scratch.data, a, b, limit, nullptr);
+      const double distance = geom_distance(model, scratch.data, a, b, limit);
       if (!(distance < best.distance)) continue;
       best = {distance, {a, b}};
       if (!any) continue;
@@ -328,7 +329,7 @@ std::optional<Hit> CollisionChecker::sweep(Scratch& scratch, std::span<const dou
           double distance = std::sqrt(squared_distance(scratch.data, a, b)) - scene.radii[p];
           if (distance < std::min(options.margin + kFar, enough)) distance = bound_of(model, scratch.data, a, b);
           if (distance < std::min(options.margin + kNear, enough))
-            distance = mj_geomDistance(model, scratch.data, a, b, std::min(options.margin + kHorizon, enough), nullptr);
+            distance = geom_distance(model, scratch.data, a, b, std::min(options.margin + kHorizon, enough));
           if (distance < found.distance) found = {distance, {a, b}};
           const double ahead = scratch.speed[p] > 0.0 ? (distance - options.margin) / scratch.speed[p]
                                                       : std::numeric_limits<double>::infinity();

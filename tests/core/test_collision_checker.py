@@ -48,14 +48,50 @@ def data_at(env: Env, checker: CollisionChecker, q: np.ndarray) -> mujoco.MjData
     return data
 
 
-def test_clearance_is_the_smallest_of_mujocos_distances(env: Env, checker: CollisionChecker) -> None:
+def distance_between(model: mujoco.MjModel, data: mujoco.MjData, a: int, b: int) -> float:
+    """Return MuJoCo's distance, or minus the radius of a capsule whose axis has a point in a box."""
+    distance = mujoco.mj_geomDistance(model, data, a, b, 1.0, None)
+    kinds = {int(model.geom_type[geom]): geom for geom in (a, b)}
+    if set(kinds) == {mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_BOX} and distance > 0:
+        capsule, box = kinds[mujoco.mjtGeom.mjGEOM_CAPSULE], kinds[mujoco.mjtGeom.mjGEOM_BOX]
+        along = np.linspace(-1.0, 1.0, 2001)[:, None] * model.geom_size[capsule, 1]
+        points = data.geom_xpos[capsule] + along * data.geom_xmat[capsule].reshape(3, 3)[:, 2]
+        inside = np.abs((points - data.geom_xpos[box]) @ data.geom_xmat[box].reshape(3, 3)) < model.geom_size[box]
+        if inside.all(axis=1).any():
+            return -float(model.geom_size[capsule, 0])
+    return distance
+
+
+def test_an_arm_that_reaches_through_a_table_is_not_free() -> None:
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=[2.0, 2.0, 0.02], pos=[0.0, 0.0, -0.02])
+    arm = spec.worldbody.add_body(name="arm", pos=[0.0, 0.0, 0.3])
+    arm.add_joint(name="joint", axis=[0.0, 1.0, 0.0])
+    arm.add_geom(
+        name="arm", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.04, 0.2, 0.0], pos=[0.3, 0.0, 0.0], quat=[1, 0, 1, 0]
+    )
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    checker = CollisionChecker(model, [[0]])
+    for angle, is_free in ((0.0, True), (1.5, False), (np.pi / 2, False), (-1.0, True)):
+        data.qpos[:] = angle
+        mujoco.mj_kinematics(model, data)
+        table, capsule = model.geom("table").id, model.geom("arm").id
+        assert checker.is_free(np.array([angle]), 0.001) is is_free
+        assert checker.clearance(np.array([angle]), 1.0).distance == pytest.approx(
+            distance_between(model, data, table, capsule), abs=1e-9
+        )
+    assert checker.first_hit(np.zeros(1), np.array([1.5])) is not None
+
+
+def test_clearance_is_the_smallest_distance_of_any_pair(env: Env, checker: CollisionChecker) -> None:
     rows = random_joints(checker, 40)
     distances, geoms = checker.clearance_rows(rows, 1.0, threads=2)
     for q, distance, pair in zip(rows, distances, geoms, strict=True):
         data = data_at(env, checker, q)
-        every = [mujoco.mj_geomDistance(env.scenario.world.model, data, a, b, 1.0, None) for a, b in checker.pairs]
+        every = [distance_between(env.scenario.world.model, data, a, b) for a, b in checker.pairs]
         assert distance == pytest.approx(min(every), abs=1e-9)
-        own = mujoco.mj_geomDistance(env.scenario.world.model, data, *pair, 1.0, None)
+        own = distance_between(env.scenario.world.model, data, *pair)
         assert own == pytest.approx(distance, abs=1e-9)
 
 
