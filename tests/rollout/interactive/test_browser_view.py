@@ -169,9 +169,9 @@ def test_contact_forces_are_shown_when_wanted(view: BrowserView) -> None:
     give(view, "Contact forces", True)
     for _ in range(10):
         view.turn()
-    assert server_of(view).scene.get_handle_by_name("/contacts").visible
+    assert server_of(view).scene.get_handle_by_name("/scene/contacts").visible
     give(view, "Contact forces", False)
-    assert not server_of(view).scene.get_handle_by_name("/contacts").visible
+    assert not server_of(view).scene.get_handle_by_name("/scene/contacts").visible
 
 
 def test_the_page_is_served_here_alone_and_opens_no_tunnel(view: BrowserView) -> None:
