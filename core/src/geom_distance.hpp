@@ -38,7 +38,7 @@ inline bool passes_through(const mjModel* model, const mjData* data, int capsule
 /// for a capsule whose axis passes through a box (MuJoCo 4.0.0) may be above 0; then it is minus the capsule's radius.
 inline double geom_distance(const mjModel* model, mjData* data, int a, int b, double limit) {
   const double distance = mj_geomDistance(model, data, a, b, limit, nullptr);
-  if (distance <= 0.0) return distance;
+  if (distance < 0.0) return distance;  // 0 may be the limit
   const int kind_a = model->geom_type[a], kind_b = model->geom_type[b];
   if (kind_a == mjGEOM_CAPSULE && kind_b == mjGEOM_BOX && passes_through(model, data, a, b))
     return -model->geom_size[3 * a];

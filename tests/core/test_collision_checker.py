@@ -103,7 +103,9 @@ def test_what_is_free_makes_no_contact_of_a_checked_pair(env: Env, checker: Coll
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
         touching = {tuple(sorted(c.geom.tolist())) for c in data.contact[: data.ncon] if c.dist < 0}
-        assert is_free == (not touching & pairs)
+        # MuJoCo finds no contact of a capsule whose axis passes through a box.
+        is_pierced = any(distance_between(model, data, a, b) < 0 for a, b in pairs)
+        assert is_free == (not touching & pairs and not is_pierced)
 
 
 def test_every_contact_that_joints_can_make_belongs_to_a_checked_pair(env: Env, checker: CollisionChecker) -> None:
