@@ -3,8 +3,9 @@
 # make test-extras   the tests that need torch, Stable-Baselines3, Ray, Pinocchio, OMPL, OpenCV, mujoco-menagerie or a browser;
 #                    test-wheel
 # make test-wheel    build a wheel, install it into an environment of its own, and run it there
-# make test-interop  open our exports with the readers of LeRobot and others; each gets an environment of its own (first time:
-#                    about 4 GB and 10 minutes)
+# make test-interop  open our exports with the readers of LeRobot and others, and serve tiny policies of other projects; each
+#                    gets an environment of its own (first time: about 10 GB and 20 minutes)
+# make test-wires    policies over openpi's wire, asked and served by its own client and layout; part of test-interop
 # make test-cluster  Ray clusters of two machines on this one, parts of which are killed; 3 to 5 minutes
 # make test-sanitize the C++ tests, and the Python tests of what uses the core, under the sanitizers of addresses and undefined
 #                    behaviour; the C++ tests under that of threads. Any finding ends it. About 15 minutes; FUZZ=300000 has the
@@ -138,7 +139,7 @@ test-sanitized:
 	@TSAN_OPTIONS="suppressions=$(CURDIR)/tools/sanitized/threads.supp halt_on_error=1" \
 	  $(BIN)/ctest --test-dir $(SANITIZE)/thread --output-on-failure --no-label-summary -Q
 	@echo "==> Python under the sanitizers of addresses and undefined behaviour"
-	@$(RUN_SANITIZED) -m pytest -q -p no:faulthandler -m "not slow and not extras and not cluster and not hardware" $(SANITIZED_TESTS)
+	@$(RUN_SANITIZED) -m pytest -q -p no:faulthandler -m "not slow and not extras and not cluster and not interop and not hardware" $(SANITIZED_TESTS)
 	@[ -z "$(FUZZ)" ] || $(RUN_SANITIZED) tests/fuzz/fuzz_core.py --calls $(FUZZ)
 
 # torch by itself and first: what depends on it then takes this version, and never looks for another.
@@ -146,7 +147,7 @@ $(VENV)/.stamp-extras: $(VENV)/.stamp-built
 	@echo "==> Installing torch, Stable-Baselines3, Ray, Pinocchio and OMPL (first time: about 2 GB)"
 	@$(PIP) install -c constraints.txt torch
 	@$(PIP) install -c constraints.txt stable-baselines3 tensorboard mujoco-menagerie ray pin ompl
-	@$(PIP) install -c constraints.txt opencv-python-headless pupil-apriltags scipy
+	@$(PIP) install -c constraints.txt opencv-python-headless pupil-apriltags scipy pyzmq
 	@touch $@
 
 test-extras: test-wheel $(VENV)/.stamp-extras gl
@@ -181,11 +182,14 @@ READERS := \
   robomimic:read_robomimic.py:robomimic \
   robomimic:read_robomimic.py:varied/robomimic
 
+# A line per wire of somebody else: its environment, the program that asks and serves both ways.
+WIRES := openpi:ask_through_wires.py
+
 $(INTEROP)/%/.stamp: tests/interop/requirements-%.txt
 	@echo "==> Making $(INTEROP)/$*"
 	@tools/reader_environment $(BIN)/python $*
 
-test-interop: build gl $(foreach r,$(READERS),$(INTEROP)/$(firstword $(subst :, ,$(r)))/.stamp)
+test-interop: build gl $(foreach r,$(READERS),$(INTEROP)/$(firstword $(subst :, ,$(r)))/.stamp) test-wires
 	@echo "==> Collecting and exporting"
 	@mkdir -p $(INTEROP)/data && $(BIN)/python tests/interop/make_exports.py $(INTEROP)/data \
 	  $(filter-out varied/%,$(sort $(foreach r,$(READERS),$(lastword $(subst :, ,$(r))))))
@@ -197,6 +201,16 @@ test-interop: build gl $(foreach r,$(READERS),$(INTEROP)/$(firstword $(subst :, 
 	  $(INTEROP)/$$name/bin/python tests/interop/$$program $$export $$(dirname $$export)/expected \
 	    >$$export.log 2>&1 || { cat $$export.log; exit 1; }; \
 	  tail -n 1 $$export.log; \
+	done
+	@echo "==> Serving policies of other projects"
+	@$(BIN)/python -m pytest tests/interop -m interop --durations=5
+
+.PHONY: test-wires
+test-wires: build $(foreach w,$(WIRES),$(INTEROP)/$(firstword $(subst :, ,$(w)))/.stamp)
+	@set -e; for wire in $(WIRES); do \
+	  name=$${wire%%:*}; program=$${wire#*:}; \
+	  echo "==> Asking and serving over the wire of $$name"; \
+	  $(BIN)/python tests/interop/$$program $(INTEROP)/$$name/bin/python; \
 	done
 
 # --- Checks ----------------------------------------------------------------------------------------------------------

@@ -35,8 +35,8 @@ class Options:
 
     laps: int = 30
     """Of the circle."""
-    steps: int = 1000
-    """Random actions per arm and control mode."""
+    steps: int = 6000
+    """Random actions per arm and control mode, 150 per episode: a few episodes say more of where they led."""
     lines: int = 20
     """Straight paths per arm."""
     seed: int = 0
@@ -47,7 +47,7 @@ class Follower:
     """An environment without a task, and the targets that it sends."""
 
     def __init__(self, robot: str, **setup: Any) -> None:
-        self.env = rcs.make("Free", robot=robot, max_episode_steps=None, **setup)
+        self.env = rcs.make("Free", robot=robot, max_episode_steps=None, collision_reaction=False, **setup)
         placement = self.env.robots[robot]
         self.home = np.array(placement.arm.home)
         self.largest_step = np.array(placement.arm.velocity_limit) / self.env.setup.frequency

@@ -360,3 +360,13 @@ def test_ctrl_c_finishes_cleanly_and_the_same_command_goes_on(tmp_path: Path, wo
     told, _ = again.communicate(timeout=60)
     assert again.returncode == 0, told
     assert len(Dataset.open(out)) == kept + 1
+
+
+@pytest.mark.parametrize("words", [["--help"], ["collect", "--help"], ["--version"], ["list"]])
+def test_a_reader_that_goes_away_ends_the_command_quietly(words: list[str]) -> None:
+    command = [*RCS, *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 1

@@ -9,9 +9,9 @@ import pytest
 
 from rcs.devices import ArmLimits
 from rcs.devices.fakes import FakeArm, FakeGripper
-from rcs.envs.assemble import layers_of
 from rcs.envs.chain import Chain
 from rcs.envs.clock import Clock
+from rcs.envs.control_layers import layers_of
 from rcs.envs.env import Env
 from rcs.envs.ports import ArmPort, GripperPort
 from rcs.envs.setup import Setup

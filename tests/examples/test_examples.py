@@ -17,7 +17,10 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 MOST_LINES_IN_README = 12
 NEED_EXTRAS = ("07_train_on_it", "10_ppo", "12_planning", "15_calibrate")
-SHORT = {"10_ppo": ["--steps", "2048", "--unseen", "4"]}
+SHORT = {
+    "10_ppo": ["--steps", "2048", "--unseen", "4"],
+    "16_policy": ["--episodes", "2", "--latencies", "0.1"],
+}
 """Options with which an example that takes long ends soon."""
 
 

@@ -64,6 +64,7 @@ def test_a_way_is_free_unless_the_arm_comes_near_something_on_it() -> None:
         assert not path(home, low)
         assert not path(home, home + 2 * (low - home)), "what is beyond it does not matter"
         assert path(low, low) and path(low, home), "away from what is near is free"
+        assert not path(low, low + 0.2 * (low - home)), "nearer is not"
 
 
 def test_environments_with_other_actions_are_refused() -> None:

@@ -48,3 +48,17 @@ def test_copies_have_the_posts_of_single_environments() -> None:
 def test_a_number_of_posts_that_does_not_fit_is_refused(count: int) -> None:
     with pytest.raises(InvalidSetup, match="obstacles"):
         rcs.make("PickCuboid", task_options={"obstacles": count})
+
+
+@pytest.mark.parametrize("robot", ["fr3", "ur5e", "so101"])
+def test_posts_leave_the_robot_room_at_home(robot: str) -> None:
+    with rcs.make("PickCuboid", robot=robot, task_options={"obstacles": 8}) as env:
+        model, data = env.scenario.world.model, env.scenario.world.data
+        names = np.array([model.body(body).name for body in model.geom_bodyid])
+        post = np.char.startswith(names, "obstacle")
+        arm = np.char.startswith(names, robot)
+        for seed in range(40):
+            env.reset(seed=seed)
+            mujoco.mj_collision(model, data)
+            contacts = data.contact.geom[: data.ncon]
+            assert not (post[contacts].any(axis=1) & arm[contacts].any(axis=1)).any()

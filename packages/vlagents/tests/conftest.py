@@ -4,9 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from vlagents import Observation
 from vlagents.policies.random import RandomPolicy
 from vlagents.server import Server
+
+settings.register_profile("vlagents", deadline=None)  # a machine may have other work
+settings.load_profile("vlagents")
 
 
 @pytest.fixture

@@ -6,9 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
-from vlagents import InvalidInput
+from vlagents import InvalidInput, Observation
 from vlagents.cli.main import main
+from vlagents.connect import connect
 from vlagents.policies import catalogue
 from vlagents.server import Server
 
@@ -22,6 +24,18 @@ def test_a_policy_is_served_until_a_signal_and_answers_ping_and_bench(capsys: py
         assert "joints: 8" in capsys.readouterr().out
         assert main(["bench", address, "--calls", "5", "--image", "32x48"]) == 0
         assert json.loads(capsys.readouterr().out)["calls"] == 5
+        serving.send_signal(signal.SIGTERM)
+        assert serving.wait(10.0) == 0
+
+
+def test_a_policy_is_served_to_openvlas_clients_too() -> None:
+    command = [sys.executable, "-m", "vlagents.cli", "serve", "random", "--port", "0", "--wire", "openvla"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as serving:
+        assert serving.stdout is not None
+        address = serving.stdout.readline().split(" at ")[1].split(". ")[0]
+        with connect(address, period=0.1) as client:
+            image = np.zeros((8, 8, 3), np.uint8)
+            assert client.infer(Observation({"side": image}, instruction="pick")).actions.shape == (1, 7)
         serving.send_signal(signal.SIGTERM)
         assert serving.wait(10.0) == 0
 

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import threading
+import urllib.error
+import urllib.request
 from typing import Any
 
 import numpy as np
@@ -114,6 +116,25 @@ def test_a_policy_sees_what_was_observed(pair: Pair, echo: Echo, observation: Ob
     np.testing.assert_array_equal(seen.state["joints"], observation.state["joints"])
     assert seen.instruction == observation.instruction
     assert seen.time == observation.time
+
+
+@pytest.mark.parametrize("kind", ["tcp", "shared"])
+def test_what_is_in_flight_travels_along(kind: str, echo: Echo) -> None:
+    previous = np.arange(6.0).reshape(3, 2)
+    with Pair(kind, echo) as pair, pair.connect() as client:
+        client.infer(Observation(state={"joints": np.zeros(2)}, previous=previous, frozen=2))
+        client.infer(Observation(state={"joints": np.zeros(2)}))
+    assert echo.seen[0].previous is not None
+    np.testing.assert_array_equal(echo.seen[0].previous, previous)
+    assert (echo.seen[0].frozen, echo.seen[1].frozen, echo.seen[1].previous) == (2, 0, None)
+
+
+@pytest.mark.parametrize(
+    ("previous", "frozen"), [(np.zeros(3), 0), (np.full((2, 2), np.nan), 0), (np.zeros((2, 2)), 3), (None, 1)]
+)
+def test_rows_in_flight_that_make_no_sense_are_refused(previous: Any, frozen: int) -> None:
+    with pytest.raises(InvalidInput, match=r"previous|frozen"):
+        Observation(previous=previous, frozen=frozen)
 
 
 def test_pictures_may_stay_compressed(kind: str, echo: Echo) -> None:
@@ -240,6 +261,17 @@ def test_a_client_needs_an_address_and_somebody_there() -> None:
             Client(wrong)
     with pytest.raises(ConnectionLost, match="Nobody is at"):
         Client("vla://127.0.0.1:1")
+
+
+def test_a_websocket_server_tells_its_health_and_refuses_what_is_no_websocket() -> None:
+    with WebsocketServer(RandomPolicy(), port=0, token="secret") as server:
+        url = f"http://127.0.0.1:{server.address.port}"
+        with urllib.request.urlopen(f"{url}/healthz", timeout=5.0) as answer:
+            assert answer.read() == b"OK\n"
+        with pytest.raises(urllib.error.HTTPError, match="401"):
+            urllib.request.urlopen(url, timeout=5.0)
+    with WebsocketServer(RandomPolicy(), port=0) as server, pytest.raises(urllib.error.HTTPError, match="426"):
+        urllib.request.urlopen(f"http://127.0.0.1:{server.address.port}", timeout=5.0)
 
 
 def test_closing_twice_does_no_harm(pair: Pair, echo: Echo) -> None:

@@ -1,11 +1,13 @@
 """Sends a server valid messages that were damaged, and what is no message at all, over each wire.
 
-A server in a process of its own serves a random policy, whose shared memory, TCP port and websocket get `--frames`
-frames each. Every hundredth frame, a client of the right kind asks for a chunk and must get it. A pickle that would
-make a file is among the frames.
+Each wire (shared memory, TCP, websocket) has a server in a process of its own, with a random policy, and gets
+`--frames` frames, some of them per connection. A frame counts when it was answered, or ended its connection; what came
+behind one that did is not counted. Now and then a client of the right kind asks for a chunk, and must get
+it. A pickle that would make a file is among the frames.
 
-Prints one JSON object: `frames` per wire, `crashes`, `mb_grown` (resident memory of the server since the first tenth),
-`canary` (whether the pickle ever ran), `refused` and `answered` frames by wire.
+Prints one JSON object per wire: `frames`, `crashes`, `mb_grown` (resident memory of the server since the first tenth),
+`canary` (whether the pickle ever ran), `connections` (all of which were ended), `served` (how often the client got its
+chunk).
 """
 
 from __future__ import annotations
@@ -16,17 +18,19 @@ import json
 import os
 import pickle
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
 from vlagents import Observation
-from vlagents.client import Client
-from vlagents.websocket import WebsocketClient
+from vlagents.address import parse, socket_beside
+from vlagents.connect import connect
 from vlagents.wire import openpi
 from vlagents.wire.calls import observation_to_values
 from vlagents.wire.message import pack
@@ -34,19 +38,54 @@ from vlagents.wire.shared import HEAD, MAGIC, PLACE, SEALS, SLOTS
 from vlagents.wire.stream import PREFIX
 
 SERVE = """
-import sys, threading
+import logging, sys, threading
 from vlagents.policies.random import RandomPolicy
 from vlagents.server import Server
 from vlagents.websocket import WebsocketServer
-import logging
 logging.disable(logging.CRITICAL)
-one, other = Server(RandomPolicy(size=8), port=0).start(), WebsocketServer(RandomPolicy(size=8), port=0).start()
-print(one.address, one._unix, other.address, flush=True)
+server = (WebsocketServer if sys.argv[1] == "websocket" else Server)(RandomPolicy(size=8), port=0, transfer=1.0).start()
+print(server.address, flush=True)
 threading.Event().wait()
 """
+WIRES = ("shared", "tcp", "websocket")
+BURST = 16
+"""Frames of a connection."""
+ASKED = 50
+"""Connections between two calls that must be answered."""
+HANDSHAKE = (
+    b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
 OBSERVATION = Observation(
     images={"side": np.zeros((8, 8, 3), np.uint8)}, state={"joints": np.zeros(7)}, instruction="pick", session="a"
 )
+
+
+ODD: list[Any] = [
+    None,
+    True,
+    -1,
+    2**62,
+    float("nan"),
+    float("inf"),
+    "",
+    "x" * 300,
+    b"\xff",
+    [],
+    {},
+    [[[]]],
+    {"a": {"a": {}}},
+]
+ODD += [
+    np.zeros(0),
+    np.zeros((2, 2)),
+    np.array(3.0),
+    np.full(7, np.nan),
+    np.zeros((4, 4, 3), np.uint8),
+    np.zeros((3, 3, 4), np.uint8),
+]
+ODD += [np.zeros(9, bool), np.arange(3, dtype=np.uint64), {"jpeg": 3}, {"jpeg": np.zeros(9, np.uint8)}]
+"""Values that travel, and belong nowhere."""
 
 
 class Canary:
@@ -63,11 +102,12 @@ class Frames:
     """Draws frames from a seed."""
 
     def __init__(self, seed: int, canary: bytes) -> None:
-        self._random = np.random.default_rng(seed)
-        self._canary = canary
+        self.random = Random(seed)
+        self._unpleasant = [b"\xff" * 8, b"\x91" * 200, b"\xdf\xff\xff\xff\xff", b"\xc7\xff\x01", canary]
         values = observation_to_values(OBSERVATION)
+        self._hello = {"call": "hello", "id": 0, "version": 1}
         self._calls = [
-            {"call": "hello", "id": 0, "version": 1},
+            self._hello,
             {"call": "infer", "id": 1, "observation": values},
             {"call": "reset", "id": 2, "session": "a", "instruction": "b"},
             {"call": "forget", "id": 3, "session": "a"},
@@ -77,94 +117,134 @@ class Frames:
 
     def damaged(self, data: bytes) -> bytes:
         """Return bytes with a few of them changed, cut out, doubled, or replaced by something unpleasant."""
-        random = self._random
-        found = bytearray(data)
-        for _ in range(int(random.integers(0, 4))):
-            at = int(random.integers(0, len(found) + 1))
-            kind = random.integers(0, 6)
+        random, found = self.random, bytearray(data)
+        for _ in range(random.randrange(4)):
+            at, kind = random.randrange(len(found) + 1), random.randrange(6)
             if kind == 0 and found:
-                found[min(at, len(found) - 1)] = int(random.integers(0, 256))
+                found[min(at, len(found) - 1)] = random.randrange(256)
             elif kind == 1:
-                del found[at : at + int(random.integers(1, 9))]
+                del found[at : at + random.randrange(1, 9)]
             elif kind == 2:
-                found[at:at] = found[at : at + int(random.integers(1, 40))]
+                found[at:at] = found[at : at + random.randrange(1, 40)]
             elif kind == 3:
-                found[at:at] = bytes(random.integers(0, 256, int(random.integers(1, 9)), np.uint8))
+                found[at:at] = random.randbytes(random.randrange(1, 9))
             elif kind == 4:
-                found[at:at] = [b"\xff" * 8, b"\x91" * 200, b"\xdf\xff\xff\xff\xff", b"\xc7\xff\x01", self._canary][
-                    int(random.integers(0, 5))
-                ]
+                found[at:at] = random.choice(self._unpleasant)
             else:
-                found[at : at + 4] = int(random.integers(0, 2**32)).to_bytes(4, "little")
+                found[at : at + 4] = random.randbytes(4)
         return bytes(found)
 
-    def native(self) -> bytes:
-        """Return a frame for TCP."""
-        header, parts, size = pack(self._calls[int(self._random.integers(0, len(self._calls)))])
-        body = b"".join(parts)
-        which = self._random.integers(0, 3)
-        if which == 0:  # the lengths are right, what they are of is not
-            header = self.damaged(header)
-            return PREFIX.pack(b"VLA1", len(header), size) + header + body
-        frame = PREFIX.pack(b"VLA1", len(header), size) + header + body
-        return self.damaged(frame) if which == 1 else frame
+    def confused(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Return a call with one of its values replaced by what does not belong there, but travels."""
+        found = {**values}
+        at = found
+        while True:
+            name = self.random.choice([key for key in at if key not in ("call", "id")] or [None])
+            if isinstance(at.get(name), dict) and at[name] and self.random.random() < 0.8:
+                at[name] = {**at[name]}
+                at = at[name]
+                continue
+            at[name or "more"] = self.random.choice(ODD)
+            return found
 
-    def shared(self) -> tuple[bytes, int | None]:
-        """Return a frame for a Unix socket, and how large its memory is said and made to be."""
+    def hello(self, wire: str) -> bytes:
+        """Return what a connection begins with, undamaged."""
+        return HANDSHAKE if wire == "websocket" else _framed(*pack(self._hello)[:2])
+
+    def frame(self, wire: str) -> tuple[bytes, int | None]:
+        """Return a frame, and for shared memory how large the file is that comes with it, if one does."""
+        if wire == "shared" and self.random.random() < 0.15:
+            return self._shared()
+        return (self._websocket() if wire == "websocket" else self._native()), None
+
+    def _native(self) -> bytes:
+        call = self.random.choice(self._calls)
+        which = self.random.randrange(12)
+        header, parts, _ = pack(self.confused(call) if which > 3 else call)
+        if which == 0:  # the lengths are right, what they are of is not
+            return _framed(self.damaged(header), parts)
+        return self.damaged(_framed(header, parts)) if which == 1 else _framed(header, parts)
+
+    def _shared(self) -> tuple[bytes, int | None]:
         header, _, size = pack(self._calls[1])
-        random = self._random
-        slot_size = int(random.choice([1 << 20, 1 << 12, 64, 0, 2**63]))
-        size = int(random.choice([size, 0, 1 << 20, 2**62]))
-        place = PLACE.pack(int(random.integers(0, 3)), int(random.integers(0, 4)), slot_size)
-        frame = PREFIX.pack(MAGIC, len(header), size) + place + header
-        made = int(random.choice([SLOTS << 20, 4096, 0]))
+        random = self.random
+        place = PLACE.pack(random.randrange(3), random.randrange(4), random.choice([1 << 20, 1 << 12, 64, 0, 2**63]))
+        frame = PREFIX.pack(MAGIC, len(header), random.choice([size, 0, 1 << 20, 2**62])) + place + header
+        made = random.choice([SLOTS << 20, 4096, 0])
         return (self.damaged(frame) if random.random() < 0.5 else frame), (made if random.random() < 0.7 else None)
 
-    def openpi(self) -> bytes:
-        """Return a message for a websocket."""
-        flat: dict[str, Any] = openpi.observation_to_flat(OBSERVATION)
-        own = [{"session": "a", "time": 1.0}, self._calls[int(self._random.integers(0, 6))], 5, None]
-        values = {**flat, openpi.OWN: own[int(self._random.integers(0, 4))]}
-        return self.damaged(openpi.pack(values))
+    def _websocket(self) -> bytes:
+        random = self.random
+        own: Any = random.choice([{"session": "a", "time": 1.0}, random.choice(self._calls)])
+        which = random.randrange(24)
+        flat = openpi.observation_to_flat(OBSERVATION)
+        if which > 8:
+            own = self.confused(own)
+        if which > 16:
+            flat = self.confused(flat)
+        message = openpi.pack({**flat, openpi.OWN: random.choice([5, None]) if which == 2 else own})
+        if which == 0:
+            message = self.damaged(message)
+        first = (
+            random.choice([0x81, 0x8A, 0x02, 0x80, 0x88, 0xF2, 0x87]) if which == 3 else 0x89 if which == 4 else 0x82
+        )
+        message = message[:100] if first & 0x08 else message
+        size = len(message)
+        head = bytes([first, 0x80 | size]) if size < 126 else struct.pack(">BBH", first, 0xFE, size)
+        frame = head + bytes(4) + message  # a mask of zeros changes nothing
+        return self.damaged(frame) if which == 1 else frame
 
 
-class Peer:
-    """A raw connection that is made anew whenever the server ends it."""
+def _framed(header: bytes, parts: Any) -> bytes:
+    body = b"".join(parts)
+    return PREFIX.pack(b"VLA1", len(header), len(body)) + header + body
 
-    def __init__(self, address: Any, family: socket.AddressFamily, hello: bytes) -> None:
-        self._address, self._family, self._hello = address, family, hello
-        self._socket: socket.socket | None = None
-        self.refused = 0
 
-    def send(self, frame: bytes, file: int | None = None) -> None:
-        """Send a frame, with a file if there is one, and read whatever came back."""
-        if self._socket is None:
-            self._socket = socket.socket(self._family, socket.SOCK_STREAM)
-            self._socket.settimeout(5.0)
-            self._socket.connect(self._address)
-            self._socket.sendall(self._hello)
+def sent(wire: str, address: Any, frames: Frames) -> int:
+    """Send a burst over a connection of its own; return how many frames were answered or ended it."""
+    family = socket.AF_UNIX if wire == "shared" else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as peer:
+        peer.settimeout(20.0)
+        peer.connect(address)
+        came = b""
         try:
-            if file is None:
-                self._socket.sendall(frame)
-            else:
-                socket.send_fds(self._socket, [frame], [file])
-            self._socket.setblocking(False)
-            while data := self._socket.recv(1 << 16):
-                pass
-            if data == b"":
-                raise ConnectionError
-        except BlockingIOError:
-            self._socket.settimeout(5.0)
-        except OSError:
-            self._socket.close()
-            self._socket = None
-            self.refused += 1
+            waiting = [frames.hello(wire)]
+            for frame, size in (frames.frame(wire) for _ in range(BURST)):
+                if size is None:
+                    waiting.append(frame)
+                    continue
+                peer.sendall(b"".join(waiting))
+                waiting, file = [], make_memory(size, frames.random)
+                try:
+                    socket.send_fds(peer, [frame], [file])
+                finally:
+                    os.close(file)
+            peer.sendall(b"".join(waiting))
+            peer.shutdown(socket.SHUT_WR)
+            while data := peer.recv(1 << 16):
+                came += data
+        except ConnectionError:
+            pass  # it was ended while frames were on their way
+    answered = answers(wire, came)
+    return min(answered + 1, BURST) if wire != "websocket" else min(max(answered, 1), BURST)
 
-    def end(self) -> None:
-        """End a connection that a half message may have stopped."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+
+def answers(wire: str, came: bytes) -> int:
+    """Return how many frames were answered, the greeting apart."""
+    at, count = 0, -1
+    if wire == "websocket":
+        at = came.find(b"\r\n\r\n") + 4
+        while at + 2 <= len(came):
+            size = came[at + 1]
+            wide = {126: 2, 127: 8}.get(size, 0)
+            at += 2 + wide + (int.from_bytes(came[at + 2 : at + 2 + wide], "big") if wide else size)
+            count += 1
+        return max(count, 0)
+    while at + PREFIX.size <= len(came):
+        _, header, body = PREFIX.unpack_from(came, at)
+        at += PREFIX.size + header + body
+        count += 1
+    return max(count, 0)
 
 
 def memory_mb(process: int) -> float:
@@ -173,89 +253,53 @@ def memory_mb(process: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def make_memory(size: int, random: np.random.Generator) -> int:
+def make_memory(size: int, random: Random) -> int:
     """Return a file of memory, sealed or not."""
     file = os.memfd_create("fuzz", os.MFD_ALLOW_SEALING)
     os.ftruncate(file, size)
     if size > HEAD:
-        os.pwrite(file, int(random.integers(0, 3)).to_bytes(8, "little"), 0)
+        os.pwrite(file, random.randrange(3).to_bytes(8, "little"), 0)
     if random.random() < 0.7:
         fcntl.fcntl(file, fcntl.F_ADD_SEALS, SEALS)
     return file
 
 
-def fuzz(frames: int, seed: int) -> dict[str, Any]:
-    """Send so many frames over each wire, and return the figures."""
+def fuzz(wire: str, frames: int, seed: int) -> dict[str, Any]:
+    """Send so many frames over a wire, and return the figures."""
     with tempfile.TemporaryDirectory() as folder:
         canary = Path(folder) / "canary"
         drawn = Frames(seed, pickle.dumps(Canary(canary)))
-        serving = subprocess.Popen([sys.executable, "-c", SERVE], stdout=subprocess.PIPE, text=True)
+        serving = subprocess.Popen([sys.executable, "-c", SERVE, wire], stdout=subprocess.PIPE, text=True)
         assert serving.stdout is not None
         try:
-            tcp, unix, websocket = serving.stdout.readline().split()
-            host, port = tcp.removeprefix("vla://").rsplit(":", 1)
-            header, _, _ = pack({"call": "hello", "id": 0, "version": 1})
-            hello = PREFIX.pack(b"VLA1", len(header), 0) + header
-            peers = {
-                "tcp": Peer((host, int(port)), socket.AF_INET, hello),
-                "shared": Peer(unix, socket.AF_UNIX, hello),
+            address = parse(serving.stdout.readline().strip())
+            place: Any = str(socket_beside(address.port)) if wire == "shared" else (address.host, address.port)
+            begin, warm, count, connections, served = time.monotonic(), 0.0, 0, 0, 0
+            options = {} if wire == "websocket" else {"is_shared": wire == "shared"}
+            with connect(str(address), timeout=20.0, **options) as good:
+                while count < frames:
+                    count += sent(wire, place, drawn)
+                    connections += 1
+                    if connections % ASKED == 0:
+                        assert good.infer(OBSERVATION).actions.shape == (1, 8)
+                        served += 1
+                    if warm == 0.0 and count >= frames // 10:
+                        warm = memory_mb(serving.pid)
+                assert good.infer(OBSERVATION).actions.shape == (1, 8)
+            return {
+                "benchmark": "fuzz_wire",
+                "wire": wire,
+                "frames": count,
+                "crashes": int(serving.poll() is not None),
+                "mb_grown": round(memory_mb(serving.pid) - warm, 1),
+                "canary": canary.exists(),
+                "connections": connections,
+                "served": served + 1,
+                "seconds": round(time.monotonic() - begin, 1),
             }
-            return _send(drawn, frames, serving, canary, peers, tcp, websocket)
         finally:
             serving.kill()
             serving.wait()
-
-
-def _send(
-    drawn: Frames, frames: int, serving: Any, canary: Path, peers: dict[str, Peer], tcp: str, websocket: str
-) -> dict[str, Any]:
-    random = np.random.default_rng(1)
-    good = {"shared": Client(tcp, is_shared=True), "tcp": Client(tcp, is_shared=False)}
-    good_websocket = WebsocketClient(websocket)
-    evil: WebsocketClient | None = None
-    refused, warm, answered = 0, 0.0, 0
-    for number in range(frames):
-        peers["tcp"].send(drawn.native())
-        frame, size = drawn.shared()
-        file = None if size is None else make_memory(size, random)
-        peers["shared"].send(frame, file)
-        if file is not None:
-            os.close(file)
-        if evil is None or evil._connection is None:
-            evil = WebsocketClient(websocket)
-        assert evil._connection is not None
-        try:
-            evil._connection.send(drawn.openpi())
-            if isinstance(evil._connection.recv(timeout=10.0), str):
-                raise ConnectionError
-        except Exception:  # noqa: BLE001  whatever the library raises for a connection that was ended
-            refused += 1
-            evil.close()
-            evil = None
-        if number % 20 == 19:
-            for peer in peers.values():
-                peer.end()
-        if number % 100 == 99:
-            for client in (*good.values(), good_websocket):
-                assert client.infer(OBSERVATION).actions.shape == (1, 8)
-                answered += 1
-        if number == frames // 10:
-            warm = memory_mb(serving.pid)
-    grown = memory_mb(serving.pid) - warm
-    for client in (*good.values(), good_websocket):
-        client.close()
-    if evil is not None:
-        evil.close()
-    time.sleep(0.1)
-    return {
-        "benchmark": "fuzz_wire",
-        "frames": frames,
-        "crashes": int(serving.poll() is not None),
-        "mb_grown": round(grown, 1),
-        "canary": canary.exists(),
-        "refused": {**{name: peer.refused for name, peer in peers.items()}, "websocket": refused},
-        "answered": answered,
-    }
 
 
 def main() -> None:
@@ -263,8 +307,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=10_000, help="for each wire")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--wire", choices=WIRES, action="append", help="by default each, one after another")
     given = parser.parse_args()
-    print(json.dumps(fuzz(given.frames, given.seed)))
+    for wire in given.wire or WIRES:
+        print(json.dumps(fuzz(wire, given.frames, given.seed)), flush=True)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,8 @@ def agent_for(env: Env, agent: Any = None) -> Agent:
     Args:
         env: The environment.
         agent: An agent, a class or function that makes one from the environment, the name of an entry point of
-            `rcs.agents`, `module:Class`, or the path of a checkpoint; None for the expert that the task names.
+            `rcs.agents`, `module:Class`, the path of a checkpoint, or the address of a policy, such as
+            `vla://127.0.0.1:8090`; None for the expert that the task names.
 
     Raises:
         InvalidSetup: The task names no expert, or `agent` does not make an Agent.
@@ -34,6 +35,8 @@ def agent_for(env: Env, agent: Any = None) -> Agent:
             )
     if is_path(agent):
         return lookup.find("policy", "checkpoint")(agent, env)
+    if is_address(agent):
+        return lookup.find("policy", "address")(agent, env)
     found = lookup.find("agent", agent)
     made = found if isinstance(found, Agent) else found(env) if callable(found) else None
     if not isinstance(made, Agent):
@@ -46,3 +49,8 @@ def is_path(given: Any) -> bool:
     if isinstance(given, Path):
         return True
     return isinstance(given, str) and ":" not in given and (os.sep in given or Path(given).is_dir())
+
+
+def is_address(given: Any) -> bool:
+    """Return whether what is given for an agent is the address of a policy, and no name."""
+    return isinstance(given, str) and "://" in given

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.envs.assemble import GRASP
+from rcs.envs.control_layers import GRASP
 from rcs.kinematics import load
 from rcs.robots import GripperDescription, HandDescription
 from rcs.spatial import Pose

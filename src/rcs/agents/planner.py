@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,9 @@ from rcs.kinematics import IkStatus, Kinematics, freedom_of
 from rcs.planning.path import Path
 from rcs.planning.timed_path import TimedPath
 from rcs.planning.timing import JointLimits, time_path
+from rcs.sim.scene import TABLE
 from rcs.spatial import Pose
+from rcs.tasks.pick_cuboid import CUBOID
 
 SPEED, SLOWLY = 0.45, 0.2
 """Shares of the arm's speed on the way, and near the object."""
@@ -31,8 +33,15 @@ LIFT = 0.15
 """Height to lift above the grasp [m]."""
 STRIDE = 0.03
 """Distance between the poses of a straight descent [m]."""
-NEAR, MARGIN = 0.0005, 0.01
-"""Distances to keep from everything: near the object, where an open gripper passes it closely, and on the way [m]."""
+NEAR, MARGINS = 0.0005, (0.01, 0.003)
+"""Distances to keep from everything: near the object, where an open gripper passes it closely, and on the way, the
+second where the first leaves no way [m]."""
+LEANS = np.deg2rad((20.0, -20.0, 40.0, -40.0))
+"""Angles by which the tool leans where it cannot grasp upright [rad]."""
+WIDE = 0.85
+"""Share of the gripper's stroke that the longer side of the cuboid may take, if it is to be grasped across that."""
+TIME_LIMIT = 2.0
+"""Longest search for a part of a way [s]: most take milliseconds, and those that are this long seldom end."""
 JUMP = 0.4
 """Largest change of a joint between two poses of a descent [rad]; more is another branch."""
 ROOTS = 6
@@ -63,7 +72,9 @@ class Part:
 class PickPlanner(Agent):
     """Picks the cuboid of PickCuboid past obstacles and distractors, with what the simulation knows of them.
 
-    It plans to a pre-grasp above the cuboid, descends in a straight line, grasps and lifts. Ways differ from episode to
+    It plans to a pre-grasp above the cuboid, descends in a straight line, grasps and lifts, which is checked with the
+    cuboid in the hand. Where no upright grasp across the shorter side has a way, the tool leans, or grasps across the
+    longer side. Ways differ from episode to
     episode: which arm posture grasps, and a random point to lead by. The same episode has the same way. After a grasp
     that missed, it tries once more.
     """
@@ -83,7 +94,10 @@ class PickPlanner(Agent):
         if len(env.robots) != 1:
             raise InvalidSetup(f"PickPlanner moves one robot, there are {len(env.robots)}: {', '.join(env.robots)}.")
         self._robot = next(iter(env.robots.values()))
-        self._planner: ScenePlanner = planner_for(env, margin=MARGIN, planner=planner, time_limit=10.0)
+        self._planner: ScenePlanner = planner_for(env, margin=MARGINS[0], planner=planner, time_limit=TIME_LIMIT)
+        # What is lifted off the table touches it at first.
+        self._carrying: ScenePlanner = planner_for(env)
+        self._carrying.checker.allow(CUBOID, TABLE)
         assert self._planner.kinematics is not None
         self._kinematics: Kinematics = self._planner.kinematics
         self._writer = ActionWriter(env.setup, env.action_space, self._kinematics, preferred=self._robot.arm.home)  # pyright: ignore[reportArgumentType]
@@ -176,27 +190,52 @@ class PickPlanner(Agent):
             up = self._descent[::-1]
             back = [Part("retreat", 1.0, self._straight(up), PickPlanner.has_arrived)]
             start = up[-1]
+        cuboid = Pose.from_tquat(info["cuboid"])
+        for tools in self._grasps(cuboid, info):
+            ways = self._ways(cuboid, tools, start)
+            nearest = sorted(ways, key=lambda way: float(np.linalg.norm(way[0][0] - start)))[:ROOTS]
+            for margin in MARGINS:
+                self._planner.margin = margin
+                for i in random.permutation(len(nearest)):
+                    self._descent, lifted = nearest[i]
+                    try:
+                        way = self._way(start, self._descent[0], random)
+                    except PlanningFailed:
+                        continue
+                    return [*back, *self._parts_of(way, self._descent, lifted)]
+        raise PlanningFailed("No grasp has a free way there, a free descent and a free lift.", reason="goal")
+
+    def _parts_of(self, way: Path, descent: Rows, lifted: Rows) -> list[Part]:
+        return [
+            Part("reach", 1.0, self._planner.time(way), PickPlanner.has_arrived),
+            Part("descend", 1.0, self._straight(descent), PickPlanner.has_arrived),
+            Part("settle", 1.0, None, lambda agent: agent.elapsed >= SETTLING_TIME),
+            Part("close", 0.0, None, PickPlanner.has_closed),
+            Part("lift", 0.0, self._straight(lifted), lambda _: False),
+        ]
+
+    def _grasps(self, cuboid: Pose, info: Mapping[str, Any]) -> Iterator[list[Pose]]:
+        """Yield groups of TCP poses that grasp the cuboid, best first."""
         yaw = float(closing_yaw(info["cuboid"], info["edges"]))
-        ways = self._ways(Pose.from_tquat(info["cuboid"]), (yaw, yaw + np.pi), start)
-        if not ways:
-            raise PlanningFailed("No pre-grasp is free, with a free descent and lift.", reason="goal")
-        nearest = sorted(ways, key=lambda way: float(np.linalg.norm(way[0][0] - start)))[:ROOTS]
-        for i in random.permutation(len(nearest)):
-            descent, lifted = nearest[i]
-            try:
-                way = self._way(start, descent[0], random)
-            except PlanningFailed:
-                continue
-            self._descent = descent
-            return [
-                *back,
-                Part("reach", 1.0, self._planner.time(way), PickPlanner.has_arrived),
-                Part("descend", 1.0, self._straight(descent), PickPlanner.has_arrived),
-                Part("settle", 1.0, None, lambda agent: agent.elapsed >= SETTLING_TIME),
-                Part("close", 0.0, None, PickPlanner.has_closed),
-                Part("lift", 0.0, self._straight(lifted), lambda _: False),
-            ]
-        raise PlanningFailed("There is no way to any pre-grasp.", reason="time")
+        sides = [yaw]
+        level = np.abs(cuboid.matrix[2, :3]) < 0.5
+        gripper = self._robot.gripper
+        if gripper is not None and np.asarray(info["edges"])[level].max() < WIDE * gripper.max_width:
+            sides.append(yaw + np.pi / 2)
+        for lean in ([0.0], LEANS[:2], LEANS[2:]):
+            for side in sides:
+                yield [self._tool(cuboid, turn, tilt) for turn in (side, side + np.pi) for tilt in lean]
+
+    def _tool(self, cuboid: Pose, turn: float, lean: float) -> Pose:
+        """Return a TCP pose that points down, but for an angle by which it leans [rad]."""
+        down = Pose.from_rpy((0.0, 0.0, 0.0), (np.pi, 0.0, turn))
+        if self._kinematics.dof < 6:  # it leans in the plane of the arm, or not at all
+            x, y, _ = cuboid.translation
+            axis = np.array([-y, x, 0.0]) / np.hypot(x, y)
+            leaning = Pose.from_rotvec((0.0, 0.0, 0.0), lean * axis) * down
+        else:  # about the axis along which its jaws close
+            leaning = down * Pose.from_rotvec((0.0, 0.0, 0.0), np.array([0.0, lean, 0.0]))
+        return Pose(cuboid.translation, leaning.quaternion)
 
     def _way(self, start: Rows, goal: Rows, random: np.random.Generator) -> Path:
         """Return a way to the pre-grasp, by a random point if there is a free one."""
@@ -205,30 +244,35 @@ class PickPlanner(Agent):
         for _ in range(TRIES if self._wander else 0):
             middle = 0.5 * (start + goal) + random.normal(0.0, self._wander, len(start))
             middle = np.clip(middle, lower, upper)
-            if self._planner.checker.is_free(middle, MARGIN):
-                there = self._planner.plan(start, middle, seed=seed).waypoints
-                return Path(np.vstack([there, self._planner.plan(middle, goal, seed=seed).waypoints[1:]]))
+            if self._planner.checker.is_free(middle, self._planner.margin):
+                try:
+                    there = self._planner.plan(start, middle, seed=seed).waypoints
+                    return Path(np.vstack([there, self._planner.plan(middle, goal, seed=seed).waypoints[1:]]))
+                except PlanningFailed:
+                    break
         return self._planner.plan(start, goal, seed=seed)
 
-    def _ways(self, cuboid: Pose, turns: Sequence[float], start: Rows) -> list[tuple[Rows, Rows]]:
+    def _ways(self, cuboid: Pose, tools: Sequence[Pose], start: Rows) -> list[tuple[Rows, Rows]]:
         """Return descents from pre-grasps, and lifts from their ends, that touch nothing; rows of joints."""
         ways: list[tuple[Rows, Rows]] = []
-        for turn in turns:
-            tool = Pose(cuboid.translation, Pose.from_rpy((0.0, 0.0, 0.0), (np.pi, 0.0, turn)).quaternion)
+        for tool in tools:
             try:
                 roots = self._planner.goals(raised(tool, CLEARANCE), start=start)
             except PlanningFailed:
                 continue
             for root in roots[: 4 * ROOTS]:
-                if not self._planner.checker.is_free(root, MARGIN / 2):
+                if not self._planner.checker.is_free(root, MARGINS[-1]):
                     continue
-                descent = self._line(tool, root, CLEARANCE, 0.0)
-                lifted = None if descent is None else self._line(tool, descent[-1], 0.0, LIFT)
-                if descent is not None and lifted is not None:
+                descent = self._line(tool, root, CLEARANCE, 0.0, self._planner)
+                if descent is None:
+                    continue
+                self._carrying.attach(CUBOID, self._kinematics.forward(descent[-1]).inverse() * cuboid)
+                lifted = self._line(tool, descent[-1], 0.0, LIFT, self._carrying)
+                if lifted is not None:
                     ways.append((descent, lifted))
         return ways
 
-    def _line(self, tool: Pose, joints: Rows, begin: float, end: float) -> Rows | None:
+    def _line(self, tool: Pose, joints: Rows, begin: float, end: float, scene: ScenePlanner) -> Rows | None:
         """Return joints that lead the TCP straight from height to height above the grasp; None if it is not free."""
         rows = [joints]
         count = max(int(np.ceil(abs(end - begin) / STRIDE)), 1)
@@ -238,7 +282,7 @@ class PickPlanner(Agent):
                 return None
             rows.append(result.joints)
         line = np.array(rows)
-        hits, _, _ = self._planner.checker.first_hit_rows(line[:-1], line[1:], 0.002, 0.02, NEAR)
+        hits, _, _ = scene.checker.first_hit_rows(line[:-1], line[1:], 0.002, 0.02, NEAR)
         return line if np.isinf(hits).all() else None
 
     def _straight(self, rows: Rows) -> TimedPath:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
-from rcs.errors import MissingDependency
+from rcs.extras import package_of
 
 
 def package(name: str) -> Any:
@@ -14,9 +13,4 @@ def package(name: str) -> Any:
     Raises:
         MissingDependency: It is not installed; the message names the extra.
     """
-    try:
-        return importlib.import_module(name)
-    except ImportError as err:
-        raise MissingDependency(
-            f"Calibration needs {name.partition('.')[0]}: pip install 'robot-control-stack[calibration]'."
-        ) from err
+    return package_of("calibration", name, "Calibration needs")

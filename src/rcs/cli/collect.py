@@ -15,6 +15,7 @@ from rcs.envs.observers.recorder import Colour
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.evaluate import Summary
+from rcs.rollout.expert_ways import expert_diversity
 
 
 @dataclass(kw_only=True)
@@ -71,7 +72,8 @@ class CollectCommand(RunOptions):
             show(collect(collection, progress), title, self.episodes, console, progress, lambda: progress.kept)
         _summarise(collection, progress, console)
         if self.report and progress.kept:
-            page = write_report(collection.out, wall_time=progress.seconds or None)
+            scripted = None if progress.is_interrupted else expert_diversity(collection)
+            page = write_report(collection.out, wall_time=progress.seconds or None, scripted=scripted)
             console.print(f"Report: {page}", soft_wrap=True)
         console.print(f"Dataset: {collection.out}   ({time.perf_counter() - started:.1f} s in all)", soft_wrap=True)
         return INTERRUPTED if progress.is_interrupted else 0

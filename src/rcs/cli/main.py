@@ -16,6 +16,7 @@ VERBS: Table = {
     "collect": "rcs.cli.collect:CollectCommand",
     "train": "rcs.cli.train:TrainCommand",
     "eval": "rcs.cli.eval:EvalCommand",
+    "run": "rcs.cli.run:RunCommand",
     "data": "rcs.cli.data:VERBS",
     "calibrate": "rcs.cli.calibrate:VERBS",
     "sim": "rcs.cli.sim:SimCommand",
@@ -38,32 +39,42 @@ MISTYPED = 2
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and exit: 0 for success, 1 for an error or bad finding, 2 if invalid, 130 if interrupted."""
     _let_all_text_out()
-    words = sys.argv[1:] if arguments is None else arguments
+    try:
+        try:
+            sys.exit(_answer(sys.argv[1:] if arguments is None else arguments))
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader of the output has closed it; flushing the rest must not fail at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+
+
+def _answer(words: list[str]) -> int:
+    """Run a command line and return its exit code; help and wrong options exit."""
     let_current_folder_be_imported(words)
     if words == ["--version"]:
         from rcs import __version__
 
         print(f"rcs {__version__}")
-        sys.exit(0)
+        return 0
     try:
         if words[:1] == ["--print-completion"]:
             _print_completion(*words[1:2])
         command = _parse("rcs", VERBS, words)
     except UnknownName as err:
-        sys.exit(_failed(str(err), MISTYPED))
+        return _failed(str(err), MISTYPED)
     except RcsError as err:  # from a module that cannot work here
-        sys.exit(_failed(f"{type(err).__name__}: {err}"))
-    sys.exit(run(command))
+        return _failed(f"{type(err).__name__}: {err}")
+    return run(command)
 
 
 def run(command: Any) -> int:
     """Run a parsed command and return its exit code; errors of this library are shown without a traceback."""
     try:
         return command.run()
-    except BrokenPipeError:
-        # The reader of the output has closed it; flushing the rest must not fail at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+    except BrokenPipeError:  # the reader of the output is gone
+        raise
     except (RcsError, OSError) as err:  # file system errors that no function has explained
         return _failed(f"{type(err).__name__}: {err}")
     except KeyboardInterrupt:

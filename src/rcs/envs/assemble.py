@@ -6,7 +6,6 @@ import time
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from rcs.devices import Arm, Gripper
@@ -14,20 +13,14 @@ from rcs.envs import spaces as keys
 from rcs.envs.camera_port import CameraPort, FreshFrames
 from rcs.envs.chain import Chain
 from rcs.envs.clock import Clock
+from rcs.envs.control_layers import layers_of
 from rcs.envs.env import Env
 from rcs.envs.follow_port import FollowPort
 from rcs.envs.layers import (
-    BinaryGripper,
-    CartesianControl,
-    GraspHand,
     LateActions,
     Layer,
-    LimitStep,
     PointClouds,
-    Relative,
-    TwistControl,
     WristCamera,
-    XyzrpyControl,
 )
 from rcs.envs.load_ports import PrivilegedPort, SimContactPort, SimLoadPort
 from rcs.envs.parts import Parts
@@ -37,7 +30,6 @@ from rcs.envs.randomiser import Randomiser
 from rcs.envs.scenario import Scenario
 from rcs.envs.setup import Setup
 from rcs.envs.sim_ports import SimArmPort, SimCameraPort, SimGripperPort, SimHandPort, SimTactilePort
-from rcs.envs.spaces import TQUAT, TWIST, XYZRPY
 from rcs.envs.stack import NAMELESS, Stack
 from rcs.envs.start import base_in_scene
 from rcs.envs.vector import VecEnv
@@ -54,9 +46,6 @@ from rcs.sim.tactile import SimTactile
 from rcs.sim.textures import add_textures
 from rcs.sim.world import World
 from rcs.spatial import Pose, inverse, tquat_to_matrix
-
-GRASP = "power"
-"""The grasp of a hand that is used like a gripper."""
 
 
 def assemble(
@@ -358,54 +347,3 @@ def _late_actions(randomiser: Randomiser, setup: Setup, leading: tuple[int, ...]
     late = LateActions(randomiser.ranges.late_actions, leading)
     randomiser.begin_too(late.begin)
     return [late]
-
-
-def layers_of(setup: Setup, robot: RobotPlacement, *, threads: int = 1) -> list[Layer]:
-    """Return the layers that a setup asks for, from the lowest to the highest.
-
-    Args:
-        setup: The setup.
-        robot: The robot.
-        threads: Threads that solve for the joints of many copies.
-    """
-    # What an arm can do in one period; a synchronous step lasts as long as it needs, so there the range is the bound.
-    step = np.array(robot.arm.velocity_limit) / setup.frequency
-    control = setup.control
-    layers: list[Layer] = []
-    is_bounded = setup.stepping != "sync"
-    if is_bounded:
-        layers.append(LimitStep(step))
-    if control in (TQUAT, XYZRPY):
-        kinematics = kinematics_of(robot.arm, robot.end_effector)
-        bound = step if is_bounded else None
-        layers.append(CartesianControl(kinematics, preferred=robot.arm.home, max_step=bound, threads=threads))
-    if control == TWIST:
-        layers.append(
-            TwistControl(
-                kinematics_of(robot.arm, robot.end_effector),
-                frequency=setup.frequency,
-                joint_speed=robot.arm.velocity_limit,
-                translation_speed=robot.arm.tcp_speed,
-                rotation_speed=robot.arm.tcp_turn_speed,
-                preferred=robot.arm.home,
-                threads=threads,
-            )
-        )
-    elif setup.relative != "absolute":
-        layers.append(
-            Relative(
-                control,
-                frequency=setup.frequency,
-                to=setup.relative,
-                joint_speed=robot.arm.velocity_limit,
-                translation_speed=robot.arm.tcp_speed,
-                rotation_speed=robot.arm.tcp_turn_speed,
-            )
-        )
-    elif control == XYZRPY:
-        layers.append(XyzrpyControl())
-    if robot.gripper is not None and setup.binary_gripper:
-        layers.append(BinaryGripper())
-    if robot.hand is not None and setup.binary_gripper:
-        layers.append(GraspHand(robot.hand.open_pose, robot.hand.grasps[GRASP]))
-    return layers

@@ -16,6 +16,7 @@ from rcs.planning.timing import JointLimits
 from rcs.sim.layout import RobotLayout
 from rcs.sim.scene import RobotPlacement
 from rcs.sim.world import World
+from rcs.spatial import Pose, wxyz_to_xyzw
 
 
 class ScenePlanner(Planner):
@@ -61,15 +62,24 @@ class ScenePlanner(Planner):
         self._qpos()[self._layout.qpos] = joints
         self._world.refresh()
 
-    def attach(self, body: str) -> None:
-        """Let a free body, such as a grasped object, move with the gripper from where both are now.
+    def attach(self, body: str, in_tcp: Pose | None = None) -> None:
+        """Let a free body, such as a grasped object, move with the gripper.
+
+        Args:
+            body: Its name.
+            in_tcp: Its pose in the TCP's frame; None for where both are now.
 
         Raises:
             InvalidSetup: The body is not free.
             UnknownName: There is none of this name.
         """
         self.look()
-        self.checker.attach(self._body(body), int(self._world.model.site_bodyid[self._layout.tcp_site]))
+        model, site = self._world.model, self._layout.tcp_site
+        place = None
+        if in_tcp is not None:
+            quaternion = wxyz_to_xyzw(model.site_quat[site])
+            place = Pose(model.site_pos[site], quaternion) * in_tcp
+        self.checker.attach(self._body(body), int(model.site_bodyid[site]), place)
 
     def detach(self, body: str) -> None:
         """Let an attached body be where it is.

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rcs.data.diversity import at_shares, diversity_of_ways
 from rcs.errors import InvalidSetup
-
-COMPARED = 64
-"""Points at which two paths are compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +40,7 @@ class Path:
 
     def at(self, shares: ArrayLike) -> NDArray[np.float64]:
         """Return the joints [rad] at shares of the length, 0 … 1, (..., dof)."""
-        way = np.concatenate([[0.0], np.linalg.norm(np.diff(self.waypoints, axis=0), axis=1).cumsum()])
-        wanted = np.asarray(shares, np.float64) * way[-1]
-        return np.stack([np.interp(wanted, way, column) for column in self.waypoints.T], axis=-1)
+        return at_shares(self.waypoints, shares)
 
 
 def diversity(paths: Sequence[Path | NDArray[np.float64]]) -> float:
@@ -61,11 +57,4 @@ def diversity(paths: Sequence[Path | NDArray[np.float64]]) -> float:
     """
     if len(paths) < 2:
         raise InvalidSetup(f"{len(paths)} path was given; to compare takes at least 2.")
-    shares = np.linspace(0.0, 1.0, COMPARED)
-    rows: list[NDArray[np.float64]] = []
-    for given in paths:
-        path = given if isinstance(given, Path) else Path(given)
-        points = path.at(shares)
-        rows.append(points - (points[0] + shares[:, None] * (points[-1] - points[0])))
-    apart = [float(np.sqrt(((a - b) ** 2).sum(-1).mean())) for i, a in enumerate(rows) for b in rows[:i]]
-    return float(np.mean(apart))
+    return diversity_of_ways([(path if isinstance(path, Path) else Path(path)).waypoints for path in paths])

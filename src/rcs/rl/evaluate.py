@@ -9,7 +9,7 @@ from rcs.envs.stack import for_all
 from rcs.errors import InvalidSetup
 from rcs.rl.policy import PolicyAgent
 from rcs.rollout.batch import run_batch
-from rcs.rollout.collect import Attempt, seed_of
+from rcs.rollout.collect import Attempt
 from rcs.rollout.evaluate import Evaluation, Evaluator, Summary
 from rcs.setups.make import make_vec
 
@@ -53,7 +53,7 @@ def evaluate_in_batch(
     envs = make_vec(evaluation.setup, copies=min(copies, len(left)), threads=threads, autoreset="Disabled")
     try:
         agent = PolicyAgent.load(evaluation.agent, envs)
-        for attempt in run_batch(envs, agent, _until(left, summary), lambda number: seed_of(evaluation.seed, number)):
+        for attempt in run_batch(envs, agent, _until(left, summary), evaluation.seed_of):
             summary.attempts.append(attempt)
             yield attempt
     finally:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
-from rcs.errors import MissingDependency
+from rcs.extras import package_of
 
 
 def package(name: str) -> Any:
@@ -14,10 +13,4 @@ def package(name: str) -> Any:
     Raises:
         MissingDependency: It is not installed; the message names the extra.
     """
-    try:
-        return importlib.import_module(name)
-    except ImportError as err:
-        raise MissingDependency(
-            f"Training, and running what was trained, need {name.partition('.')[0]}: "
-            "pip install 'robot-control-stack[rl]'."
-        ) from err
+    return package_of("rl", name, "Training, and running what was trained, need")

@@ -8,6 +8,7 @@ from rcs.rollout.episode import EpisodeResult as EpisodeResult
 from rcs.rollout.episode import Judge as Judge
 from rcs.rollout.episode import ask as ask
 from rcs.rollout.episode import run_episode as run_episode
+from rcs.rollout.evaluate import UNSEEN as UNSEEN
 from rcs.rollout.evaluate import Evaluation as Evaluation
 from rcs.rollout.evaluate import Summary as Summary
 from rcs.rollout.evaluate import evaluate as evaluate

@@ -55,8 +55,9 @@ def run_episode(
 
     Args:
         env: The environment.
-        agent: Acts in it. One that decides at a lower rate than the environment has its last action repeated; what it
-            notes is given to observers with the steps in which it decided.
+        agent: Acts in it, until the end, or until its event `stop`, at which all devices hold. One that decides at a
+            lower rate than the environment has its last action repeated; what it notes is given to observers with the
+            steps in which it decided.
         seed: Of the reset.
         options: Of the reset.
         judge: Says whether the task was done, in the place of the task; not asked after a fault.
@@ -86,6 +87,9 @@ def run_episode(
             total += float(reward)
             was_touched_early |= bool(info.get("is_touched", False)) and _is_open(action)
             is_over = terminated or truncated or steps == max_steps
+            if not is_over and "stop" in agent.events():
+                is_over = True
+                env.hold()
         if on_step is not None:
             on_step()
     except BaseException:

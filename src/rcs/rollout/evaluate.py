@@ -4,28 +4,43 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from rcs.agents import Agent, agent_for
 from rcs.agents.choice import is_path
 from rcs.data.verdicts import wilson_interval
 from rcs.devices import lookup
 from rcs.envs.env import Env
-from rcs.envs.observers.recorder import versions
+from rcs.envs.observers.recorder import Recorder, versions
 from rcs.envs.setup import Setup
 from rcs.envs.stack import for_all
 from rcs.errors import InvalidSetup
 from rcs.rollout.cluster import LOCAL
-from rcs.rollout.collect import Attempt, seed_of
+from rcs.rollout.collect import Attempt, episode_id, seed_of
 from rcs.rollout.episode import EpisodeResult, Judge, run_episode
 from rcs.rollout.parcel import Courier, Luggage
 from rcs.rollout.pool import WorkerPool
 from rcs.rollout.ray_pool import RayPool, Tally
 from rcs.rollout.video import Film
 from rcs.setups.make import make
+
+UNSEEN = 1 << 60
+"""First seed of a range of its own: collections and `rcs eval` have those below 2**32, training those from 2**61 on."""
+
+
+@runtime_checkable
+class Named(Protocol):
+    """What makes agents and has a name of its own, such as the address of a policy."""
+
+    name: str
+
+    def __call__(self, env: Env) -> Agent:
+        """Return an agent for an environment."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,10 +49,14 @@ class Evaluation:
 
     setup: Setup
     agent: Any = None
-    """An agent's class or name, `module:Class`; None for the expert of the task. In one process also an agent."""
+    """An agent's class or name, `module:Class`, the address of a policy, or a `Named`; None for the expert of the task.
+    In one process also an agent."""
     episodes: int = 50
     seed: int = 0
     """Same seed, same episodes; different seeds share none."""
+    first_seed: int = 0
+    """Added to the seed of every episode: `UNSEEN` for episodes that no collection and no training has, 0 for those of
+    the collection with this seed."""
     workers: int = 1
     """Processes; one works in this process. With `ray`, 0 is one per CPU of the cluster."""
     ray: str | None = None
@@ -55,7 +74,7 @@ class Evaluation:
             InvalidSetup: A number is not valid.
         """
         fewest = 1 if self.ray in (None, LOCAL) else 0
-        for name, least in (("episodes", 1), ("seed", 0), ("workers", fewest), ("videos", 0)):
+        for name, least in (("episodes", 1), ("seed", 0), ("first_seed", 0), ("workers", fewest), ("videos", 0)):
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least}.")
@@ -64,7 +83,13 @@ class Evaluation:
     def agent_name(self) -> str | None:
         """Name of the agent; None for the expert of the task."""
         agent = type(self.agent) if isinstance(self.agent, Agent) else self.agent
+        if isinstance(agent, Named):
+            return agent.name
         return None if agent is None else lookup.name_of("agent", agent)
+
+    def seed_of(self, number: int) -> int:
+        """Return the seed of an episode."""
+        return self.first_seed + seed_of(self.seed, number)
 
 
 @dataclass(kw_only=True)
@@ -116,19 +141,33 @@ class Summary:
             "results": [asdict(result) for result in self.results],
         }
 
-    def write(self, evaluation: Evaluation) -> Path:
-        """Write what was evaluated and the figures to `evaluation.json` in its folder, and return the file's path."""
-        about = {"setup": evaluation.setup.to_json(), "agent": evaluation.agent_name, "seed": evaluation.seed}
+    def write(self, evaluation: Evaluation, more: Mapping[str, Any] | None = None) -> Path:
+        """Write what was evaluated and the figures to `evaluation.json` in its folder, and return the file's path.
+
+        Args:
+            evaluation: What was evaluated.
+            more: What else is to be in the file, as JSON values.
+        """
+        about = {"setup": evaluation.setup.to_json(), "agent": evaluation.agent_name}
+        about |= {"seed": evaluation.seed, "first_seed": evaluation.first_seed}
         path = evaluation.out / "evaluation.json"
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps({**about, **self.to_json(), "versions": versions()}, indent=2) + "\n", "utf-8")
+        path.write_text(
+            json.dumps({**about, **(more or {}), **self.to_json(), "versions": versions()}, indent=2) + "\n", "utf-8"
+        )
         return path
 
 
 class Evaluator:
     """Runs episodes: one process of an evaluation."""
 
-    def __init__(self, evaluation: Evaluation, env: Env | None = None, judge: Judge | None = None) -> None:
+    def __init__(
+        self,
+        evaluation: Evaluation,
+        env: Env | None = None,
+        judge: Judge | None = None,
+        recorder: Recorder | None = None,
+    ) -> None:
         """Make the environment and the agent.
 
         Raises:
@@ -136,6 +175,7 @@ class Evaluator:
         """
         self._evaluation = evaluation
         self._judge = judge
+        self._recorder = recorder
         self._env = env or make(evaluation.setup)
         try:
             self._film = Film(self._env) if evaluation.videos else None
@@ -146,12 +186,21 @@ class Evaluator:
 
     def attempt(self, number: int) -> Attempt:
         """Run one episode."""
-        evaluation, film = self._evaluation, self._film
-        seed = seed_of(evaluation.seed, number)
-        if film is None or number >= evaluation.videos:
-            return Attempt(number=number, result=run_episode(self._env, self._agent, seed=seed, judge=self._judge))
-        with film.into(evaluation.out / f"{number:06d}.mp4"):
-            return Attempt(number=number, result=run_episode(self._env, self._agent, seed=seed, judge=self._judge))
+        film, is_filmed = self._film, number < self._evaluation.videos
+        with (
+            film.into(self._evaluation.out / f"{number:06d}.mp4") if film is not None and is_filmed else nullcontext(),
+            nullcontext() if self._recorder is None else self._recorder.discard_on_error(),
+        ):
+            return Attempt(number=number, result=self._run(number))
+
+    def _run(self, number: int) -> EpisodeResult:
+        if self._recorder is not None:
+            self._recorder.name_next(episode_id(number))
+        seed = self._evaluation.seed_of(number)
+        result = run_episode(self._env, self._agent, seed=seed, judge=self._judge)
+        if self._recorder is not None:
+            self._recorder.finish(result.success, {"attempt": number, **result.outcome()})
+        return result
 
     def close(self) -> None:
         """Close agent, film and environment, whatever fails."""
@@ -184,7 +233,12 @@ class _WorkAway:
 
 
 def evaluate(
-    evaluation: Evaluation, summary: Summary | None = None, *, env: Env | None = None, judge: Judge | None = None
+    evaluation: Evaluation,
+    summary: Summary | None = None,
+    *,
+    env: Env | None = None,
+    judge: Judge | None = None,
+    recorder: Recorder | None = None,
 ) -> Iterator[Attempt]:
     """Run the episodes and yield each as it ends.
 
@@ -196,6 +250,7 @@ def evaluate(
         env: An environment of the evaluation's setup, simulated or real, to use in this process; made when not given.
             It is closed in the end.
         judge: Says whether an episode was a success, in the place of the task; all episodes are then in this process.
+        recorder: Records every episode; `env` is given too, and it is one of its observers.
 
     Raises:
         InvalidSetup: The setup makes no sense, there is no such agent, or videos are asked of real devices alone.
@@ -204,7 +259,7 @@ def evaluate(
     summary = Summary() if summary is None else summary
     numbers = _numbers(evaluation, summary)
     if (evaluation.workers == 1 and evaluation.ray is None) or env is not None or judge is not None:
-        evaluator = Evaluator(evaluation, env, judge)
+        evaluator = Evaluator(evaluation, env, judge, recorder)
         try:
             for number in numbers:
                 summary.attempts.append(evaluator.attempt(number))

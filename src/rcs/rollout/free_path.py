@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-import copy
-
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.env import Env
+from rcs.envs.planner_for import planner_for
 
 MARGIN = 0.01
 """Least distance of the robot's shapes from all others [m]."""
-STEP = 0.03
-"""Largest change of a joint between two checks [rad]."""
+STEP, TURN = 0.002, 0.01
+"""Between two checks of what is near, no point of the robot moves by more than this, and nothing turns by more [m,
+rad]."""
+ROUNDING = 1e-5
+"""By how much the distance to what is near at the start may shrink [m]."""
+LOOKS = 20
+"""Places of a path that begins near something at which is looked whether it is still near."""
 
 
 class FreePath:
     """Checks paths of one arm; everything else stays where it is at the time.
 
-    The shapes are those that collide in the scene. What is near at the start of a path may stay so.
+    The shapes are those that collide in the scene. A path that starts near something may lead away from it, but no
+    nearer; from where nothing is near any more, it keeps the margin.
     """
 
     def __init__(self, env: Env, robot: str) -> None:
@@ -29,29 +33,19 @@ class FreePath:
             env: A simulated environment of one copy.
             robot: Name of the robot.
         """
-        found = next(one for one in env.scenario.robots if one.placement.name == robot)
-        self._world = env.scenario.world
-        self._qpos = found.layout.qpos
-        self._model = copy.copy(self._world.model)
-        self._model.geom_margin[:] = MARGIN / 2  # those of two shapes are added
-        self._data = mujoco.MjData(self._model)
-        body = np.arange(self._model.nbody)
-        for _ in range(self._model.nbody):  # up to the arm's base, or to the world
-            body = np.where(body == found.layout.base_body, body, self._model.body_parentid[body])
-        self._is_robot = body[self._model.geom_bodyid] == found.layout.base_body
+        self._planner = planner_for(env, robot)
 
     def __call__(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
         """Return whether the arm may go straight from joints to joints [rad], (dof,) each."""
-        count = int(np.ceil(np.abs(end - start).max() / STEP)) + 1
-        self._data.qpos[:] = self._world.qpos
-        allowed = self._near(start)
-        return all(self._near(start + (end - start) * i / count) <= allowed for i in range(1, count + 1))
-
-    def _near(self, joints: NDArray[np.float64]) -> set[tuple[int, int]]:
-        """Return the pairs of geoms that are nearer than the margin, of which one is the robot's."""
-        self._data.qpos[self._qpos] = joints
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_collision(self._model, self._data)
-        pairs = self._data.contact.geom[: self._data.ncon]
-        return {(int(a), int(b)) for a, b in pairs if self._is_robot[a] or self._is_robot[b]}
+        self._planner.look()
+        checker = self._planner.checker
+        nearest = checker.clearance(start, MARGIN).distance
+        if nearest >= MARGIN:
+            return checker.first_hit(start, end, STEP, TURN, MARGIN) is None
+        ways = start + np.linspace(0.0, 1.0, LOOKS + 1)[1:, None] * (end - start)
+        away = ways[checker.free_rows(ways, MARGIN)]
+        left = away[0] if len(away) else end
+        return (
+            checker.first_hit(start, left, STEP, TURN, nearest - ROUNDING) is None
+            and checker.first_hit(left, end, STEP, TURN, MARGIN if len(away) else nearest - ROUNDING) is None
+        )

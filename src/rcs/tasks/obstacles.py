@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
+from rcs.sim.robot import SimRobot
 from rcs.sim.scene import FLOOR_HEIGHT, Scene
 from rcs.sim.world import World
 from rcs.spatial import xyzw_to_wxyz
@@ -22,6 +23,8 @@ NEAREST, FARTHEST = 0.15, 0.26
 """Distances of posts from the object at its usual size [m]: beyond an open hand, 10 cm to each side."""
 BASE = 0.20
 """Distance from the origin of the scene, where a single robot stands, that stays free [m]."""
+HOME = 0.03
+"""Distance that stays free around a robot at home [m]."""
 TRIES = 16
 """Places that are drawn for each; the first free one counts."""
 
@@ -29,8 +32,8 @@ TRIES = 16
 class Obstacles:
     """Posts that stand firmly on the table.
 
-    Every episode draws where. One for which there is no room stands on the floor behind the table. The draws come from
-    streams of their own: a task starts as it does without obstacles.
+    Every episode draws where, clear of the object and of the robot at home. One for which there is no room stands on
+    the floor behind the table. The draws come from streams of their own: a task starts as it does without obstacles.
     """
 
     def __init__(self, count: int, *, scale: float = 1.0) -> None:
@@ -54,11 +57,12 @@ class Obstacles:
                 name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=[0.80, 0.33, 0.16, 1.0], condim=4, group=0
             )
 
-    def bind(self, world: World) -> None:
-        """Look them up, once the scene is compiled."""
+    def bind(self, world: World, robot: SimRobot) -> None:
+        """Look them up, once the scene is compiled, and where the robot stands at home."""
         if not self.names:
             return
         self._world = world
+        self._home = _footprint(world.model, robot, below=2.0 * self._scale * HALF_HEIGHT)
         state = mujoco.mjtState
         self._pos = world.core.component(state.mjSTATE_MOCAP_POS.value).reshape(*world.leading, -1, 3)
         self._quat = world.core.component(state.mjSTATE_MOCAP_QUAT.value).reshape(*world.leading, -1, 4)
@@ -95,6 +99,7 @@ class Obstacles:
                 axis=-1,
             )
             is_free = places[..., 0] ** 2 + places[..., 1] ** 2 > BASE * BASE
+            is_free &= self._leaves_home(places)
             for center, own in taken:
                 dx, dy = places[..., 0] - center[..., 0:1], places[..., 1] - center[..., 1:2]
                 is_free &= dx * dx + dy * dy > np.asarray(4.0 * own * own)
@@ -107,6 +112,44 @@ class Obstacles:
             self._quat[where, which, :] = xyzw_to_wxyz(pose[..., 3:])
             taken.append((place, self._scale * HALF_WIDTH * np.sqrt(2.0)))
         return taken
+
+    def _leaves_home(self, places: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether the robot at home is not near posts at places, x, y first."""
+        start, along, radius = self._home
+        away = places[..., None, :2] - start
+        share = (away * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-12)
+        apart = np.linalg.norm(away - np.clip(share, 0.0, 1.0)[..., None] * along, axis=-1)
+        return (apart > radius + self._scale * HALF_WIDTH * np.sqrt(2.0) + HOME).all(axis=-1)
+
+
+def _footprint(
+    model: mujoco.MjModel, robot: SimRobot, below: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return what of a robot at home is below a height above its base [m], seen from above.
+
+    Returns:
+        Where lines begin, (n, 2), where they lead from there, (n, 2), and how far around them is the robot's, (n,) [m].
+    """
+    data, layout, placement = mujoco.MjData(model), robot.layout, robot.placement
+    data.qpos[layout.qpos] = placement.arm.home
+    if placement.gripper is not None:
+        data.qpos[layout.finger_qpos] = placement.gripper.joint_open
+    mujoco.mj_kinematics(model, data)
+    body = np.arange(model.nbody)
+    for _ in range(model.nbody):  # up to the base, or to the world
+        body = np.where(body == layout.base_body, body, model.body_parentid[body])
+    geoms = np.flatnonzero((body[model.geom_bodyid] == layout.base_body) & (model.geom_contype > 0))
+    middle, half = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
+    turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    middle = data.geom_xpos[geoms] + np.einsum("gij,gj->gi", turn, middle)
+    longest = half.argmax(axis=1)
+    number = np.arange(len(geoms))
+    along = turn[number, :, longest] * half[number, longest, None]
+    across = half.copy()
+    across[number, longest] = 0.0
+    radius = np.linalg.norm(across, axis=1)
+    low = middle[:, 2] - np.abs(along[:, 2]) - radius < data.xpos[layout.base_body, 2] + below
+    return (middle - along)[low, :2], 2.0 * along[low, :2], radius[low]
 
 
 def _put_away(i: int) -> tuple[float, float]:

@@ -56,9 +56,8 @@ class PickOptions(LiftOptions):
     area: Literal["lab", "large"] = "lab"
     """Where the cuboid lies: in the lab's area, or in the larger one that the robot reaches."""
     obstacles: int = 0
-    """How many posts stand around the cuboid, 0 to 8: firm, and higher than the flange when it
-    grasps. The scripted expert
-    does not see them; the agent `planner` goes around them."""
+    """How many posts stand around the cuboid, 0 to 8: firm, higher than the flange when it grasps, and clear of the
+    robot at home. The scripted expert does not see them; the agent `planner` goes around them."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -140,7 +139,7 @@ class PickCuboid(Task):
         self._half_edges = np.zeros((*world.leading, 3))
         self._sizes = SizedBodies(world, [CUBOID]) if self.options.edges == "random" else None
         self._distractors.bind(world)
-        self._obstacles.bind(world)
+        self._obstacles.bind(world, robot)
         self._table = table_height(world)
         # The pose for agents is in the base frame, which may be anywhere; the height is in the scene.
         self._in_scene = world.core.read_body_pose(model.body(CUBOID).id, 0)

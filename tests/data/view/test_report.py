@@ -146,3 +146,12 @@ def test_the_page_is_replaced_in_one_step_and_not_through_a_link(tmp_path: Path)
 def test_where_there_is_no_dataset_there_is_no_report(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no dataset"):
         write_report(tmp_path)
+
+
+def test_it_says_by_how_much_ways_differ(tmp_path: Path) -> None:
+    path = record(tmp_path, [True, True], cameras=False)
+    found = facts(write_report(path, scripted=0.25).read_text("utf-8"))["diversity"]
+    assert found == {"ways": 0.0, "scripted": 0.25, "episodes": 2}, "straight ways do not differ"
+    assert facts(write_report(path).read_text("utf-8"))["diversity"]["scripted"] is None
+    lonely = record(tmp_path / "one", [True], cameras=False)
+    assert facts(write_report(lonely).read_text("utf-8"))["diversity"] is None

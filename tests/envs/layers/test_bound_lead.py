@@ -32,6 +32,15 @@ def test_an_arm_that_pressed_on_the_table_comes_up_at_once(robot: str) -> None:
     assert heights(env, 1.0, 5)[-1] > low + 0.02
 
 
+@pytest.mark.parametrize("robot", ["fr3", "so101"])
+def test_a_single_action_up_frees_an_arm_that_pressed_on_the_table(robot: str) -> None:
+    env = make(robot, [BoundLead])
+    env.reset(seed=0)
+    low = heights(env, -1.0, 40)[-1]
+    up = heights(env, 0.5, 1)
+    assert max(up + heights(env, 0.0, 3)) > low + 0.008
+
+
 def test_without_it_the_target_is_deep_in_the_table() -> None:
     without = make("fr3", [])
     without.reset(seed=0)
@@ -40,13 +49,13 @@ def test_without_it_the_target_is_deep_in_the_table() -> None:
 
 
 @pytest.mark.parametrize("robot", ["fr3", "so101"])
-def test_a_free_arm_is_about_as_fast_as_without(robot: str) -> None:
+def test_a_free_arm_that_turns_all_the_time_is_nearly_as_fast_as_without(robot: str) -> None:
     speeds = []
     for layers in ([BoundLead], []):
         env = make(robot, layers)
         env.reset(seed=0)
         speeds.append(np.abs(np.diff([*heights(env, 1.0, 3), *heights(env, -1.0, 3), *heights(env, 1.0, 3)])).max())
-    assert speeds[0] > 0.85 * speeds[1]
+    assert speeds[0] > 0.7 * speeds[1]
 
 
 def test_copies_act_like_single_environments() -> None:

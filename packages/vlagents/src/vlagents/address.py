@@ -1,4 +1,4 @@
-"""Where a server is: `vla://host:port`, `vlas://` with TLS, `unix:///path`, `ws://host:port`, `wss://`."""
+"""Where a server is: `vla://host:port`, `vlas://` with TLS, `unix:///path`, `ws://host:port`, `wss://`; and others'."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from urllib.parse import urlsplit
 
 from vlagents.errors import InvalidInput
 
-Scheme = Literal["vla", "vlas", "unix", "ws", "wss"]
-PORTS = {"vla": 8090, "vlas": 8090, "ws": 8000, "wss": 8000}
+Scheme = Literal["vla", "vlas", "unix", "ws", "wss", "gr00t", "openvla+http"]
+PORTS = {"vla": 8090, "vlas": 8090, "ws": 8000, "wss": 8000, "gr00t": 5555, "openvla+http": 8000}
 """Ports where an address has none; 8000 is openpi's."""
 
 
@@ -30,7 +30,10 @@ class Address:
 
     def __str__(self) -> str:
         """Return it as it is written."""
-        return f"unix://{self.path}" if self.scheme == "unix" else f"{self.scheme}://{self.host}:{self.port}"
+        if self.scheme == "unix":
+            return f"unix://{self.path}"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.scheme}://{host}:{self.port}"
 
     @property
     def is_local(self) -> bool:
@@ -44,7 +47,10 @@ def parse(text: str) -> Address:
     Raises:
         InvalidInput: It is none; the message says what is valid.
     """
-    valid = "valid are vla://host:port, vlas://host:port (TLS), unix:///path, ws://host:port and wss://host:port"
+    valid = (
+        "valid are vla://host:port, vlas://host:port (TLS), unix:///path, ws://host:port, wss://host:port, "
+        "gr00t://host:port and openvla+http://host:port"
+    )
     parts = urlsplit(text)
     if parts.scheme == "unix" and parts.path:
         return Address("unix", path=parts.path)

@@ -68,14 +68,14 @@ class Client(Policy):
         if not (isinstance(timeout, (int, float)) and 0 < timeout < float("inf")):
             raise InvalidInput(f"timeout is {timeout!r}; valid is a number of seconds above 0.")
         self.address: Address = parse(address)
-        if self.address.scheme in ("ws", "wss"):
-            raise InvalidInput(f"{address!r} is a websocket; use vlagents.websocket.WebsocketClient.")
+        if self.address.scheme not in ("vla", "vlas", "unix"):
+            raise InvalidInput(f"{address!r} speaks something else; vlagents.connect.connect finds the class for it.")
         self.timeout = float(timeout)
         """How long an answer may take [s]."""
         self._token, self._offer = token, offer
         self._certificate, self._is_shared = certificate, is_shared
         self._channel: StreamChannel | None = None
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._number = 0
         self._late: set[int] = set()
         self._metadata = self._connect()
@@ -98,7 +98,9 @@ class Client(Policy):
             InvalidInput: The observation is not what the policy takes.
             PolicyFailed: The policy raised an error.
         """
-        return chunk_from_values(self._ask("infer", observation=observation_to_values(observation)).get("chunk"))
+        values = observation_to_values(observation)
+        with self._lock:  # until the chunk is copied out of the answer's memory
+            return chunk_from_values(self._ask("infer", observation=values).get("chunk"))
 
     def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
         """Begin an episode; connect anew if the server was gone."""
@@ -135,6 +137,8 @@ class Client(Policy):
         deadline = Deadline(self.timeout, f"The answer of {self.address}")
         while len(self._late) >= SLOTS:  # of shared memory, both slots may still be read
             self._take(channel, deadline)
+        if not self._late:
+            channel.settled()
         self._number += 1
         number = self._number
         try:

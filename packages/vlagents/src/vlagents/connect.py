@@ -19,7 +19,10 @@ def connect(
     certificate: str | Path | None = None,
     **options: Any,
 ) -> Any:
-    """Return a `Client` for `vla://`, `vlas://` and `unix://`, a `WebsocketClient` for `ws://` and `wss://`.
+    """Return a client of the class that the address wants.
+
+    That is a `Client` for `vla://`, `vlas://` and `unix://`, a `WebsocketClient` for `ws://` and `wss://`, a
+    `GrootClient` for `gr00t://`, and an `OpenvlaClient` for `openvla+http://`.
 
     Args:
         address: Where the server is.
@@ -29,7 +32,14 @@ def connect(
         certificate: File with the certificate that the server's must be signed by.
         options: Passed on to the client's class.
     """
-    if parse(address).scheme in ("ws", "wss"):
+    scheme = parse(address).scheme
+    if scheme in ("gr00t", "openvla+http"):
+        from vlagents.other_wires.groot import GrootClient
+        from vlagents.other_wires.openvla import OpenvlaClient
+
+        kind = GrootClient if scheme == "gr00t" else OpenvlaClient
+        return kind(address, token=token, timeout=timeout, offer=offer, **options)
+    if scheme in ("ws", "wss"):
         from vlagents.websocket import WebsocketClient
 
         return WebsocketClient(address, token=token, timeout=timeout, offer=offer, certificate=certificate, **options)

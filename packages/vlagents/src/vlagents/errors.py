@@ -60,15 +60,16 @@ class PolicyFailed(VlagentsError):
 
 
 class MissingStack(VlagentsError, ImportError):
-    """What a policy stands on is not installed in this environment."""
+    """What a policy or a wire stands on is not installed in this environment."""
 
     kind = "missing"
 
-    def __init__(self, policy: str, package: str) -> None:
-        """Name the package, and the recipe that installs it."""
+    def __init__(self, policy: str, package: str, *, is_wire: bool = False) -> None:
+        """Name the package, and what installs it: of a policy, a recipe."""
+        remedy = f"`vlagents recipe {policy}` prints how to make an environment for it."
         super().__init__(
-            f"The policy {policy!r} needs the package {package!r}, which is not installed here. "
-            f"`vlagents recipe {policy}` prints how to make an environment for it."
+            f"The {'wire' if is_wire else 'policy'} {policy!r} needs the package {package!r}, which is not installed "
+            f"here. {f'`pip install {package}` installs it.' if is_wire else remedy}"
         )
 
 

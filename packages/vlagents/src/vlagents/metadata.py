@@ -80,6 +80,8 @@ class Metadata:
     """Rows of a chunk."""
     rate: float = 0.0
     """Rows per second [Hz]; 0 where one row is one step of whatever loop asks."""
+    continues: bool = False
+    """Whether its chunks can go on from an observation's `previous` rows, so that nobody need blend the two."""
     checkpoint: str = ""
     """Which weights: a folder or an address, without what is secret in it."""
     checkpoint_hash: str = ""
@@ -99,6 +101,8 @@ class Metadata:
         _check_whole("horizon", self.horizon, 1)
         if not (isinstance(self.rate, (int, float)) and math.isfinite(self.rate) and self.rate >= 0):
             raise InvalidInput(f"rate is {self.rate!r}; valid is a number of hertz, or 0.")
+        if not isinstance(self.continues, bool):
+            raise InvalidInput(f"continues is {self.continues!r}; valid: True, False.")
         for what in ("images", "state", "action"):
             names = [part.name for part in getattr(self, what)]
             if len(set(names)) < len(names):
@@ -120,11 +124,7 @@ class Metadata:
         Raises:
             InvalidInput: Something is missing or wrong.
         """
-        values = _known(cls, given)
-        values["images"] = tuple(ImageSpec(**_known(ImageSpec, image)) for image in _list(values, "images"))
-        for what in ("state", "action"):
-            values[what] = tuple(PartSpec(**_known(PartSpec, part)) for part in _list(values, what))
-        return _made(cls, values)
+        return _read(cls, given)
 
 
 @dataclass(frozen=True)
@@ -151,11 +151,7 @@ class Offer:
         Raises:
             InvalidInput: Something is missing or wrong.
         """
-        values = _known(cls, given)
-        values["images"] = tuple(ImageSpec(**_known(ImageSpec, image)) for image in _list(values, "images"))
-        for what in ("state", "action"):
-            values[what] = tuple(PartSpec(**_known(PartSpec, part)) for part in _list(values, what))
-        return _made(cls, values)
+        return _read(cls, given)
 
 
 def differences(metadata: Metadata, offer: Offer) -> list[str]:
@@ -239,6 +235,15 @@ def _list(values: Mapping[str, Any], name: str) -> Sequence[Any]:
     if not isinstance(found, (list, tuple)):
         raise InvalidInput(f"{name} is {type(found).__name__}; valid is a list.")
     return found
+
+
+def _read(cls: type, given: object) -> Any:
+    """Return a record of images and parts that was made plain."""
+    values = _known(cls, given)
+    values["images"] = tuple(_made(ImageSpec, _known(ImageSpec, image)) for image in _list(values, "images"))
+    for what in ("state", "action"):
+        values[what] = tuple(_made(PartSpec, _known(PartSpec, part)) for part in _list(values, what))
+    return _made(cls, values)
 
 
 def _made(cls: type, values: dict[str, Any]) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -33,6 +34,12 @@ class Observation:
     """When single sensors measured, by name of image or part [s], by the same clock."""
     session: str = ""
     """Whose observation it is. A policy keeps its memory of each session apart."""
+    previous: NDArray[np.float64] | None = None
+    """(rows, size): what is in flight from the time of this observation on, in rows as a chunk has them. For policies
+    whose metadata say `continues`, which go on from it (real-time chunking, Black et al. 2025, arXiv:2506.07339); a
+    chunk that does has `continues` 1 in its info. openpi's websocket does not carry it."""
+    frozen: int = 0
+    """How many rows of `previous` will be executed before the answer is known: it must begin with these."""
 
     def __post_init__(self) -> None:
         """Check types and shapes, so that a mistake is found where it was made.
@@ -51,11 +58,26 @@ class Observation:
                 )
             if not np.isfinite(array).all():
                 raise InvalidInput(f"state[{name!r}] has a value that is not finite: {array}.")
+        if self.previous is not None:
+            previous = np.asarray(self.previous)
+            if previous.dtype.kind not in "fiu" or previous.ndim != 2 or not np.isfinite(previous).all():
+                raise InvalidInput(
+                    f"previous is {previous.dtype} of shape {previous.shape}; valid are finite numbers (rows, size)."
+                )
+        rows = 0 if self.previous is None else len(self.previous)
+        if not isinstance(self.frozen, int) or isinstance(self.frozen, bool) or not 0 <= self.frozen <= rows:
+            raise InvalidInput(f"frozen is {self.frozen!r}; valid is a whole number from 0 to {rows}.")
         if not np.isfinite(self.time):
             raise InvalidInput(f"time is {self.time!r}; valid is a finite number of seconds.")
         for name in ("instruction", "session"):
             if not isinstance(getattr(self, name), str):
                 raise InvalidInput(f"{name} is {getattr(self, name)!r}; valid is a str.")
+
+    def of_session(self, session: str) -> Observation:
+        """Return the same observation as another session's. What was checked once is not checked again."""
+        other = copy.copy(self)
+        object.__setattr__(other, "session", session)
+        return other
 
     def image(self, name: str) -> NDArray[np.uint8]:
         """Return a camera's picture as an array (height, width, 3), decompressed where needed.

@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, Mismatch, Unauthorized, VlagentsError
@@ -126,7 +126,7 @@ class Service:
         def ask() -> Any:
             nonlocal waiting
             waiting = time.perf_counter() - begin
-            return self._policy.infer(replace(observation, session=own))
+            return self._policy.infer(observation.of_session(own))
 
         chunk = self._in_turn(ask, within)
         working = time.perf_counter() - begin - waiting
@@ -135,8 +135,9 @@ class Service:
                 f"The policy gave actions of {chunk.actions.shape[1]} numbers; its metadata says {self.metadata.size}."
             )
         self._answered += 1
-        info = {**chunk.info, "wait_ms": 1e3 * waiting, "infer_ms": 1e3 * working}
-        return chunk_to_values(replace(chunk, time=observation.time, info=info))
+        values = chunk_to_values(chunk)
+        info = {**values["info"], "wait_ms": 1e3 * waiting, "infer_ms": 1e3 * working}
+        return {**values, "time": float(observation.time), "info": info}
 
     def reset(self, caller: Caller, session: str, instruction: str, seed: int | None, within: float | None) -> None:
         """Begin an episode in one of a caller's sessions."""

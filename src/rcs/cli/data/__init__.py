@@ -28,4 +28,5 @@ VERBS: Table = {
     "view": "rcs.cli.data.view:ViewCommand",
     "export": "rcs.cli.data.export:ExportCommand",
     "import": "rcs.cli.data.import_:ImportCommand",
+    "recipe": "rcs.cli.data.recipe:RecipeCommand",
 }

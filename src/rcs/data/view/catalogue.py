@@ -8,7 +8,9 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
+from rcs.data.diversity import diversity_of_ways, ways_of
 from rcs.data.feature import Feature
+from rcs.data.info import DatasetInfo
 from rcs.data.reader import Dataset, EpisodeRecord
 from rcs.data.verdicts import Verdicts
 from rcs.data.view.clips import pictures
@@ -23,7 +25,12 @@ DAMAGED = "is damaged: "
 
 
 def catalogue(
-    dataset: Dataset, entries: Sequence[Entry], clips: Sequence[str], *, wall_time: float | None = None
+    dataset: Dataset,
+    entries: Sequence[Entry],
+    clips: Sequence[str],
+    *,
+    wall_time: float | None = None,
+    scripted: float | None = None,
 ) -> dict[str, Any]:
     """Return the facts of a dataset as JSON values.
 
@@ -32,6 +39,7 @@ def catalogue(
         entries: The episodes of the page.
         clips: The file names of the clips, one for each of `pictures`.
         wall_time: How long the collection took [s]; None if it is not known.
+        scripted: By how much the ways of the task's scripted expert differ [rad]; None if it is not known.
     """
     info = dataset.info
     simple = [
@@ -60,6 +68,7 @@ def catalogue(
         "curves": [curve.to_json() for curve in curves(info)],
         "flaws": list(FLAWS),
         **_summary(dataset, whole, wall_time),
+        "diversity": _diversity(info, whole, scripted),
         "episodes": [_episode(*entry) for entry in entries],
     }
 
@@ -101,6 +110,14 @@ def _summary(dataset: Dataset, whole: Sequence[EpisodeRecord], wall_time: float 
     counts = {"judged": verdicts.judged, "successes": verdicts.succeeded, "low": low, "high": high, "rows": rows}
     failures = [[name, f"{n}, {100 * n / verdicts.judged:.1f} %"] for name, n in failed.most_common()]
     return {"counts": counts, "failures": failures, "recording": recording}
+
+
+def _diversity(info: DatasetInfo, whole: Sequence[EpisodeRecord], scripted: float | None) -> dict[str, Any] | None:
+    """Return by how much ways differ [rad], of these episodes and of the scripted expert; None if nobody can say."""
+    ways = ways_of(info, whole)
+    if len(ways) < 2:
+        return None
+    return {"ways": _short(diversity_of_ways(ways)), "scripted": _short(scripted), "episodes": len(ways)}
 
 
 def _episode(record: EpisodeRecord, flaws: dict[str, int], why: str) -> dict[str, Any]:

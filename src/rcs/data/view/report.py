@@ -27,12 +27,13 @@ _MOST_IN_DETAIL = 120
 _LEFT_OUT = "was left out, but for its outcome, to keep this file small; `rcs data view` shows all episodes."
 
 
-def write_report(dataset_path: str | Path, *, wall_time: float | None = None) -> Path:
+def write_report(dataset_path: str | Path, *, wall_time: float | None = None, scripted: float | None = None) -> Path:
     """Write `report.html` into a dataset's folder and return its path; damaged episodes are listed as such.
 
     Args:
         dataset_path: The folder of the dataset.
         wall_time: How long the collection took [s], for its speed; None leaves that out.
+        scripted: By how much the ways of the task's scripted expert differ [rad]; None leaves that out.
 
     Raises:
         DatasetError: There is no dataset, or the page cannot be written.
@@ -52,7 +53,7 @@ def write_report(dataset_path: str | Path, *, wall_time: float | None = None) ->
             for record in dataset
         ]
         clips = [clip_name(feature) for feature in pictures(dataset.info)]
-        values = catalogue(dataset, entries, clips, wall_time=wall_time)
+        values = catalogue(dataset, entries, clips, wall_time=wall_time, scripted=scripted)
         shell, tail = _shell().split("</body>")
         partial.unlink(missing_ok=True)  # never through a link
         with partial.open("x", encoding="utf-8") as page:

@@ -12,14 +12,18 @@ from rcs.errors import InvalidSetup
 LAG = 4.0
 """Steps by which a moving arm may be behind: an FR3 at 0.5 m/s is, at 10 Hz, by 20 cm."""
 
+AT_REST = 0.5
+"""Actions by which the target may be ahead of an arm that stands: one in the other direction then moves it."""
+
 
 class BoundLead(Layer):
     """Cut changes of `xyzrpy` that take the target's translation too far from where the TCP is.
 
-    Along each axis, the target may be ahead by one action, and by four times what the TCP moved in the last step. A
-    free arm hardly notices. The target of one that presses on a table stays within one action of it. Otherwise it would
-    sink in by what `LimitStep` allows, 30 cm and more, and nothing would happen for as many steps up again, which
-    learners that act by chance never make. Put it on relative `xyzrpy` control.
+    Along each axis, the target may be ahead by half an action, and by four times what the TCP moved in the last step.
+    An action in the other direction starts from where the arm is, or as far ahead as its motion accounts for. A free
+    arm starts a little later. One that presses on a table comes up with the first action that says so. Otherwise the
+    target would sink in by what `LimitStep` allows, 30 cm and more, and nothing would happen for as many steps up
+    again, which learners that act by chance never make. Put it on relative `xyzrpy` control.
     """
 
     memory = ("_last", "_measured", "_before")
@@ -67,9 +71,12 @@ class BoundLead(Layer):
             raise RuntimeError("BoundLead.map_action was called before reset")
         given = action[XYZRPY]
         bound = self._bound[:3]
-        allowed = bound + LAG * np.abs(self._measured - self._before)
+        behind = LAG * np.abs(self._measured - self._before)
         ahead = self._last - self._measured
-        cut = np.minimum(np.maximum(ahead + given[..., :3], -allowed), allowed) - ahead
+        turns = given[..., :3] * ahead < 0.0
+        kept = np.where(turns, np.minimum(np.maximum(ahead, -behind), behind), ahead)
+        furthest = behind + AT_REST * bound
+        cut = np.minimum(np.maximum(kept + given[..., :3], -furthest), furthest) - ahead
         full = given.copy()
         full[..., :3] = np.minimum(np.maximum(cut, -bound), bound)
         return {**action, XYZRPY: full}

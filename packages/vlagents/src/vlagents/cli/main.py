@@ -1,4 +1,4 @@
-"""Serve a policy, ask how a server is, and measure the way there and back."""
+"""Serve a policy, say how to make its environment, ask how a server is, and measure the way there and back."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from typing import Any
 from vlagents import __version__
 from vlagents.cli.bench import bench
 from vlagents.connect import connect
-from vlagents.errors import VlagentsError
-from vlagents.policies import catalogue
+from vlagents.errors import InvalidInput, VlagentsError
+from vlagents.policies import catalogue, recipes
 from vlagents.server import Server
 from vlagents.websocket import WebsocketServer
 
@@ -46,13 +46,24 @@ def _parser() -> argparse.ArgumentParser:
     serve = verbs.add_parser("serve", help="serve a policy until Ctrl-C")
     serve.add_argument("policy", help=f"its name: {', '.join(catalogue.names())}")
     serve.add_argument("--checkpoint", default="", help="folder, file, or whatever else the policy is made of")
+    serve.add_argument(
+        "--settings", default="", help="file that says how the checkpoint's inputs are called; see the README"
+    )
     serve.add_argument("--host", default="127.0.0.1", help="anything but this machine itself needs a token")
-    serve.add_argument("--port", type=int, default=None, help="of TCP; 8090, or 8000 with --ws")
-    serve.add_argument("--ws", action="store_true", help="openpi's websocket in place of TCP and shared memory")
+    serve.add_argument("--port", type=int, default=None, help="of TCP; by default the wire's own")
+    wire = serve.add_mutually_exclusive_group()
+    wire.add_argument("--ws", action="store_true", help="openpi's websocket in place of TCP and shared memory")
+    wire.add_argument(
+        "--wire", choices=("gr00t", "openvla"), help="GR00T's ZeroMQ (extra gr00t), or OpenVLA's POST /act"
+    )
     serve.add_argument("--token-file", type=Path, help=token)
     serve.add_argument("--certificate", type=Path, help="file with a certificate, for TLS")
     serve.add_argument("--key", type=Path, help="file with its key")
     serve.set_defaults(act=_serve)
+
+    recipe = verbs.add_parser("recipe", help="print the script that makes an environment for a family of policies")
+    recipe.add_argument("family", help=f"its name: {', '.join(recipes.names())}")
+    recipe.set_defaults(act=_recipe)
 
     ping = verbs.add_parser("ping", help="say how a server is, and what its policy needs and gives")
     _add_server(ping, token)
@@ -80,11 +91,19 @@ def _token(given: Any) -> str | None:
 
 
 def _serve(given: Any) -> int:
-    policy = catalogue.load(given.policy, given.checkpoint)
-    kind = WebsocketServer if given.ws else Server
-    port = given.port if given.port is not None else 8000 if given.ws else 8090
-    options: dict[str, Any] = {"host": given.host, "port": port, "token": _token(given)}
-    server = kind(policy, **options, certificate=given.certificate, key=given.key)
+    policy = catalogue.load(given.policy, given.checkpoint, given.settings)
+    options: dict[str, Any] = {"host": given.host, "token": _token(given)}
+    options |= {} if given.port is None else {"port": given.port}
+    if given.wire is not None:
+        if given.certificate is not None or given.key is not None:
+            raise InvalidInput(f"The wire {given.wire!r} has no TLS; valid for it are --host, --port and a token.")
+        from vlagents.other_wires.groot import GrootServer
+        from vlagents.other_wires.openvla import OpenvlaServer
+
+        server: Any = (GrootServer if given.wire == "gr00t" else OpenvlaServer)(policy, **options)
+    else:
+        kind = WebsocketServer if given.ws else Server
+        server = kind(policy, **options, certificate=given.certificate, key=given.key)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -92,6 +111,11 @@ def _serve(given: Any) -> int:
         metadata = server.service.metadata
         print(f"Serving {metadata.name} at {server.address}. Ctrl-C ends it.", flush=True)
         stop.wait()
+    return 0
+
+
+def _recipe(given: Any) -> int:
+    print(recipes.read(given.family), end="")
     return 0
 
 

@@ -41,7 +41,9 @@ class RandomPolicy(Policy):
 
     def infer(self, observation: Observation) -> Chunk:
         """Return numbers by chance."""
-        generator = self._generators.setdefault(observation.session, np.random.default_rng())
+        generator = self._generators.get(observation.session)
+        if generator is None:
+            generator = self._generators[observation.session] = np.random.default_rng()
         return Chunk(generator.uniform(-1.0, 1.0, self._shape), 1.0 / self._metadata.rate, observation.time)
 
     def forget(self, session: str) -> None:

@@ -30,6 +30,7 @@ def observation_to_values(observation: Observation) -> dict[str, Any]:
         "time": float(observation.time),
         "times": {name: float(time) for name, time in observation.times.items()},
         "session": observation.session,
+        **({} if observation.previous is None else {"previous": observation.previous, "frozen": observation.frozen}),
     }
 
 
@@ -48,6 +49,8 @@ def observation_from_values(values: object) -> Observation:
         time=_number("time", given.get("time", 0.0)),
         times={name: _number(name, time) for name, time in mapping("times", given.get("times", {})).items()},
         session=given.get("session", ""),
+        previous=None if given.get("previous") is None else _numbers("previous", given["previous"]),
+        frozen=given.get("frozen", 0),
     )
 
 
@@ -113,7 +116,7 @@ def _image(name: str, image: object) -> Any:
 
 def _numbers(name: str, part: object) -> Any:
     if not isinstance(part, np.ndarray):
-        raise InvalidInput(f"state[{name!r}] is {type(part).__name__}; valid is an array.")
+        raise InvalidInput(f"{name!r} is {type(part).__name__}; valid is an array.")
     return part
 
 

@@ -67,7 +67,7 @@ def pack(values: Any) -> tuple[bytes, list[memoryview], int]:
     return header, parts, end
 
 
-def unpack(header: bytes | memoryview, body: Any) -> Any:
+def unpack(header: bytes | bytearray | memoryview, body: Any) -> Any:
     """Put a message together again; its arrays are read-only views of the body.
 
     Args:

@@ -7,6 +7,7 @@ keys, a NumPy scalar one with `__npgeneric__`, `data`, `dtype`. A flat dictionar
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,11 +18,16 @@ from vlagents.chunk import Chunk
 from vlagents.errors import BadMessage, InvalidInput
 from vlagents.observation import Observation
 from vlagents.wire.message import DTYPES, MOST_AXES
+from vlagents.wire.skip import end_of
 
 OWN = "vlagents"
 """Key of what openpi does not have: session, times, and calls other than for actions. Both sides of ours use it."""
 PROMPT = "prompt"
 ACTIONS = "actions"
+LARGE = 64 << 10
+"""Arrays of at least so many bytes are not copied [bytes]."""
+ARRAY_HEAD = b"\x84\xc4\x0b__ndarray__\xc3\xc4\x04data"
+"""How an array begins."""
 DEEPEST = 4
 """Most dictionaries inside each other."""
 
@@ -39,18 +45,69 @@ def pack(values: Any) -> bytes:
     return data
 
 
-def unpack(data: bytes) -> Any:
-    """Read what openpi sent; arrays are read-only.
+def pack_parts(values: Mapping[str, Any]) -> list[bytes | memoryview]:
+    """Return values as openpi sends them, in parts: large arrays of the outermost dictionary are not copied.
+
+    Raises:
+        InvalidInput: Something among them does not travel.
+    """
+    parts: list[bytes | memoryview] = []
+    small = [msgpack.Packer().pack_map_header(len(values))]
+    for name, value in values.items():
+        small.append(pack(name))
+        if isinstance(value, np.ndarray) and value.nbytes >= LARGE:
+            as_map = _to_map(value)
+            data = as_map[b"data"]
+            parts += [b"".join([*small, ARRAY_HEAD, struct.pack(">BI", 0xC6, len(data))]), data]
+            small = [pack(b"dtype"), pack(as_map[b"dtype"]), pack(b"shape"), pack(as_map[b"shape"])]
+        else:
+            small.append(pack(value))
+    return [*parts, b"".join(small)]
+
+
+def unpack(data: bytes | memoryview) -> Any:
+    """Read what openpi sent; arrays are read-only, and large ones lie in the data.
 
     Raises:
         BadMessage: It is none of its messages.
     """
+    found = _unpacked_in_place(memoryview(data)) if len(data) >= LARGE else None
+    return _unpacked(data) if found is None else found
+
+
+def _unpacked(data: bytes | memoryview) -> Any:
     try:
         return msgpack.unpackb(data, object_hook=_from_map, strict_map_key=True)
     except BadMessage:
         raise
     except Exception as error:  # whatever msgpack raises for what is no msgpack
         raise BadMessage(f"This is no msgpack: {type(error).__name__}: {error}.") from error
+
+
+def _unpacked_in_place(data: memoryview) -> dict[str, Any] | None:
+    """Read a dictionary whose arrays need not be copied; None if it is anything but that, or damaged."""
+    if not 0x80 <= data[0] <= 0x8F:
+        return None
+    found: dict[str, Any] = {}
+    at = 1
+    for _ in range(data[0] & 15):
+        end = end_of(data, at)
+        if end is None or not (0xA0 <= data[at] <= 0xBF or 0xD9 <= data[at] <= 0xDB):
+            return None
+        name, at = _unpacked(data[at:end]), end
+        end = end_of(data, at)
+        if end is None:
+            return None
+        head = at + len(ARRAY_HEAD)
+        if bytes(data[at:head]) == ARRAY_HEAD and data[head] == 0xC6 and end - head >= LARGE:
+            start = head + 5
+            stop = start + int.from_bytes(data[head + 1 : start], "big")
+            rest = _unpacked(b"\x82" + bytes(data[stop:end]))
+            found[name] = _from_map({b"__ndarray__": True, b"data": data[start:stop], **rest})
+        else:
+            found[name] = _unpacked(data[at:end])
+        at = end
+    return found if at == len(data) else None
 
 
 def observation_to_flat(observation: Observation) -> dict[str, Any]:
@@ -138,7 +195,7 @@ def _to_map(value: object) -> Any:
 def _from_map(found: dict[Any, Any]) -> Any:
     if b"__ndarray__" in found:
         data, dtype, shape = found.get(b"data"), found.get(b"dtype"), found.get(b"shape")
-        if dtype not in DTYPES or not isinstance(data, bytes):
+        if dtype not in DTYPES or not isinstance(data, (bytes, memoryview)):
             raise BadMessage(f"An array has the dtype {dtype!r:.40}; valid: {', '.join(sorted(DTYPES))}.")
         axes: list[Any] = list(shape) if isinstance(shape, (list, tuple)) else [None]
         if len(axes) > MOST_AXES or not all(type(n) is int and 0 <= n < 1 << 40 for n in axes):

@@ -2,8 +2,9 @@
 
 The memory has no name: its file descriptor travels over the socket. So nothing is left behind by whoever is killed, and
 nobody else can open it. It cannot shrink (a seal that the reader checks), so that a reader never touches memory that is
-gone. It has two slots, which the sender fills in turn. Each begins with the number of the message that lies in it, and
-the reader looks twice: before it reads, and after the policy has read.
+gone. It has two slots: the second is for what is sent while the first is still read, such as after an answer that was
+late. Each begins with the number of the message that lies in it, and the reader looks twice: before it reads, and after
+the policy has read.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlagents.errors import BadMessage, ConnectionLost
+from vlagents.errors import BadMessage
 from vlagents.wire.deadline import Deadline
+from vlagents.wire.link import Link
 from vlagents.wire.message import pack, unpack
-from vlagents.wire.stream import LARGEST_BODY, LARGEST_HEADER, PREFIX, StreamChannel
+from vlagents.wire.stream import LARGEST_BODY, PREFIX, StreamChannel
 
 MAGIC = b"VLAS"
 PLACE = struct.Struct("<QQQ")
@@ -34,24 +36,65 @@ LEAST = 64 << 10
 SEALS = getattr(fcntl, "F_SEAL_SHRINK", 2) | getattr(fcntl, "F_SEAL_GROW", 4) | getattr(fcntl, "F_SEAL_SEAL", 1)
 
 
+MOST_FILES = 4
+"""Files that may have come before the messages which they belong to."""
+
+
 def is_supported() -> bool:
     """Return whether this system has memory without a name that can be sealed. Linux has."""
     return hasattr(os, "memfd_create") and hasattr(fcntl, "F_ADD_SEALS") and hasattr(socket, "SO_PEERCRED")
 
 
+class UnixLink(Link):
+    """A Unix socket whose messages may bring files."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        """Take over a connected Unix socket."""
+        super().__init__(connection)
+        self.files: list[int] = []
+        """Files that came and were not taken yet; they are closed with the link."""
+
+    def send_file(self, frame: memoryview, file: int, deadline: Deadline) -> None:
+        """Send a frame and a file with it."""
+        while True:
+            try:
+                count = socket.send_fds(self._socket, [frame], [file])
+                break
+            except BlockingIOError:
+                self._await(self._to_write, deadline)
+        self.send([frame[count:]], deadline)
+
+    def close(self) -> None:
+        """Close the socket, and files that nobody took."""
+        super().close()
+        while self.files:
+            os.close(self.files.pop())
+
+    def _read_now(self, view: memoryview) -> int:
+        count, told, _, _ = self._socket.recvmsg_into([view], socket.CMSG_LEN(4), socket.MSG_CMSG_CLOEXEC)
+        for level, kind, data in told:
+            if level == socket.SOL_SOCKET and kind == socket.SCM_RIGHTS:
+                self.files += [number for (number,) in struct.iter_unpack("i", data[: len(data) // 4 * 4])]
+        if len(self.files) > MOST_FILES:
+            raise BadMessage(f"{len(self.files)} files came that no message is about.")
+        return count
+
+
 class SharedChannel(StreamChannel):
     """A channel over a Unix socket whose large messages lie in shared memory.
 
-    No more than two messages may be on their way at a time: with the third, the slot of the first is used again.
+    No more than two messages may be on their way at a time: with the third, the slot of the first is used again. While
+    there is never more than one, `settled` has each use the slot of the one before, whose memory is at hand: for
+    pictures of some megabytes, that takes half as long as two slots in turn.
     """
 
     def __init__(self, connection: socket.socket, *, largest_body: int = LARGEST_BODY) -> None:
         """Take over a connected Unix socket."""
         super().__init__(connection, largest_body=largest_body)
-        self._own: mmap.mmap | None = None
+        self._own: NDArray[np.uint8] | None = None
         self._own_file = -1
         self._slot_size = 0
-        self._number = 0
+        self._number, self._slot = 0, 0
         self._theirs: NDArray[np.uint8] | None = None
         self._their_slot_size = 0
         self._reading: tuple[int, int] | None = None
@@ -73,6 +116,10 @@ class SharedChannel(StreamChannel):
             self._own_file = -1
         self._own, self._theirs, self._reading = None, None, None
 
+    def settled(self) -> None:
+        """Begin with the first slot again."""
+        self._slot = 0
+
     def check(self) -> None:
         """Look whether the last message is still what it was.
 
@@ -93,21 +140,24 @@ class SharedChannel(StreamChannel):
         memory = self._own
         assert memory is not None
         self._number += 1
-        slot = self._number % SLOTS
+        slot, self._slot = self._slot, (self._slot + 1) % SLOTS
         start = slot * self._slot_size
-        struct.pack_into("<Q", memory, start, 0)  # whoever still reads this slot learns that it is over
+        _set_number(memory, start, 0)  # whoever still reads this slot learns that it is over
         at = start + HEAD
         for part in parts:
-            memory[at : at + len(part)] = part
+            np.copyto(memory[at : at + len(part)], np.frombuffer(part, np.uint8))  # without Python's lock
             at += len(part)
-        struct.pack_into("<Q", memory, start, self._number)
+        _set_number(memory, start, self._number)
         place = PLACE.pack(self._number, slot, self._slot_size)
         frame = memoryview(PREFIX.pack(MAGIC, len(header), size) + place + header)
         if is_new:
-            self._socket.settimeout(deadline.left())
-            count = socket.send_fds(self._socket, [frame], [self._own_file])
-            frame = frame[count:]
-        self._send_all([frame], deadline)
+            self._unix.send_file(frame, self._own_file, deadline)
+        else:
+            self._unix.send([frame], deadline)
+
+    def _linked(self, connection: socket.socket) -> Link:
+        self._unix = UnixLink(connection)
+        return self._unix
 
     def _make(self, least: int) -> None:
         """Make new memory; the other side keeps the old one for as long as it reads it."""
@@ -116,7 +166,7 @@ class SharedChannel(StreamChannel):
         try:
             os.ftruncate(file, SLOTS * size)
             fcntl.fcntl(file, fcntl.F_ADD_SEALS, SEALS)  # type: ignore[attr-defined]
-            memory = mmap.mmap(file, SLOTS * size)
+            memory = np.frombuffer(mmap.mmap(file, SLOTS * size), np.uint8)
         except BaseException:
             os.close(file)
             raise
@@ -126,28 +176,20 @@ class SharedChannel(StreamChannel):
 
     def _receive(self, deadline: Deadline, begun: Deadline | None) -> Any:
         self._reading = None
-        first, files = self._first(deadline)
-        try:
-            rest = deadline if begun is None else Deadline(begun.seconds, "the rest of a message")
-            prefix = bytearray(first + bytes(PREFIX.size - 1))
-            self._fill(memoryview(prefix)[1:], rest)
-            if bytes(prefix[:4]) != MAGIC:
-                return self._receive_body(prefix, rest)
-            _, header_size, size = PREFIX.unpack(prefix)
-            if header_size > LARGEST_HEADER or size > self.largest_body:
-                raise BadMessage(
-                    f"A message of {header_size} and {size} bytes is too large; valid are up to {LARGEST_HEADER} and "
-                    f"{self.largest_body}."
-                )
-            place = bytearray(PLACE.size)
-            self._fill(memoryview(place), rest)
-            number, slot, slot_size = PLACE.unpack(place)
-            header = bytearray(header_size)
-            self._fill(memoryview(header), rest)
-            if files:
-                self._map(files[0], slot_size)
-        finally:
-            for file in files:
+        self._link.need(1, deadline)
+        rest = deadline if begun is None else Deadline(begun.seconds, "the rest of a message")
+        prefix = self._link.take(PREFIX.size, rest)
+        if prefix[:4] != MAGIC:
+            return self._receive_body(prefix, rest)
+        _, header_size, size = PREFIX.unpack(prefix)
+        self._check_sizes(header_size, size)
+        number, slot, slot_size = PLACE.unpack(self._link.take(PLACE.size, rest))
+        header = self._header(header_size, rest)
+        if slot_size != self._their_slot_size and self._unix.files:
+            file = self._unix.files.pop(0)
+            try:
+                self._map(file, slot_size)
+            finally:
                 os.close(file)
         if self._theirs is None or slot_size != self._their_slot_size or slot >= SLOTS or size + HEAD > slot_size:
             raise BadMessage(f"A message of {size} bytes is said to be in slot {slot}, where there is no room for it.")
@@ -155,20 +197,7 @@ class SharedChannel(StreamChannel):
         if _number_at(self._theirs, start) != number:
             raise BadMessage(f"Slot {slot} does not hold message {number}.")
         self._reading = (start, number)
-        return unpack(bytes(header), self._theirs[start + HEAD : start + HEAD + size])
-
-    def _first(self, deadline: Deadline) -> tuple[bytes, list[int]]:
-        """Return the first byte of a message, and the file that came with it."""
-        self._socket.settimeout(deadline.left())
-        try:
-            first, files, _, _ = socket.recv_fds(self._socket, 1, 1)
-        except TimeoutError as error:
-            raise deadline.exceeded() from error
-        if not first:
-            for file in files:
-                os.close(file)
-            raise ConnectionLost("The other side has closed the connection.")
-        return first, list(files)
+        return unpack(header, self._theirs[start + HEAD : start + HEAD + size])
 
     def _map(self, file: int, slot_size: int) -> None:
         """Look at the other side's memory, if it is what it should be.
@@ -192,6 +221,10 @@ def peer_user(connection: socket.socket) -> int:
     """Return the number of the user on the other side of a Unix socket, as the kernel knows it."""
     credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
     return int(struct.unpack("3i", credentials)[1])
+
+
+def _set_number(memory: NDArray[np.uint8], start: int, number: int) -> None:
+    memory[start : start + 8].view(np.uint64)[0] = number
 
 
 def _number_at(memory: NDArray[np.uint8], start: int) -> int:

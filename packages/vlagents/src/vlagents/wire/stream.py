@@ -6,18 +6,16 @@ Lengths are compared with what is allowed before anything is allocated.
 
 from __future__ import annotations
 
-import contextlib
-import select
 import socket
-import ssl
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
 
 from vlagents.errors import BadMessage, ConnectionLost, VlagentsError
 from vlagents.wire.deadline import Deadline
+from vlagents.wire.link import AHEAD, Link
 from vlagents.wire.message import pack, unpack
 
 MAGIC = b"VLA1"
@@ -26,8 +24,8 @@ LARGEST_HEADER = 1 << 20
 """Most bytes of a header."""
 LARGEST_BODY = 256 << 20
 """Most bytes of a body, by default: forty full HD pictures."""
-MOST_PARTS = 512
-"""Most buffers in one call of the system."""
+KEPT = 64 << 20
+"""A body of up to this many bytes lies in memory that the next one uses again."""
 
 
 class Channel(Protocol):
@@ -54,12 +52,11 @@ class StreamChannel:
 
         Args:
             connection: It is closed with the channel.
-            largest_body: Most bytes of arrays in a message that comes.
+            largest_body: Most bytes of arrays in a message that comes. They are valid until the next one is received.
         """
-        self._socket = connection
+        self._link = self._linked(connection)
         self.largest_body = largest_body
-        with contextlib.suppress(OSError):
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._body = np.empty(0, np.uint8)
 
     def send(self, values: Any, deadline: Deadline) -> None:
         """Send a message.
@@ -89,74 +86,56 @@ class StreamChannel:
 
     def wait(self, seconds: float | None) -> bool:
         """Wait until a message begins to come or the connection ends; return whether it did in that time [s]."""
-        if isinstance(self._socket, ssl.SSLSocket) and self._socket.pending():
-            return True
-        return bool(select.select([self._socket], [], [], seconds)[0])
+        return self._link.wait(seconds)
+
+    def settled(self) -> None:
+        """Say that every message which was sent has been read: there is an answer to each."""
 
     def close(self) -> None:
         """Close the socket."""
-        with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
-        self._socket.close()
+        self._link.close()
+
+    def _linked(self, connection: socket.socket) -> Link:
+        return Link(connection)
 
     def _send_inline(self, header: bytes, parts: list[memoryview], size: int, deadline: Deadline) -> None:
         prefix = PREFIX.pack(MAGIC, len(header), size)
-        self._send_all([memoryview(prefix + header), *parts], deadline)
+        self._link.send([memoryview(prefix + header), *parts], deadline)
 
     def _check_header(self, header: bytes) -> None:
         if len(header) > LARGEST_HEADER:
             raise BadMessage(f"A header of {len(header)} bytes is too large; valid are up to {LARGEST_HEADER}.")
 
     def _receive(self, deadline: Deadline, begun: Deadline | None) -> Any:
-        prefix = bytearray(PREFIX.size)
-        self._fill(memoryview(prefix)[:1], deadline)
+        self._link.need(1, deadline)
         rest = deadline if begun is None else Deadline(begun.seconds, "the rest of a message")
-        self._fill(memoryview(prefix)[1:], rest)
-        return self._receive_body(prefix, rest)
+        return self._receive_body(self._link.take(PREFIX.size, rest), rest)
 
-    def _receive_body(self, prefix: bytearray, rest: Deadline) -> Any:
-        magic, header_size, body_size = PREFIX.unpack(prefix)
+    def _receive_body(self, prefix: bytes, rest: Deadline) -> Any:
+        magic, header_size, size = PREFIX.unpack(prefix)
         if magic != MAGIC:
-            raise BadMessage(f"A message begins with {bytes(magic)!r}; valid is {MAGIC!r}.")
-        if header_size > LARGEST_HEADER or body_size > self.largest_body:
+            raise BadMessage(f"A message begins with {magic!r}; valid is {MAGIC!r}.")
+        self._check_sizes(header_size, size)
+        header = self._header(header_size, rest)
+        body = self._body[:size] if size <= len(self._body) else np.empty(size, np.uint8)
+        if len(self._body) < size <= KEPT:
+            self._body = body
+        self._link.fill(body.data, rest)
+        return unpack(header, body)
+
+    def _check_sizes(self, header_size: int, size: int) -> None:
+        if header_size > LARGEST_HEADER or size > self.largest_body:
             raise BadMessage(
-                f"A message of {header_size} and {body_size} bytes is too large; valid are up to {LARGEST_HEADER} and "
+                f"A message of {header_size} and {size} bytes is too large; valid are up to {LARGEST_HEADER} and "
                 f"{self.largest_body}."
             )
-        header = bytearray(header_size)
-        self._fill(memoryview(header), rest)
-        body = np.empty(body_size, np.uint8)
-        self._fill(body.data, rest)
-        return unpack(bytes(header), body)
 
-    def _fill(self, view: memoryview, deadline: Deadline) -> None:
-        while view:
-            self._socket.settimeout(deadline.left())
-            try:
-                count = self._socket.recv_into(view)
-            except TimeoutError as error:
-                raise deadline.exceeded() from error
-            if not count:
-                raise ConnectionLost("The other side has closed the connection.")
-            view = view[count:]
-
-    def _send_all(self, parts: Sequence[memoryview], deadline: Deadline) -> None:
-        waiting = list(parts)
-        while waiting:
-            self._socket.settimeout(deadline.left())
-            try:
-                count = self._send_some(waiting[:MOST_PARTS])
-            except TimeoutError as error:
-                raise deadline.exceeded() from error
-            while waiting and count >= len(waiting[0]):
-                count -= len(waiting.pop(0))
-            if count:
-                waiting[0] = waiting[0][count:]
-
-    def _send_some(self, parts: Sequence[memoryview]) -> int:
-        if isinstance(self._socket, ssl.SSLSocket):  # TLS takes one buffer at a time
-            return self._socket.send(parts[0])
-        return self._socket.sendmsg(parts)
+    def _header(self, size: int, rest: Deadline) -> bytes | bytearray:
+        if size <= AHEAD:
+            return self._link.take(size, rest)
+        header = bytearray(size)
+        self._link.fill(memoryview(header), rest)
+        return header
 
     def _guarded(self, act: Callable[..., Any], *given: Any) -> Any:
         """Do something with the socket; whatever goes wrong closes it, with an error of ours."""

@@ -1,0 +1,290 @@
+"""OpenVLA's wire, both ways: HTTP `POST /act` with JSON, where arrays are json-numpy's maps.
+
+Layout as in OpenVLA's `vla-scripts/deploy.py`: `{"image": uint8 (height, width, 3), "instruction": str, "unnorm_key"?}`
+goes there, or `{"encoded": JSON of that}`; one action, (7,), comes back, or a chunk, (horizon, size); with `encoded` as
+JSON in a string. An array is `{"__numpy__": base64, "dtype", "shape"}`. What fails comes back as the text "error".
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import hmac
+import http.client
+import json
+import logging
+import math
+import socket
+import threading
+from collections.abc import Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlagents.address import Address
+from vlagents.errors import (
+    BadMessage,
+    ConnectionLost,
+    InvalidInput,
+    PolicyFailed,
+    Unauthorized,
+    VlagentsError,
+)
+from vlagents.listening import MOST_CALLERS, TRANSFER, Listening
+from vlagents.observation import Observation
+from vlagents.other_wires.asked import Asked
+from vlagents.policy import Policy
+from vlagents.service import Caller, Service
+from vlagents.wire.deadline import Deadline
+from vlagents.wire.message import DTYPES, MOST_AXES
+
+_log = logging.getLogger(__name__)
+
+LARGEST = 32 << 20
+"""Most bytes of a request or an answer."""
+
+
+class OpenvlaClient(Asked):
+    """Asks a server of OpenVLA, at `openvla+http://host:port`, with one picture."""
+
+    def __init__(self, address: str, *, image: str = "", unnorm_key: str = "", **options: Any) -> None:
+        """Set what the server does not tell.
+
+        Args:
+            address: Where the server is.
+            image: The camera whose picture it is shown; by default the only one.
+            unnorm_key: Of which dataset's statistics the actions are; by default the server's.
+            options: As of `Asked`.
+        """
+        super().__init__(address, **options)
+        self._image, self._unnorm_key = image, unnorm_key
+
+    def _ask(self, observation: Observation, instruction: str) -> NDArray[Any]:
+        if not self._image and len(observation.images) != 1:
+            raise InvalidInput(f"OpenVLA sees one picture; there are {sorted(observation.images)}. Give `image`.")
+        picture = observation.image(self._image or next(iter(observation.images)))
+        request: dict[str, Any] = {"image": to_map(picture), "instruction": instruction}
+        if self._unnorm_key:
+            request["unnorm_key"] = self._unnorm_key
+        answer = from_json(self._post(json.dumps(request).encode()))
+        if isinstance(answer, str):
+            raise PolicyFailed(f"{self.address} says that it failed; its log has the reason.")
+        if not isinstance(answer, np.ndarray) or answer.ndim not in (1, 2) or answer.dtype.kind not in "fiu":
+            raise BadMessage(f"The answer of {self.address} is no action.")
+        return np.atleast_2d(answer)
+
+    def _post(self, data: bytes) -> bytes:
+        deadline = Deadline(self.timeout, f"The answer of {self.address}")
+        late = threading.Event()
+        connection = http.client.HTTPConnection(self.address.host, self.address.port, timeout=self.timeout)
+        headers = {"Content-Type": "application/json"}
+        if self._token is not None:
+            headers["Authorization"] = f"Bearer {self._token}"
+
+        def end() -> None:  # a server that drips is late at the deadline, not so long after each drop
+            late.set()
+            if connection.sock is not None:
+                connection.sock.shutdown(socket.SHUT_RDWR)
+
+        timer = threading.Timer(self.timeout, end)
+        try:
+            connection.connect()
+            timer.start()
+            connection.request("POST", "/act", data, headers)
+            answer = connection.getresponse()
+            found = bytearray()
+            while part := answer.read1(1 << 20):
+                found += part
+                if len(found) > LARGEST:
+                    raise BadMessage(f"The answer of {self.address} is too large; valid are up to {LARGEST} bytes.")
+            if late.is_set():
+                raise deadline.exceeded()
+        except (http.client.HTTPException, OSError) as error:
+            if late.is_set() or isinstance(error, TimeoutError):
+                raise deadline.exceeded() from error
+            raise ConnectionLost(f"Nobody is at {self.address}: {error}.") from error
+        finally:
+            timer.cancel()
+            connection.close()
+        if answer.status == 401:
+            raise Unauthorized("The token is missing or wrong.")
+        if answer.status != 200:
+            raise PolicyFailed(f"{self.address} answered with status {answer.status}.")
+        return bytes(found)
+
+
+class OpenvlaServer:
+    """Answers OpenVLA's clients with a policy. HTTP has no connection to tell robots apart: there is one session."""
+
+    def __init__(
+        self,
+        policy: Policy,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8000,
+        token: str | None = None,
+        image: str = "image",
+    ) -> None:
+        """Prepare; `start` or a `with` block opens the socket.
+
+        Args:
+            policy: It is closed with the server.
+            host: As in `Listening`.
+            port: As in `Listening`.
+            token: As in `Listening`; clients send it as `Authorization: Bearer TOKEN`.
+            image: What the policy calls the picture.
+
+        Raises:
+            InvalidInput: The address is open to others and there is no token.
+        """
+        self._listening = Listening(host=host, port=port, token=token)
+        self.service = Service(policy)
+        self._caller: Caller = self.service.caller("openvla")
+        self._image, self._port = image, port
+        self._server: ThreadingHTTPServer | None = None
+        self._places = threading.BoundedSemaphore(MOST_CALLERS)
+
+    @property
+    def address(self) -> Address:
+        """Where the server listens."""
+        return Address("openvla+http", host=self._listening.host, port=self._port)
+
+    def start(self) -> OpenvlaServer:
+        """Listen, and answer in threads of its own.
+
+        Raises:
+            OSError: The port is taken.
+        """
+        outside = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def setup(self) -> None:
+                super().setup()
+                self.timer = threading.Timer(TRANSFER, self.connection.shutdown, (socket.SHUT_RD,))
+                self.timer.start()  # for the whole request, however it drips
+
+            def finish(self) -> None:
+                self.timer.cancel()
+                super().finish()
+
+            def do_POST(self) -> None:
+                outside._post(self)
+
+            def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
+                _log.debug(format, *args)
+
+        class Places(ThreadingHTTPServer):
+            def process_request(self, request: Any, client_address: Any) -> None:
+                if not outside._places.acquire(blocking=False):
+                    self.shutdown_request(request)
+                    return
+                super().process_request(request, client_address)
+
+            def process_request_thread(self, request: Any, client_address: Any) -> None:
+                try:
+                    super().process_request_thread(request, client_address)
+                finally:
+                    outside._places.release()
+
+        self._server = Places((self._listening.host, self._listening.port), Handler)
+        self._server.daemon_threads = True
+        self._port = self._server.server_address[1]
+        threading.Thread(target=self._server.serve_forever, args=(0.1,), name="vlagents openvla", daemon=True).start()
+        return self
+
+    def close(self) -> None:
+        """Listen no more, then close the policy. A second call does nothing."""
+        server, self._server = self._server, None
+        if server is not None:
+            server.shutdown()
+            server.server_close()
+        self.service.close()
+
+    def __enter__(self) -> OpenvlaServer:
+        """Start."""
+        return self.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
+
+    def _post(self, request: BaseHTTPRequestHandler) -> None:
+        status, answer = self._answer(request)
+        data = answer.encode()
+        request.close_connection = True
+        request.send_response(status)
+        request.send_header("Content-Type", "application/json")
+        request.send_header("Content-Length", str(len(data)))
+        request.end_headers()
+        request.wfile.write(data)
+
+    def _answer(self, request: BaseHTTPRequestHandler) -> tuple[int, str]:
+        kind, _, token = str(request.headers.get("Authorization", "")).partition(" ")
+        wanted = self._listening.token
+        if wanted is not None and not (kind == "Bearer" and hmac.compare_digest(token.encode(), wanted.encode())):
+            return 401, '"error"'
+        length = str(request.headers.get("Content-Length", ""))
+        if request.path != "/act":
+            return 404, '"error"'
+        if not length.isdecimal() or int(length) > LARGEST:
+            return 413, '"error"'
+        try:
+            given = from_json(request.rfile.read(int(length)))
+            is_encoded = isinstance(given, Mapping) and isinstance(given.get("encoded"), str)
+            answer = self._act(from_json(given["encoded"].encode()) if is_encoded else given)
+        except Exception as error:  # noqa: BLE001  as OpenVLA does: the client is told that, not why
+            known = isinstance(error, VlagentsError)
+            _log.warning("A request of %s failed: %s", request.client_address[0], error, exc_info=not known)
+            return 200, '"error"'
+        text = json.dumps(to_map(answer))
+        return 200, json.dumps(text) if is_encoded else text
+
+    def _act(self, given: object) -> NDArray[Any]:
+        if not isinstance(given, Mapping) or not isinstance(given.get("instruction"), str):
+            raise InvalidInput("A request has no instruction.")
+        observation = Observation({self._image: given.get("image")}, {}, given["instruction"])  # type: ignore[dict-item]
+        actions = np.asarray(self.service.infer(self._caller, observation)["actions"])
+        return actions[0] if len(actions) == 1 else actions
+
+
+def to_map(array: NDArray[Any]) -> dict[str, Any]:
+    """Return an array as json-numpy writes it."""
+    data = base64.b64encode(array.tobytes()).decode()
+    return {"__numpy__": data, "dtype": array.dtype.str, "shape": list(array.shape)}
+
+
+def from_json(data: bytes) -> Any:
+    """Read JSON with json-numpy's arrays, which are read-only.
+
+    Raises:
+        BadMessage: It is none.
+    """
+    try:
+        return json.loads(data, object_hook=_from_map)
+    except BadMessage:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise BadMessage(f"This is no JSON: {error}.") from error
+
+
+def _from_map(found: dict[str, Any]) -> Any:
+    if "__numpy__" not in found:
+        return found
+    dtype, shape = found.get("dtype"), found.get("shape")
+    if dtype not in DTYPES:
+        raise BadMessage(f"An array has the dtype {dtype!r:.40}; valid: {', '.join(sorted(DTYPES))}.")
+    axes: list[Any] = list(shape) if isinstance(shape, list) else [None]
+    if len(axes) > MOST_AXES or not all(type(n) is int and 0 <= n < 1 << 40 for n in axes):
+        raise BadMessage(f"An array has the shape {shape!r:.80}; valid are up to {MOST_AXES} whole numbers from 0.")
+    try:
+        data = base64.b64decode(found["__numpy__"], validate=True)
+    except (binascii.Error, TypeError, ValueError) as error:
+        raise BadMessage(f"An array is no base64: {error}.") from error
+    if len(data) != math.prod(axes) * np.dtype(dtype).itemsize:
+        raise BadMessage(f"An array of shape {shape} has {len(data)} bytes of {dtype}.")
+    return np.frombuffer(data, np.dtype(dtype)).reshape(axes)

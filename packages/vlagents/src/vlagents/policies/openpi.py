@@ -1,0 +1,293 @@
+"""openpi's pi0, pi0-FAST and pi0.5 (Physical-Intelligence/openpi): in this process, or behind openpi's own server.
+
+The checkpoint is a folder that openpi's training wrote, with the option `config`, or the address `ws://host:port` of a
+stock openpi server, which needs no stack here. Either way, observations and actions have openpi's keys and conventions
+on that side, and names and units of the robot on ours. A layout says how one becomes the other.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlagents.chunk import Chunk
+from vlagents.errors import InvalidInput, MissingStack
+from vlagents.metadata import ImageSpec, Metadata, PartSpec
+from vlagents.observation import Observation
+from vlagents.policies import inputs
+from vlagents.policies.catalogue import hash_of
+from vlagents.policies.sessions import Sessions, told
+from vlagents.policies.settings import Settings, check_parts
+from vlagents.policy import Policy
+
+SIZE = 224
+"""Height and width of the models' pictures [pixels]. openpi puts black around what is not square, as `Resized` does."""
+DROID_STEP = 0.2
+"""How far a joint goes in 1/15 s at a velocity of 1 in DROID's units [rad]: its solver's `max_joint_delta`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """How openpi's keys are filled, and what its actions mean."""
+
+    images: tuple[str, ...]
+    """openpi's keys of pictures, which are also how `Settings.images` calls them."""
+    state: tuple[PartSpec, ...]
+    """Parts of the robot's state that are needed."""
+    action: tuple[PartSpec, ...]
+    """Parts of an action."""
+    rate: float
+    """Of the data [Hz]; 0 where it is to be said in the settings."""
+    to_state: Callable[[NDArray[np.float64]], dict[str, NDArray[Any]]]
+    """Makes openpi's state of the parts side by side."""
+    to_actions: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    """Makes actions in the robot's units of openpi's."""
+
+
+def _droid_state(values: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+    # DROID's gripper is 0 when it is open.
+    return {
+        "observation/joint_position": values[:7].astype(np.float32),
+        "observation/gripper_position": (1.0 - values[7:]).astype(np.float32),
+    }
+
+
+def _droid_actions(actions: NDArray[np.float64]) -> NDArray[np.float64]:
+    steps = DROID_STEP * np.clip(actions[:, :7], -1.0, 1.0)
+    # DROID's own program makes it open or closed at a half, too.
+    return np.concatenate([steps, np.where(actions[:, 7:8] > 0.5, 0.0, 1.0)], axis=1)
+
+
+DROID = Layout(
+    images=("observation/exterior_image_1_left", "observation/wrist_image_left"),
+    state=(PartSpec("joints", 7, "rad"), PartSpec("gripper", 1, "0 closed, 1 open")),
+    action=(PartSpec("joints", 7, "rad", "delta"), PartSpec("gripper", 1, "0 closed, 1 open")),
+    rate=15.0,
+    to_state=_droid_state,
+    to_actions=_droid_actions,
+)
+"""Of the checkpoints pi0_droid, pi0_fast_droid and pi05_droid, which give joint velocities."""
+
+LIBERO = Layout(
+    images=("observation/image", "observation/wrist_image"),
+    state=(PartSpec("xyz_rotation_vector", 6, "m, rad"), PartSpec("fingers", 2, "m")),
+    action=(
+        PartSpec("osc_pose", 6, "-1 to 1 of LIBERO's controller", "delta"),
+        PartSpec("closing", 1, "-1 open, 1 closed"),
+    ),
+    rate=20.0,
+    to_state=lambda values: {"observation/state": values.astype(np.float32)},
+    to_actions=lambda actions: actions,
+)
+"""Of the checkpoints pi0_libero, pi0_fast_libero and pi05_libero. Actions stay as LIBERO's controller takes them."""
+
+
+def own_layout(settings: Settings) -> Layout:
+    """Return the layout of a model that was fine-tuned on a dataset of one's own.
+
+    Pictures are `observation/<camera>`, the state is `observation/state`, actions are as they were recorded.
+
+    Raises:
+        InvalidInput: The settings leave out what only they can say.
+    """
+    if not (settings.images and settings.state and settings.action and settings.rate):
+        raise InvalidInput(
+            "Of a model that was fine-tuned on data of one's own, the settings name images, state, action and rate; "
+            "`layout` in their options is 'droid' or 'libero' for the published ones."
+        )
+    return Layout(
+        images=tuple(settings.images),
+        state=settings.state,
+        action=settings.action,
+        rate=settings.rate,
+        to_state=lambda values: {"observation/state": values.astype(np.float32)},
+        to_actions=lambda actions: actions,
+    )
+
+
+class OpenpiPolicy(Policy):
+    """Answers with chunks of an openpi model."""
+
+    def __init__(self, checkpoint: str, settings: Settings | None = None) -> None:
+        """Load a model, or connect to a server.
+
+        Args:
+            checkpoint: A folder of openpi's training, or `ws://host:port`.
+            settings: `images`, and for a layout of one's own `state`, `action` and `rate`; options `layout` ("droid",
+                "libero" or "own"), `config` (of a folder: openpi's name of it, or a file of Python with a TrainConfig
+                called CONFIG, which is run; it is looked for beside the checkpoint, then in the working folder) and
+                `timeout` (how long a server may take to answer [s], 30).
+
+        Raises:
+            MissingStack: openpi is not installed.
+            InvalidInput: The settings do not fit.
+            ConnectionLost: Nobody is at the address.
+        """
+        settings = settings or Settings.read(checkpoint)
+        settings.check_options(("layout", "config", "timeout"))
+        layouts = {"droid": DROID, "libero": LIBERO}
+        name = settings.option("layout", "own")
+        if name not in (*layouts, "own"):
+            raise InvalidInput(f"The option 'layout' is {name!r}; valid: droid, libero, own.")
+        self._layout = layouts[name] if name in layouts else own_layout(settings)
+        self._settings = settings
+        if name in layouts:
+            settings.check_images(list(self._layout.images))
+            if settings.state or settings.action:
+                raise InvalidInput(f"The layout {name!r} says what state and actions are; the settings do not.")
+        is_address = checkpoint.startswith(("ws://", "wss://"))
+        self._inside: _Inside = (
+            _Server(checkpoint, settings.option("timeout", 30.0)) if is_address else _Model(checkpoint, settings)
+        )
+        self._sessions = Sessions(lambda _: None)
+        self._rate = self._layout.rate if name in layouts else settings.rate
+        self._metadata = Metadata(
+            name="openpi",
+            action=self._layout.action,
+            images=tuple(ImageSpec(settings.camera(key), SIZE, SIZE) for key in self._layout.images),
+            state=self._layout.state,
+            needs_instruction=True,
+            horizon=self._warm_up(),
+            rate=self._rate,
+            checkpoint=checkpoint,
+            checkpoint_hash="" if is_address else hash_of(checkpoint),
+            version=self._inside.version,
+            extra=self._inside.told,
+        )
+
+    def _warm_up(self) -> int:
+        """Ask once, so that the model is compiled and it is known how many actions come; return that."""
+        black = {self._settings.camera(key): np.zeros((SIZE, SIZE, 3), np.uint8) for key in self._layout.images}
+        state = {part.name: np.zeros(part.size) for part in self._layout.state}
+        chunk = self.infer(Observation(images=black, state=state, instruction="wait", session="warm-up"))
+        self.forget("warm-up")
+        return chunk.horizon
+
+    def metadata(self) -> Metadata:
+        """Return what the model needs and gives."""
+        return self._metadata
+
+    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
+        """Remember what is to be done. openpi draws from one stream for all, so a seed has no effect."""
+        self._sessions.reset(session, instruction)
+        self._inside.reset()
+
+    def infer(self, observation: Observation) -> Chunk:
+        """Return a chunk.
+
+        Raises:
+            InvalidInput: A picture or a part of the state is missing, or there is no instruction.
+            ConnectionLost: The server has gone; `reset` connects anew.
+            DeadlineExceeded: It did not answer in time.
+        """
+        instruction = told(observation, self._sessions.of(observation), "openpi")
+        flat: dict[str, Any] = {
+            key: np.array(inputs.picture(observation, self._settings.camera(key), SIZE, SIZE))
+            for key in self._layout.images
+        }
+        flat |= self._layout.to_state(inputs.numbers(observation, self._layout.state))
+        actions = self._inside.ask(flat, instruction)
+        check_parts("action", self._layout.action, actions.shape[-1])
+        return Chunk(self._layout.to_actions(actions), 1.0 / self._rate, observation.time)
+
+    def forget(self, session: str) -> None:
+        """Let go of a session."""
+        self._sessions.forget(session)
+
+    def close(self) -> None:
+        """End the connection to a server."""
+        self._inside.close()
+
+
+class _Inside:
+    """What answers with openpi's keys."""
+
+    version = ""
+    told: Mapping[str, Any] = {}
+
+    def ask(self, flat: dict[str, Any], instruction: str) -> NDArray[np.float64]:
+        """Return actions (horizon, size), as openpi gives them."""
+        raise NotImplementedError
+
+    def reset(self) -> None:
+        """Begin an episode."""
+
+    def close(self) -> None:
+        """Let go of everything."""
+
+
+class _Model(_Inside):
+    """A model in this process."""
+
+    def __init__(self, checkpoint: str, settings: Settings) -> None:
+        config = settings.option("config", "")
+        if not config:
+            raise InvalidInput("The option 'config' is missing: with which config of openpi was the model trained?")
+        try:
+            policies = importlib.import_module("openpi.policies.policy_config")
+            configs = importlib.import_module("openpi.training.config")
+        except ImportError as error:  # the index's openpi 0.0.0 is a placeholder
+            raise MissingStack("openpi", error.name or "openpi") from error
+        made = _config_of(config, Path(checkpoint)) if config.endswith(".py") else configs.get_config(config)
+        # openpi joins paths to it.
+        self._policy = policies.create_trained_policy(made, Path(checkpoint).resolve())
+        self.version = f"openpi, config {config}"
+        self.told = dict(self._policy.metadata)
+
+    def ask(self, flat: dict[str, Any], instruction: str) -> NDArray[np.float64]:
+        """Ask the model."""
+        return np.asarray(self._policy.infer({**flat, "prompt": instruction})["actions"], np.float64)
+
+
+class _Server(_Inside):
+    """A stock openpi server."""
+
+    def __init__(self, address: str, timeout: float) -> None:
+        from vlagents.websocket import WebsocketClient
+
+        # Its actions are read as they come; what time they are for is the layout's matter.
+        self._client = WebsocketClient(address, timeout=timeout, period=1.0)
+        self.told = dict(self._client.metadata().extra)
+
+    def ask(self, flat: dict[str, Any], instruction: str) -> NDArray[np.float64]:
+        """Ask the server."""
+        images = {key: value for key, value in flat.items() if value.ndim == 3}
+        state = {key: value for key, value in flat.items() if value.ndim == 1}
+        return self._client.infer(Observation(images=images, state=state, instruction=instruction)).actions
+
+    def reset(self) -> None:
+        """Connect anew if the server was gone."""
+        self._client.reset()
+
+    def close(self) -> None:
+        """End the connection."""
+        self._client.close()
+
+
+def _config_of(config: str, checkpoint: Path) -> Any:
+    """Return the TrainConfig that a file of Python defines, in the checkpoint's folder or in this one.
+
+    Raises:
+        InvalidInput: There is no such file, or no CONFIG in it.
+    """
+    places = [place for place in (checkpoint / config, Path(config)) if place.is_file()]
+    if not places:
+        raise InvalidInput(f"The option 'config' is {config!r}; there is no such file here or in {checkpoint}.")
+    file = places[0]
+    spec = importlib.util.spec_from_file_location("openpi_config", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    if not hasattr(module, "CONFIG"):
+        raise InvalidInput(f"{file} defines no CONFIG.")
+    return module.CONFIG

@@ -1,0 +1,228 @@
+"""V-JEPA 2-AC (facebookresearch/vjepa2): a world model that plans towards a picture of the goal.
+
+A video encoder turns pictures into features; a predictor says which features follow a motion of the hand; the motion
+whose features come nearest to the goal's is the answer (`cross_entropy`). Nothing is said in words.
+
+A checkpoint is a folder with `encoder/`, a V-JEPA 2 as Transformers saves it, and `predictor.pt`, PyTorch's file that
+upstream publishes, of which the entry `predictor` is used. The predictor's class comes from a checkout of upstream's
+repository, because no package has it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlagents.chunk import Chunk
+from vlagents.errors import InvalidInput, MissingStack
+from vlagents.metadata import ImageSpec, Metadata, PartSpec
+from vlagents.observation import Observation
+from vlagents.policies import inputs
+from vlagents.policies.catalogue import hash_of
+from vlagents.policies.cross_entropy import Search, plan
+from vlagents.policies.sessions import Sessions
+from vlagents.policies.settings import DELTA_POSE, Settings
+from vlagents.policies.torch_stack import device, import_stack
+from vlagents.policy import Policy
+
+USUAL_RATE = 4.0
+"""Frames per second of DROID as the model has learned from it [Hz]."""
+STATE = (PartSpec("xyzrpy", 6, "m, rad"), PartSpec("gripper", 1, "0 closed, 1 open"))
+"""Of the TCP in the base frame, roll-pitch-yaw about the base's axes, as in DROID."""
+PICTURE = "image"
+MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Of ImageNet's colours, with which the encoder was trained."""
+PREDICTOR = ("predictor_embed_dim", "depth", "num_heads", "num_frames")
+"""Options that are sizes of the predictor; left out, they are those of the published model (1024, 24, 16, 64)."""
+
+
+@dataclass
+class _Memory:
+    """What a session remembers: what it draws by, and the goal's features by its picture's bytes."""
+
+    generator: Any
+    goal_hash: bytes = b""
+    goal: Any = None
+
+
+class Vjepa2AcPolicy(Policy):
+    """Answers with the first steps of a plan: how far the TCP goes, and where the gripper goes."""
+
+    def __init__(self, checkpoint: str, settings: Settings | None = None) -> None:
+        """Load encoder and predictor.
+
+        Args:
+            checkpoint: The folder.
+            settings: `images` (of the one picture, `image`), `rate`, `device`; options are the fields of `Search`, and
+                sizes of the predictor if it is not the published one.
+
+        Raises:
+            MissingStack: A package, or the checkout, is not there.
+            InvalidInput: The folder has not both parts, or they do not fit.
+        """
+        settings = settings or Settings.read(checkpoint)
+        settings.check_images([PICTURE])
+        search = [field.name for field in fields(Search)]
+        settings.check_options((*search, *PREDICTOR))
+        if settings.state or settings.action or settings.dataset:
+            raise InvalidInput("V-JEPA 2-AC's state and actions are those of DROID; the settings cannot change them.")
+        self._search = Search(**{name: value for name, value in settings.options.items() if name in search})
+        folder = Path(checkpoint)
+        if not (folder / "encoder" / "config.json").is_file() or not (folder / "predictor.pt").is_file():
+            raise InvalidInput(f"checkpoint is {checkpoint!r}; valid is a folder with encoder/ and predictor.pt.")
+        self._torch, transformers, *_ = import_stack("vjepa2_ac", "transformers", "timm", "PIL")
+        self._device = device(self._torch, settings.device)
+        self._encoder = transformers.VJEPA2Model.from_pretrained(folder / "encoder").to(self._device).eval()
+        sizes = {name: settings.options[name] for name in PREDICTOR if name in settings.options}
+        self._predictor = self._load_predictor(folder / "predictor.pt", sizes)
+        self._camera = settings.camera(PICTURE)
+        self._metadata = Metadata(
+            name="vjepa2_ac",
+            action=DELTA_POSE,
+            images=(ImageSpec(self._camera),),
+            state=STATE,
+            horizon=self._search.horizon,
+            rate=settings.rate or USUAL_RATE,
+            checkpoint=checkpoint,
+            checkpoint_hash=hash_of(checkpoint),
+            version=f"transformers {transformers.__version__}",
+            extra={"goals": [self._camera], "image_size": self._size},
+        )
+        self._sessions = Sessions(lambda seed: _Memory(self._generator(seed)))
+
+    @property
+    def _size(self) -> int:
+        return int(self._encoder.config.crop_size)
+
+    def _generator(self, seed: int | None) -> Any:
+        generator = self._torch.Generator()
+        if seed is None:
+            generator.seed()
+        else:
+            generator.manual_seed(seed)
+        return generator
+
+    def _load_predictor(self, file: Path, sizes: Mapping[str, Any]) -> Any:
+        try:
+            upstream = importlib.import_module("src.models.ac_predictor")
+        except ImportError as error:
+            missing = error.name or "src.models.ac_predictor"
+            raise MissingStack("vjepa2_ac", f"{missing} (of facebookresearch/vjepa2)") from error
+        config = self._encoder.config
+        predictor = upstream.vit_ac_predictor(
+            img_size=(self._size, self._size),
+            patch_size=config.patch_size,
+            tubelet_size=config.tubelet_size,
+            embed_dim=config.hidden_size,
+            **{"num_frames": config.frames_per_clip, **sizes},
+        )
+        weights = self._torch.load(file, map_location="cpu", weights_only=True)
+        weights = weights.get("predictor", weights)
+        clean = {key.removeprefix("module.").removeprefix("backbone."): value for key, value in weights.items()}
+        try:
+            predictor.load_state_dict(clean)
+        except RuntimeError as error:
+            raise InvalidInput(
+                f"{file} does not fit the encoder, or a predictor of these sizes. The options {', '.join(PREDICTOR)} "
+                f"say its sizes. {str(error)[:500]}"
+            ) from error
+        return predictor.to(self._device).eval()
+
+    def metadata(self) -> Metadata:
+        """Return what the model needs and gives."""
+        return self._metadata
+
+    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
+        """Forget the session's goal. An instruction is not used: a picture says what to do."""
+        self._sessions.reset(session, instruction, seed)
+
+    def infer(self, observation: Observation) -> Chunk:
+        """Return the steps of a plan towards the goal's picture, or towards the last one that this session gave.
+
+        Raises:
+            InvalidInput: A picture or a part of the state is missing, or there is no goal.
+        """
+        memory = self._sessions.of(observation).memory
+        pose = inputs.numbers(observation, STATE)
+        with self._torch.inference_mode():
+            here = self._features(inputs.picture(observation, self._camera))
+            motion, distance = self._plan(here, self._goal(observation, memory), pose, memory.generator)
+        steps = np.zeros((self._search.horizon, 7))
+        steps[:, :3] = motion[:, :3]
+        # The model's last number is how far the gripper closes; ours is where it is, 1 for open.
+        steps[:, 6] = np.clip(pose[6] - np.cumsum(motion[:, 3]), 0.0, 1.0)
+        return Chunk(steps, 1.0 / self._metadata.rate, observation.time, {"distance": distance})
+
+    def forget(self, session: str) -> None:
+        """Let go of a session."""
+        self._sessions.forget(session)
+
+    def _goal(self, observation: Observation, memory: _Memory) -> Any:
+        """Return the goal's features; a picture that was seen before is not encoded again."""
+        image = inputs.goal(observation, self._camera)
+        if image is None:
+            if memory.goal is None:
+                raise InvalidInput(
+                    f"V-JEPA 2-AC is shown what to do: goals[{self._camera!r}] of the first observation is the picture."
+                )
+            return memory.goal
+        digest = hashlib.sha256(repr(image.shape).encode() + np.ascontiguousarray(image).tobytes()).digest()
+        if digest != memory.goal_hash:
+            memory.goal_hash, memory.goal = digest, self._features(image)
+        return memory.goal
+
+    def _features(self, image: NDArray[np.uint8]) -> Any:
+        """Return what the encoder sees in a picture: (1, patches, width), each of mean 0 and deviation 1."""
+        torch = self._torch
+        colours = torch.from_numpy(_square(image, self._size)).to(self._device).permute(2, 0, 1).float() / 255.0
+        mean, deviation = (torch.tensor(values, device=self._device)[:, None, None] for values in (MEAN, DEVIATION))
+        # One picture as a video that stands still, as long as the encoder looks at once.
+        still = ((colours - mean) / deviation).expand(1, self._encoder.config.tubelet_size, -1, -1, -1)
+        return self._normal(self._encoder.get_vision_features(still))
+
+    def _normal(self, features: Any) -> Any:
+        return self._torch.nn.functional.layer_norm(features, (features.shape[-1],))
+
+    def _plan(
+        self, here: Any, goal: Any, pose: NDArray[np.float64], generator: Any
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return a motion (horizon, 4), and how far from the goal its last round's best is in features."""
+        torch, patches = self._torch, here.shape[1]
+        start = torch.tensor([*pose[:6], 1.0 - pose[6]], dtype=torch.float32, device=self._device)
+        nearest = float("inf")
+
+        def imagine(motions: Any) -> Any:
+            nonlocal nearest
+            count = len(motions)
+            seen = here.expand(count, -1, -1)
+            poses = start.expand(count, 1, -1)
+            actions = torch.cat([motions[..., :3], torch.zeros_like(motions[..., :3]), motions[..., 3:]], dim=-1)
+            for step in range(motions.shape[1]):
+                follows = self._predictor(seen, actions[:, : step + 1], poses)[:, -patches:]
+                seen = torch.cat([seen, self._normal(follows)], dim=1)
+                moved = poses[:, -1:] + actions[:, step : step + 1]
+                poses = torch.cat([poses, torch.cat([moved[..., :6], moved[..., 6:].clamp(0.0, 1.0)], dim=-1)], dim=1)
+            distances = (seen[:, -patches:] - goal).abs().mean(dim=(1, 2))
+            nearest = float(distances.min())
+            return distances
+
+        motion = plan(torch, imagine, self._search, generator, self._device)
+        return motion.cpu().numpy().astype(np.float64), nearest
+
+
+def _square(image: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
+    """Return the middle of a picture as a square of `size` pixels."""
+    from PIL import Image
+
+    height, width = image.shape[:2]
+    side = min(height, width)
+    left, top = (width - side) / 2, (height - side) / 2
+    box = (left, top, left + side, top + side)
+    return np.array(Image.fromarray(np.array(image)).resize((size, size), Image.Resampling.BILINEAR, box=box))

@@ -1,0 +1,82 @@
+"""A websocket's handshake, both sides: the library websockets knows the rules, a link with deadlines carries it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from websockets.client import ClientProtocol
+from websockets.server import ServerProtocol
+from websockets.uri import parse_uri
+
+from vlagents.errors import BadMessage, ConnectionLost, Unauthorized
+from vlagents.wire.deadline import Deadline
+from vlagents.wire.link import Link
+
+_log = logging.getLogger(f"{__name__}.library")
+_log.setLevel(logging.WARNING)  # not a line per connection
+
+LONGEST = 16 << 10
+"""Most bytes of a request or an answer."""
+
+
+def accept(link: Link, deadline: Deadline, admit: Callable[[Any], tuple[int, str] | None]) -> bool:
+    """Answer a request for a websocket; return whether there is one now.
+
+    Args:
+        link: To whoever asks.
+        deadline: By when the request must be there.
+        admit: Takes a request (`path`, `headers`) and returns another answer (HTTP status, text), or None.
+
+    Raises:
+        BadMessage: It is no request.
+    """
+    protocol = ServerProtocol(logger=_log)
+    protocol.receive_data(_head(link, deadline))
+    requests: list[Any] = protocol.events_received()
+    if not requests:
+        raise BadMessage(f"This is no request for a websocket: {protocol.handshake_exc}.")
+    other = admit(requests[0])
+    response: Any = protocol.accept(requests[0]) if other is None else protocol.reject(*other)
+    protocol.send_response(response)
+    link.send([memoryview(data) for data in protocol.data_to_send()], deadline)
+    return response.status_code == 101
+
+
+def ask(link: Link, address: str, headers: dict[str, str], deadline: Deadline) -> None:
+    """Ask a server for a websocket.
+
+    Raises:
+        Unauthorized: The token is missing or wrong.
+        ConnectionLost: The server has none to give.
+    """
+    protocol = ClientProtocol(parse_uri(address), logger=_log)
+    request = protocol.connect()
+    for name, value in headers.items():
+        request.headers[name] = value
+    protocol.send_request(request)
+    link.send([memoryview(data) for data in protocol.data_to_send()], deadline)
+    head = _head(link, deadline)
+    status = head.split(b"\r\n", 1)[0].decode(errors="replace")[:200]
+    number = (status.split(" ") + ["", ""])[1]
+    if number == "401":
+        raise Unauthorized("The token is missing or wrong.")
+    if number != "101":
+        raise ConnectionLost(f"{address} is no websocket: it answered {status!r}.")
+    protocol.receive_data(head)
+    if not protocol.events_received() or protocol.handshake_exc is not None:
+        raise ConnectionLost(f"{address} is no websocket: {protocol.handshake_exc}.")
+
+
+def _head(link: Link, deadline: Deadline) -> bytes:
+    """Take everything up to the first empty line; what comes behind it is of the websocket already."""
+    count = 0
+    while True:
+        count = len(link.need(count + 1, deadline))
+        found = bytes(link.ahead[:LONGEST]).find(b"\r\n\r\n")
+        if found >= 0:
+            return link.take(found + 4, deadline)
+        count = max(count, len(link.ahead))
+        if count >= LONGEST:
+            raise BadMessage(f"A handshake has more than {LONGEST} bytes.")

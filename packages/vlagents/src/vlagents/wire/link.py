@@ -1,0 +1,153 @@
+"""A connected socket with a deadline for every wait, which is read through a buffer.
+
+A small message thus costs one call of the system each way, and what is large goes straight to where it belongs. The
+socket never blocks: a call is tried first, and only what cannot go on waits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import ssl
+from collections.abc import Sequence
+
+from vlagents.errors import ConnectionLost
+from vlagents.wire.deadline import Deadline
+
+AHEAD = 64 << 10
+"""Most bytes that are read before anybody asked for them."""
+MOST_PARTS = 512
+"""Most buffers in one call of the system."""
+STRIDE = 8 << 20
+"""Most bytes of one call of the system while a message is read."""
+
+
+class Link:
+    """Reads and writes a socket. Only one thread reads, and only one writes, at a time."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        """Take over a connected socket, of TCP, TLS or Unix; it is closed with the link."""
+        connection.setblocking(False)
+        self._socket = connection
+        self._tls = connection if isinstance(connection, ssl.SSLSocket) else None
+        self._ahead = memoryview(bytearray(AHEAD))
+        self._start, self._end = 0, 0
+        self._to_read, self._to_write = select.poll(), select.poll()
+        self._to_read.register(connection, select.POLLIN)
+        self._to_write.register(connection, select.POLLOUT)
+        if connection.family != socket.AF_UNIX:
+            with contextlib.suppress(OSError):
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                # Whoever has gone without a word, because its cable was pulled, is noticed after a minute.
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+                for name, value in (("TCP_KEEPIDLE", 30), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3)):
+                    if hasattr(socket, name):
+                        connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+    @property
+    def ahead(self) -> memoryview:
+        """What was read and not taken yet."""
+        return self._ahead[self._start : self._end]
+
+    def need(self, count: int, deadline: Deadline) -> memoryview:
+        """Return the next `count` bytes, up to `AHEAD` of them, without taking them.
+
+        Raises:
+            DeadlineExceeded: They did not come in time.
+            ConnectionLost: The other side has gone.
+        """
+        while self._end - self._start < count:
+            if self._start + count > AHEAD:
+                left = bytes(self.ahead)
+                self._start, self._end = 0, len(left)
+                self._ahead[: self._end] = left
+            self._end += self._read(self._ahead[self._end :], deadline)
+        return self._ahead[self._start : self._start + count]
+
+    def skip(self, count: int) -> None:
+        """Take bytes that `need` has returned."""
+        self._start += count
+        if self._start == self._end:
+            self._start = self._end = 0
+
+    def take(self, count: int, deadline: Deadline) -> bytes:
+        """Return the next `count` bytes, up to `AHEAD` of them."""
+        found = bytes(self.need(count, deadline))
+        self.skip(count)
+        return found
+
+    def fill(self, view: memoryview, deadline: Deadline) -> None:
+        """Read until a buffer is full."""
+        count = min(len(view), self._end - self._start)
+        view[:count] = self._ahead[self._start : self._start + count]
+        self.skip(count)
+        while count < len(view):
+            count += self._read(view[count : count + STRIDE], deadline)
+
+    def peek(self) -> memoryview:
+        """Return what is there already, without waiting; nothing if the connection has ended."""
+        if self._end < AHEAD:
+            with contextlib.suppress(BlockingIOError, ssl.SSLWantReadError, OSError):
+                self._end += self._read_now(self._ahead[self._end :])
+        return self.ahead
+
+    def send(self, parts: Sequence[memoryview], deadline: Deadline) -> None:
+        """Write buffers, one after another.
+
+        Raises:
+            DeadlineExceeded: The other side does not read.
+            ConnectionLost: It has gone.
+        """
+        waiting = [part for part in parts if len(part)]
+        while waiting:
+            try:
+                if self._tls is None:
+                    count = self._socket.sendmsg(waiting[:MOST_PARTS])
+                else:  # one buffer at a time
+                    count = self._tls.send(waiting[0][: 1 << 20])
+            except (BlockingIOError, ssl.SSLWantWriteError):
+                self._await(self._to_write, deadline)
+                continue
+            except ssl.SSLWantReadError:
+                self._await(self._to_read, deadline)
+                continue
+            while waiting and count >= len(waiting[0]):
+                count -= len(waiting.pop(0))
+            if count:
+                waiting[0] = waiting[0][count:]
+
+    def wait(self, seconds: float | None) -> bool:
+        """Wait until something comes or the connection ends; return whether it did in that time [s]."""
+        is_here = self._end > self._start or (self._tls is not None and self._tls.pending())
+        if is_here or self._socket.fileno() < 0:
+            return True
+        return bool(self._to_read.poll(None if seconds is None else 1e3 * seconds))
+
+    def close(self) -> None:
+        """Close the socket."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+    def _read(self, view: memoryview, deadline: Deadline) -> int:
+        while True:
+            try:
+                count = self._read_now(view)
+            except (BlockingIOError, ssl.SSLWantReadError):
+                self._await(self._to_read, deadline)
+                continue
+            except ssl.SSLWantWriteError:
+                self._await(self._to_write, deadline)
+                continue
+            if not count:
+                raise ConnectionLost("The other side has closed the connection.")
+            return count
+
+    def _read_now(self, view: memoryview) -> int:
+        return self._socket.recv_into(view)
+
+    def _await(self, what: select.poll, deadline: Deadline) -> None:
+        left = deadline.left()
+        if not what.poll(None if left is None else 1e3 * left):
+            raise deadline.exceeded()

@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from vlagents import InvalidInput, Observation
+from vlagents.metadata import PartSpec
+from vlagents.policies import catalogue, inputs
+from vlagents.policies.sessions import Sessions, told
+from vlagents.policies.settings import FILE, Settings, check_parts, chosen
+
+
+def test_a_folder_without_a_file_has_the_defaults(tmp_path: Path) -> None:
+    assert Settings.read(tmp_path) == Settings()
+    with pytest.raises(InvalidInput, match="cannot be read"):
+        Settings.read(tmp_path, tmp_path / "missing.json")
+
+
+def test_settings_are_read_from_the_checkpoint_or_another_file(tmp_path: Path) -> None:
+    given = {
+        "dataset": "pick",
+        "images": {"image_primary": "side"},
+        "state": [{"name": "joints", "size": 7, "unit": "rad"}],
+        "rate": 10,
+        "options": {"samples": 5},
+    }
+    (tmp_path / FILE).write_text(json.dumps(given))
+    (tmp_path / "other.json").write_text(json.dumps({"dataset": "place"}))
+    settings = Settings.read(tmp_path)
+    assert settings.state == (PartSpec("joints", 7, "rad"),)
+    assert (settings.camera("image_primary"), settings.camera("image_wrist")) == ("side", "image_wrist")
+    assert Settings.read(tmp_path, tmp_path / "other.json").dataset == "place"
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ([], "list"),
+        ({"data_set": "x"}, "dataset, images, state"),
+        ({"dataset": 1}, "valid is a str"),
+        ({"images": ["side"]}, "valid is a dictionary"),
+        ({"images": {"image": 3}}, "names of cameras"),
+        ({"rate": float("nan")}, "hertz"),
+        ({"rate": True}, "hertz"),
+        ({"state": [{"name": "joints", "size": 0}]}, "size"),
+        ({"state": "joints"}, "valid is a list"),
+    ],
+)
+def test_a_wrong_setting_is_named_with_what_is_valid(tmp_path: Path, given: Any, said: str) -> None:
+    (tmp_path / FILE).write_text(json.dumps(given))
+    with pytest.raises(InvalidInput, match=said):
+        Settings.read(tmp_path)
+
+
+def test_statistics_of_another_dataset_are_never_taken() -> None:
+    assert chosen("", ["pick"]) == "pick"
+    assert chosen("place", ["pick", "place"]) == "place"
+    for dataset, known in (("", ["pick", "place"]), ("bridge", ["pick"]), ("", [])):
+        with pytest.raises(InvalidInput, match="statistics of"):
+            chosen(dataset, known)
+
+
+def test_parts_must_have_as_many_numbers_as_the_model() -> None:
+    check_parts("state", (PartSpec("joints", 7), PartSpec("gripper", 1)), 8)
+    with pytest.raises(InvalidInput, match=r"joints \(7\), 7 together"):
+        check_parts("state", (PartSpec("joints", 7),), 8)
+
+
+def test_options_keep_their_type() -> None:
+    settings = Settings(options={"reach": 1, "crop": "yes"})
+    assert settings.option("reach", 0.5) == 1.0
+    assert settings.option("samples", 400) == 400
+    with pytest.raises(InvalidInput, match="valid is a bool"):
+        settings.option("crop", False)
+    with pytest.raises(InvalidInput, match="crop"):
+        settings.check_options(("reach",))
+
+
+def test_numbers_come_side_by_side_in_the_order_of_the_parts() -> None:
+    observation = Observation(state={"gripper": np.ones(1), "joints": np.arange(3.0)})
+    parts = (PartSpec("joints", 3), PartSpec("gripper", 1))
+    assert inputs.numbers(observation, parts).tolist() == [0.0, 1.0, 2.0, 1.0]
+    with pytest.raises(InvalidInput, match="is missing"):
+        inputs.numbers(observation, (PartSpec("hand", 4),))
+    with pytest.raises(InvalidInput, match=r"shape \(3,\); valid is \(7,\)"):
+        inputs.numbers(observation, (PartSpec("joints", 7),))
+
+
+def test_a_picture_of_another_size_is_refused_where_the_model_has_one() -> None:
+    image = np.zeros((4, 6, 3), np.uint8)
+    observation = Observation(images={"side": image}, goals={"side": image})
+    assert inputs.picture(observation, "side") is image
+    assert inputs.goal(observation, "wrist") is None
+    for find in (inputs.picture, inputs.goal):
+        with pytest.raises(InvalidInput, match="4 x 6 pixels; the model takes 8 x 8"):
+            find(observation, "side", 8, 8)
+
+
+def test_sessions_remember_apart_and_forget() -> None:
+    sessions: Sessions[list[int]] = Sessions(lambda seed: [seed or 0])
+    sessions.reset("left", "push", 3)
+    left, right = (sessions.of(Observation(session=name)) for name in ("left", "right"))
+    left.memory.append(4)
+    assert (left.memory, right.memory) == ([3, 4], [0])
+    assert told(Observation(session="left"), left, "Octo") == "push"
+    assert told(Observation(instruction="lift"), left, "Octo") == "lift"
+    with pytest.raises(InvalidInput, match="told in words"):
+        told(Observation(session="right"), right, "Octo")
+    sessions.forget("left")
+    assert sessions.of(Observation(session="left")).memory == [0]
+
+
+def test_policies_without_settings_refuse_them(tmp_path: Path) -> None:
+    (tmp_path / "settings.json").write_text("{}")
+    with pytest.raises(InvalidInput, match="has no settings"):
+        catalogue.load("random", "7", tmp_path / "settings.json")

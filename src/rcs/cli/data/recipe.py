@@ -1,0 +1,60 @@
+"""`rcs data recipe`: write what another project's trainer needs to learn from a dataset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from rcs.cli.console import plain_console
+from rcs.data import Dataset
+from rcs.data.convert.options import ExportOptions
+from rcs.data.finetune.contents import contents
+from rcs.data.finetune.octo import octo
+from rcs.data.finetune.openpi import Base, openpi
+from rcs.data.finetune.openvla import openvla
+
+
+@dataclass(kw_only=True)
+class RecipeCommand:
+    """Write what openpi, Octo or OpenVLA needs to learn from a dataset, and say how to go on."""
+
+    family: tyro.conf.Positional[Literal["openpi", "octo", "openvla"]]
+    """Whose trainer."""
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    out: Path
+    """Folder for the files; those of an earlier call are replaced."""
+    base: Base = "pi05"
+    """Of openpi: the published model to begin with."""
+    name: str | None = None
+    """Name of the export; that of the dataset's folder if left out."""
+    state: tuple[str, ...] | None = None
+    """Features that make up the state, as for `rcs data export`."""
+    action: tuple[str, ...] | None = None
+    """Features that make up the action, as for `rcs data export`."""
+    cameras: tuple[str, ...] | None = field(default=None)
+    """Cameras that the policy sees; all if left out."""
+
+    def run(self) -> int:
+        """Write the files and print the commands that follow."""
+        options = ExportOptions(name=self.name, state=self.state, action=self.action, cameras=self.cameras)
+        learned = contents(Dataset.open(self.path), options)
+        makers = {"openpi": lambda: openpi(learned, self.base), "octo": lambda: octo(learned)}
+        written = makers.get(self.family, lambda: openvla(learned))()
+        written.write(self.out)
+        console = plain_console()
+        for file in written.files:
+            console.print(str(self.out / file))
+        console.print("Then, with words in capitals filled in:")
+        chosen = "".join(
+            f" --{name} {' '.join(values)}"
+            for name, values in (("state", self.state), ("action", self.action), ("cameras", self.cameras))
+            if values
+        )
+        for step in written.steps:
+            line = step.replace("FOLDER", str(self.out)).replace("DATASET", str(self.path))
+            console.print(f"  {line}{chosen if line.startswith('rcs data export') else ''}")
+        return 0

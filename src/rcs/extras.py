@@ -1,0 +1,27 @@
+"""Packages of the extras, imported when they are first used."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from rcs.errors import MissingDependency
+
+
+def package_of(extra: str, name: str, purpose: str) -> Any:
+    """Import and return a package of an extra, or a module of it.
+
+    Args:
+        extra: The extra, such as "rl".
+        name: The package or module.
+        purpose: What needs it, as the subject of a sentence with its verb.
+
+    Raises:
+        MissingDependency: It is not installed; the message names the extra.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as err:
+        raise MissingDependency(
+            f"{purpose} {name.partition('.')[0]}: pip install 'robot-control-stack[{extra}]'."
+        ) from err

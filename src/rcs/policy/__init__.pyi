@@ -1,0 +1,10 @@
+from rcs.policy.agent import NOTES as NOTES
+from rcs.policy.agent import ChunkAgent as ChunkAgent
+from rcs.policy.execution import Execution as Execution
+from rcs.policy.execution import Mode as Mode
+from rcs.policy.fitting import fitted as fitted
+from rcs.policy.offer import offer_of as offer_of
+from rcs.policy.plan import Blend as Blend
+from rcs.policy.plan import ChunkPlan as ChunkPlan
+from rcs.policy.plan import Ensemble as Ensemble
+from rcs.policy.served import ServedPolicy as ServedPolicy

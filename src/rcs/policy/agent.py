@@ -1,0 +1,229 @@
+"""An agent that executes the chunks of a policy, which may run elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rcs.agents import Agent, Event
+from rcs.envs.env import Env
+from rcs.envs.spaces import Action, Observation
+from rcs.errors import InvalidSetup
+from rcs.policy.execution import Execution
+from rcs.policy.executor import Executor, Flight
+from rcs.policy.form import ActionForm
+from rcs.policy.holding import Holding
+from rcs.policy.inquiry import SimulatedInquiry, ThreadedInquiry
+from rcs.policy.offer import require_fit
+from rcs.policy.packages import vlagents
+from rcs.policy.plan import ChunkPlan
+from rcs.policy.showing import shown
+
+if TYPE_CHECKING:
+    from vlagents import Metadata, Policy
+
+NOTES = ("policy_latency", "policy_age", "policy_chunk", "policy_row", "policy_is_held", "policy_is_clipped")
+"""What is recorded beside every step: how long the newest answer was on its way [s], how old the observation is that it
+answers [s], the number of the chunk in the episode and of its row, whether the robot was held, and whether the policy
+wanted more than the environment takes."""
+
+LOST = "policy"
+"""The class of a failure in which the policy, or the connection to it, failed."""
+
+CONTINUES = "continues"
+"""Key of a chunk's info: 1 if the policy has made it go on from what was in flight."""
+
+_numbers = itertools.count()
+
+
+class ChunkAgent(Agent):
+    """Shows a policy what the environment observes, and executes its chunks by time.
+
+    In simulation, time is the simulation's, and stands still while the policy computes: the same seed gives the same
+    bytes. Where steps take real time, a thread asks, and time is the host's monotonic clock. When there is nothing to
+    execute, because the policy is late, silent, gone, or sends what is no chunk, the robot holds.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        policy: Policy,
+        *,
+        execution: Execution | None = None,
+        instruction: str | None = None,
+        session: str | None = None,
+        owns_policy: bool = True,
+    ) -> None:
+        """Prepare to act in an environment; nothing is asked yet.
+
+        Args:
+            env: The environment.
+            policy: A policy of vlagents: a client, or one in this process.
+            execution: How its chunks are executed; None for the usual way.
+            instruction: What the policy is told to do; None for what the environment says.
+            session: Whose observations these are, among all that this policy is shown; None for a new one.
+            owns_policy: Whether `close` closes the policy too.
+
+        Raises:
+            InvalidSetup: Policy and environment do not fit; the message has all differences.
+        """
+        self._env, self._policy = env, policy
+        self._v = vlagents()
+        self.metadata: Metadata = policy.metadata()
+        """What the policy needs and gives."""
+        require_fit(env, self.metadata)
+        execution = execution or Execution()
+        if env.is_real and execution.latency:
+            raise InvalidSetup(f"latency is {execution.latency} s; in real time it is what it is, leave it out.")
+        self.execution = execution
+        """How chunks are executed."""
+        self._period = 1.0 / env.frequency
+        self._instruction, self._owns_policy = instruction, owns_policy
+        self._session = session or f"{env.setup.robot} {next(_numbers)}"
+        self._form = ActionForm(env, self.metadata)
+        self._holding = Holding(env)
+        inquiry = ThreadedInquiry(f"policy {self._session}") if env.is_real else SimulatedInquiry(execution.latency)
+        self._executor = Executor(execution, inquiry, self._period)
+        self._told = ""
+        self._needs_reset = self._has_ended = self._was_lost = False
+        self._now = self._begun = 0.0
+        self.steps = self.held = 0
+        """Steps, and how many of them the robot was held, of all episodes."""
+        self.seconds: list[float] = []
+        """What each answer took by the wall clock [s], of all episodes before the present one."""
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        """Begin an episode; a policy that cannot be reached is one that fails at once."""
+        self.seconds += self._executor.seconds
+        self._executor.reset()
+        self._holding.reset(observation)
+        self._has_ended = self._was_lost = False
+        self._told = str(info.get("instruction", "")) if self._instruction is None else self._instruction
+        self._begun = float(info.get("time", 0.0))
+        self._now = self._time(info)
+        self._needs_reset = True
+        try:
+            self._begin()
+        except Exception as err:  # noqa: BLE001  whatever it is, the robot holds and the log says why
+            self._fail(err)
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        """Return the action for this moment, or that of holding."""
+        self._now = now = self._time(info)
+        had_error = self._executor.error is not None
+        command = self._executor.step(now, lambda flight: self._question(observation, info, flight))
+        if self._executor.error is not None and not had_error:
+            self._lost(self._executor.error)
+        self.steps += 1
+        if command is None:
+            self.held += 1
+            return self._holding.action(observation)
+        values = self._form.bounded(command)
+        self._holding.moved(values)
+        return self._form.action(values)
+
+    def notes(self) -> Mapping[str, Any]:
+        """Return latency, age, place in the chunk, and whether the robot is held; see `NOTES`."""
+        executor = self._executor
+        values = (
+            executor.latency,
+            executor.age(self._now),
+            float(executor.chunks - 1) if executor.chunks else np.nan,
+            executor.row(self._now),
+            float(self._holding.is_on),
+            float(self._form.is_clipped and not self._holding.is_on),
+        )
+        return dict(zip(NOTES, values, strict=True))
+
+    def events(self) -> Sequence[Event]:
+        """Return `stop` once the policy is lost and is not to be waited for."""
+        return ("stop",) if self._has_ended else ()
+
+    @property
+    def failure(self) -> str | None:
+        """`policy` if the policy or its connection failed in this episode."""
+        return LOST if self._was_lost else None
+
+    @property
+    def error(self) -> Exception | None:
+        """Why the robot holds, if the policy or its connection has failed."""
+        return self._executor.error
+
+    def close(self) -> None:
+        """Let the policy forget, and close what is one's own."""
+        self._executor.close()
+        if self._owns_policy:
+            self._policy.close()
+            return
+        with contextlib.suppress(self._v.VlagentsError, OSError):  # one that has gone has forgotten
+            self._policy.forget(self._session)
+
+    # --- Time ---------------------------------------------------------------------------------------------------------
+
+    def _time(self, info: Mapping[str, Any]) -> float:
+        """Return when the present step begins [s]: in simulated time, or by the monotonic clock.
+
+        Simulated steps of 1/30 s are 16, 17 and 17 physics steps long; what is meant is counted, and not the rounding.
+        """
+        if self._env.is_real:
+            return time.perf_counter()
+        simulated = float(info["time"])
+        if self._env.setup.stepping == "sync":
+            return simulated
+        return self._begun + round((simulated - self._begun) / self._period) * self._period
+
+    # --- Asking -------------------------------------------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        """Tell the policy that an episode begins; a client whose server was gone connects anew."""
+        seed = int(self._env.np_random_seed) % 2**32
+        self._policy.reset(self._session, self._told, seed=seed)
+        if self._policy.metadata() != self.metadata:
+            self._has_ended = True
+            raise InvalidSetup("Another policy is at the address now; make the agent anew.")
+        self._needs_reset = False
+
+    def _fail(self, error: Exception) -> None:
+        self._executor.fail(error, self._now)
+        self._lost(error)
+
+    def _lost(self, error: Exception) -> None:
+        self._was_lost = self._needs_reset = True
+        self._has_ended |= self.execution.on_loss == "end"
+
+    def _question(
+        self, observation: Observation, info: Mapping[str, Any], flight: Flight | None
+    ) -> Callable[[], ChunkPlan]:
+        """Return what is asked about the present observation, to be called by whoever asks."""
+        seen = shown(observation, info, self.metadata, time=self._now, instruction=self._told, session=self._session)
+        start = self._form.start(observation, info, is_held=self._holding.is_on)
+        if flight is not None and self.metadata.continues:
+            previous = self._form.in_flight(flight.plan, self._now, start)
+            seen = replace(seen, previous=previous, frozen=self._form.frozen(flight.delay, len(previous)))
+
+        def ask() -> ChunkPlan:
+            if self._needs_reset:
+                self._begin()
+            chunk = self._policy.infer(seen)
+            if chunk.actions.shape[1] != self.metadata.size:
+                raise self._v.BadMessage(
+                    f"The policy sent actions of {chunk.actions.shape[1]} numbers; it announced {self.metadata.size}."
+                )
+            # Without a rate, a row is a step of this loop.
+            period = chunk.period if self.metadata.rate > 0 else self._period
+            return ChunkPlan(
+                self._form.parts,
+                chunk.actions,
+                time=seen.time,
+                period=period,
+                start=start,
+                continues=chunk.info.get(CONTINUES) == 1,
+            )
+
+        return ask

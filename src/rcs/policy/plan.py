@@ -1,0 +1,213 @@
+"""Plans: what is to be done at any time, from one chunk, from two of which one takes over, or from many.
+
+A step of the loop from `time` on, `period` long, asks a plan what to command for that step. A row of a chunk is where
+to be at the *end* of its time, so a step gets the value of the curve through the rows at the step's end; where loop and
+policy have the same rate that is the row itself. Between rows, targets are interpolated and motions are split.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from rcs.errors import InvalidSetup
+from rcs.policy.part import Array, Part
+
+Command = Mapping[str, Array]
+"""What to command for one step, by part: targets, or the motion of the step."""
+
+NEAR = 1e-6
+"""Share of a row that is rounding."""
+
+
+class Plan(ABC):
+    """What is to be done at any time."""
+
+    parts: Sequence[Part]
+    begin: float
+    """When the observation that the newest chunk answers was made [s]."""
+    end: float
+    """When there is nothing to be done any more [s]."""
+
+    @abstractmethod
+    def at(self, time: float, period: float) -> Command | None:
+        """Return what to command for a step; None if the plan says nothing about it.
+
+        Args:
+            time: When the step begins [s].
+            period: How long it lasts [s].
+        """
+
+    def covers(self, time: float, period: float) -> bool:
+        """Return whether the plan does not end within a step: of such a step it says only how it begins."""
+        return self.end > time + period - NEAR * period
+
+    def simplified(self, time: float) -> Plan:
+        """Return a plan that says the same from a time on, without what is over."""
+        return self
+
+
+class ChunkPlan(Plan):
+    """The rows of one chunk."""
+
+    def __init__(
+        self,
+        parts: Sequence[Part],
+        actions: Array,
+        *,
+        time: float,
+        period: float,
+        start: Mapping[str, Array] | None = None,
+        continues: bool = False,
+    ) -> None:
+        """Take a chunk.
+
+        Args:
+            parts: Of an action.
+            actions: (horizon, size).
+            time: Of the observation that it answers [s].
+            period: Time that each row is for [s].
+            start: Targets or state at that time by part, from where the first row is reached; without one, the first
+                row is commanded at once.
+            continues: Whether the policy itself has made it go on from the chunk in flight.
+
+        Raises:
+            InvalidSetup: A row is not finite, or the period is not positive.
+        """
+        if not np.isfinite(actions).all() or not (math.isfinite(period) and period > 0):
+            raise InvalidSetup("A chunk has values that are not finite, or a period that is not above 0 s.")
+        self.parts = list(parts)
+        self.begin, self.period = time, period
+        self.continues = continues
+        self._count = len(actions)
+        self.end = time + self._count * period
+        self._start = dict(start or {})
+        self._rows = {part.name: part.read(actions, self._start.get(part.name)) for part in self.parts}
+
+    def row(self, time: float) -> int:
+        """Return the number of the row that a time belongs to."""
+        return math.floor((time - self.begin) / self.period + NEAR)
+
+    def at(self, time: float, period: float) -> Command | None:
+        """Return what to command for a step; None before the chunk and past its end."""
+        first = (time - self.begin) / self.period
+        if not -NEAR <= first < self._count - NEAR:
+            return None
+        last = min((time + period - self.begin) / self.period, self._count)
+        return {part.name: self._value(part, max(first, 0.0), last) for part in self.parts}
+
+    def _value(self, part: Part, first: float, last: float) -> Array:
+        rows = self._rows[part.name]
+        if part.kind == "opening":
+            return rows[math.floor((first + last) / 2 + NEAR)]  # where most of the step is, whatever clocks jitter
+        if part.is_difference or part.kind == "velocity":
+            return self._motion(part, rows, first, last)
+        index = math.ceil(last - NEAR) - 1
+        fraction = last - index
+        before = rows[index - 1] if index > 0 else self._start.get(part.name)
+        if before is None or fraction > 1 - NEAR:
+            return rows[index]
+        return part.between(before, rows[index], fraction)
+
+    def _motion(self, part: Part, rows: Array, first: float, last: float) -> Array:
+        """Return the shares of all rows that a step overlaps; of velocities, their mean over the step."""
+        shares: list[tuple[int, float]] = []
+        for index in range(math.floor(first + NEAR), math.ceil(last - NEAR)):
+            share = min(last, index + 1) - max(first, index)
+            shares.append((index, 1.0 if abs(share - 1) < NEAR else share))
+        if part.kind == "velocity":
+            total = sum(share for _, share in shares)
+            return part.mean([rows[index] for index, _ in shares], [share / total for _, share in shares])
+        return part.joined([rows[index] if share == 1.0 else part.share(rows[index], share) for index, share in shares])
+
+
+class Blend(Plan):
+    """A chunk takes over from the plan in flight: at first all is as before, at the end all is new.
+
+    The weight of the old plan is the soft mask of real-time chunking (Black, Galliker, Levine 2025, arXiv:2506.07339),
+    w = c·(exp(c) - 1)/(e - 1) with c from 1 to 0. So what changes from a step to the next is at most the larger change
+    of the two plans and (2e - 1)/(e - 1) · period/(until - since) of how far they are apart: there is no jump.
+    """
+
+    STEEPEST = (2 * math.e - 1) / (math.e - 1)
+    """Largest slope of the weight over c, at c = 1."""
+
+    def __init__(self, old: Plan, new: Plan, since: float, until: float) -> None:
+        """Blend two plans.
+
+        Args:
+            old: In flight.
+            new: Takes over.
+            since: When the new one became known [s].
+            until: When it is alone [s].
+        """
+        self.parts = new.parts
+        self.begin, self.end = new.begin, new.end
+        self._old, self._new = old, new
+        self._since, self._until = since, until
+
+    def weight(self, time: float) -> float:
+        """Return the weight of the old plan at a time."""
+        if time >= self._until:
+            return 0.0
+        c = min((self._until - time) / (self._until - self._since), 1.0)
+        return c * math.expm1(c) / math.expm1(1.0)
+
+    def at(self, time: float, period: float) -> Command | None:
+        """Return the blend of what the two command for a step."""
+        weight = self.weight(time)
+        new = self._new.at(time, period)
+        old = self._old.at(time, period) if weight > 0 and self._old.covers(time, period) else None
+        if old is None or new is None:
+            return old if new is None else new
+        return {
+            part.name: part.mean([old[part.name], new[part.name]], [weight, 1 - weight])
+            if weight < 1
+            else old[part.name]
+            for part in self.parts
+        }
+
+    def simplified(self, time: float) -> Plan:
+        """Return the new plan once it is alone."""
+        if self.weight(time) == 0:
+            return self._new.simplified(time)
+        self._old = self._old.simplified(time)
+        return self
+
+
+class Ensemble(Plan):
+    """The mean of all chunks that speak of a step, aligned by time.
+
+    Weights are those of ACT (Zhao et al. 2023, arXiv:2304.13705): exp(-m·i) for the i-th oldest, divided by their sum.
+    """
+
+    def __init__(self, plans: Sequence[Plan], decay: float) -> None:
+        """Average plans.
+
+        Args:
+            plans: From the oldest to the newest, one or more.
+            decay: ACT's m.
+        """
+        self.parts = plans[-1].parts
+        self.begin = plans[-1].begin
+        self.end = max(plan.end for plan in plans)
+        self._plans, self._decay = list(plans), decay
+
+    def at(self, time: float, period: float) -> Command | None:
+        """Return the mean of what they command for a step."""
+        whole = [plan for plan in self._plans if plan.covers(time, period)]
+        found = [command for plan in whole or self._plans if (command := plan.at(time, period)) is not None]
+        if not found:
+            return None
+        weights = np.exp(-self._decay * np.arange(len(found)))
+        weights /= weights.sum()
+        return {
+            part.name: part.mean([command[part.name] for command in found], weights.tolist()) for part in self.parts
+        }
+
+    def joined(self, plan: Plan, time: float) -> Ensemble:
+        """Return the ensemble with one more plan, without those that are over."""
+        return Ensemble([*(each for each in self._plans if each.end > time), plan], self._decay)

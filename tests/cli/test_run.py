@@ -1,0 +1,71 @@
+"""`rcs run`: figures, page and recording of a served policy."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from vlagents.server import Server
+
+from rcs.cli.main import main
+from rcs.data import Dataset
+from rcs.rollout import UNSEEN
+from rcs.rollout.collect import seed_of
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "16_policy.py"
+
+
+@pytest.fixture(scope="module")
+def address() -> Any:
+    spec = importlib.util.spec_from_file_location("policy_example", EXAMPLE)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    with Server(module.policy(), port=0) as server:
+        yield str(server.address)
+
+
+def rcs(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(list(arguments))
+    return int(ended.value.code or 0)
+
+
+def test_a_served_policy_is_run_recorded_and_reported(
+    address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, data = tmp_path / "out", tmp_path / "data"
+    command = ["run", "--policy", address, "--episodes", "2", "--seed", "3", "--latency", "0.1", "--execution", "rtc"]
+    assert rcs(*command, "--out", str(out), "--record", str(data)) == 0
+    figures = json.loads((out / "evaluation.json").read_text())
+    assert figures["agent"] == address
+    assert figures["execution"]["mode"] == "rtc"
+    assert figures["policy"]["name"] == "scripted pick"
+    assert [each["seed"] for each in figures["results"]] == [UNSEEN + seed_of(3, number) for number in range(2)]
+    page = (out / "report.html").read_text()
+    assert "scripted pick" in page
+    assert "Wilson" in page
+    episodes = Dataset.open(data).episodes
+    assert [episode.success for episode in episodes] == [each["success"] for each in figures["results"]]
+    assert episodes[0].column("notes/policy_latency")[-1] == 0.1
+    assert (data / "report.html").is_file()
+    assert "success" in capsys.readouterr().out
+    assert rcs(*command, "--out", str(tmp_path / "again")) == 0
+    again = json.loads((tmp_path / "again" / "evaluation.json").read_text())
+    assert again["results"] == figures["results"]
+
+
+def test_eval_takes_an_address_for_an_agent(address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--agent", address, "--episodes", "1", "--out", str(tmp_path), "--workers", "1"]
+    assert rcs("eval", "PickCuboid", *options) == 1
+    told = capsys.readouterr().err
+    assert "do not fit" in told
+    assert "'is_grasped'" in told
+
+
+def test_what_is_no_address_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert rcs("run", "--policy", "somewhere") == 1
+    assert "valid is an address" in capsys.readouterr().err

@@ -1,0 +1,195 @@
+"""When a policy is asked, and what is executed meanwhile."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rcs.errors import InvalidSetup
+from rcs.policy import ChunkPlan, Execution
+from rcs.policy.executor import Executor, Flight
+from rcs.policy.inquiry import SimulatedInquiry, ThreadedInquiry
+from rcs.policy.part import Part
+
+PERIOD = 1 / 30
+PART = Part("joints", slice(0, 1), "linear")
+
+
+class Course:
+    """A loop in simulated time with a policy whose rows are a function of time."""
+
+    def __init__(self, execution: Execution, horizon: int = 12, rate: float = 30.0) -> None:
+        self.executor = Executor(execution, SimulatedInquiry(execution.latency), PERIOD)
+        self.horizon, self.period = horizon, 1 / rate
+        self.asked: list[float] = []
+        self.flights: list[Flight | None] = []
+        self.error: Exception | None = None
+        self.offset: Callable[[float], float] = lambda begin: 0.0
+        self.now = 0.0
+
+    def question(self, flight: Flight | None) -> Callable[[], ChunkPlan]:
+        now = self.now
+        self.asked.append(now)
+        self.flights.append(flight)
+
+        def ask() -> ChunkPlan:
+            if self.error is not None:
+                raise self.error
+            ends = now + self.period * (1 + np.arange(self.horizon))
+            return ChunkPlan(
+                [PART],
+                2.0 * ends[:, None] + self.offset(now),
+                time=now,
+                period=self.period,
+                start={"joints": np.array([2.0 * now])},
+            )
+
+        return ask
+
+    def run(self, steps: int) -> list[float | None]:
+        found: list[float | None] = []
+        for _ in range(steps):
+            command = self.executor.step(self.now, self.question)
+            found.append(None if command is None else float(command["joints"][0]))
+            self.now += PERIOD
+        return found
+
+
+@pytest.mark.parametrize("mode", ["open_loop", "receding", "ensemble", "rtc"])
+@pytest.mark.parametrize("latency", [0.0, 0.05, 0.1, 0.3])
+@pytest.mark.parametrize("rate", [5.0, 20.0, 30.0, 50.0])
+def test_whatever_is_executed_is_for_the_moment_at_which_it_is(mode: Any, latency: float, rate: float) -> None:
+    course = Course(Execution(mode=mode, latency=latency), horizon=24, rate=rate)
+    found = course.run(60)
+    executed = [(i, value) for i, value in enumerate(found) if value is not None]
+    assert len(executed) > 10
+    for i, value in executed:
+        # A chunk that ends within a step has its last row at its own end.
+        last = max(t + 24 / rate for t in course.asked if t + latency <= i * PERIOD + 1e-9)
+        assert value == pytest.approx(2.0 * min((i + 1) * PERIOD, last), abs=1e-9)
+
+
+def test_nothing_is_executed_before_the_first_answer() -> None:
+    found = Course(Execution(latency=0.1)).run(6)
+    assert found[:3] == [None] * 3
+    assert None not in found[3:]
+
+
+def test_an_open_loop_executes_its_rows_and_then_holds_until_the_answer() -> None:
+    course = Course(Execution(mode="open_loop", latency=0.1, rows=4))
+    found = [value is not None for value in course.run(21)]
+    assert found == [False] * 3 + ([True] * 4 + [False] * 3) * 2 + [True] * 4
+
+
+def test_a_receding_horizon_goes_on_while_it_is_asking() -> None:
+    course = Course(Execution(mode="receding", latency=0.1, rows=6))
+    found = course.run(40)
+    assert None not in found[3:]
+    np.testing.assert_allclose(np.diff(course.asked), 6 * PERIOD)
+
+
+def test_an_ensemble_asks_in_every_step_where_answers_are_there_at_once() -> None:
+    course = Course(Execution(mode="ensemble"))
+    course.run(10)
+    np.testing.assert_allclose(course.asked, PERIOD * np.arange(10))
+
+
+def test_an_action_ends_with_its_time_to_live() -> None:
+    course = Course(Execution(mode="receding", rows=12, valid_for=0.2))
+    found = [value is not None for value in course.run(12)]
+    assert found == [True] * 7 + [False] * 5
+
+
+def test_a_chunk_that_is_over_is_not_gone_on_with() -> None:
+    course = Course(Execution(mode="receding", latency=0.5, rows=1), horizon=18)
+    found = [value is not None for value in course.run(33)]
+    assert found == [False] * 15 + [True] * 3 + [False] * 12 + [True] * 3
+
+
+def test_real_time_chunking_changes_over_without_a_jump() -> None:
+    steps: dict[str, float] = {}
+    for mode in ("receding", "rtc"):
+        course = Course(Execution(mode=mode, latency=0.1, rows=9), horizon=24)  # type: ignore[arg-type]
+        course.offset = lambda begin: 0.5 * round(begin * 10)
+        values = [value for value in course.run(60) if value is not None]
+        steps[mode] = float(np.abs(np.diff(values)).max())
+    # Chunks are 1.5 apart from one to the next. A blend lasts 0.4 s, and begins while the one before it ends.
+    assert steps["receding"] > 1.4
+    assert steps["rtc"] < 0.45
+
+
+def test_what_is_in_flight_goes_along_with_the_delay_to_expect() -> None:
+    course = Course(Execution(mode="rtc", latency=0.1, rows=6))
+    course.run(20)
+    assert course.flights[0] is None
+    assert all(flight is not None and flight.delay == pytest.approx(0.1) for flight in course.flights[1:])
+
+
+def test_an_error_means_hold_at_once_and_another_try_later() -> None:
+    course = Course(Execution(rows=6, retry=0.5))
+    assert None not in course.run(6)
+    course.error = ConnectionError("gone")
+    assert set(course.run(15)) == {None}
+    assert course.executor.error is course.error
+    assert len(course.asked) == 2
+    course.error = None
+    assert None not in course.run(6)
+    assert course.executor.error is None
+
+
+def test_without_reconnecting_nobody_is_asked_again() -> None:
+    course = Course(Execution(rows=6, retry=0.1, on_loss="end"))
+    course.error = ConnectionError("gone")
+    assert set(course.run(30)) == {None}
+    assert len(course.asked) == 1
+
+
+def test_a_thread_answers_while_the_loop_goes_on() -> None:
+    inquiry, gate = ThreadedInquiry("a test"), threading.Event()
+    executor = Executor(Execution(), inquiry, PERIOD)
+    plan = ChunkPlan([PART], np.ones((30, 1)), time=0.0, period=PERIOD)
+
+    def question(flight: Flight | None) -> Callable[[], ChunkPlan]:
+        def ask() -> ChunkPlan:
+            assert gate.wait(10.0)
+            return plan
+
+        return ask
+
+    assert executor.step(0.0, question) is None
+    gate.set()
+    for _ in range(1000):
+        if (command := executor.step(0.1, question)) is not None:
+            break
+        threading.Event().wait(0.01)
+    assert command is not None
+    executor.close()
+    assert not any(thread.name == "a test" for thread in threading.enumerate())
+
+
+def test_an_answer_to_a_question_that_was_dropped_comes_to_nobody() -> None:
+    inquiry, gate = ThreadedInquiry("another test"), threading.Event()
+    inquiry.ask(lambda: gate.wait(10.0), 0.0)
+    inquiry.drop()
+    inquiry.ask(lambda: "new", 0.0)
+    gate.set()
+    answer = None
+    for _ in range(1000):
+        if (answer := inquiry.answer(0.0)) is not None:
+            break
+        threading.Event().wait(0.01)
+    assert answer is not None
+    assert answer.chunk == "new"
+    inquiry.close()
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"mode": "fast"}, {"rows": 0}, {"latency": -0.1}, {"valid_for": float("nan")}, {"on_loss": "ignore"}]
+)
+def test_options_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InvalidSetup, match=next(iter(wrong))):
+        Execution(**wrong)
