@@ -217,7 +217,13 @@ def kill_recording(folder: Path, rng: random.Random, has_cameras: bool, is_count
     else:
         arguments = ["collect", "PickCuboid", "--episodes", "10000", "--workers", "2", "--out", str(folder)]
         command = [sys.executable, "-c", "from rcs.cli.main import main; main()", *arguments, "--cameras", *cameras]
-    kill_after(command, lambda: any((folder / "episodes").glob("*")), rng.uniform(0.0, 1.5))
+
+    def is_under_way() -> bool:
+        if is_counted:  # from the second episode on
+            return COUNTER.unpack(counter.read_bytes())[0] >= 0
+        return any((folder / "episodes").glob("*"))
+
+    kill_after(command, is_under_way, rng.uniform(0.0, 1.5))
     episode, rows = COUNTER.unpack(counter.read_bytes())
     finished = {record.id for record in Dataset.open(folder).episodes}
     # The first episode was made before counting began, so the counter is one behind.
@@ -230,7 +236,7 @@ def kill_recording(folder: Path, rng: random.Random, has_cameras: bool, is_count
     totals.recovered += len(after) - len(finished)
     is_ok = check(folder).is_ok
     totals.failed_checks += not is_ok
-    if is_counted and episode >= 0:
+    if is_counted:
         kept = {record.id: record.length for record in after.episodes}.get(f"{episode + 1:06d}", 0)
         totals.lost.append(max(rows - kept, 0))
     return is_ok and not damaged

@@ -78,11 +78,11 @@ class Listening:
         return socket.create_server((self.host, self.port), family=family, backlog=16)
 
 
-class Closeable(Protocol):
-    """Something that can be closed from another thread."""
+class Stoppable(Protocol):
+    """A conversation that another thread can end."""
 
-    def close(self) -> None:
-        """End it."""
+    def stop(self) -> None:
+        """Have whoever reads or writes there learn that it is over."""
         ...
 
 
@@ -93,7 +93,7 @@ class Acceptor:
         """Begin with no socket."""
         self._listeners: list[socket.socket] = []
         self._threads: list[threading.Thread] = []
-        self._open: set[Closeable] = set()
+        self._open: set[Stoppable] = set()
         self._lock = threading.Lock()
         self.is_closing = threading.Event()
         """Whether `close` was called."""
@@ -122,14 +122,14 @@ class Acceptor:
             self._threads.append(thread)
         thread.start()
 
-    def enter(self, conversation: Closeable) -> None:
+    def enter(self, conversation: Stoppable) -> None:
         """Have `close` end a conversation."""
         with self._lock:
             self._open.add(conversation)
         if self.is_closing.is_set():
-            conversation.close()
+            conversation.stop()
 
-    def leave(self, conversation: Closeable) -> None:
+    def leave(self, conversation: Stoppable) -> None:
         """Say that a conversation is over."""
         with self._lock:
             self._open.discard(conversation)
@@ -142,7 +142,7 @@ class Acceptor:
                 listener.shutdown(socket.SHUT_RDWR)  # wakes the thread that waits there
             listener.close()
         for conversation in self.open:
-            conversation.close()
+            conversation.stop()
         for thread in self._threads:
             if thread is not threading.current_thread():
                 thread.join(TRANSFER + BEGIN)

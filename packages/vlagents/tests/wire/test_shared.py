@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from vlagents import BadMessage
+from vlagents import BadMessage, ConnectionLost
 from vlagents.wire.deadline import Deadline
 from vlagents.wire.shared import HEAD, MAGIC, PLACE, SharedChannel, is_supported
 from vlagents.wire.stream import PREFIX
@@ -152,3 +152,17 @@ def test_channels_serve_threads_on_both_sides(channels: Any) -> None:
         answered.append(left.receive(soon())["sum"])
     thread.join()
     assert answered == [100_000 * i for i in range(50)]
+
+
+def test_a_channel_that_another_thread_stops_is_closed_by_the_one_that_uses_it(channels: Any) -> None:
+    left, right = channels
+    left.send(np.zeros(100_000, np.uint8), soon())
+    came = right.receive(soon())
+    files = len(os.listdir("/proc/self/fd"))
+    threading.Timer(0.05, right.stop).start()
+    with pytest.raises(ConnectionLost):
+        right.receive(soon())
+    assert came.sum() == 0  # its memory stayed
+    with pytest.raises(ConnectionLost):
+        left.receive(soon())
+    assert len(os.listdir("/proc/self/fd")) < files

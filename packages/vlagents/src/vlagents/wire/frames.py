@@ -109,14 +109,23 @@ class FrameChannel:
         """
         soon = Deadline(max(linger, 0.1), "reading of the end")
         with contextlib.suppress(VlagentsError, OSError):
-            if self._writing.acquire(timeout=0.1):
-                try:
-                    self._write(CLOSE, [struct.pack(">H", code) + reason.encode()[: MOST_OF_CONTROL - 2]], soon)
-                finally:
-                    self._writing.release()
+            self._say_over(code, reason, soon)
             while linger > 0.0:
                 self._link.skip(len(self._link.need(1, soon)))
         self._link.close()
+
+    def stop(self) -> None:
+        """End the connection from another thread; the one that reads learns that it has gone, and closes it."""
+        with contextlib.suppress(VlagentsError, OSError):
+            self._say_over(NORMAL, "", Deadline(0.1, "reading of the end"))
+        self._link.stop()
+
+    def _say_over(self, code: int, reason: str, soon: Deadline) -> None:
+        if self._writing.acquire(timeout=0.1):
+            try:
+                self._write(CLOSE, [struct.pack(">H", code) + reason.encode()[: MOST_OF_CONTROL - 2]], soon)
+            finally:
+                self._writing.release()
 
     def _write(self, kind: int, parts: Sequence[Part], deadline: Deadline) -> None:
         size = sum(len(part) for part in parts)

@@ -124,10 +124,14 @@ class Link:
             return True
         return bool(self._to_read.poll(None if seconds is None else 1e3 * seconds))
 
-    def close(self) -> None:
-        """Close the socket."""
+    def stop(self) -> None:
+        """End the connection from another thread: whoever reads or writes learns that it has gone, and closes it."""
         with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
+            socket.socket.shutdown(self._socket, socket.SHUT_RDWR)  # of TLS too, whose own forgets the encryption
+
+    def close(self) -> None:
+        """Close the socket, whose number may then be another's: only for the thread that reads and writes."""
+        self.stop()
         self._socket.close()
 
     def _read(self, view: memoryview, deadline: Deadline) -> int:

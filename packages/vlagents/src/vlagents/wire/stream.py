@@ -91,6 +91,10 @@ class StreamChannel:
     def settled(self) -> None:
         """Say that every message which was sent has been read: there is an answer to each."""
 
+    def stop(self) -> None:
+        """End the connection from another thread, which leaves memory and files to the one that uses them."""
+        self._link.stop()
+
     def close(self) -> None:
         """Close the socket."""
         self._link.close()
