@@ -458,6 +458,9 @@ def test_a_setup_takes_what_the_policy_names() -> None:
     setup = fitted(rcs.Setup(), metadata)
     assert (setup.control, setup.relative, setup.observe) == ("tquat", "last_step", ("privileged", "contacts"))
     assert fitted(rcs.Setup(), metadata, {"control", "relative"}).control == "joints"
+    counts = replace(metadata, state=(PartSpec("target/joints", 7, "rad"),))
+    assert fitted(rcs.Setup(), counts).layers == ("ObserveTarget",)
+    assert fitted(fitted(rcs.Setup(), counts), counts).layers == ("ObserveTarget",)
 
 
 def test_without_vlagents_the_error_names_the_extra(run_program: Any) -> None:

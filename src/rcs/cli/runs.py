@@ -20,7 +20,7 @@ from rich.table import Table
 from rcs.agents.choice import is_path
 from rcs.envs.reward import RewardKind
 from rcs.envs.setup import Setup
-from rcs.envs.spaces import Control
+from rcs.envs.spaces import Control, Observed
 from rcs.errors import InvalidSetup
 from rcs.rollout.cluster import LOCAL
 from rcs.rollout.collect import Attempt
@@ -57,6 +57,8 @@ class SetupOptions:
     """What a reward one step later is worth to the learner; the shaped and the dense reward depend on it."""
     layers: tuple[str, ...] = ()
     """Names of more layers on top, or `module:Class`, from the lowest to the highest."""
+    observe: tuple[Observed, ...] = ()
+    """What is observed besides, such as `privileged` poses of objects or `contacts` of the fingers."""
     gates: tuple[str, ...] = ()
     """Names of gates that every target must pass before a device sees it, such as Guard, or `module:Class`."""
     seed: int = 0
@@ -134,8 +136,8 @@ class SetupOptions:
 
 
 _AS_THEY_ARE = (
-    "reward", "discount", "robot", "end_effector", "layers", "gates", "camera_mode", "camera_fps", "camera_noise",
-    "depth", "segmentation", "tactile", "control", "frequency", "assets",
+    "reward", "discount", "robot", "end_effector", "layers", "observe", "gates", "camera_mode", "camera_fps",
+    "camera_noise", "depth", "segmentation", "tactile", "control", "frequency", "assets",
 )  # fmt: skip
 """Options that are fields of a setup."""
 

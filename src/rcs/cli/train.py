@@ -15,7 +15,9 @@ from rich.text import Text
 
 from rcs.cli.console import plain_console
 from rcs.cli.runs import INTERRUPTED, interruptible, option_of_task
+from rcs.cli.train_policy import Imitation, train_policy
 from rcs.cli.train_seeds import train_each
+from rcs.data.finetune.lerobot import LerobotPolicy
 from rcs.data.verdicts import wilson_interval
 from rcs.envs.reward import RewardKind
 from rcs.envs.setup import Setup
@@ -34,7 +36,7 @@ from rcs.sim.randomisation import Preset, Randomisation
 
 @dataclass(kw_only=True)
 class TrainCommand:
-    """Train a policy by reinforcement learning and write a report page.
+    """Train a policy by reinforcement learning and write a report page; with `--policy`, by imitation of a dataset.
 
     What is not given is that of the task's recipe. The same command, or `--resume`, goes on with a training that was
     killed, from its last checkpoint, and ends with the same weights. Ctrl-C ends after the update at work, with a
@@ -102,10 +104,24 @@ class TrainCommand:
     """Threads of torch on the CPU; 0 to measure which number is fastest."""
     trust: tuple[str, ...] = ()
     """Modules of which the environment of `--resume` may have classes; importing them runs their code."""
+    policy: LerobotPolicy | None = None
+    """In place of a task: a policy that LeRobot trains on `--dataset`, in an environment of its own."""
+    dataset: Path | None = None
+    """Of `--policy`: what it learns from."""
+    environment: Path | None = None
+    """Of `--policy`: folder of LeRobot's environment, as `vlagents recipe lerobot` makes it."""
+    state: tuple[str, ...] | None = None
+    """Of `--policy`: features that it is told, as for `rcs data export`; joints and grippers if left out."""
+    lerobot: tuple[str, ...] = ()
+    """Of `--policy`: LeRobot's own options as NAME=VALUE, such as `batch_size=64`."""
 
     def run(self) -> int:
         """Train, print the results and return the exit code."""
         console, progress = plain_console(soft_wrap=False), Progress()
+        if self.policy is not None:
+            return train_policy(self._imitation(self.policy), console)
+        if self.dataset or self.environment or self.state or self.lerobot:
+            raise InvalidSetup("--dataset, --environment, --state and --lerobot belong to --policy; give one.")
         training, out = self._training()
         if self.seeds:
             videos, address = self.video, self.ray_address
@@ -119,6 +135,24 @@ class TrainCommand:
             if progress.steps:
                 _summarise(progress, out, console)
         return INTERRUPTED if progress.is_interrupted and progress.steps < progress.total else 0
+
+    def _imitation(self, policy: LerobotPolicy) -> Imitation:
+        if self.dataset is None or self.environment is None:
+            raise InvalidSetup(
+                "--policy learns from a dataset, in LeRobot's environment: give --dataset and --environment, a folder "
+                "that `vlagents recipe lerobot | sh -s -- FOLDER` has made."
+            )
+        if self.task or self.resume is not None or self.seeds:
+            raise InvalidSetup("With --policy, give no task, --resume or --seeds; the same command goes on with a run.")
+        steps = () if self.steps is None else (f"--steps={self.steps}",)
+        return Imitation(
+            policy=policy,
+            dataset=self.dataset,
+            environment=self.environment,
+            out=self.out or Path("runs", f"{self.dataset.resolve().name}-{policy}-{self.seed}"),
+            state=self.state,
+            more=(f"--seed={self.seed}", *steps, *(f"--{option}" for option in self.lerobot)),
+        )
 
     def _training(self) -> tuple[Training, Path]:
         if self.ray_address is not None and not self.seeds:

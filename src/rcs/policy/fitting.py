@@ -12,6 +12,7 @@ from rcs.envs.spaces import (
     IS_GRASPED,
     JOINT_TORQUES,
     PRIVILEGED,
+    TARGET,
     TCP_WRENCH,
     TWIST,
     Control,
@@ -21,6 +22,9 @@ from rcs.policy.offer import key_of
 
 if TYPE_CHECKING:
     from vlagents import Metadata
+
+OBSERVE_TARGET = "ObserveTarget"
+"""The layer that shows the last target."""
 
 _OBSERVED: dict[str, Observed] = {
     JOINT_TORQUES: "torques", TCP_WRENCH: "wrench", FINGER_CONTACTS: "contacts", IS_GRASPED: "contacts",
@@ -48,6 +52,8 @@ def fitted(setup: Setup, metadata: Metadata, given: Collection[str] = ()) -> Set
         changes["image_size"] = sizes.pop()
     observed = [name for part in metadata.state if (name := _observed(part.name)) is not None]
     changes["observe"] = tuple(dict.fromkeys([*setup.observe, *observed]))
+    if any(TARGET in part.name.split("/") for part in metadata.state) and OBSERVE_TARGET not in setup.layers:
+        changes["layers"] = (*setup.layers, OBSERVE_TARGET)
     return replace(setup, **{name: value for name, value in changes.items() if name not in given})
 
 

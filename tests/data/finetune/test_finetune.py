@@ -16,6 +16,7 @@ from rcs.cli.data.recipe import RecipeCommand
 from rcs.data import Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs.data.convert import ExportOptions, export_lerobot, export_rlds
 from rcs.data.finetune.contents import Contents, contents
+from rcs.data.finetune.lerobot import lerobot
 from rcs.data.finetune.octo import octo
 from rcs.data.finetune.openpi import openpi
 from rcs.data.finetune.openvla import openvla
@@ -23,7 +24,14 @@ from rcs.data.finetune.written import Written, literal
 from rcs.errors import InvalidSetup
 
 Make = Callable[..., Path]
-FAMILIES: dict[str, Callable[[Contents], Written]] = {"openpi": openpi, "octo": octo, "openvla": openvla}
+FAMILIES: dict[str, Callable[[Contents], Written]] = {
+    "openpi": openpi,
+    "octo": octo,
+    "openvla": openvla,
+    "act": lerobot,
+    "diffusion": lambda contents: lerobot(contents, "diffusion"),
+    "smolvla": lambda contents: lerobot(contents, "smolvla"),
+}
 
 
 @pytest.fixture
@@ -90,7 +98,9 @@ def test_what_is_written_is_python_and_settings_that_vlagents_reads(family: str,
         ("gripper", 1, "0 closed, 1 open", "absolute"),
     ]
     assert set(settings.images.values()) == ({"side"} if family == "openvla" else {"side", "wrist"})
-    assert "pick up the cuboid" in code(written)
+    assert settings.options == {} or family in ("openpi", "openvla")
+    if family not in ("act", "diffusion", "smolvla"):  # these read the instruction with the data
+        assert "pick up the cuboid" in code(written)
 
 
 def test_openpi_is_told_the_columns_of_our_lerobot_export(make: Make, tmp_path: Path) -> None:
@@ -106,6 +116,21 @@ def test_openpi_is_told_the_columns_of_our_lerobot_export(make: Make, tmp_path: 
     assert said["SLOTS"] == {"base_0_rgb": "observation/side", "left_wrist_0_rgb": "observation/wrist"}
     settings = json.loads(openpi(contents(dataset)).files["vlagents.json"])
     assert set(settings["images"]) == set(said["COLUMNS"]) == set(said["SLOTS"].values())
+
+
+def test_lerobot_is_told_how_long_a_second_is_and_where_the_pictures_are(make: Make) -> None:
+    found = contents(Dataset.open(make("joints", "absolute")))
+    options = json.loads(lerobot(found).files["lerobot.json"])
+    assert (options["policy.type"], options["policy.chunk_size"], options["dataset.repo_id"]) == (
+        "act",
+        10,
+        "rcs/pick_it",
+    )
+    settings = Settings.from_dict(json.loads(lerobot(found).files["vlagents.json"]))
+    assert settings.images == {"wrist": "wrist", "side": "side"}
+    assert [part.name for part in settings.state] == ["joints", "gripper"]
+    with pytest.raises(InvalidSetup, match="no camera"):
+        lerobot(contents(Dataset.open(make(cameras=()))))
 
 
 @pytest.mark.parametrize("family", ["octo", "openvla"])

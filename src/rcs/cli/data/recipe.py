@@ -12,6 +12,7 @@ from rcs.cli.console import plain_console
 from rcs.data import Dataset
 from rcs.data.convert.options import ExportOptions
 from rcs.data.finetune.contents import contents
+from rcs.data.finetune.lerobot import lerobot
 from rcs.data.finetune.octo import octo
 from rcs.data.finetune.openpi import Base, openpi
 from rcs.data.finetune.openvla import openvla
@@ -19,10 +20,10 @@ from rcs.data.finetune.openvla import openvla
 
 @dataclass(kw_only=True)
 class RecipeCommand:
-    """Write what openpi, Octo or OpenVLA needs to learn from a dataset, and say how to go on."""
+    """Write what LeRobot, openpi, Octo or OpenVLA needs to learn from a dataset, and say how to go on."""
 
-    family: tyro.conf.Positional[Literal["openpi", "octo", "openvla"]]
-    """Whose trainer."""
+    family: tyro.conf.Positional[Literal["act", "diffusion", "smolvla", "openpi", "octo", "openvla"]]
+    """What learns; the first three with LeRobot."""
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
     out: Path
@@ -42,8 +43,15 @@ class RecipeCommand:
         """Write the files and print the commands that follow."""
         options = ExportOptions(name=self.name, state=self.state, action=self.action, cameras=self.cameras)
         learned = contents(Dataset.open(self.path), options)
-        makers = {"openpi": lambda: openpi(learned, self.base), "octo": lambda: octo(learned)}
-        written = makers.get(self.family, lambda: openvla(learned))()
+        match self.family:
+            case "openpi":
+                written = openpi(learned, self.base)
+            case "octo":
+                written = octo(learned)
+            case "openvla":
+                written = openvla(learned)
+            case family:
+                written = lerobot(learned, family)
         written.write(self.out)
         console = plain_console()
         for file in written.files:

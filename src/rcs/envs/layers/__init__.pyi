@@ -1,6 +1,7 @@
 from rcs.envs.layers.binary_gripper import BinaryGripper as BinaryGripper
 from rcs.envs.layers.bound_lead import BoundLead as BoundLead
 from rcs.envs.layers.cartesian import CartesianControl as CartesianControl
+from rcs.envs.layers.disturb_actions import DisturbActions as DisturbActions
 from rcs.envs.layers.grasp_hand import GraspHand as GraspHand
 from rcs.envs.layers.keep_tilt import KeepTilt as KeepTilt
 from rcs.envs.layers.late_actions import LateActions as LateActions
