@@ -23,7 +23,7 @@ from typing import Any
 import av
 import numpy as np
 from av.error import FFmpegError
-from av.video.reformatter import Interpolation
+from av.video.reformatter import Interpolation, VideoReformatter
 from numpy.typing import NDArray
 
 from rcs.data.convert.options import VideoCodec
@@ -89,9 +89,10 @@ def encode_video(
         stream.codec_context.colorspace, stream.codec_context.color_range = _BT601, _LIMITED
         if codec == "av1":
             _open_quietly(stream.codec_context)
+        reformatter = VideoReformatter()  # one for all frames, and one thread: each frame's own would start several
         for count, image in enumerate(frames, 1):
             rgb = av.VideoFrame.from_numpy_buffer(np.ascontiguousarray(image), format="rgb24")
-            frame = rgb.reformat(format=format_, interpolation=Interpolation.AREA)
+            frame = reformatter.reformat(rgb, format=format_, interpolation=Interpolation.AREA, threads=1)
             frame.pts, frame.time_base = count - 1, Fraction(1, fps)
             output.mux(stream.encode(frame))
         output.mux(stream.encode(None))
@@ -221,6 +222,7 @@ class VideoReader:
             raise CorruptEpisode(f"{path} is missing or not a video: {err}.") from err
         self._frames = self._source.decode(self._stream)
         self._next: av.VideoFrame | None = None
+        self._reformatter = VideoReformatter()
         self._step()
 
     def frames(self, start: float, count: int, fps: float) -> Iterator[NDArray[np.uint8]]:
@@ -242,7 +244,7 @@ class VideoReader:
                 self._step()
             if self._next is None or abs(_time(self._next) - time) > 0.5 / fps:
                 raise CorruptEpisode(f"The video {self.path} has no frame at {time:.4f} s.")
-            rgb = self._next.reformat(format="rgb24", interpolation=_ACCURATE)
+            rgb = self._reformatter.reformat(self._next, format="rgb24", interpolation=_ACCURATE, threads=1)
             yield np.asarray(rgb.to_ndarray(), np.uint8)
 
     def close(self) -> None:
@@ -271,7 +273,8 @@ def decode_image(data: bytes) -> NDArray[np.uint8]:
     try:
         with av.open(io.BytesIO(data), "r") as source:
             frame = next(source.decode(video=0))
-            return np.asarray(frame.reformat(format="rgb24", interpolation=_ACCURATE).to_ndarray(), np.uint8)
+            rgb = VideoReformatter().reformat(frame, format="rgb24", interpolation=_ACCURATE, threads=1)
+            return np.asarray(rgb.to_ndarray(), np.uint8)
     except (FFmpegError, StopIteration, IndexError) as err:
         raise CorruptEpisode(f"The {len(data)} bytes are not an image: {err!r}.") from err
 

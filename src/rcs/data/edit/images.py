@@ -10,6 +10,7 @@ from typing import Any
 import av
 import numpy as np
 import pyarrow as pa
+from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from rcs.data.codec import decode_frame, encode_frame
@@ -148,7 +149,7 @@ def scaled(image: NDArray[Any], feature: Feature) -> NDArray[Any]:
     height, width = feature.shape[:2]
     if image.ndim == 3:
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
-        return frame.reformat(width=width, height=height, interpolation="AREA").to_ndarray()
+        return VideoReformatter().reformat(frame, width, height, interpolation="AREA", threads=1).to_ndarray()
     rows = (np.arange(height) * image.shape[0] // height).astype(np.intp)
     columns = (np.arange(width) * image.shape[1] // width).astype(np.intp)
     return np.ascontiguousarray(image[rows[:, None], columns])

@@ -91,6 +91,7 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
         DatasetError: The file cannot be written.
     """
     import av  # half a tenth of a second to import, for those who look only
+    from av.video.reformatter import VideoReformatter
 
     is_colour = feature.shape[-1:] == (3,) and len(feature.shape) == 3
     limits = None if is_colour or feature.encoding == "labels" else _limits(episode, feature)
@@ -103,9 +104,12 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
         stream: Any = container.add_stream(encoder, rate=rate, options=settings)
         stream.width, stream.height, stream.pix_fmt = columns, rows, "yuv420p"
         stream.thread_count = 1  # several clips are made at the same time
+        reformatter = VideoReformatter()
         for image in _images(episode, feature, limits, rows):
             frame = av.VideoFrame.from_ndarray(image, format="rgb24")
-            frame = frame.reformat(columns, rows, "yuv420p", interpolation="AREA", dst_colorspace="ITU601")
+            frame = reformatter.reformat(
+                frame, columns, rows, "yuv420p", interpolation="AREA", dst_colorspace="ITU601", threads=1
+            )
             frame.pts, frame.time_base = frames, 1 / rate
             container.mux(stream.encode(frame))
             frames += 1
