@@ -1,9 +1,10 @@
-"""Tiny ACT and Diffusion Policy with random weights, saved and served in LeRobot's environment, asked from this one."""
+"""Tiny ACT, Diffusion Policy and SmolVLA with random weights, saved and served in LeRobot's environment."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ pytestmark = pytest.mark.interop
 
 PARTS = [{"name": "joints", "size": 7, "unit": "rad"}, {"name": "gripper", "size": 1, "unit": "0 closed, 1 open"}]
 SETTINGS: dict[str, Any] = {"state": PARTS, "action": PARTS, "rate": 10, "device": "cpu"}
-HORIZON = {"act": 6, "diffusion": 4}
+HORIZON = {"act": 6, "diffusion": 4, "smolvla": 6}
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +48,7 @@ def seen(step: int, session: str = "", *, shape: tuple[int, ...] = (48, 64, 3)) 
     chance = np.random.default_rng(step)
     state = {"joints": chance.normal(0.5, 0.01, 7), "gripper": np.ones(1)}
     image = chance.integers(0, 255, shape, np.uint8)
-    return Observation(images={"wrist": image}, state=state, session=session, time=step / 10)
+    return Observation(images={"wrist": image}, state=state, instruction="pick up", session=session, time=step / 10)
 
 
 def test_it_says_what_it_needs_and_answers_in_physical_units(address: str, kind: str) -> None:
@@ -90,7 +91,7 @@ def test_diffusion_remembers_the_observation_before_and_only_if_it_is_one_step_o
     with connect(address, timeout=60.0) as policy:
         recent, old, older = (second(policy, first) for first in (8, 4, 2))
         assert np.array_equal(old, older)
-        assert np.array_equal(recent, old) == (kind == "act")
+        assert np.array_equal(recent, old) == (kind != "diffusion")
 
 
 def test_what_is_missing_or_has_another_size_is_named(address: str) -> None:
@@ -98,9 +99,9 @@ def test_what_is_missing_or_has_another_size_is_named(address: str) -> None:
         with pytest.raises(InvalidInput, match="48 x 64"):
             policy.infer(seen(0, shape=(64, 64, 3)))
         with pytest.raises(InvalidInput, match="no image 'wrist'"):
-            policy.infer(Observation(state=dict(seen(0).state)))
+            policy.infer(Observation(state=dict(seen(0).state), instruction="pick up"))
         with pytest.raises(InvalidInput, match="gripper"):
-            policy.infer(Observation(images=dict(seen(0).images), state={"joints": np.zeros(7)}))
+            policy.infer(replace(seen(0), state={"joints": np.zeros(7)}))
 
 
 def test_settings_and_types_that_do_not_fit_are_refused(lerobot: Any, checkpoint: Path, kind: str) -> None:
