@@ -85,6 +85,8 @@ class SetupOptions:
     """Absolute actions instead of differences to the last step."""
     frequency: float = 30.0
     """Control steps per second [Hz]."""
+    collision_reaction: bool = True
+    """Stop an arm that pushes harder than its controller allows, which ends the episode, as on the robot."""
     randomise: Preset = "none"
     """Vary looks, objects, physics, start and timing of the robots from episode to episode, within these ranges."""
     assets: Assets = "builtin"
@@ -138,6 +140,7 @@ class SetupOptions:
 _AS_THEY_ARE = (
     "reward", "discount", "robot", "end_effector", "layers", "observe", "gates", "camera_mode", "camera_fps",
     "camera_noise", "depth", "segmentation", "tactile", "control", "frequency", "assets",
+    "collision_reaction",
 )  # fmt: skip
 """Options that are fields of a setup."""
 
