@@ -104,7 +104,7 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
         stream: Any = container.add_stream(encoder, rate=rate, options=settings)
         stream.width, stream.height, stream.pix_fmt = columns, rows, "yuv420p"
         stream.thread_count = 1  # several clips are made at the same time
-        reformatter = VideoReformatter()
+        reformatter: Any = VideoReformatter()
         for image in _images(episode, feature, limits, rows):
             frame = av.VideoFrame.from_ndarray(image, format="rgb24")
             frame = reformatter.reformat(
