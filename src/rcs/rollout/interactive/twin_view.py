@@ -57,7 +57,11 @@ class TwinView:
                 world = TimedWorld(robots)  # for this page alone, put where the robots are
                 place = (0.0, side * apart, 0.0)
                 self._pictures.append((world, BrowserScene(server, world.world, robots, name=name, place=place)))
-                server.scene.add_label(f"/{name}/label", name, position=(0.0, 0.0, 1.2 * robots[0].arm.workspace_reach))
+                server.scene.add_label(
+                    f"/{name}/label", name, position=(0.0, place[1], 1.1 * robots[0].arm.workspace_reach)
+                )
+            server.initial_camera.position = (2.0 * apart, 0.0, 0.8 * apart)
+            server.initial_camera.look_at = (0.0, 0.0, 0.3 * apart)
             self._text = server.gui.add_markdown("Waiting for the first step.")
         except BaseException:
             self.close()
