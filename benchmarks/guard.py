@@ -165,17 +165,27 @@ class Judge:
         pairs[count, :count] = pairs[:count, count] = whole
         return pairs, SEEN / (whole.max() + 1e-12)
 
-    def way(self, start: NDArray[np.float64], goal: NDArray[np.float64]) -> tuple[bool, float]:
-        """Return whether anything is in contact on a way, and the least distance beyond what is to be kept [m]."""
+    def is_apart(self, q: NDArray[np.float64], geoms: NDArray[np.int32]) -> bool:
+        """Return whether pairs of geoms are apart at joints, by `mj_geomDistance`.
+
+        `mj_collision` has no contact for some cylinders that are deep in a capsule, and has one again farther out.
+        """
+        self.data.qpos[self.address] = q
+        mujoco.mj_kinematics(self.model, self.data)
+        line = np.zeros(6)
+        return all(mujoco.mj_geomDistance(self.model, self.data, *pair, SEEN, line) > 1e-3 for pair in geoms.tolist())
+
+    def way(self, start: NDArray[np.float64], goal: NDArray[np.float64]) -> tuple[NDArray[np.int32], float]:
+        """Return which geoms first touch on a way, and the least distance beyond what is to be kept [m]."""
         least, share, until = SEEN, 0.0, -1.0
         pairs = np.zeros((0, 0))
         while True:
             geoms, distance = self.look(start + share * (goal - start))
             kept = self.kept[geoms[:, 0], geoms[:, 1]]
             least = min(least, float((distance - kept).min(initial=SEEN)))
-            touches = bool((distance < 0.0).any())
-            if touches or share == 1.0:
-                return touches, least
+            touching = geoms[distance < 0.0]
+            if len(touching) or share == 1.0:
+                return touching, least
             # What is not free any more can only come into contact.
             free = np.maximum(distance - kept if least >= SAMPLING else distance, SAMPLING)
             numbers = self._number[geoms]
@@ -242,7 +252,10 @@ def measure(robot: str, motions: int, seed: int) -> dict[str, Any]:
             start, goal = draw(random, judge)
             if judge.at(start) < 1e-3 or judge.is_pierced():  # begins too near
                 continue
-            touches, least = judge.way(start, goal)
+            touching, least = judge.way(start, goal)
+            touches = len(touching) > 0
+            if not judge.is_apart(start, touching):  # began in contact
+                continue
             kind = "colliding" if touches else "free" if least >= SAMPLING else ""
             if not kind or counts[kind] >= motions:
                 continue
