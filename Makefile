@@ -58,10 +58,10 @@ $(VENV)/.stamp-tools: $(VENV)/.stamp-venv constraints.txt
 	@$(PIP) install -c constraints.txt $(BUILD_TOOLS)
 	@touch $@
 
-$(VENV)/.stamp-built: $(VENV)/.stamp-tools pyproject.toml packages/vlagents/pyproject.toml $(CORE)
+$(VENV)/.stamp-built: $(VENV)/.stamp-tools pyproject.toml packages/rcs-data/pyproject.toml packages/vlagents/pyproject.toml $(CORE)
 	@echo "==> Compiling the core and installing rcs with its dependencies (first time: a minute or two)"
+	@$(PIP) install -c constraints.txt -e packages/rcs-data -e packages/vlagents
 	@$(PIP) install --no-build-isolation -c constraints.txt -e '.[dev]'
-	@$(PIP) install -c constraints.txt -e packages/vlagents
 	@touch $@
 
 # Without OpenGL everything but cameras works; so a library that cannot be installed is told, and no more.
@@ -166,6 +166,7 @@ WHEEL := build/wheel
 test-wheel: build
 	@echo "==> Building a wheel and running it in an environment of its own"
 	@rm -rf $(WHEEL) && $(PIP) wheel --no-build-isolation --no-deps --wheel-dir $(WHEEL) .
+	@$(PIP) wheel --no-deps --wheel-dir $(WHEEL) packages/rcs-data
 	@$(BIN)/python -m venv $(WHEEL)/venv
 	@$(WHEEL)/venv/bin/python -m pip -qq --disable-pip-version-check install -c constraints.txt $(WHEEL)/*.whl
 	@$(WHEEL)/venv/bin/python -I tools/smoke.py

@@ -21,14 +21,14 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import tyro
+from rcs_data import Dataset
+from rcs_data.convert.lerobot import export_lerobot
+from rcs_data.convert.lerobot_layout import IMAGES
+from rcs_data.convert.options import ExportOptions, VideoCodec
+from rcs_data.convert.video import VideoReader, encode_video
+from rcs_data.trajectory import camera_features, step_frames
 
 import rcs
-from rcs.data import Dataset
-from rcs.data.convert.lerobot import export_lerobot
-from rcs.data.convert.lerobot_layout import IMAGES
-from rcs.data.convert.options import ExportOptions, VideoCodec
-from rcs.data.convert.video import VideoReader, encode_video
-from rcs.data.trajectory import camera_features, step_frames
 from rcs.rollout.collect import Collection, Progress, collect
 
 # Bare encoding takes a sample of episodes: it does not depend on their number.

@@ -32,10 +32,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import tyro
+from rcs_data import Dataset, check, edit, recover
 from rich.console import Console
 from rich.progress import track
 
-from rcs.data import Dataset, check, edit, recover
 from rcs.envs.observers import Observer, Transition
 from rcs.envs.setup import Setup
 from rcs.errors import DatasetError

@@ -31,12 +31,12 @@ from typing import Any
 import numpy as np
 import tyro
 from numpy.typing import NDArray
+from rcs_data import Dataset, Windows
+from rcs_data.codec import decode_frame
+from rcs_data.torch import TorchDataset, collate
+from rcs_data.trajectory import step_frames
 
 import rcs
-from rcs.data import Dataset, Windows
-from rcs.data.codec import decode_frame
-from rcs.data.torch import TorchDataset, collate
-from rcs.data.trajectory import step_frames
 from rcs.rollout.collect import Collection, Progress, collect
 
 

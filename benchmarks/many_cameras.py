@@ -28,12 +28,12 @@ from typing import Any
 import numpy as np
 import tyro
 from numpy.typing import NDArray
+from rcs_data import DatasetInfo, DatasetWriter, Feature
+from rcs_data.background import BackgroundEpisode
+from rcs_data.encoders import Encoders
+from rcs_data.flags import FrameFlag, flags_key, time_key
 
 import rcs
-from rcs.data import DatasetInfo, DatasetWriter, Feature
-from rcs.data.background import BackgroundEpisode
-from rcs.data.encoders import Encoders
-from rcs.data.flags import FrameFlag, flags_key, time_key
 from rcs.envs.assemble import assemble
 from rcs.envs.parts import Parts
 from rcs.setups.lab import looking

@@ -19,9 +19,8 @@ from statistics import median
 
 import numpy as np
 import tyro
-
-from rcs.data import DatasetInfo, DatasetWriter, Feature
-from rcs.data.background import BackgroundEpisode
+from rcs_data import DatasetInfo, DatasetWriter, Feature
+from rcs_data.background import BackgroundEpisode
 
 STATE = 64
 FEATURES = (

@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 import tyro
 from numpy.typing import NDArray
+from rcs_data import DatasetInfo, DatasetWriter, Feature
+from rcs_data.background import BackgroundEpisode
+from rcs_data.codec import encode_frame
+from rcs_data.flags import FrameFlag, flags_key, time_key
 
 import rcs
-from rcs.data import DatasetInfo, DatasetWriter, Feature
-from rcs.data.background import BackgroundEpisode
-from rcs.data.codec import encode_frame
-from rcs.data.flags import FrameFlag, flags_key, time_key
 
 CAMERAS = ("wrist", "side")
 LOOP_HZ, CAMERA_HZ = 100.0, 30.0

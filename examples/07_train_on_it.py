@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 import torch  # pyright: ignore[reportMissingImports]
+from rcs_data import Dataset, Windows
 
 import rcs
 from rcs.agents import Agent
-from rcs.data import Dataset, Windows
 from rcs.rollout import Collection, Evaluation, Progress, Summary, collect, evaluate
 
 EPISODES = int(os.environ.get("EPISODES", "200"))
@@ -36,7 +36,7 @@ plan = Collection(setup=setup, agent="PickTeacher", out=Path(folder.name), episo
 for _ in collect(plan, Progress()):
     pass
 windows = Windows(Dataset.open(folder.name), horizon=1, state=[f"observation/{key}" for key in STATE])
-whole = windows.batch(range(len(windows)))  # large datasets, and those with images, need `rcs.data.torch.TorchDataset`
+whole = windows.batch(range(len(windows)))  # large datasets, and those with images, need `rcs_data.torch.TorchDataset`
 states, actions = windows.statistics()["state"], windows.statistics()["actions"]
 # Without floors, numbers that hardly vary in the recordings are blown up when they do.
 given = torch.from_numpy(states.normalise(whole["state"][:, 0], floor=0.05)).float()

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rcs_data import Dataset, check
+from rcs_data.convert import export_lerobot
 
 import rcs
 from rcs.agents import Agent
-from rcs.data import Dataset, check
-from rcs.data.convert import export_lerobot
 from rcs.envs import Action, Observation
 
 SITE = {

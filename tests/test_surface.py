@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import get_type_hints
 
 import pytest
+from rcs_data.lazy import LazyPackage
 
 import rcs
 from rcs.envs.setup import Options, Setup
-from rcs.lazy import LazyPackage
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ["rcs", *(found.name for found in pkgutil.walk_packages(rcs.__path__, "rcs.") if found.ispkg)]
 LAZY = [name for name in PACKAGES if isinstance(importlib.import_module(name), LazyPackage)]
-MODULES = ["rcs.errors", "rcs.data.torch"]  # errors are no package; torch is an extra
+MODULES = ["rcs.errors", "rcs_data.torch"]  # errors are no package; torch is an extra
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 

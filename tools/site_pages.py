@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = (
     "rcs", "rcs.envs", "rcs.envs.layers", "rcs.tasks", "rcs.agents", "rcs.rollout", "rcs.rl", "rcs.devices",
     "rcs.hardware", "rcs.virtual", "rcs.calibration", "rcs.setups", "rcs.robots", "rcs.kinematics", "rcs.planning",
-    "rcs.sim", "rcs.spatial", "rcs.data", "rcs.data.edit", "rcs.data.convert", "rcs.data.torch", "rcs.testing",
+    "rcs.sim", "rcs.spatial", "rcs_data", "rcs_data.edit", "rcs_data.convert", "rcs_data.torch", "rcs.testing",
     "rcs.errors",
 )  # fmt: skip
 

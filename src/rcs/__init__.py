@@ -4,7 +4,8 @@ Importing it registers the ids of `gymnasium.make` (gymnasium 1.4 no longer look
 nothing else: the public names, listed in `__init__.pyi`, are loaded when they are first used.
 """
 
-from rcs.lazy import load_on_use
+from rcs_data.lazy import load_on_use
+
 from rcs.setups.ids import register
 
 load_on_use(__name__)

@@ -1,5 +1,4 @@
 from rcs import agents as agents
-from rcs import data as data
 from rcs import devices as devices
 from rcs import envs as envs
 from rcs import errors as errors

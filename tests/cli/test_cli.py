@@ -12,11 +12,11 @@ import time
 from pathlib import Path
 
 import pytest
+from rcs_data import Dataset
+from rcs_data.cli.verbs import Table, let_current_folder_be_imported, load, summary
 
 import rcs
 from rcs.cli.main import VERBS, main
-from rcs.cli.verbs import Table, let_current_folder_be_imported, load, summary
-from rcs.data import Dataset
 from rcs.setups.ids import ids
 from rcs.setups.lab import lab_of
 
@@ -126,7 +126,7 @@ def test_the_version_is_told(command: list[str]) -> None:
 LIGHT = """
 import sys
 from rcs.cli.main import VERBS, main
-from rcs.cli.verbs import Table, let_current_folder_be_imported, load, summary
+from rcs_data.cli.verbs import Table, let_current_folder_be_imported, load, summary
 try:
     main({arguments!r})
 finally:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
 
 from rcs.cli.main import main
-from rcs.data import Dataset, DatasetInfo, DatasetWriter, Feature
 
 
 @pytest.fixture

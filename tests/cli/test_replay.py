@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 
 import pytest
+from rcs_data import Dataset
 
 from rcs.cli.main import main
-from rcs.data import Dataset
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rcs_data import Dataset
 from vlagents.server import Server
 
 from rcs.cli.main import main
-from rcs.data import Dataset
 from rcs.rollout import UNSEEN
 from rcs.rollout.collect import seed_of
 

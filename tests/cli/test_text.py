@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
 
 from rcs.cli.main import main
-from rcs.data import Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs.devices import lookup
 
 STRANGE = "[/bold] [red]x[/red] :smile: \x1b[31m"

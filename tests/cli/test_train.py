@@ -96,7 +96,7 @@ def test_what_it_does_is_recorded_with_cameras_that_it_does_not_need(
     options = ("--episodes", "1", "--workers", "1", "--cameras", "wrist", "--image-size", "64", "--no-report")
     code, told = call(capsys, "collect", str(run), *options, "--out", str(tmp_path / "d"))
     assert code == 0, told
-    from rcs.data import Dataset
+    from rcs_data import Dataset
 
     dataset = Dataset.open(tmp_path / "d")
     assert dataset.info.setup["cameras"] == ["wrist"]

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import DatasetInfo, DatasetWriter, Feature
 
 from rcs.cli.train import TrainCommand
-from rcs.data import DatasetInfo, DatasetWriter, Feature
 from rcs.errors import InvalidSetup
 
 PYTHON = """#!/bin/sh

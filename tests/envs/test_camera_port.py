@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset
+from rcs_data.flags import FrameFlag
 
 import rcs
-from rcs.data import Dataset
-from rcs.data.flags import FrameFlag
 from rcs.devices import CameraMode
 from rcs.devices.fakes import FakeCamera
 from rcs.envs.camera_port import cropped, intrinsics_of

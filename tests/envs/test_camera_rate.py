@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import DatasetWriter
+from rcs_data.flags import FrameFlag
 
 import rcs
-from rcs.data import DatasetWriter
-from rcs.data.flags import FrameFlag
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.envs.sim_ports import SimCameraPort
 from rcs.testing.env_contract import require_same_bits

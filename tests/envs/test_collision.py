@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset, DatasetWriter
 
 import rcs
 from rcs.agents import Agent, agent_for
-from rcs.data import Dataset, DatasetWriter
 from rcs.envs import Observer, Recorder, dataset_info
 from rcs.envs.audience import row
 from rcs.errors import WrongOrder

@@ -7,10 +7,10 @@ import re
 
 import numpy as np
 import pytest
+from rcs_data.codec import decode_jpeg
 
 import rcs
 from rcs._core import Renderer
-from rcs.data.codec import decode_jpeg
 from rcs.envs.html import SIZE
 from rcs.errors import MissingDependency
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rcs_data import Dataset
 
 import rcs
 from rcs.agents import agent_for
-from rcs.data import Dataset
 from rcs.envs.chain import Chain
 from rcs.envs.clock import Clock
 from rcs.envs.sim_ports import SimArmPort, SimCameraPort, SimTactilePort

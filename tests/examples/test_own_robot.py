@@ -11,8 +11,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from rcs_data import Dataset
 
-from rcs.data import Dataset
 from rcs.devices import lookup
 
 PACKAGE = Path(__file__).parents[2] / "examples" / "06_own_robot"

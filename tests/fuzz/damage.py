@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-
-from rcs.data import Dataset, DatasetInfo, DatasetWriter, Feature, edit
-from rcs.data.convert.formats import EXPORTS
-from rcs.data.convert.options import ExportOptions
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, edit
+from rcs_data.convert.formats import EXPORTS
+from rcs_data.convert.options import ExportOptions
 
 NATIVE, IMAGES, EDITED, MERGED = "native", "images", "edited", "merged"
 LEROBOT_3, LEROBOT_2, ROBOMIMIC = "lerobot-v3", "lerobot-v2.1", "robomimic"

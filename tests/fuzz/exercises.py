@@ -6,18 +6,19 @@ import random
 from collections.abc import Callable
 from pathlib import Path
 
-from rcs.cli.data.check import CheckCommand
-from rcs.cli.data.combine import MergeCommand, MixCommand, SplitCommand
-from rcs.cli.data.edit import DeleteCommand, HistoryCommand, KeepCommand, PruneCommand, RelabelCommand, UndoCommand
-from rcs.cli.data.export import ExportCommand
-from rcs.cli.data.import_ import ImportCommand
-from rcs.cli.data.info import InfoCommand
-from rcs.cli.data.recover import RecoverCommand
-from rcs.cli.data.view import ViewCommand
-from rcs.cli.main import run
-from rcs.data import Dataset, DatasetWriter, FrameAccess, Windows, check, recover
-from rcs.data.check.repair import repair
-from rcs.data.view import write_report
+from rcs_data import Dataset, DatasetWriter, FrameAccess, Windows, check, recover
+from rcs_data.check.repair import repair
+from rcs_data.cli.check import CheckCommand
+from rcs_data.cli.combine import MergeCommand, MixCommand, SplitCommand
+from rcs_data.cli.edit import DeleteCommand, HistoryCommand, KeepCommand, PruneCommand, RelabelCommand, UndoCommand
+from rcs_data.cli.export import ExportCommand
+from rcs_data.cli.import_ import ImportCommand
+from rcs_data.cli.info import InfoCommand
+from rcs_data.cli.program import run
+from rcs_data.cli.recover import RecoverCommand
+from rcs_data.cli.view import ViewCommand
+from rcs_data.view import write_report
+
 from rcs.rollout.look import physics_of
 
 Exercise = Callable[[Path, Path], object]

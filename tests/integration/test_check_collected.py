@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from rcs_data import check
 
 import rcs
-from rcs.data import check
 from rcs.rollout.collect import Collection, Progress, collect
 
 SETUPS = {

@@ -9,8 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from rcs.data import Dataset
+from rcs_data import Dataset
 
 SOURCE = Path(__file__).parents[2] / "examples" / "06_own_robot" / "src" / "my_robot" / "task.py"
 RCS = ("-c", "from rcs.cli.main import main; main()")

@@ -13,12 +13,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from rcs_data import Dataset
+from rcs_data.convert.formats import EXPORTS
+from rcs_data.convert.options import ExportOptions
+from rcs_data.trajectory import action_layout, camera_features, state_layout, step_frames, trajectory
 
 from rcs.cli.main import main as rcs
-from rcs.data import Dataset
-from rcs.data.convert.formats import EXPORTS
-from rcs.data.convert.options import ExportOptions
-from rcs.data.trajectory import action_layout, camera_features, state_layout, step_frames, trajectory
 
 folder = Path(sys.argv[1])
 wanted = sys.argv[2:] or [*EXPORTS, "lerobot-v3-av1"]

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset, DatasetWriter
 from vlagents import Chunk, ConnectionLost, Metadata, Observation, PartSpec, Policy
 from vlagents.policies.scripted import ScriptedPolicy
 from vlagents.server import Server
@@ -21,7 +22,6 @@ from vlagents.wire.openpi import pack, unpack
 
 import rcs
 from rcs.agents import agent_for
-from rcs.data import Dataset, DatasetWriter
 from rcs.envs import Env
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.errors import InvalidSetup, RcsError

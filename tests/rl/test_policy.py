@@ -148,7 +148,8 @@ def test_more_that_is_observed_does_no_harm(small: Any, runs: Any) -> None:
 
 
 def test_damage_and_other_versions_are_named(small: Any, runs: Any, tmp_path: Path) -> None:
-    from rcs.data.durable import sealed, unsealed
+    from rcs_data.durable import sealed, unsealed
+
     from rcs.rl.checkpoint import find_checkpoint
 
     place = shutil.copytree(runs(small, "ppo") / "checkpoints" / "000000160", tmp_path / "000000160")

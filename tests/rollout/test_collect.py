@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rcs_data import Dataset, compare_steps, edit, recover
+from rcs_data.compact import seal
+from rcs_data.edit import Part, mix
+from rcs_data.edit.rows import rows_of
 
 import rcs
-from rcs.data import Dataset, compare_steps, edit, recover
-from rcs.data.compact import seal
-from rcs.data.edit import Part, mix
-from rcs.data.edit.rows import rows_of
 from rcs.errors import DatasetError, InvalidSetup, RcsError
 from rcs.rollout.collect import Collection, Progress, collect, episode_id
 from rcs.rollout.replay import replay, setup_of

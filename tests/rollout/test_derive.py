@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rcs_data import Dataset
+from rcs_data.edit import Part, mix
 
 import rcs
-from rcs.data import Dataset
-from rcs.data.edit import Part, mix
 from rcs.envs.by_robot import by_robot, joined, prefixes
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset, DatasetWriter
 
 import rcs
 from rcs.agents import Agent
-from rcs.data import Dataset, DatasetWriter
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.errors import InvalidSetup
 from rcs.rollout.episode import run_episode

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rcs_data.verdicts import wilson_interval
 
 import rcs
 from rcs.agents import Agent
-from rcs.data.verdicts import wilson_interval
 from rcs.errors import InvalidSetup, UnknownName, WrongOrder
 from rcs.rollout.collect import seed_of
 from rcs.rollout.evaluate import Evaluation, Summary, evaluate

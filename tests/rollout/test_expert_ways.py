@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from rcs_data import Dataset
+from rcs_data.diversity import diversity_of_ways, ways_of
 
 from rcs.agents import Agent
-from rcs.data import Dataset
-from rcs.data.diversity import diversity_of_ways, ways_of
 from rcs.envs.setup import Setup
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.expert_ways import expert_diversity

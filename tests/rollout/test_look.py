@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
 
 import rcs
-from rcs.data import Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs.errors import InvalidSetup
 from rcs.rollout.look import RECORDED, physics_of, setup_of
 from rcs.rollout.replay import replay

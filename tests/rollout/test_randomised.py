@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rcs_data import Dataset
 
 import rcs
 from rcs.agents import agent_for
-from rcs.data import Dataset
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.episode import run_episode
 from rcs.rollout.replay import replay, setup_of

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rcs_data import Dataset, check
 
 import rcs
 from rcs.agents import Agent
-from rcs.data import Dataset, check
 from rcs.envs.env import Env
 from rcs.rollout.collect import Collection, Progress, collect
 

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rcs_data import Dataset, check, compare_steps
 
 import rcs
 from rcs.agents import Agent, agent_for
-from rcs.data import Dataset, check, compare_steps
 from rcs.envs.env import Env
 from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout import ray_pool

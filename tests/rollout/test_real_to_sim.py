@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
 
 import rcs
-from rcs.data import Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.derive import derive

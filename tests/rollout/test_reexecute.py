@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset
+from rcs_data.edit import merge, resample
 
 import rcs
-from rcs.data import Dataset
-from rcs.data.edit import merge, resample
 from rcs.errors import DatasetError, InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.derive import derive

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset, EpisodeRecord, compare_steps
 
 import rcs
-from rcs.data import Dataset, EpisodeRecord, compare_steps
 from rcs.errors import DatasetError, InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.derive import derive

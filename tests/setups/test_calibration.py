@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset
 
 import rcs
 from rcs.calibration import Board
-from rcs.data import Dataset
 from rcs.devices import CameraCalibration, CameraMode
 from rcs.devices.fakes import FakeCamera
 from rcs.envs.observers.record import record

@@ -14,9 +14,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from rcs_data import Dataset
 
 import rcs
-from rcs.data import Dataset
 from rcs.devices import lookup
 from rcs.errors import InvalidSetup
 from rcs.kinematics import load

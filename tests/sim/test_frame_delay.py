@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset
 
 import rcs
-from rcs.data import Dataset
 from rcs.sim.randomisation import Randomisation
 
 pytestmark = pytest.mark.gl

@@ -8,9 +8,9 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from rcs_data import Dataset
 
 import rcs
-from rcs.data import Dataset
 from rcs.devices import lookup
 from rcs.envs.observers.record import record
 from rcs.errors import InvalidSetup

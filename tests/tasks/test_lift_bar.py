@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset
 
 import rcs
 from rcs.agents import agent_for
-from rcs.data import Dataset
 from rcs.errors import InvalidAction, InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.episode import run_episode

@@ -6,11 +6,11 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rcs_data.cli.console import plain_console
+from rcs_data.view import write_report
 from rich.console import Console
 
-from rcs.cli.console import plain_console
 from rcs.cli.runs import INTERRUPTED, RunOptions, interruptible, results_table, show
-from rcs.data.view import write_report
 from rcs.envs.observers.recorder import Colour
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect

@@ -8,10 +8,10 @@ import platform
 import re
 from dataclasses import dataclass
 
+from rcs_data.cli.console import plain_console
 from rich.table import Table
 
 from rcs._core import probe_gl
-from rcs.cli.console import plain_console
 
 PACKAGE = "robot-control-stack"
 

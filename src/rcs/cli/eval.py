@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rcs_data.cli.console import plain_console
+
 from rcs.agents.choice import is_path
-from rcs.cli.console import plain_console
 from rcs.cli.runs import INTERRUPTED, RunOptions, interruptible, results_table, show
 from rcs.rollout.collect import Attempt
 from rcs.rollout.evaluate import Evaluation, Summary, evaluate

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rcs.cli.console import plain_console
+from rcs_data.cli.console import plain_console
+
 from rcs.rollout.gallery import gallery
 
 

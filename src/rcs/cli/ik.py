@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import tyro
 from numpy.typing import NDArray
+from rcs_data.cli.console import plain_console
+from rcs_data.convert.png import encode_png
 from rich.console import Console
 from rich.table import Table
 
 import rcs
-from rcs.cli.console import plain_console
-from rcs.data.convert.png import encode_png
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.kinematics import Backend, Elbow, IkOptions, IkResult, IkStatus, Kinematics, freedom_of, kinematics_of

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any
 
+from rcs_data.cli.console import plain_console
+from rcs_data.cli.verbs import summary
 from rich.table import Table
 
-from rcs.cli.console import plain_console
-from rcs.cli.verbs import summary
 from rcs.setups.ids import ids
 
 

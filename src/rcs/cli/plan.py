@@ -8,10 +8,10 @@ from pathlib import Path as FilePath
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.cli.console import plain_console
+from rcs_data.convert.png import encode_png
 
-from rcs.cli.console import plain_console
 from rcs.cli.runs import SetupOptions
-from rcs.data.convert.png import encode_png
 from rcs.envs.env import Env
 from rcs.envs.planner_for import ScenePlanner, planner_for
 from rcs.errors import InvalidSetup

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from rcs_data import DatasetWriter
+from rcs_data.cli.console import plain_console
+from rcs_data.view import write_report
 from rich.console import Console
 
-from rcs.cli.console import plain_console
 from rcs.cli.runs import INTERRUPTED, SetupOptions, interruptible, results_table, show
-from rcs.data import DatasetWriter
-from rcs.data.view import write_report
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup

@@ -7,9 +7,9 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from rcs_data.cli.console import plain_console
 from rich.console import Console
 
-from rcs.cli.console import plain_console
 from rcs.cli.runs import ActorOptions
 from rcs.errors import InvalidSetup
 from rcs.rollout.interactive.session import Session, playable

@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from rcs_data.cli.console import plain_console
+from rcs_data.finetune.lerobot import LerobotPolicy
+from rcs_data.verdicts import wilson_interval
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
 from rich.progress import Progress as Bar
 from rich.text import Text
 
-from rcs.cli.console import plain_console
 from rcs.cli.runs import INTERRUPTED, interruptible, option_of_task
 from rcs.cli.train_policy import Imitation, train_policy
 from rcs.cli.train_seeds import train_each
-from rcs.data.finetune.lerobot import LerobotPolicy
-from rcs.data.verdicts import wilson_interval
 from rcs.envs.reward import RewardKind
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import Control

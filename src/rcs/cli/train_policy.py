@@ -9,13 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from rcs_data import Dataset
+from rcs_data.cli.export import ExportCommand
+from rcs_data.convert.options import ExportOptions
+from rcs_data.finetune.contents import contents
+from rcs_data.finetune.lerobot import FILE, LerobotPolicy, lerobot
 from rich.console import Console
 
-from rcs.cli.data.export import ExportCommand
-from rcs.data import Dataset
-from rcs.data.convert.options import ExportOptions
-from rcs.data.finetune.contents import contents
-from rcs.data.finetune.lerobot import FILE, LerobotPolicy, lerobot
 from rcs.errors import InvalidSetup
 
 SOURCE = "source.json"

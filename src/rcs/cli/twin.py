@@ -9,13 +9,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from rcs_data.cli.console import plain_console
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from rcs.agents.sway import Sway
-from rcs.cli.console import plain_console
 from rcs.cli.sim import ended_by_signals
 from rcs.envs.env import Env
 from rcs.envs.observers.twin import Comparison, OnAlarm, Twin, attach_twin

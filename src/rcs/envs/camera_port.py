@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+from rcs_data.scale import Scaler
 
-from rcs.data.scale import Scaler
 from rcs.devices import Camera, Frame
 from rcs.envs import spaces as keys
 from rcs.envs.gate import Gate

@@ -35,7 +35,7 @@ def to_html(text: str, setup: Setup | None, scenario: Scenario | None) -> str:
 
 def _picture(scenario: Scenario) -> str:
     """Return a picture of the present state; nothing where none can be drawn."""
-    from rcs.data.view import picture_tag  # pages are nothing that an environment needs
+    from rcs_data.view import picture_tag  # pages are nothing that an environment needs
 
     picture = Picture(scenario.world, size=SIZE)
     try:

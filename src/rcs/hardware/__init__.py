@@ -1,5 +1,5 @@
 """Real devices by name: a site says which drivers reach them and where."""
 
-from rcs.lazy import load_on_use
+from rcs_data.lazy import load_on_use
 
 load_on_use(__name__)

@@ -1,5 +1,5 @@
 """Paths of joints past obstacles, and the times at which to be where on them."""
 
-from rcs.lazy import load_on_use
+from rcs_data.lazy import load_on_use
 
 load_on_use(__name__)

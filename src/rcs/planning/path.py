@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from rcs_data.diversity import at_shares, diversity_of_ways
 
-from rcs.data.diversity import at_shares, diversity_of_ways
 from rcs.errors import InvalidSetup
 
 

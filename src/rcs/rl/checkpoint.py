@@ -23,8 +23,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rcs.data.durable import disk_errors, remove_tree, sealed, sync_folder, unsealed, write_file
-from rcs.data.json_file import read_bytes
+from rcs_data.durable import disk_errors, remove_tree, sealed, sync_folder, unsealed, write_file
+from rcs_data.json_file import read_bytes
+
 from rcs.errors import CorruptCheckpoint, CorruptEpisode, InvalidSetup
 from rcs.rl.layout import FlatLayout
 from rcs.rl.tensors import from_bytes, to_bytes

@@ -10,9 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from rcs.closing import Closing
-from rcs.data.durable import disk_errors, remove_tree, write_all, write_file
-from rcs.data.json_file import parsed_json
+from rcs_data.closing import Closing
+from rcs_data.durable import disk_errors, remove_tree, write_all, write_file
+from rcs_data.json_file import parsed_json
+
 from rcs.errors import CorruptEpisode
 from rcs.rl.packages import package
 

@@ -9,9 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rcs.data.durable import disk_errors, write_file
-from rcs.data.verdicts import wilson_interval
-from rcs.data.view.page import WEB as SHARED
+from rcs_data.durable import disk_errors, write_file
+from rcs_data.verdicts import wilson_interval
+from rcs_data.view.page import WEB as SHARED
+
 from rcs.errors import CorruptCheckpoint
 from rcs.rl.charts import Series, chart
 from rcs.rl.checkpoint import Checkpoint, best_of, checkpoints_of, open_checkpoint

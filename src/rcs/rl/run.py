@@ -9,9 +9,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from rcs.data.durable import disk_errors, sealed, sync_folder, unsealed, write_all, write_file
-from rcs.data.json_file import read_bytes
-from rcs.data.lock import DatasetLock, try_lock
+from rcs_data.durable import disk_errors, sealed, sync_folder, unsealed, write_all, write_file
+from rcs_data.json_file import read_bytes
+from rcs_data.lock import DatasetLock, try_lock
+
 from rcs.errors import CorruptCheckpoint, CorruptEpisode, DatasetError, InvalidSetup
 from rcs.rl.checkpoint import checkpoints_of, open_checkpoint
 from rcs.rl.training import VERSION, Training

@@ -7,7 +7,8 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rcs.data.durable import disk_errors
+from rcs_data.durable import disk_errors
+
 from rcs.errors import InvalidSetup
 from rcs.rl.train import Progress, train
 from rcs.rl.training import Training

@@ -1,5 +1,5 @@
 """Rollouts: an agent in an environment, once or a thousand times."""
 
-from rcs.lazy import load_on_use
+from rcs_data.lazy import load_on_use
 
 load_on_use(__name__)

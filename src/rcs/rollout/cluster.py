@@ -14,7 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rcs.data.output import temporary_folder
+from rcs_data.output import temporary_folder
+
 from rcs.errors import InvalidSetup, MissingDependency, RcsError
 
 LOCAL = "local"

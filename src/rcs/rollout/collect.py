@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rcs_data import Dataset, DatasetInfo, DatasetWriter
+from rcs_data.layout import EPISODES_FOLDER
 
 from rcs.agents import agent_for
 from rcs.agents.choice import is_path
-from rcs.data import Dataset, DatasetInfo, DatasetWriter
-from rcs.data.layout import EPISODES_FOLDER
 from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Colour, Recorder, dataset_info, require_recordable

@@ -13,9 +13,10 @@ from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any, ClassVar
 
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord
+from rcs_data.output import new_output
+
 from rcs.agents import Agent
-from rcs.data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord
-from rcs.data.output import new_output
 from rcs.envs.assemble import compose
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder

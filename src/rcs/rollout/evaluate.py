@@ -10,9 +10,10 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+from rcs_data.verdicts import wilson_interval
+
 from rcs.agents import Agent, agent_for
 from rcs.agents.choice import is_path
-from rcs.data.verdicts import wilson_interval
 from rcs.devices import lookup
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder, versions

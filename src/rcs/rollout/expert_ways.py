@@ -7,9 +7,9 @@ from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.diversity import diversity_of_ways
 
 from rcs.agents import agent_for
-from rcs.data.diversity import diversity_of_ways
 from rcs.devices import lookup
 from rcs.envs.observers import Observer, Transition
 from rcs.envs.setup import Setup

@@ -10,9 +10,9 @@ from typing import get_args
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
+from rcs_data.view import pictures_page
 
 from rcs.agents import agent_for
-from rcs.data.view import pictures_page
 from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup

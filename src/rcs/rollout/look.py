@@ -8,8 +8,9 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rcs.data import Dataset, DatasetInfo
-from rcs.data.info import MERGED
+from rcs_data import Dataset, DatasetInfo
+from rcs_data.info import MERGED
+
 from rcs.envs.assemble import assemble
 from rcs.envs.draws import Draws
 from rcs.envs.env import Env

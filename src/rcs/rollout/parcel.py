@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.durable import remove_tree, write_file
+from rcs_data.output import temporary_folder
 
-from rcs.data.durable import remove_tree, write_file
-from rcs.data.output import temporary_folder
 from rcs.rollout.pool import Worker
 
 FOLDER = "rcs-worker"

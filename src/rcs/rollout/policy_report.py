@@ -7,8 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rcs.data.durable import disk_errors, write_file
-from rcs.data.view.page import WEB
+from rcs_data.durable import disk_errors, write_file
+from rcs_data.view.page import WEB
+
 from rcs.policy import ServedPolicy
 from rcs.rollout.evaluate import Evaluation, Summary
 

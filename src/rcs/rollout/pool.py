@@ -17,7 +17,8 @@ from itertools import islice
 from multiprocessing import get_context
 from typing import Any, Protocol
 
-from rcs.closing import Closing
+from rcs_data.closing import Closing
+
 from rcs.errors import RcsError
 
 

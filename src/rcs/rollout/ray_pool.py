@@ -17,7 +17,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
 
-from rcs.closing import Closing
+from rcs_data.closing import Closing
+
 from rcs.envs.observers.recorder import versions
 from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout.cluster import LOCAL, connected

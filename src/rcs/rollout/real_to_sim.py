@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
+from rcs_data import Dataset, DatasetInfo, EpisodeRecord
 
-from rcs.data import Dataset, DatasetInfo, EpisodeRecord
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import OBJECTS, require_recordable
 from rcs.envs.setup import Setup

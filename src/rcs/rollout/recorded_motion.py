@@ -7,9 +7,9 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data import DatasetInfo, EpisodeRecord
 
 from rcs.agents import Agent
-from rcs.data import DatasetInfo, EpisodeRecord
 from rcs.envs import spaces as keys
 from rcs.envs.by_robot import by_robot, joined, prefixes
 from rcs.envs.observers.recorder import EXECUTED, OBSERVATION

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data import Dataset, EpisodeRecord
 
 from rcs.agents import Agent, Replay
 from rcs.agents.action_writer import ActionWriter
-from rcs.data import Dataset, EpisodeRecord
 from rcs.envs import spaces as keys
 from rcs.envs.by_robot import by_robot, joined, prefixes
 from rcs.envs.env import Env

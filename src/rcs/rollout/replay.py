@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from gymnasium import spaces
+from rcs_data import Dataset, EpisodeRecord
 
 from rcs.agents import Agent, Replay
-from rcs.data import Dataset, EpisodeRecord
 from rcs.envs.assemble import assemble
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import ACTION

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from rcs_data import Dataset, DatasetInfo, EpisodeRecord, Feature
+from rcs_data.flags import FrameFlag, flags_key, time_key
 
-from rcs.data import Dataset, DatasetInfo, EpisodeRecord, Feature
-from rcs.data.flags import FrameFlag, flags_key, time_key
 from rcs.envs import spaces as keys
 from rcs.envs.draws import Draws
 from rcs.envs.env import Env

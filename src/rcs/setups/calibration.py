@@ -29,9 +29,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rcs_data.durable import write_file
 
 from rcs.calibration import Board
-from rcs.data.durable import write_file
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.calibration import CameraCalibration
 from rcs.robots.description import Mount

@@ -1,5 +1,5 @@
 """Simulation in MuJoCo: scenes, worlds of many copies, simulated devices and rendering."""
 
-from rcs.lazy import load_on_use
+from rcs_data.lazy import load_on_use
 
 load_on_use(__name__)

@@ -12,8 +12,7 @@ Subclass a contract in a file of your tests, say how to make your device, and ru
 from __future__ import annotations
 
 import pytest
-
-from rcs.lazy import load_on_use
+from rcs_data.lazy import load_on_use
 
 # Before the suites are imported: a failed check then shows the values that it compared.
 pytest.register_assert_rewrite(

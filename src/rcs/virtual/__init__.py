@@ -1,5 +1,5 @@
 """Robots that are simulated behind the interfaces of real ones, with delay and noise."""
 
-from rcs.lazy import load_on_use
+from rcs_data.lazy import load_on_use
 
 load_on_use(__name__)

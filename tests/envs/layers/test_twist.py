@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset
 
 import rcs
-from rcs.data import Dataset
 from rcs.envs.layers import TwistControl
 from rcs.envs.observers.record import record
 from rcs.envs.spaces import JOINTS, TQUAT, TWIST

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset, DatasetWriter, check
 
 import rcs
-from rcs.data import Dataset, DatasetWriter, check
 from rcs.envs.observers import Observer, Transition
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.envs.observers.takes import Takes

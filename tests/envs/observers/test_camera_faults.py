@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeWriter, Feature, check, recover
+from rcs_data.background import BackgroundEpisode
+from rcs_data.flags import FrameFlag
 
-from rcs.data import Dataset, DatasetInfo, DatasetWriter, EpisodeWriter, Feature, check, recover
-from rcs.data.background import BackgroundEpisode
-from rcs.data.flags import FrameFlag
 from rcs.envs.observers.observer import Transition
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import DeviceFault, InvalidSetup

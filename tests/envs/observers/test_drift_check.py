@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rcs_data import Dataset
 
 import rcs
 from rcs.calibration import Board
-from rcs.data import Dataset
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots import Mount
 from rcs.setups import KnownBoard, board_setup, drift_check, write_calibration

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import DatasetInfo, DatasetWriter, Feature
+from rcs_data.flags import FrameFlag
 
 import rcs
-from rcs.data import DatasetInfo, DatasetWriter, Feature
-from rcs.data.flags import FrameFlag
 from rcs.envs.observers.observer import Transition
 from rcs.envs.observers.recorder import Recorder, dataset_info
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rcs_data import Dataset, DatasetWriter
 
 import rcs
-from rcs.data import Dataset, DatasetWriter
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.envs.observers.takes import Takes

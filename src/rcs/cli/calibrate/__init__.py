@@ -5,7 +5,7 @@ Each verb has a file; this is their table.
 
 from __future__ import annotations
 
-from rcs.cli.verbs import Table
+from rcs_data.cli.verbs import Table
 
 VERBS: Table = {
     "board": "rcs.cli.calibrate.board:BoardCommand",

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rcs_data.cli.console import plain_console
+
 from rcs.calibration import Board
 from rcs.calibration.printing import sheet_of, text_of, to_pdf, to_png
-from rcs.cli.console import plain_console
 
 
 @dataclass(kw_only=True)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rcs_data.cli.console import plain_console
+
 from rcs.calibration import BoardStrategy, verify
 from rcs.cli.calibrate.session import SessionOptions
-from rcs.cli.console import plain_console
 from rcs.errors import InvalidSetup
 from rcs.setups.calibration import read_boards
 from rcs.setups.mounted_camera import MountedCamera

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rcs_data.cli.console import plain_console
+
 from rcs.calibration import hand_eye
 from rcs.cli.calibrate.session import SessionOptions
-from rcs.cli.console import plain_console
 from rcs.envs.setup import Setup
 from rcs.setups.calibration import read_calibration, write_calibration
 from rcs.spatial import Intrinsics

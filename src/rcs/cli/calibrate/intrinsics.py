@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from rcs_data.cli.console import plain_console
 
 from rcs.calibration import Detections, IntrinsicsFit, detect, fit_intrinsics
 from rcs.calibration.packages import package
 from rcs.cli.calibrate.session import SessionOptions
-from rcs.cli.console import plain_console
 from rcs.errors import InvalidSetup
 from rcs.robots.calibration import CameraCalibration
 from rcs.setups.calibration import Calibration, read_calibration, write_calibration

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rcs_data.cli.console import plain_console
 from rich.console import Console
 
 import rcs
 from rcs.calibration import BoardStrategy, CalibrationStrategy, IsFree
 from rcs.cli.calibrate.board import BoardOptions
-from rcs.cli.console import plain_console
 from rcs.envs.env import Env
 from rcs.envs.setup import Setup
 from rcs.rollout.calibrate import Confirm, Tour, look_around

@@ -7,7 +7,8 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from rcs.data import Dataset, DatasetWriter
+from rcs_data import Dataset, DatasetWriter
+
 from rcs.envs.env import Env
 from rcs.envs.observers.recorder import Colour, Recorder, dataset_info
 from rcs.envs.observers.takes import Takes

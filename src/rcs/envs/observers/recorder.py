@@ -12,12 +12,13 @@ from typing import Any, Literal
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+from rcs_data import DatasetInfo, DatasetWriter, Encoding, EpisodeRecord, EpisodeWriter, Feature
+from rcs_data.background import BackgroundEpisode
+from rcs_data.flags import FrameFlag, camera_of, flags_key
 
-from rcs.data import DatasetInfo, DatasetWriter, Encoding, EpisodeRecord, EpisodeWriter, Feature
-from rcs.data.background import BackgroundEpisode
-from rcs.data.flags import FrameFlag, camera_of, flags_key
 from rcs.envs import spaces as keys
 from rcs.envs.env import Env
+from rcs.envs.observers.joint_limits import with_limits
 from rcs.envs.observers.observer import Observer, Transition
 from rcs.envs.setup import Setup
 from rcs.envs.vector import VecEnv
@@ -63,6 +64,7 @@ def dataset_info(
     if setup is not None:
         require_recordable(setup)
     features = _features(OBSERVATION, env.stack.observation_space.spaces, colour)
+    features = with_limits(features, None if setup is None else setup.robot)
     features += _features(ACTION, env.stack.action_space.spaces, colour)
     features += _features(EXECUTED, env.stack.executed_spaces, colour)
     features += [
@@ -93,7 +95,7 @@ def dataset_info(
 
 def versions() -> dict[str, str]:
     """Return the versions of the software that makes the data."""
-    packages = ("robot-control-stack", "mujoco-core", "numpy", "gymnasium", "pyarrow", "simplejpeg")
+    packages = ("robot-control-stack", "rcs-data", "mujoco-core", "numpy", "gymnasium", "pyarrow", "simplejpeg")
     return {"python": platform.python_version(), **{name: importlib.metadata.version(name) for name in packages}}
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rcs.data import Dataset, DatasetWriter, EpisodeRecord
+from rcs_data import Dataset, DatasetWriter, EpisodeRecord
+
 from rcs.envs.observers.recorder import Recorder
 from rcs.errors import WrongOrder
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from rcs_data.closing import Closing
 
 from rcs.agents import Agent
 from rcs.agents.choice import agent_for
-from rcs.closing import Closing
 from rcs.devices import lookup
 from rcs.envs.engine import DIVERGED, FAULT
 from rcs.envs.env import Env

@@ -1,0 +1,143 @@
+"""Keeps the parts of an episode's rows that later checks need while its files are read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from rcs_data.check.report import Finding, Severity
+from rcs_data.content import flat_numbers
+from rcs_data.feature import Feature
+from rcs_data.flags import camera_of, companion
+from rcs_data.info import DatasetInfo
+from rcs_data.layout import STEPS_FILE
+
+SIMULATED_TIME = "simulated_time"
+
+
+@dataclass(frozen=True)
+class EpisodePlace:
+    """The place of an episode, for findings."""
+
+    root: Path
+    """The dataset's folder."""
+    folder: Path
+    """The episode's folder."""
+
+    @property
+    def id(self) -> str:
+        """The episode's id."""
+        return self.folder.name
+
+    def finding(
+        self,
+        severity: Severity,
+        kind: str,
+        message: str,
+        *,
+        file: str = STEPS_FILE,
+        rows: tuple[int, int] | None = None,
+    ) -> Finding:
+        """Return a finding in this episode; `file` is a name in its folder, `rows` the first and last."""
+        path = str((self.folder / file).relative_to(self.root))
+        return Finding(severity=severity, kind=kind, episode=self.id, file=path, message=message, rows=rows)
+
+    def warning(self, kind: str, message: str, rows: NDArray[np.intp] | None = None) -> Finding:
+        """Return a warning about steps, from the first to the last of some rows."""
+        place = None if rows is None or not len(rows) else (int(rows[0]), int(rows[-1]))
+        return self.finding("warning", kind, message, rows=place)
+
+
+@dataclass
+class FrameLog:
+    """The state of one image feature in each row."""
+
+    is_new: list[bool] = field(default_factory=list[bool])
+    """Whether the row has a new image."""
+    is_same: list[bool] = field(default_factory=list[bool])
+    """Whether the new image equals the one before it byte for byte."""
+    is_black: list[bool] = field(default_factory=list[bool])
+    """Whether the new image is black; False where images were not decoded."""
+    last: bytes | None = None
+    """The latest image."""
+
+
+class EpisodeRows:
+    """The columns of times, joints and motion, and the state of each camera per row."""
+
+    def __init__(self, info: DatasetInfo) -> None:
+        """Start with no rows."""
+        self.info = info
+        self.length = 0
+        self.about: dict[str, Any] = {}
+        self.frames = {f.key: FrameLog() for f in info.features if f.is_image}
+        self._parts: dict[str, list[NDArray[Any]]] = {f.key: [] for f in info.features if _is_wanted(f)}
+
+    def add(self, rows: pa.Table) -> None:
+        """Take the next rows."""
+        self.length += rows.num_rows
+        for key, parts in self._parts.items():
+            column = rows.column(key)
+            feature = self.info.feature(key)
+            # Times that were not measured are NaN.
+            parts.append(
+                column.to_numpy() if feature.is_time else flat_numbers(column).reshape(-1, *feature.shape).copy()
+            )
+
+    def column(self, key: str) -> NDArray[Any] | None:
+        """Return a column, shape (length, *feature.shape); None if the dataset has no such key."""
+        parts = self._parts.get(key)
+        return np.concatenate(parts) if parts else None
+
+    @property
+    def joints(self) -> list[str]:
+        """Keys of measured joint positions, one per arm."""
+        return [key for key in self._parts if is_joints(self.info.feature(key))]
+
+    @property
+    def cameras(self) -> dict[str, list[str]]:
+        """The keys of the images of each camera."""
+        cameras: dict[str, list[str]] = {}
+        for key in self.frames:
+            cameras.setdefault(camera_of(key) or key, []).append(key)
+        return cameras
+
+    def flags(self, key: str) -> NDArray[np.uint8] | None:
+        """Return the flags beside an image; None if there are none."""
+        name = companion(key, self.info.features, "flags")
+        return None if name is None else self.column(name)
+
+    def seconds_per_step(self) -> NDArray[np.float64]:
+        """Return how long each step took [s], shape (length - 1,), at least the nominal period."""
+        nominal = np.full(max(self.length - 1, 0), 1 / self.info.frequency)
+        clock = self.column(self.clock) if self.clock is not None else None
+        if clock is None:
+            return nominal
+        measured = np.diff(clock)
+        return np.where(measured > nominal, measured, nominal)  # the nominal period where NaN
+
+    @property
+    def clock(self) -> str | None:
+        """The column of the robot's time; None if there is none.
+
+        Simulated time, unless the simulation runs in real time: the wall clock only says how fast it computed.
+        """
+        is_realtime = self.info.setup.get("mode") == "realtime"
+        for key in ("time/monotonic",) if is_realtime else (SIMULATED_TIME, "time/monotonic"):
+            if key in self._parts:
+                return key
+        return None
+
+
+def is_joints(feature: Feature) -> bool:
+    """Whether a feature has an arm's measured joint positions."""
+    return feature.key.startswith("observation/") and feature.key.rsplit("/", 1)[-1] == "joints"
+
+
+def _is_wanted(feature: Feature) -> bool:
+    return feature.is_time or feature.is_flags or feature.key == SIMULATED_TIME or is_joints(feature)

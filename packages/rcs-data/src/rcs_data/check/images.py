@@ -1,0 +1,103 @@
+"""Checks the images of an episode: frozen or repeated although the robot moves, black, or missing without a flag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
+from rcs_data.check.report import Finding, counted
+from rcs_data.flags import FrameFlag
+
+# A camera is frozen if its image stays the same for longer than this and three of its periods while the robot moves.
+_FREEZE_S = 1.0
+_FREEZE_PERIODS = 3
+# How far a joint of every arm must move meanwhile [rad], so that even a small, distant image would show it.
+_MOVED = 0.1
+_MOVED_IN_A_STEP = 0.02
+# New images that equal the one before byte for byte. A sensor's noise prevents them; a simulation without noise has a
+# few, where a wrist moves over a bare table.
+_REPEATS = 10
+_REPEATED_SHARE = 0.1
+
+_KNOWN = FrameFlag.REPEATED | FrameFlag.STALE | FrameFlag.MISSING | FrameFlag.DROPPED
+
+
+def check_images(place: EpisodePlace, rows: EpisodeRows) -> Iterator[Finding]:
+    """Yield findings about the images of an episode."""
+    if rows.length < 2:
+        return
+    for camera, keys in rows.cameras.items():
+        for key in keys:
+            black = np.flatnonzero(rows.frames[key].is_black)
+            if len(black):
+                yield place.warning("black", f"{key!r} is black in {counted(len(black), 'row')}", black)
+        if not _is_tactile(rows, camera):  # a gel without contact looks the same everywhere
+            yield from _frozen(place, rows, camera, keys)
+        wrong = np.flatnonzero(right_flags(rows, keys) != _flags(rows, keys))
+        if len(wrong):
+            message = (
+                f"the flags of {camera!r} disagree with its images in {counted(len(wrong), 'row')}; --repair sets them"
+            )
+            yield place.warning("flags", message, wrong)
+
+
+def right_flags(rows: EpisodeRows, keys: list[str]) -> NDArray[np.uint8]:
+    """Return corrected flags of a camera: every row without an image has a reason, and no bit is unknown.
+
+    Args:
+        rows: The rows.
+        keys: The camera's images.
+    """
+    flags = _flags(rows, keys) & np.uint8(_KNOWN)
+    has_all = np.all([rows.frames[key].is_new for key in keys], axis=0)
+    is_unexplained = ~has_all & (flags == 0)
+    return np.where(is_unexplained, flags | np.uint8(FrameFlag.MISSING), flags).astype(np.uint8)
+
+
+def _flags(rows: EpisodeRows, keys: list[str]) -> NDArray[np.uint8]:
+    flags = rows.flags(keys[0])
+    # Without flags, as in the first layout, there is nothing to check.
+    return np.full(rows.length, np.uint8(FrameFlag.REPEATED)) if flags is None else flags
+
+
+def _frozen(place: EpisodePlace, rows: EpisodeRows, camera: str, keys: list[str]) -> Iterator[Finding]:
+    joints = [column for key in rows.joints if (column := rows.column(key)) is not None]
+    if not joints:
+        return  # motion is unknown
+    for key in keys:
+        log = rows.frames[key]
+        is_new, is_same = np.array(log.is_new), np.array(log.is_same)
+        starts = np.flatnonzero(is_new & ~is_same)
+        if not len(starts):
+            continue
+        ends = np.append(starts[1:], rows.length) - 1
+        period = float(np.median(ends - starts + 1))
+        # If the camera is frozen from the start, its own period says nothing.
+        bound = max(_FREEZE_S * rows.info.frequency, min(_FREEZE_PERIODS * period, rows.length / 2))
+        runs = zip(starts.tolist(), ends.tolist(), strict=True)
+        long = [(a, b) for a, b in runs if b - a > bound and _moved(joints, a, b) > _MOVED]
+        if long:
+            first, last = max(long, key=lambda run: run[1] - run[0])
+            seconds = (last - first) / rows.info.frequency
+            message = f"{camera!r} is frozen for {seconds:.1f} s while the robot moves ({key!r})"
+            yield place.finding("warning", "frozen", message, rows=(first, last))
+            continue
+        moves = np.min([np.abs(np.diff(column, axis=0)).max(axis=1) for column in joints], axis=0)
+        repeated = np.flatnonzero(is_same[1:] & (moves > _MOVED_IN_A_STEP)) + 1
+        if len(repeated) >= _REPEATS and len(repeated) > _REPEATED_SHARE * is_new.sum():
+            times = counted(len(repeated), "row")
+            message = f"{key!r} is marked as new but equals the image before in {times} while the robot moves"
+            yield place.warning("repeated_images", message, repeated)
+
+
+def _moved(joints: list[NDArray[np.float64]], first: int, last: int) -> float:
+    """Return how far the arm that moves least moved from one row to another [rad]."""
+    return min(float(np.ptp(column[first : last + 1], axis=0).max()) for column in joints)
+
+
+def _is_tactile(rows: EpisodeRows, camera: str) -> bool:
+    setup = rows.info.setup
+    return bool(setup.get("tactile")) and camera not in (setup.get("cameras") or ())

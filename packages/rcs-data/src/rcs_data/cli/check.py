@@ -1,0 +1,86 @@
+"""`rcs data check`: find what is wrong with a dataset, and repair what can be repaired."""
+
+from __future__ import annotations
+
+import json as json_
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from rich.progress import Progress
+from rich.table import Table
+from rich.text import Text
+
+from rcs_data import CheckReport, check
+from rcs_data.check.repair import RepairReport, repair
+from rcs_data.cli.console import plain_console
+from rcs_data.output import OnProgress
+
+# Width of a table in a file or pipe [columns]; no line is folded.
+_WIDE = 1000
+_STYLES = {"damage": "bold red", "warning": "yellow"}
+
+
+@dataclass(kw_only=True)
+class CheckCommand:
+    """Check a dataset: bytes, images, times, motion, labels. Exit code 1 if something is damaged.
+
+    Damage means that bytes are not as written. Warnings are about doubtful training data: gaps, frozen or black images,
+    jumps, joints beyond their limits, missing verdicts.
+    """
+
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    fast: bool = False
+    """Do not decode the frames; every byte is still checked."""
+    strict: bool = False
+    """Exit with code 1 for warnings, too."""
+    repair: bool = False
+    """Repair what can be repaired first. Damaged files go to the folder `quarantine`, and `undo` reverts the repair."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def run(self) -> int:
+        """Repair if asked to, check, and print the findings."""
+        mended: RepairReport | None = None
+        if self.repair:
+            with _progress("Looking for damage") as on_progress:
+                mended = repair(self.path, decode_frames=not self.fast, on_progress=on_progress)
+        with _progress("Checking") as on_progress:
+            report = check(self.path, decode_frames=not self.fast, on_progress=on_progress)
+        if self.json:
+            print(json_.dumps(_document(report, mended), indent=1, ensure_ascii=False))
+        else:
+            _show(report, mended)
+        return 1 if report.damage or (self.strict and report.warnings) else 0
+
+
+def _document(report: CheckReport, mended: RepairReport | None) -> dict[str, object]:
+    return {**report.to_json(), "repair": None if mended is None else mended.to_json()}
+
+
+def _show(report: CheckReport, mended: RepairReport | None) -> None:
+    console = plain_console()
+    if not console.is_terminal:
+        console = plain_console(width=_WIDE)
+    if mended is not None:
+        console.print(str(mended))
+    if report.findings:
+        table = Table("", "episode", "file", "rows", "what", box=None, pad_edge=False)
+        for finding in report.findings:
+            kind = Text(finding.severity, _STYLES[finding.severity])
+            place = "" if finding.rows is None else "-".join(str(row) for row in sorted(set(finding.rows)))
+            table.add_row(kind, *map(Text, (finding.episode or "", finding.file, place, finding.message)))
+        console.print(table)
+    for note in report.notes:
+        console.print(f"note: {note}")
+    console.print(report.summary)
+
+
+@contextmanager
+def _progress(doing: str) -> Generator[OnProgress]:
+    with Progress(console=plain_console(stderr=True, soft_wrap=False), transient=True) as bar:
+        task = bar.add_task(doing, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -1,0 +1,47 @@
+"""`rcs data export`: write a dataset in a format for trainers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import tyro
+from rich.progress import Progress
+
+from rcs_data import Dataset
+from rcs_data.cli.console import plain_console
+from rcs_data.convert.formats import export_format
+from rcs_data.convert.options import ExportOptions
+
+
+@dataclass(kw_only=True)
+class ExportCommand:
+    """Write a dataset in a format for trainers."""
+
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    out: Path
+    """File or folder to write; it must not exist yet."""
+    format: str
+    """lerobot-v3, lerobot-v2.1 (openpi), gr00t, rlds (Octo, OpenVLA) or robomimic."""
+    more: tyro.conf.SuppressFixed[ExportOptions] = field(default_factory=ExportOptions)
+
+    def run(self) -> int:
+        """Export and print what was written."""
+        console = plain_console()
+        write = export_format(self.format)
+        with Progress(console=console, transient=True) as progress:
+            bar = progress.add_task(f"Exporting to {self.format}", total=None)
+            options = replace(
+                self.more,
+                cameras=() if self.more.cameras == ("none",) else self.more.cameras,
+                on_progress=lambda done, total: progress.update(bar, completed=done, total=total),
+            )
+            report = write(Dataset.open(self.path), self.out, options)
+        console.print(
+            f"{report.episodes} episodes, {report.steps} steps, {report.frames} images, "
+            f"{report.bytes_written / 1e6:.1f} MB: {report.path}",
+        )
+        for note in report.notes:
+            console.print(f"Note: {note}")
+        return 0

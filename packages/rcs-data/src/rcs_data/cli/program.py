@@ -1,0 +1,150 @@
+"""Commands of verbs: parses a command line, imports only what it asks for, and shows errors without a traceback."""
+
+from __future__ import annotations
+
+import functools
+import operator
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, dataclass, fields
+from typing import Annotated, Any, cast
+
+from rcs_data.cli.console import plain_console
+from rcs_data.cli.verbs import Table, let_current_folder_be_imported, load, overview
+from rcs_data.errors import RcsError, UnknownName
+
+OPTIONS = ("--help", "--version", "--print-completion")
+SHELLS = ("bash", "zsh", "fish")
+MISTYPED = 2
+"""Exit code for an invalid command line, as in tyro and shells."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """A command that has verbs."""
+
+    name: str
+    """What is typed, such as "rcs"."""
+    verbs: Table
+    """Its verbs."""
+    version: str
+    """What `--version` prints."""
+    elsewhere: Mapping[str, str] | None = None
+    """Verbs that people look for here, and where they are, such as "info" and "rcs data info"."""
+
+    def main(self, words: list[str]) -> None:
+        """Run a command and exit: 0 for success, 1 for an error or bad finding, 2 if invalid, 130 if interrupted."""
+        _let_all_text_out()
+        try:
+            try:
+                sys.exit(self._answer(words))
+            finally:
+                sys.stdout.flush()
+        except BrokenPipeError:
+            # The reader of the output has closed it; flushing the rest must not fail at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.exit(1)
+
+    def _answer(self, words: list[str]) -> int:
+        """Run a command line and return its exit code; help and wrong options exit."""
+        let_current_folder_be_imported(words)
+        if words == ["--version"]:
+            print(f"{self.name} {self.version}")
+            return 0
+        try:
+            if words[:1] == ["--print-completion"]:
+                self._print_completion(*words[1:2])
+            command = self._parse(self.name, self.verbs, words)
+        except UnknownName as err:
+            return _failed(str(err), MISTYPED)
+        except RcsError as err:  # from a module that cannot work here
+            return _failed(f"{type(err).__name__}: {err}")
+        return run(command)
+
+    def _parse(self, typed: str, table: Table, words: list[str]) -> Any:
+        """Return the command of a command line, importing only its module. Help and wrong options exit.
+
+        Raises:
+            UnknownName: There is no such command; the message suggests the nearest one.
+        """
+        if not words or words[0] in ("-h", "--help"):
+            text = overview(typed, table, self._options_help() if table is self.verbs else "")
+            print(text, file=sys.stdout if words else sys.stderr)
+            sys.exit(0 if words else MISTYPED)
+        verb, *rest = words
+        if verb not in table:
+            if verb.startswith("-"):
+                raise UnknownName("option", verb, OPTIONS)
+            there = (self.elsewhere or {}).get(verb)
+            raise UnknownName("command", verb, table, f"There is `{there}`." if there else "")
+        found = load(table[verb])
+        if isinstance(found, dict):
+            return self._parse(f"{typed} {verb}", cast(Table, found), rest)
+        if not rest and not any(_is_required(field) for field in fields(found)):
+            return found()  # there is nothing to parse, and importing tyro takes as long as many commands
+        import tyro
+
+        return tyro.cli(found, prog=f"{typed} {verb}", args=rest, config=_how_to_parse())
+
+    def _options_help(self) -> str:
+        return (
+            f"\n`{self.name} --version` prints the version."
+            f"\n`{self.name} --print-completion bash` (or zsh, fish) prints a completion script for that shell."
+        )
+
+    def _print_completion(self, shell: str = "") -> None:
+        """Print a shell's completion script and exit; this imports all commands.
+
+        Raises:
+            UnknownName: The shell is not supported.
+        """
+        if shell not in SHELLS:
+            raise UnknownName("completion for a shell", shell, SHELLS)
+        import tyro
+
+        arguments = ["--tyro-write-completion", shell, "-"]
+        tyro.cli(_union(self.verbs), prog=self.name, args=arguments, config=_how_to_parse())
+
+
+def run(command: Any) -> int:
+    """Run a parsed command and return its exit code; errors of this library are shown without a traceback."""
+    try:
+        return command.run()
+    except BrokenPipeError:  # the reader of the output is gone
+        raise
+    except (RcsError, OSError) as err:  # file system errors that no function has explained
+        return _failed(f"{type(err).__name__}: {err}")
+    except KeyboardInterrupt:
+        return 130
+
+
+def _is_required(field: Field[Any]) -> bool:
+    return field.default is MISSING and field.default_factory is MISSING
+
+
+def _how_to_parse() -> tuple[Any, ...]:
+    from tyro import conf
+
+    return (conf.OmitArgPrefixes, conf.FlagCreatePairsOff)
+
+
+def _union(table: Table) -> Any:
+    from tyro.conf import subcommand
+
+    found = {verb: load(reference) for verb, reference in table.items()}
+    kinds = {verb: _union(cast(Table, each)) if isinstance(each, dict) else each for verb, each in found.items()}
+    return functools.reduce(operator.or_, (Annotated[kind, subcommand(verb)] for verb, kind in kinds.items()))
+
+
+def _failed(message: str, code: int = 1) -> int:
+    plain_console(stderr=True).print(f"error: {message}", style="bold red")
+    return code
+
+
+def _let_all_text_out() -> None:
+    """Print characters unknown to the terminal's encoding as escapes instead of failing."""
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="backslashreplace")

@@ -1,0 +1,118 @@
+"""The content of episodes: a hash over all columns except times and flags, and a comparison."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from rcs_data.info import DatasetInfo
+
+_NOTHING = pa.py_buffer(b"")
+
+
+def flat_numbers(column: pa.ChunkedArray | pa.Array) -> NDArray[Any]:
+    """Return the numbers of a column as one flat array; 0 where a row has no value."""
+    array = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    if not pa.types.is_fixed_size_list(array.type):
+        filled = array.fill_null(False if pa.types.is_boolean(array.type) else 0)
+        return filled.to_numpy(zero_copy_only=False)
+    # `flatten` would leave out the rows without a value, so the lists are read where they lie, and cleared.
+    size = array.type.list_size
+    values = array.values.slice(array.offset * size, len(array) * size)
+    numbers = values.fill_null(False if pa.types.is_boolean(values.type) else 0).to_numpy(zero_copy_only=False)
+    if array.null_count:
+        numbers = np.where(np.repeat(_is_null(array), size), numbers.dtype.type(0), numbers)
+    return numbers
+
+
+class ContentHash:
+    """SHA-256 over the values of all columns except times and flags, however the rows are split into tables.
+
+    Per column: its key, for each row whether it has a value, and the values, little-endian and row-major, with 0 where
+    there is none; for images the length and the bytes of each.
+    """
+
+    def __init__(self, info: DatasetInfo) -> None:
+        """Start with no rows."""
+        keys = sorted(feature.key for feature in info.features if not feature.is_circumstance)
+        self._columns = {key: (hashlib.sha256(), hashlib.sha256()) for key in keys}
+
+    def add(self, table: pa.Table) -> None:
+        """Take the next rows."""
+        for key, (nulls, values) in self._columns.items():
+            column = table.column(key)
+            nulls.update(_is_null(column).astype(np.uint8).tobytes())
+            if pa.types.is_binary(column.type):
+                for image in column:
+                    data = image.as_buffer() if image.is_valid else _NOTHING
+                    values.update(data.size.to_bytes(8, "little"))
+                    values.update(data)
+            else:
+                numbers = np.ascontiguousarray(flat_numbers(column))
+                values.update(numbers.astype(numbers.dtype.newbyteorder("<"), copy=False).tobytes())
+
+    def hexdigest(self) -> str:
+        """Return the hash of the rows so far."""
+        total = hashlib.sha256()
+        for key, (nulls, values) in self._columns.items():
+            total.update(key.encode() + b"\0" + nulls.digest() + values.digest())
+        return total.hexdigest()
+
+
+def compare_steps(a: pa.Table, b: pa.Table) -> list[str]:
+    """Describe how two tables of steps differ, one line per column; times and flags are not compared.
+
+    Args:
+        a: Steps, as `EpisodeRecord.steps` returns them.
+        b: Other steps.
+    """
+    lines: list[str] = []
+    keys = [[name for name in table.column_names if not name.startswith(("time/", "flags/"))] for table in (a, b)]
+    if keys[0] != keys[1]:
+        lines.append(f"columns: {keys[0]} and {keys[1]}")
+    if a.num_rows != b.num_rows:
+        lines.append(f"rows: {a.num_rows} and {b.num_rows}")
+    rows = min(a.num_rows, b.num_rows)
+    for key in (key for key in keys[0] if key in keys[1]):
+        left, right = (table.column(key).slice(0, rows).combine_chunks() for table in (a, b))
+        if left.type != right.type:
+            lines.append(f"{key}: {left.type} and {right.type}")
+            continue
+        row = _first_difference(left, right)
+        if row is not None:
+            lines.append(f"{key}: first difference in row {row}")
+    return lines
+
+
+def steps_equal(a: pa.Table, b: pa.Table) -> bool:
+    """Return whether two tables of steps are equal bit for bit, except for times and flags.
+
+    Args:
+        a: Steps, as `EpisodeRecord.steps` returns them.
+        b: Other steps.
+    """
+    return not compare_steps(a, b)
+
+
+def _first_difference(a: pa.Array, b: pa.Array) -> int | None:
+    is_different = _is_null(a) != _is_null(b)
+    if pa.types.is_binary(a.type):
+        is_same = pc.call_function("equal", [a, b]).fill_null(True)  # that both have a value was checked above
+        is_different |= ~is_same.to_numpy(zero_copy_only=False)
+    elif len(a):
+        # Bits, not values: NaN is NaN here, and 0 is not -0.
+        bits = [np.ascontiguousarray(flat_numbers(array)).view(np.uint8).reshape(len(a), -1) for array in (a, b)]
+        is_different |= (bits[0] != bits[1]).any(axis=1)
+    rows = np.flatnonzero(is_different)
+    return int(rows[0]) if len(rows) else None
+
+
+def _is_null(column: pa.ChunkedArray | pa.Array) -> NDArray[np.bool_]:
+    return (
+        column.is_null().to_numpy(zero_copy_only=False) if isinstance(column, pa.Array) else column.is_null().to_numpy()
+    )

@@ -1,0 +1,300 @@
+"""Reads the files of a LeRobotDataset, v2.0, v2.1 or v3.0, episode by episode."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from rcs_data.codec import decode_jpeg
+from rcs_data.content import flat_numbers
+from rcs_data.convert.video import VideoReader, decode_image
+from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
+from rcs_data.json_file import read_json, read_json_lines
+from rcs_data.parquet import opened_of_others
+from rcs_data.text import mended_text
+
+_VERSIONS = ("v2.0", "v2.1", "v3.0")
+_HIGHEST_FPS = 1e6
+# A name in a path pattern, and the number of digits.
+_FIELD = re.compile(r"\{(?P<name>[a-z_]+)(?::0(?P<digits>\d)d)?\}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoPlace:
+    """The place of an episode's frames."""
+
+    path: Path
+    """The video."""
+    start: float
+    """The time of the first frame [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceEpisode:
+    """One episode as stored."""
+
+    index: int
+    """Its number."""
+    tasks: tuple[str, ...]
+    """What the robot was asked to do, in order of appearance."""
+    table: pa.Table
+    """Its frames without videos."""
+    videos: dict[str, VideoPlace]
+    """Its videos by column."""
+
+    def numbers(self, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
+        """Return a column of numbers, shape (frames, *shape).
+
+        Raises:
+            CorruptEpisode: There are too few or too many numbers.
+        """
+        column = self._column(name).combine_chunks()
+        while pa.types.is_list(column.type) or pa.types.is_large_list(column.type):
+            column = column.flatten()
+        kind = column.type.value_type if pa.types.is_fixed_size_list(column.type) else column.type
+        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
+            raise CorruptEpisode(f"Column {name!r} of episode {self.index} has {column.type} instead of numbers.")
+        numbers = flat_numbers(column)
+        if numbers.size != len(self.table) * int(np.prod(shape)):
+            rows = len(self.table)
+            raise CorruptEpisode(
+                f"Column {name!r} of episode {self.index} has {numbers.size} numbers in {rows} rows of {shape}."
+            )
+        return numbers.reshape(len(self.table), *shape)
+
+    def images(self, name: str, shape: tuple[int, ...], readers: dict[str, VideoReader], fps: float) -> Iterator[Any]:
+        """Yield the images of a column, (H, W, 3) uint8, one at a time.
+
+        Args:
+            name: The column.
+            shape: The shape of each.
+            readers: Open videos by column, kept between calls, since the next episode may continue in the same one.
+            fps: Frames per second.
+
+        Raises:
+            CorruptEpisode: An image is missing, damaged, or of another shape.
+        """
+        for image in self._stored(name, shape) if name not in self.videos else self._decoded(name, readers, fps):
+            if image.shape != shape:
+                raise CorruptEpisode(f"Image of {name!r} in episode {self.index}: expected {shape}; got {image.shape}.")
+            yield image
+
+    def _column(self, name: str) -> pa.ChunkedArray:
+        if name not in self.table.column_names:
+            raise CorruptEpisode(f"Episode {self.index} has no column {name!r}, which info.json describes.")
+        return self.table.column(name)
+
+    def _decoded(self, name: str, readers: dict[str, VideoReader], fps: float) -> Iterator[NDArray[np.uint8]]:
+        place = self.videos[name]
+        if name in readers and readers[name].path != place.path:
+            readers.pop(name).close()
+        if name not in readers:
+            readers[name] = VideoReader(place.path)
+        yield from readers[name].frames(place.start, len(self.table), fps)
+
+    def _stored(self, name: str, shape: tuple[int, ...]) -> Iterator[NDArray[np.uint8]]:
+        for item in self._column(name):
+            stored = item.as_py()
+            data = stored.get("bytes") if isinstance(stored, dict) else stored
+            if not data or not isinstance(data, bytes):
+                raise CorruptEpisode(
+                    f"Column {name!r} of episode {self.index} names image files but does not have them."
+                )
+            yield decode_jpeg(data, shape) if data.startswith(b"\xff\xd8") else decode_image(data)
+
+
+class LeRobotSource:
+    """A LeRobotDataset on disk."""
+
+    def __init__(self, root: Path) -> None:
+        """Read its description.
+
+        Args:
+            root: The folder.
+
+        Raises:
+            DatasetError: There is no such dataset, or its version is not supported.
+            CorruptEpisode: Its description is damaged.
+        """
+        self.root = root
+        path = root / "meta" / "info.json"
+        if not path.is_file():
+            raise DatasetError(f"There is no LeRobot dataset in {root}: meta/info.json is missing.")
+        self.info = read_json(path)
+        self.version = str(self.info.get("codebase_version"))
+        if self.version not in _VERSIONS:
+            raise DatasetError(f"{root} is a LeRobot dataset {self.version}; supported: {', '.join(_VERSIONS)}.")
+        self.fps = self._rate()
+        self.features = self._features()
+        frames, chunks = self.info.get("total_frames", 0), self.info.get("chunks_size", 1000)
+        if type(frames) is not int or type(chunks) is not int or frames < 0 or chunks < 1:
+            raise CorruptEpisode(f"{path} is damaged: total_frames is {frames!r:.80} and chunks_size {chunks!r:.80}.")
+        self.frames, self._chunks_size = frames, chunks
+        try:
+            self._lengths, self._about = self._read_episodes()
+            self.tasks = self._read_tasks()
+        except DatasetError:
+            raise
+        except (KeyError, TypeError, OSError, pa.ArrowException) as err:
+            raise CorruptEpisode(f"The description of the LeRobot dataset in {root} is damaged: {err!r}.") from err
+        if not self._lengths:
+            raise InvalidSetup(f"The LeRobot dataset in {root} has no episodes.")
+
+    @property
+    def lengths(self) -> dict[int, int]:
+        """The number of frames of each episode."""
+        return dict(self._lengths)
+
+    def episodes(self) -> Iterator[SourceEpisode]:
+        """Yield the episodes in the order of the files, with the numbers of one at a time in memory.
+
+        Raises:
+            CorruptEpisode: Rows are missing or damaged.
+        """
+        left = dict(self._lengths)
+        for index, table in self._tables():
+            if left.pop(index, None) != len(table):
+                told = self._lengths.get(index, 0)
+                raise CorruptEpisode(f"Episode {index} of {self.root} has {len(table)} rows; expected {told}.")
+            used = dict.fromkeys(table.column("task_index").to_pylist()) if "task_index" in table.column_names else {}
+            yield SourceEpisode(
+                index=index,
+                tasks=tuple(self.tasks[i] for i in used if i in self.tasks),
+                table=table,
+                videos={name: self._video(name, index) for name, f in self.features.items() if f["dtype"] == "video"},
+            )
+        if left:
+            raise CorruptEpisode(f"Episodes {sorted(left)[:10]} of {self.root} are described but have no rows.")
+
+    def _tables(self) -> Iterator[tuple[int, pa.Table]]:
+        """Yield the rows of episode after episode, wherever files and row groups end."""
+        parts: list[pa.Table] = []
+        current: int | None = None
+        for path in sorted((self.root / "data").glob("*/*.parquet")):
+            with opened_of_others(path) as source:
+                source.require()
+                for batch in source.batches():
+                    for index, part in _by_episode(pa.Table.from_batches([batch]), path):
+                        if index != current and parts and current is not None:
+                            yield current, pa.concat_tables(parts)
+                            parts = []
+                        current = index
+                        parts.append(part)
+        if parts and current is not None:
+            yield current, pa.concat_tables(parts)
+
+    def _video(self, name: str, index: int) -> VideoPlace:
+        pattern = self.info.get("video_path")
+        if self.version == "v3.0":
+            about = self._about[index]
+            where = {f"{part}_index": about.get(f"videos/{name}/{part}_index") for part in ("chunk", "file")}
+            start = about.get(f"videos/{name}/from_timestamp")
+        else:
+            chunk = index // self._chunks_size
+            where, start = {"episode_chunk": chunk, "episode_index": index}, 0.0
+        if not isinstance(start, int | float) or not 0 <= start < math.inf:
+            raise CorruptEpisode(f"The video {name!r} of episode {index} in {self.root} begins at {start!r} s.")
+        return VideoPlace(path=self.root / filled(pattern, {"video_key": name, **where}), start=float(start))
+
+    def _rate(self) -> float:
+        fps = self.info.get("fps")
+        if not isinstance(fps, int | float) or isinstance(fps, bool) or not 0 < fps < _HIGHEST_FPS:
+            raise CorruptEpisode(f"The LeRobot dataset in {self.root} has {fps!r:.80} frames per second.")
+        return float(fps)
+
+    def _features(self) -> dict[str, Any]:
+        """Return the entries of `info.json` for each column, with dtype and shape checked."""
+        features = self.info.get("features")
+        if not isinstance(features, dict):
+            raise CorruptEpisode(f"The LeRobot dataset in {self.root} has {features!r:.80} instead of features.")
+        for name, about in features.items():
+            shape = about.get("shape") if isinstance(about, dict) else None
+            is_shape = isinstance(shape, list) and all(type(n) is int and 0 < n < 1 << 31 for n in shape)
+            if not is_shape or not isinstance(about.get("dtype"), str):
+                raise CorruptEpisode(
+                    f"The LeRobot dataset in {self.root} has a feature {name!r} that is {about!r:.200}."
+                )
+        return features
+
+    def _read_episodes(self) -> tuple[dict[int, int], dict[int, dict[str, Any]]]:
+        if self.version != "v3.0":
+            rows = read_json_lines(self.root / "meta" / "episodes.jsonl")
+        else:
+            rows = []
+            for path in sorted((self.root / "meta" / "episodes").glob("*/*.parquet")):
+                with opened_of_others(path) as source:
+                    names = [name for name in source.file.schema_arrow.names if not name.startswith("stats/")]
+                    rows += source.table(names).to_pylist()
+        about: dict[int, dict[str, Any]] = {}
+        for row in rows:
+            index, length = row.get("episode_index"), row.get("length")
+            if type(index) is not int or type(length) is not int or index < 0 or length < 0:
+                raise CorruptEpisode(f"{self.root} describes an episode {index!r} of length {length!r}.")
+            about[index] = row
+        return {index: row["length"] for index, row in about.items()}, about
+
+    def _read_tasks(self) -> dict[int, str]:
+        if self.version != "v3.0":
+            rows = read_json_lines(self.root / "meta" / "tasks.jsonl")
+            return {row["task_index"]: str(row["task"]) for row in rows}
+        path = self.root / "meta" / "tasks.parquet"
+        with opened_of_others(path) as source:
+            table = source.table()
+        # The instruction is the index of a pandas frame, whose column may have any name.
+        words = [name for name in table.column_names if name != "task_index"]
+        if "task_index" not in table.column_names or not words:
+            raise CorruptEpisode(f"{path} has columns {table.column_names}; it must have task_index and the words.")
+        tasks = zip(table.column("task_index").to_pylist(), table.column(words[0]).to_pylist(), strict=True)
+        return {index: mended_text(str(task)) for index, task in tasks}
+
+
+def filled(pattern: object, values: Mapping[str, object]) -> Path:
+    """Return the path of a pattern such as "videos/{video_key}/episode_{episode_index:06d}.mp4".
+
+    Not with `str.format`, since an untrusted pattern could access attributes and make texts of any length.
+
+    Args:
+        pattern: The pattern, from a file.
+        values: Values of its names.
+
+    Raises:
+        CorruptEpisode: It is not a pattern, or leads out of its folder.
+    """
+
+    def value(match: re.Match[str]) -> str:
+        name, digits = match["name"], match["digits"]
+        given = values.get(name)
+        if digits is None and isinstance(given, str | int):
+            return str(given)
+        if digits is not None and type(given) is int and given >= 0:
+            return f"{given:0{int(digits)}d}"
+        raise CorruptEpisode(f"The pattern {pattern!r:.200} needs a {name}; got {given!r:.80}.")
+
+    if not isinstance(pattern, str):
+        raise CorruptEpisode(f"A pattern of paths must be text, not {pattern!r:.80}.")
+    if {"{", "}"} & set(_FIELD.sub("", pattern)):
+        raise CorruptEpisode(f"The pattern {pattern!r:.200} may have only a name and a number of digits in braces.")
+    path = _FIELD.sub(value, pattern)
+    words = path.split("/")
+    if not all(word and word not in (".", "..") and word.isprintable() and "\\" not in word for word in words):
+        raise CorruptEpisode(f"The pattern {pattern!r:.200} makes {path!r:.200}, which is not a path in its folder.")
+    return Path(path)
+
+
+def _by_episode(table: pa.Table, path: Path) -> Iterator[tuple[int, pa.Table]]:
+    if "episode_index" not in table.column_names or not pa.types.is_integer(table.schema.field("episode_index").type):
+        raise CorruptEpisode(f"{path} has no column episode_index of whole numbers.")
+    numbers = table.column("episode_index").fill_null(-1).to_numpy()
+    edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
+    for start, stop in pairwise(edges):
+        if stop > start:
+            yield int(numbers[start]), table.slice(start, stop - start)

@@ -1,0 +1,146 @@
+"""Options of exports and imports that all formats share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
+
+from rcs_data.errors import InvalidSetup
+from rcs_data.feature import Feature
+from rcs_data.output import OnProgress
+from rcs_data.reader import Dataset, EpisodeRecord
+
+VideoCodec = Literal["h264", "av1"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """How to export a dataset.
+
+    Raises:
+        InvalidSetup: An option does not make sense.
+    """
+
+    episodes: tuple[str, ...] | None = None
+    """Ids of episodes to export, in order; None for all."""
+    success_only: bool = False
+    """Whether to leave out episodes that failed or have no verdict."""
+    state: tuple[str, ...] | None = None
+    """Features that make up the state, in order; None for joints, then gripper or hand, robot by robot."""
+    action: tuple[str, ...] | None = None
+    """Features that make up the action, in order; None for the arm's part, then gripper or hand."""
+    extra: tuple[str, ...] = ()
+    """More features of numbers to export, each as its own column."""
+    cameras: tuple[str, ...] | None = None
+    """Cameras to export; None for all, an empty tuple (`none` on the command line) for none."""
+    robot_type: str | None = None
+    """Name of the robot in the export; None for that in the setup."""
+    fps: int | None = None
+    """Frame rate to claim [Hz], if the format needs a whole number; None for the true one."""
+    codec: VideoCodec = "h264"
+    """Compression of videos, in formats that have them."""
+    compress: bool = True
+    """Whether to compress images without loss, if the format leaves the choice: smaller, but slower to read."""
+    name: str | None = None
+    """Name of the export, in formats that store one; None for that of the dataset's folder."""
+    workers: int = 1
+    """Threads that encode, one core each."""
+    on_progress: OnProgress | None = None
+    """Called now and then while the export runs."""
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.codec not in get_args(VideoCodec):
+            raise InvalidSetup(f"The codec is {self.codec!r}; valid are {', '.join(get_args(VideoCodec))}.")
+        if self.fps is not None and self.fps < 1:
+            raise InvalidSetup(f"fps is {self.fps}; it must be at least 1.")
+        if self.workers < 1:
+            raise InvalidSetup(f"workers is {self.workers}; it must be at least 1.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """How to import a dataset of another format."""
+
+    jpeg_quality: int = 95
+    """1 to 100; images are compressed again, so a value below the default is visible."""
+    lossless: bool = False
+    """Whether to store colour images without loss instead."""
+    instruction: str | None = None
+    """What the robot was asked to do, if the source does not say."""
+    frequency: float | None = None
+    """Control steps per second [Hz], if the source does not say."""
+    on_progress: OnProgress | None = None
+    """Called now and then while the import runs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportReport:
+    """The result of an export."""
+
+    path: Path
+    """The file or folder."""
+    episodes: int
+    """Episodes in it."""
+    steps: int
+    """Steps in all of them."""
+    frames: int
+    """Images, all cameras together."""
+    bytes_written: int
+    """Size on disk."""
+    notes: tuple[str, ...] = ()
+    """What was left out or changed, one sentence each."""
+
+
+def stored_as(feature: Feature, options: ImportOptions) -> Feature:
+    """Return a feature of an imported dataset, its images encoded according to the options."""
+    return replace(feature, encoding="lossless") if options.lossless and feature.encoding == "jpeg" else feature
+
+
+def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[EpisodeRecord, ...]:
+    """Return the episodes to export; each has at least one step.
+
+    Args:
+        dataset: The dataset.
+        options: Episodes to export.
+
+    Raises:
+        InvalidSetup: An id is unknown or given twice, or nothing is left.
+        CorruptEpisode: An episode's description is damaged.
+    """
+    ids = options.episodes
+    if ids is not None and len(set(ids)) < len(ids):
+        raise InvalidSetup(f"Episodes are given twice: {', '.join(sorted({i for i in ids if ids.count(i) > 1}))}.")
+    known = {episode.id: episode for episode in dataset.episodes}
+    unknown = [i for i in ids or () if i not in known]
+    if unknown:
+        raise InvalidSetup(
+            f"There is no episode {', '.join(unknown)} in {dataset.path}, which has {len(known)} episodes."
+        )
+    chosen = [known[i] for i in ids] if ids is not None else list(known.values())
+    kept = [e for e in chosen if e.length > 1 and (e.success is True or not options.success_only)]
+    if not kept:
+        wanted = "that succeeded and has" if options.success_only else "with"
+        raise InvalidSetup(
+            f"None of the {len(chosen)} chosen episodes of {dataset.path} is one {wanted} a step to export."
+        )
+    return tuple(kept)
+
+
+def selected_cameras(names: dict[str, object] | list[str], options: ExportOptions) -> tuple[str, ...]:
+    """Return the names of the cameras to export.
+
+    Args:
+        names: All cameras.
+        options: Cameras to export.
+
+    Raises:
+        InvalidSetup: A name is unknown.
+    """
+    if options.cameras is None:
+        return tuple(names)
+    unknown = [name for name in options.cameras if name not in names]
+    if unknown:
+        raise InvalidSetup(f"There is no camera {', '.join(unknown)}. Known: {', '.join(names) or 'none'}.")
+    return options.cameras

@@ -1,0 +1,241 @@
+"""Exports to RLDS, as a folder for TensorFlow Datasets; Octo and OpenVLA train on it.
+
+`<out>/<name>/1.0.0` has `dataset_info.json`, `features.json` and the episodes in TFRecord files, so that
+`tfds.builder_from_directory` or, with `data_dir=<out>`, `tfds.builder(<name>)` opens it. A step has
+
+- `observation`: `state` (float32), every part of the observation under its own name (`joints`, `left_gripper`),
+  `image_<camera>`, `depth_<camera>` [mm], `intrinsics_<camera>`, `extrinsics_<camera>`;
+- `action` (float32), `reward` (float32), `discount` (0 where the step ended the task, else 1), `is_first`, `is_last`,
+  `is_terminal`, `language_instruction`.
+
+As in the datasets of Open X-Embodiment, the last step has an action, and the observation after it is left out. JPEGs
+are copied without compressing them again; losslessly recorded images become PNG. `rcs.json` beside the episodes has
+names and units of the numbers of state and action, and the rate.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs_data.codec import decode_frame
+from rcs_data.convert.observations import (
+    FrameKey,
+    as_float32,
+    describe_layout,
+    kept_info,
+    named,
+    observed,
+    step_values,
+)
+from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
+from rcs_data.convert.png import encode_png
+from rcs_data.convert.provenance import episode_provenance
+from rcs_data.convert.rlds_features import Spec, features_json, image, numbers, tensor, text
+from rcs_data.convert.tfrecord import ShardWriter, Values, encode_example
+from rcs_data.errors import InvalidSetup
+from rcs_data.feature import Feature
+from rcs_data.info import DatasetInfo
+from rcs_data.output import new_output, size_on_disk
+from rcs_data.reader import Dataset, EpisodeRecord
+from rcs_data.trajectory import Trajectory, VectorLayout, action_layout, state_layout, trajectory
+
+VERSION = "1.0.0"
+RCS_FILE = "rcs.json"
+
+# TensorFlow Datasets recommends files of 100 to 200 MB.
+_SHARD_BYTES = 200_000_000
+
+_STEP_NAMES = (
+    "action",
+    "reward",
+    "discount",
+    "is_first",
+    "is_last",
+    "is_terminal",
+    "language_instruction",
+    "observation",
+)
+
+
+@dataclass(frozen=True)
+class _Source:
+    """An episode, for the columns to read."""
+
+    episode: EpisodeRecord
+    steps: Trajectory
+    provenance: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Column:
+    spec: Spec
+    values: Callable[[_Source], Values]
+
+
+def export_rlds(dataset: Dataset, out: str | Path, options: ExportOptions | None = None) -> ExportReport:
+    """Export episodes as RLDS.
+
+    Args:
+        dataset: The dataset.
+        out: The folder for a folder of the export's name; it may have others already.
+        options: Episodes, cameras and features; `extra` adds features that are not observations, such as
+            "executed/joints".
+
+    Raises:
+        InvalidSetup: An option does not suit the dataset, nothing is left to export, or an episode is 2 GiB or more.
+        CorruptEpisode: An episode is damaged.
+        DatasetError: An export of that name exists, or the disk fails.
+    """
+    options = options or ExportOptions()
+    episodes = selected_episodes(dataset, options)
+    info = kept_info(dataset.info, options)
+    state, action = state_layout(info, options.state), action_layout(info, options.action)
+    columns = _columns(dataset, info, state, action, options)
+    name = _name(dataset, options)
+    digest = dataset.digest()
+    total = sum(episode.length - 1 for episode in episodes)
+    done = 0
+    target = Path(out) / name
+    with new_output(target) as partial:
+        folder = partial / VERSION
+        folder.mkdir(parents=True)
+        shards = ShardWriter(folder, f"{name}-train.tfrecord", _SHARD_BYTES)
+        for episode in episodes:
+            steps = trajectory(episode, state, action)
+            source = _Source(episode, steps, episode_provenance(episode, digest))
+            shards.write(encode_example({path: column.values(source) for path, column in columns.items()}))
+            done += len(steps)
+            if options.on_progress is not None:
+                options.on_progress(done, total)
+        shards.close()
+        _write_json(folder / "features.json", features_json({path: column.spec for path, column in columns.items()}))
+        _write_json(folder / "dataset_info.json", _dataset_info(name, info.instruction, shards))
+        about = {
+            "dataset": digest,
+            "state": describe_layout(state),
+            "action": describe_layout(action),
+            "info": info.to_json(),
+        }
+        _write_json(folder / RCS_FILE, about)
+    images = sum(1 for column in columns.values() if "image" in column.spec)
+    narrowed = sorted({f.key for f in observed(info) if f.dtype == "float64"})
+    return ExportReport(
+        path=target / VERSION,
+        episodes=len(episodes),
+        steps=total,
+        frames=images * total,
+        bytes_written=size_on_disk(target),
+        notes=("64-bit numbers became float32, the only float type of the format.",) if narrowed else (),
+    )
+
+
+def _columns(
+    dataset: Dataset, info: DatasetInfo, state: VectorLayout, action: VectorLayout, options: ExportOptions
+) -> dict[str, _Column]:
+    seen = observed(info)
+    if [feature.key for feature in state.features] == ["observation/state"]:
+        seen = tuple(feature for feature in seen if feature.key != "observation/state")  # already the state
+    extra = [info.feature(key) for key in options.extra]
+    images = [feature.key for feature in extra if feature.is_image]
+    if images:
+        raise InvalidSetup(
+            f"{', '.join(images)} cannot be extra features, which must be numbers; choose cameras instead."
+        )
+    observations = named(seen, _observation_name, taken=("state",))
+    others = named([f for f in extra if f not in seen], lambda f: f.key.replace("/", "_"), taken=_STEP_NAMES)
+    columns: dict[str, _Column] = {
+        "observation/state": _Column(tensor((state.size,), "float32"), lambda s: as_float32(s.steps.states)),
+        **{f"observation/{name}": _feature_column(feature) for name, feature in observations.items()},
+        **{name: _feature_column(feature) for name, feature in others.items()},
+        "action": _Column(tensor((action.size,), "float32"), lambda s: as_float32(s.steps.actions)),
+        "reward": _Column(tensor((), "float32"), lambda s: as_float32(s.steps.rewards)),
+        "discount": _Column(tensor((), "float32"), lambda s: as_float32(~s.steps.terminated)),
+        "is_first": _Column(tensor((), "bool"), lambda s: _only(0, len(s.steps))),
+        "is_last": _Column(tensor((), "bool"), lambda s: _only(len(s.steps) - 1, len(s.steps))),
+        "is_terminal": _Column(tensor((), "bool"), lambda s: s.steps.terminated.astype(np.int64)),
+        "language_instruction": _Column(text(), lambda s: [s.episode.instruction.encode()] * len(s.steps)),
+    }
+    about: dict[str, _Column] = {
+        "file_path": _Column(text(), lambda s: [f"{dataset.path.name}/{s.episode.id}".encode()]),
+        "episode_id": _Column(text(), lambda s: [s.episode.id.encode()]),
+        "seed": _Column(tensor((), "int64"), lambda s: _integer(s.episode.seed)),
+        "success": _Column(tensor((), "int64"), lambda s: _integer(s.episode.success)),
+        "dataset_digest": _Column(text(), lambda s: [s.provenance["dataset"].encode()]),
+        "provenance": _Column(text(), lambda s: [json.dumps(s.provenance, ensure_ascii=False).encode()]),
+    }
+    return {
+        **{f"steps/{name}": column for name, column in columns.items()},
+        **{f"episode_metadata/{name}": column for name, column in about.items()},
+    }
+
+
+def _observation_name(feature: Feature) -> str:
+    frame = FrameKey.of(feature.key)
+    if frame is None:
+        return "_".join(feature.key.split("/")[1:])
+    kind = "image" if frame.kind == "rgb" else frame.kind
+    return f"{kind}_{frame.camera.replace('/', '_')}"
+
+
+def _feature_column(feature: Feature) -> _Column:
+    if feature.is_image:
+        return _Column(image(feature), lambda s: list(_encoded(s.episode, feature)))
+    return _Column(numbers(feature), lambda s: _numbers(step_values(s.episode, feature)))
+
+
+def _encoded(episode: EpisodeRecord, feature: Feature) -> Iterator[bytes]:
+    last, encoded = None, b""
+    for data in islice(episode.encoded_frames(feature.key), episode.length - 1):
+        if data is not last:
+            last = data
+            encoded = data if feature.encoding == "jpeg" else encode_png(decode_frame(feature, data))
+        yield encoded
+
+
+def _numbers(values: NDArray[Any]) -> Values:
+    if values.dtype.kind == "f":
+        return as_float32(values)
+    # As in TensorFlow Datasets, the upper half of uint64 becomes negative.
+    return values.view(np.int64) if values.dtype == np.uint64 else values.astype(np.int64)
+
+
+def _only(index: int, length: int) -> NDArray[np.int64]:
+    return (np.arange(length) == index).astype(np.int64)
+
+
+def _integer(value: int | None) -> NDArray[np.int64]:
+    """Return one number; -1 if unknown or too large (`provenance` has the original)."""
+    return np.array([value if value is not None and abs(value) < 1 << 63 else -1], np.int64)
+
+
+def _name(dataset: Dataset, options: ExportOptions) -> str:
+    given = options.name
+    if given is None:
+        name = re.sub(r"\W+", "_", dataset.path.resolve().name, flags=re.ASCII).strip("_").lower()
+        return name if name[:1].isalpha() else f"rcs_{name}".rstrip("_")
+    if not re.fullmatch(r"[A-Za-z]\w*", given, re.ASCII):
+        raise InvalidSetup(f"{given!r} cannot name an RLDS dataset; use letters, digits and '_', first a letter.")
+    return given
+
+
+def _dataset_info(name: str, description: str, shards: ShardWriter) -> dict[str, Any]:
+    split = {
+        "name": "train",
+        "filepathTemplate": "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}",
+        "numBytes": str(shards.data_bytes),
+        "shardLengths": [str(length) for length in shards.shard_lengths],
+    }
+    return {"name": name, "version": VERSION, "description": description, "fileFormat": "tfrecord", "splits": [split]}
+
+
+def _write_json(path: Path, values: dict[str, Any]) -> None:
+    path.write_text(json.dumps(values, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

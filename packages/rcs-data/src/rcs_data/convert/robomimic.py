@@ -1,0 +1,214 @@
+"""Exports to an HDF5 file for robomimic.
+
+`data/demo_<i>` is the i-th episode of `num_samples` steps:
+
+- `obs/<name>`, `next_obs/<name>`: every part of the observation under its own name (`joints`, `left_gripper`), in its
+  own dtype; `<camera>_image` (H, W, 3) uint8; `<camera>_depth` (H, W, 1) uint16 [mm]; `<camera>_intrinsics` and so on;
+- `actions` float64, `rewards` float64, `dones` (1 where a step ended the episode), `states`: the simulation state,
+without columns if there is none;
+- `rcs/<key>`: the other columns of the dataset (executed actions, times, flags), with one more row for the reset.
+robomimic ignores them; an import restores all columns from them.
+
+Attributes of `data`: `env_args` describes the robot, and `rcs` has what an import needs. `mask/train` and `mask/valid`
+split the episodes nine to one, `mask/success` lists the successful ones.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs_data.codec import decode_frame
+from rcs_data.convert.hdf5 import load_h5py
+from rcs_data.convert.observations import FrameKey, describe_layout, kept_info, named, observed
+from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
+from rcs_data.convert.provenance import episode_provenance
+from rcs_data.feature import Feature
+from rcs_data.info import DatasetInfo
+from rcs_data.output import new_output, size_on_disk
+from rcs_data.reader import Dataset, EpisodeRecord
+from rcs_data.trajectory import VectorLayout, action_layout, state_layout, trajectory
+
+RCS = "rcs"
+"""Name of our attribute of `data` and of our group in each episode."""
+PROVENANCE = "provenance"
+"""The attribute of an episode with its origin."""
+LAST_STATE = "last_state"
+"""The dataset in that group with the simulation state after the last step."""
+
+# robomimic numbers its kinds of environments; 2 is Gym.
+_GYM_ENVIRONMENT = 2
+# One episode in this many is for validation, as in robomimic's own script.
+_VALIDATION = 10
+# On noisy images level 6 takes twice as long and saves little.
+_ZLIB_LEVEL = 1
+
+
+def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions | None = None) -> ExportReport:
+    """Export episodes as one HDF5 file for robomimic.
+
+    Args:
+        dataset: The dataset.
+        out: The file.
+        options: Episodes, cameras and features. `state` selects the parts of the observation in `obs`, each under its
+            own name; None for all. `compress` is for images.
+
+    Raises:
+        MissingDependency: h5py is not installed.
+        InvalidSetup: An option does not suit the dataset, or nothing is left to export.
+        CorruptEpisode: An episode is damaged.
+        DatasetError: The file exists already, or the disk fails.
+    """
+    h5py = load_h5py()
+    options = options or ExportOptions()
+    episodes = selected_episodes(dataset, options)
+    info = kept_info(dataset.info, options)
+    # Only observed images have a place.
+    info = replace(info, features=tuple(f for f in info.features if f in observed(info) or not f.is_image))
+    action = action_layout(info, options.action)
+    parts = observed(info)
+    if options.state is not None:
+        parts = (*state_layout(info, options.state).features, *(feature for feature in parts if feature.is_image))
+    observations = named(parts, _observation_name)
+    others = tuple(feature for feature in info.features if feature not in parts)
+    digest = dataset.digest()
+    total = sum(episode.length - 1 for episode in episodes)
+    low, high = np.inf, -np.inf
+    done = 0
+    with new_output(out) as partial, h5py.File(partial, "w", libver=("v110", "v110")) as file:
+        data = file.create_group("data")
+        data.attrs["total"] = total
+        data.attrs["env_args"] = json.dumps(_environment(info))
+        about = {
+            "version": 1,
+            "dataset": digest,
+            "info": info.to_json(),
+            "observations": {name: feature.key for name, feature in observations.items()},
+            "actions": describe_layout(action),
+        }
+        data.attrs[RCS] = json.dumps(about)
+        for i, episode in enumerate(episodes):
+            demo = data.create_group(f"demo_{i}")
+            actions = _write_demo(demo, episode, observations, others, action, options.compress)
+            demo.attrs[PROVENANCE] = json.dumps(episode_provenance(episode, digest))
+            low, high = min(low, actions.min()), max(high, actions.max())
+            done += len(actions)
+            if options.on_progress is not None:
+                options.on_progress(done, total)
+        for name, members in _masks(episodes).items():
+            file[f"mask/{name}"] = np.array([f"demo_{i}" for i in members], "S")
+    target = Path(out)
+    notes = () if -1 <= low <= high <= 1 else (_range_note(low, high),)
+    images = sum(feature.is_image for feature in parts)
+    return ExportReport(
+        path=target,
+        episodes=len(episodes),
+        steps=total,
+        frames=images * total,
+        bytes_written=size_on_disk(target),
+        notes=notes,
+    )
+
+
+def _write_demo(
+    demo: Any,
+    episode: EpisodeRecord,
+    observations: dict[str, Feature],
+    others: tuple[Feature, ...],
+    action: VectorLayout,
+    compress: bool,
+) -> NDArray[np.float64]:
+    steps = trajectory(episode, VectorLayout(features=()), action)
+    demo.attrs["num_samples"] = len(steps)
+    for name, feature in observations.items():
+        if feature.is_image:
+            _write_images(demo, name, episode, feature, compress)
+        else:
+            rows = episode.column(feature.key)
+            demo[f"obs/{name}"], demo[f"next_obs/{name}"] = rows[:-1], rows[1:]
+    demo["actions"] = steps.actions
+    demo["rewards"] = steps.rewards
+    is_last = np.arange(len(steps)) == len(steps) - 1
+    demo["dones"] = (steps.terminated | steps.truncated | is_last).astype(np.int64)
+    has_states = episode.info.sim_state_size is not None
+    states = episode.sim_state() if has_states else np.empty((episode.length, 0))
+    demo["states"] = states[:-1]
+    if has_states:
+        demo[f"{RCS}/{LAST_STATE}"] = states[-1]
+    for feature in others:
+        demo[f"{RCS}/{feature.key}"] = episode.column(feature.key)
+    return steps.actions
+
+
+def _write_images(demo: Any, name: str, episode: EpisodeRecord, feature: Feature, compress: bool) -> None:
+    """Write an image per step to `obs` and the one after it to `next_obs`, each decoded and compressed once."""
+    shape = feature.shape if len(feature.shape) == 3 else (*feature.shape, 1)
+    filters: dict[str, Any] = {}
+    if compress:
+        filters = {"compression": "gzip", "compression_opts": _ZLIB_LEVEL, "shuffle": feature.numpy_dtype.itemsize > 1}
+    now, after = (
+        demo.create_dataset(
+            f"{group}/{name}", (episode.length - 1, *shape), feature.dtype, chunks=(1, *shape), **filters
+        ).id
+        for group in ("obs", "next_obs")
+    )
+    last, chunk = None, b""
+    for row, data in enumerate(episode.encoded_frames(feature.key)):
+        if data is not last:
+            last, chunk = data, _chunk(decode_frame(feature, data), compress)
+        start = (0,) * len(shape)
+        if row < episode.length - 1:
+            now.write_direct_chunk((row, *start), chunk)
+        if row > 0:
+            after.write_direct_chunk((row - 1, *start), chunk)
+
+
+def _chunk(image: NDArray[Any], compress: bool) -> bytes:
+    """Return an image as stored in HDF5: with `compress`, byte-shuffled and compressed by zlib."""
+    little_endian = np.ascontiguousarray(image, image.dtype.newbyteorder("<"))
+    if not compress:
+        return little_endian.tobytes()
+    shuffled = little_endian.view(np.uint8).reshape(-1, image.dtype.itemsize).T
+    return zlib.compress(shuffled.tobytes(), _ZLIB_LEVEL)
+
+
+def _observation_name(feature: Feature) -> str:
+    frame = FrameKey.of(feature.key)
+    if frame is None:
+        words = feature.key.split("/")
+        return "_".join(words[1:] if words[0] == "observation" else words)
+    return f"{frame.camera.replace('/', '_')}_{'image' if frame.kind == 'rgb' else frame.kind}"
+
+
+def _environment(info: DatasetInfo) -> dict[str, Any]:
+    return {
+        "env_name": str(info.setup.get("task") or info.instruction),
+        "type": _GYM_ENVIRONMENT,
+        "env_kwargs": {**info.setup, "control_freq": info.frequency, "instruction": info.instruction},
+    }
+
+
+def _masks(episodes: tuple[EpisodeRecord, ...]) -> dict[str, list[int]]:
+    everyone = range(len(episodes))
+    # Every tenth, or the last of fewer; a single episode is for training.
+    valid = list(everyone[_VALIDATION - 1 :: _VALIDATION]) or list(everyone[1:][-1:])
+    masks = {
+        "train": [i for i in everyone if i not in valid],
+        "valid": valid,
+        "success": [i for i in everyone if episodes[i].success is True],
+        "failure": [i for i in everyone if episodes[i].success is False],
+    }
+    return {name: members for name, members in masks.items() if members}
+
+
+def _range_note(low: float, high: float) -> str:
+    return (
+        f"Actions range from {low:.3g} to {high:.3g} as recorded; robomimic's policies with tanh outputs need them "
+        "from -1 to 1."
+    )

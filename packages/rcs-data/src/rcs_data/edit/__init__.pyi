@@ -1,0 +1,15 @@
+from rcs_data.edit.combine import merge as merge
+from rcs_data.edit.combine import split as split
+from rcs_data.edit.episodes import delete as delete
+from rcs_data.edit.episodes import keep as keep
+from rcs_data.edit.episodes import relabel as relabel
+from rcs_data.edit.episodes import trim as trim
+from rcs_data.edit.images import rename_camera as rename_camera
+from rcs_data.edit.images import resize as resize
+from rcs_data.edit.mix import Harmonise as Harmonise
+from rcs_data.edit.mix import Part as Part
+from rcs_data.edit.mix import mix as mix
+from rcs_data.edit.mix import parse_part as parse_part
+from rcs_data.edit.rate import resample as resample
+from rcs_data.edit.undo import prune as prune
+from rcs_data.edit.undo import undo as undo

@@ -1,0 +1,188 @@
+"""Merges several datasets into one and splits one into several; each inverts the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rcs_data.edit.episodes import require_ids
+from rcs_data.edit.transaction import making
+from rcs_data.errors import DatasetError, InvalidSetup
+from rcs_data.info import MERGED, DatasetInfo, differences, feature_differences, shared_setup
+from rcs_data.layout import check_name, name_of
+from rcs_data.output import OnProgress
+from rcs_data.reader import Dataset, EpisodeRecord
+
+# Fields that may differ between merged datasets.
+_OWN = ("setup", "instruction", "jpeg_quality", "jpeg_subsampling", "origin")
+
+
+def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProgress | None = None) -> Dataset:
+    """Merge datasets of the same features and rate into a new one, and return it.
+
+    Each episode records its origin (`EpisodeRecord.source`). Ids stay the same unless two sources share one; then every
+    id is prefixed with its source's name.
+
+    Args:
+        sources: The datasets.
+        out: The new one.
+        on_progress: Called with the number of episodes done and of all.
+
+    Raises:
+        InvalidSetup: No sources are given.
+        DatasetError: The sources do not fit each other (the message lists how), or `out` is not empty.
+        CorruptEpisode: A source is damaged.
+    """
+    if not sources:
+        raise InvalidSetup("There are no datasets to merge; give at least one.")
+    datasets = [Dataset.open(path) for path in sources]
+    names = source_names(datasets)
+    for name, dataset in list(zip(names, datasets, strict=True))[1:]:
+        _require_fit(names[0], datasets[0], name, dataset)
+    info = _merged_info(names, datasets)
+    everything = [episode.id for dataset in datasets for episode in dataset.episodes]
+    is_unique = len(set(everything)) == len(everything)
+    done = 0
+    with making(out, info) as made:
+        for name, dataset in zip(names, datasets, strict=True):
+            digest = dataset.digest()
+            for episode in dataset.episodes:
+                source = provenance(name, digest, episode)
+                made.keep(episode, episode_id=episode.id if is_unique else f"{name}.{episode.id}", source=source)
+                done += 1
+                if on_progress is not None:
+                    on_progress(done, len(everything))
+    return Dataset.open(out)
+
+
+def split(
+    path: str | Path,
+    out: str | Path,
+    *,
+    parts: Mapping[str, float] | None = None,
+    seed: int = 0,
+    episodes: Mapping[str, Sequence[str]] | None = None,
+) -> dict[str, Dataset]:
+    """Split a dataset into several, in `out/<part>`, and return them by name.
+
+    Args:
+        path: The dataset, which is not changed.
+        out: Where the parts go.
+        parts: The share of each part, such as {"train": 0.9, "val": 0.1}; episodes are drawn by the seed.
+        seed: Of the draw.
+        episodes: The ids of each part. With neither shares nor ids, a merged dataset is split into its sources, and
+            episodes get their former ids back.
+
+    Raises:
+        InvalidSetup: The shares do not sum up to 1, there is no such episode, or the dataset was not merged.
+        DatasetError: A part's folder is not empty.
+        CorruptEpisode: The dataset is damaged.
+    """
+    dataset = Dataset.open(path)
+    if parts is not None and episodes is not None:
+        raise InvalidSetup("Give the parts' shares or their episodes, not both.")
+    if parts is None and episodes is None:
+        return _split_by_source(dataset, Path(out))
+    chosen = _drawn(dataset, parts, seed) if parts is not None else dict(episodes or {})
+    for ids in chosen.values():
+        require_ids(dataset, ids)
+    made: dict[str, Dataset] = {}
+    for name in chosen:
+        check_name(name, "a part")
+    for name, ids in chosen.items():
+        with making(Path(out) / name, dataset.info) as part:
+            for episode in (dataset[episode_id] for episode_id in sorted(ids)):
+                part.keep(episode)
+        made[name] = Dataset.open(Path(out) / name)
+    return made
+
+
+def provenance(name: str, digest: str, episode: EpisodeRecord) -> dict[str, Any]:
+    """Return the source to store with a copy of an episode.
+
+    Args:
+        name: The name of its dataset.
+        digest: The hash of its dataset.
+        episode: The episode.
+    """
+    return {
+        "dataset": name,
+        "digest": digest,
+        "episode": episode.id,
+        "content_hash": episode.content_hash,
+        "source": episode.source,
+    }
+
+
+def source_names(datasets: Sequence[Dataset]) -> list[str]:
+    """Return a name for each dataset: that of its folder, numbered where two are equal."""
+    names: list[str] = []
+    for dataset in datasets:
+        stem = name = name_of(dataset.path)
+        number = 2
+        while name in names:
+            name = f"{stem}-{number}"
+            number += 1
+        names.append(name)
+    return names
+
+
+def _require_fit(name: str, first: Dataset, other_name: str, other: Dataset) -> None:
+    if lines := feature_differences(first.info, other.info, names=(name, other_name)):
+        text = "\n  ".join(lines)
+        raise DatasetError(f"{name} and {other_name} do not fit each other; `mix` can map them. Differences:\n  {text}")
+
+
+def _merged_info(names: Sequence[str], datasets: Sequence[Dataset]) -> DatasetInfo:
+    first = datasets[0].info
+    if all(not differences(first, dataset.info) for dataset in datasets[1:]):
+        return first
+    setup = shared_setup([dataset.info.setup for dataset in datasets])
+    return replace(first, setup=setup, origin={MERGED: own_parts(names, datasets)})
+
+
+def own_parts(names: Sequence[str], datasets: Sequence[Dataset]) -> dict[str, dict[str, Any]]:
+    """Return for each dataset, by name, what it does not share with the others it is merged with."""
+    infos = zip(names, (dataset.info for dataset in datasets), strict=True)
+    return {name: {field: getattr(info, field) for field in _OWN} for name, info in infos}
+
+
+def _drawn(dataset: Dataset, parts: Mapping[str, float], seed: int) -> dict[str, list[str]]:
+    total = sum(parts.values())
+    if not parts or min(parts.values()) < 0 or not abs(total - 1) <= 1e-6:  # NaN compares false
+        raise InvalidSetup(f"The shares {dict(parts)} sum up to {total:g}; they must not be negative and sum up to 1.")
+    ids = [episode.id for episode in dataset.episodes]
+    order = np.random.default_rng(seed).permutation(len(ids))
+    ends = np.rint(np.cumsum(list(parts.values())) * len(ids)).astype(int)
+    starts = [0, *ends[:-1]]
+    return {
+        name: sorted(ids[i] for i in order[start:end]) for name, start, end in zip(parts, starts, ends, strict=True)
+    }
+
+
+def _split_by_source(dataset: Dataset, out: Path) -> dict[str, Dataset]:
+    strangers = [episode.id for episode in dataset.episodes if episode.source is None]
+    if strangers or not dataset.episodes:
+        raise InvalidSetup(
+            f"Episodes {', '.join(strangers[:5]) or '(none)'} of {dataset.path} were not merged from another dataset; "
+            "give the parts' shares or their episodes."
+        )
+    by_name: dict[str, list[EpisodeRecord]] = {}
+    for episode in dataset.episodes:
+        assert episode.source is not None
+        by_name.setdefault(episode.source["dataset"], []).append(episode)
+    made: dict[str, Dataset] = {}
+    for name, episodes in by_name.items():
+        check_name(name, "a dataset")
+        parts: dict[str, dict[str, Any]] = dataset.info.origin.get(MERGED, {})
+        former = {field: value for field, value in parts.get(name, {}).items() if field in _OWN}
+        with making(out / name, replace(dataset.info, **former)) as part:
+            for episode in episodes:
+                assert episode.source is not None
+                part.keep(episode, episode_id=episode.source["episode"], source=episode.source["source"])
+        made[name] = Dataset.open(out / name)
+    return made

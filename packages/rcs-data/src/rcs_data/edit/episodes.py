@@ -1,0 +1,115 @@
+"""Edits of whole episodes: delete, keep, trim, relabel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from rcs_data.edit.rows import rows_of, take_rows
+from rcs_data.edit.transaction import editing
+from rcs_data.errors import InvalidSetup
+from rcs_data.reader import Dataset
+
+
+def delete(path: str | Path, episodes: Iterable[str]) -> None:
+    """Delete episodes of a dataset.
+
+    Args:
+        path: The dataset.
+        episodes: Their ids.
+
+    Raises:
+        InvalidSetup: There is no such episode; nothing is deleted.
+        DatasetError: Another process writes to the dataset, or the disk fails; nothing is deleted.
+    """
+    ids = sorted(set(episodes))
+    with editing(path, "delete", {"episodes": ids}) as edit:
+        require_ids(edit.dataset, ids)
+        for episode in edit.dataset.episodes:
+            if episode.id not in ids:
+                edit.keep(episode)
+
+
+def keep(path: str | Path, episodes: Iterable[str]) -> None:
+    """Delete all episodes but some.
+
+    Args:
+        path: The dataset.
+        episodes: The ids of those that stay.
+
+    Raises:
+        InvalidSetup: There is no such episode; nothing changes.
+        DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
+    """
+    ids = sorted(set(episodes))
+    with editing(path, "keep", {"episodes": ids}) as edit:
+        require_ids(edit.dataset, ids)
+        for name in ids:
+            edit.keep(edit.dataset[name])
+
+
+def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> None:
+    """Cut rows off the start and end of an episode; its verdict stays the same.
+
+    Args:
+        path: The dataset.
+        episode: The id.
+        first: The row that becomes the first; its observation is the new reset observation.
+        last: The row that becomes the last; negative numbers count from the end, -1 being the last.
+
+    Raises:
+        InvalidSetup: There is no such episode, or no row would stay; nothing changes.
+        CorruptEpisode: The episode is damaged; nothing changes.
+        DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
+    """
+    with editing(path, "trim", {"episode": episode, "first": first, "last": last}) as edit:
+        require_ids(edit.dataset, [episode])
+        for record in edit.dataset.episodes:
+            if record.id != episode:
+                edit.keep(record)
+                continue
+            end = record.length + last if last < 0 else last
+            if not 0 <= first <= end < record.length:
+                raise InvalidSetup(
+                    f"Expected rows of episode {episode!r} between 0 and "
+                    f"{record.length - 1}, the first not after the last; got {first} to {last}."
+                )
+            edit.write(record, take_rows(rows_of(record), record.info, range(first, end + 1)))
+
+
+def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | None = None) -> None:
+    """Change what the robot was asked to do.
+
+    Args:
+        path: The dataset.
+        instruction: The new words.
+        episodes: The ids; None for all, and for those recorded later.
+
+    Raises:
+        InvalidSetup: There is no such episode; nothing changes.
+        DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
+    """
+    ids = None if episodes is None else sorted(set(episodes))
+    arguments = {"instruction": instruction, "episodes": ids}
+    is_all = ids is None
+    new_info = (lambda info: replace(info, instruction=instruction)) if is_all else (lambda info: info)
+    with editing(path, "relabel", arguments, new_info=new_info) as edit:
+        require_ids(edit.dataset, ids or [])
+        for episode in edit.dataset.episodes:
+            if ids is None or episode.id in ids:
+                edit.keep(episode, instruction=instruction)
+            else:
+                edit.keep(episode)
+
+
+def require_ids(dataset: Dataset, ids: Iterable[str]) -> None:
+    """Refuse unknown ids.
+
+    Raises:
+        InvalidSetup: There is no such episode; the message lists some that exist.
+    """
+    known = [episode.id for episode in dataset.episodes]
+    if missing := sorted(set(ids) - set(known)):
+        some = ", ".join(known[:5]) + (" …" if len(known) > 5 else "")
+        raise InvalidSetup(f"There is no episode {', '.join(missing)} in {dataset.path}; it has {some or 'none'}.")

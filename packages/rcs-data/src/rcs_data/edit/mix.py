@@ -1,0 +1,214 @@
+"""Mixes datasets into a new one, by numbers of episodes or by shares, and harmonises their features."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from rcs_data.edit.combine import own_parts, provenance, source_names
+from rcs_data.edit.images import cameras_of, renamed, resized, with_names, with_size
+from rcs_data.edit.rate import at_rate, resampled
+from rcs_data.edit.rows import rows_of
+from rcs_data.edit.transaction import making
+from rcs_data.errors import DatasetError, InvalidSetup
+from rcs_data.info import MERGED, DatasetInfo, feature_differences, shared_setup
+from rcs_data.output import OnProgress
+from rcs_data.reader import Dataset, EpisodeRecord
+from rcs_data.rows import stream_schema
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """The part that a mix takes from one dataset."""
+
+    path: Path
+    """The dataset."""
+    episodes: int | None = None
+    """Number of episodes, drawn by the seed; None for all, or for the share."""
+    share: float | None = None
+    """Weight relative to the other parts; requires a total."""
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.episodes is not None and self.share is not None:
+            raise InvalidSetup(f"{self.path}: give a number of episodes or a share, not both.")
+        if (self.episodes is not None and self.episodes < 0) or (self.share is not None and not self.share > 0):
+            raise InvalidSetup(f"{self.path}: expected 0 or more episodes, or a share above 0.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Harmonise:
+    """How to harmonise the features of different datasets; by default they must be the same."""
+
+    common: bool = False
+    """Whether to leave out features that are not in every dataset instead of refusing."""
+    drop: tuple[str, ...] = ()
+    """Features to leave out: their keys, or prefixes of keys, such as "observation/frames/side"."""
+    rename: Mapping[str, Mapping[str, str]] = field(default_factory=dict[str, Mapping[str, str]])
+    """New names of cameras, by dataset: {"real": {"front": "side"}}."""
+    size: tuple[int, int] | None = None
+    """Width and height of all frames [px]; None to keep them."""
+    frequency: float | None = None
+    """Control rate of all episodes [Hz]; None to keep it."""
+
+
+def mix(
+    parts: Sequence[Part],
+    out: str | Path,
+    *,
+    seed: int = 0,
+    total: int | None = None,
+    mapping: Harmonise | None = None,
+    on_progress: OnProgress | None = None,
+) -> Dataset:
+    """Mix datasets into a new one and return it. Every episode records its origin.
+
+    Args:
+        parts: The parts to take.
+        out: The new dataset.
+        seed: Of the draw of episodes.
+        total: Episodes in all, if the parts have shares.
+        mapping: How to harmonise features; None if they must be the same.
+        on_progress: Called with the number of episodes done and of all.
+
+    Raises:
+        InvalidSetup: A part has too few episodes, numbers and shares do not go together, or a name is unknown.
+        DatasetError: The features still differ (the message lists how), or `out` is not empty.
+        CorruptEpisode: A dataset is damaged.
+    """
+    if not parts:
+        raise InvalidSetup("There is nothing to mix; give at least one dataset.")
+    how = mapping or Harmonise()
+    datasets = [Dataset.open(part.path) for part in parts]
+    names = source_names(datasets)
+    if unknown := sorted(set(how.rename) - set(names)):
+        raise InvalidSetup(f"Cameras of {', '.join(unknown)} cannot be renamed; the datasets are {', '.join(names)}.")
+    numbers = _numbers(parts, datasets, total)
+    infos = _brought_together(names, datasets, how)
+    chosen = [
+        _drawn(dataset, number, np.random.default_rng([seed, i]))
+        for i, (dataset, number) in enumerate(zip(datasets, numbers, strict=True))
+    ]
+    setup = shared_setup([dataset.info.setup for dataset in datasets])
+    origin: dict[str, Any] = {
+        "mix": {"seed": seed, "parts": dict(zip(names, numbers, strict=True))},
+        MERGED: own_parts(names, datasets),
+    }
+    ids = [episode.id for episodes in chosen for episode in episodes]
+    is_unique = len(set(ids)) == len(ids)
+    done = 0
+    with making(out, replace(infos[0], setup=setup, origin=origin)) as made:
+        for name, dataset, info, episodes in zip(names, datasets, infos, chosen, strict=True):
+            digest = dataset.digest()
+            for episode in episodes:
+                about = {"source": provenance(name, digest, episode)}
+                new_id = episode.id if is_unique else f"{name}.{episode.id}"
+                if _rows_stay(dataset.info, info):
+                    made.keep(episode, episode_id=new_id, **about)
+                else:
+                    rows = _mapped(rows_of(episode), dataset.info, info, how.rename.get(name, {}))
+                    made.write(episode, rows, episode_id=new_id, **about)
+                done += 1
+                if on_progress is not None:
+                    on_progress(done, len(ids))
+    return Dataset.open(out)
+
+
+def parse_part(text: str) -> Part:
+    """Read "real:143" (episodes), "sim:0.7" (a share) or "sim" (all episodes).
+
+    Raises:
+        InvalidSetup: The text after the colon is not a number.
+    """
+    path, colon, number = text.rpartition(":")
+    if not colon:
+        return Part(path=Path(text))
+    try:
+        return (
+            Part(path=Path(path), share=float(number)) if "." in number else Part(path=Path(path), episodes=int(number))
+        )
+    except ValueError as err:
+        if Path(text).exists():
+            return Part(path=Path(text))
+        raise InvalidSetup(
+            f"Expected DATASET, DATASET:143 for 143 episodes, or DATASET:0.7 for a share; got {text!r}."
+        ) from err
+
+
+def _numbers(parts: Sequence[Part], datasets: Sequence[Dataset], total: int | None) -> list[int]:
+    shares = [part.share for part in parts]
+    has_shares = any(share is not None for share in shares)
+    if has_shares and (total is None or any(share is None for share in shares)):
+        raise InvalidSetup("With shares, every part needs one, and the mix a total number of episodes.")
+    if total is not None and not has_shares:
+        raise InvalidSetup(f"A total of {total} episodes needs a share for each part.")
+    if total is not None:
+        weights = np.array(shares, np.float64)
+        ends = np.rint(np.cumsum(weights / weights.sum()) * total).astype(int)
+        numbers = [int(n) for n in np.diff(ends, prepend=0)]
+    else:
+        numbers = [len(d) if part.episodes is None else part.episodes for part, d in zip(parts, datasets, strict=True)]
+    for number, dataset in zip(numbers, datasets, strict=True):
+        if number > len(dataset):
+            raise InvalidSetup(f"Expected at most {len(dataset)} episodes of {dataset.path}; got {number}.")
+    return numbers
+
+
+def _drawn(dataset: Dataset, number: int, rng: np.random.Generator) -> list[EpisodeRecord]:
+    rows = sorted(rng.permutation(len(dataset))[:number].tolist())
+    return [dataset.episodes[row] for row in rows]
+
+
+def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Harmonise) -> list[DatasetInfo]:
+    """Return the info of each dataset's episodes after the mapping; only the setups differ."""
+    infos: list[DatasetInfo] = []
+    for name, dataset in zip(names, datasets, strict=True):
+        info = renamed(dataset.info, how.rename.get(name, {}))
+        if how.frequency is not None and info.frequency != how.frequency:
+            info = at_rate(info, how.frequency)
+        if how.size is not None and cameras_of(info):
+            info = resized(info, how.size)
+        kept = [f for f in info.features if not any(f.key == key or f.key.startswith(f"{key}/") for key in how.drop)]
+        infos.append(replace(info, features=tuple(kept)))
+    if how.common:
+        shared = set.intersection(*({feature.key for feature in info.features} for info in infos))
+        infos = [replace(info, features=tuple(f for f in info.features if f.key in shared)) for info in infos]
+    # A state can be restored only in the simulation that it came from.
+    states = {(info.sim_state_size, json.dumps(info.setup, sort_keys=True)) for info in infos}
+    if len(states) > 1:
+        infos = [replace(info, sim_state_size=None) for info in infos]
+    first = infos[0]
+    for name, info in zip(names[1:], infos[1:], strict=True):
+        known = {feature.key: i for i, feature in enumerate(first.features)}
+        ordered = sorted(info.features, key=lambda feature: known.get(feature.key, len(known)))
+        if lines := feature_differences(first, replace(info, features=tuple(ordered)), names=(names[0], name)):
+            text = "\n  ".join(lines)
+            raise DatasetError(
+                f"{names[0]} and {name} do not fit each other. Leave out features (drop, common), rename cameras, "
+                f"or give one size and rate (size, frequency). Differences:\n  {text}"
+            )
+    return [replace(info, features=first.features) for info in infos]
+
+
+def _rows_stay(before: DatasetInfo, after: DatasetInfo) -> bool:
+    return before.features == after.features and before.frequency == after.frequency
+
+
+def _mapped(rows: pa.Table, before: DatasetInfo, after: DatasetInfo, rename: Mapping[str, str]) -> pa.Table:
+    info = before
+    if rename:
+        info = renamed(info, rename)
+        rows = with_names(rows, info)
+    if info.frequency != after.frequency:
+        rows = resampled(rows, info, after.frequency)
+    sizes = {feature.key: feature for feature in after.features}
+    target = replace(info, features=tuple(sizes.get(f.key, f) if f.is_image else f for f in info.features))
+    if target.features != info.features:
+        rows = with_size(rows, info, target)
+    return rows.select(stream_schema(after).names).cast(stream_schema(after))

@@ -1,0 +1,174 @@
+"""Resamples episodes to fewer steps per second, each of which replaces several."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from rcs_data.content import flat_numbers
+from rcs_data.edit.rows import last_valid, rows_of, take_rows
+from rcs_data.edit.transaction import editing
+from rcs_data.errors import InvalidSetup
+from rcs_data.feature import Feature
+from rcs_data.flags import FrameFlag, camera_of
+from rcs_data.info import DatasetInfo
+from rcs_data.output import OnProgress
+from rcs_data.rotations import IDENTITY, Quaternion, from_rotvec, from_rpy, multiply, normalized, to_rotvec, to_rpy
+
+
+def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | None = None) -> None:
+    """Lower the control rate, for example from 30 to 5 Hz for policies that predict coarse steps.
+
+    A new step ends at the nearest old row; the last row always stays. Its action combines those of the steps it
+    replaces: the last one if targets are absolute; if they are relative to the step before, their sum, with rotations
+    composed; of velocities the mean. Rewards are summed, and flags are combined by or.
+
+    Args:
+        path: The dataset.
+        frequency: The new rate [Hz], at most that of the dataset.
+        on_progress: Called with the number of episodes done and of all.
+
+    Raises:
+        InvalidSetup: The rate is not lower than the dataset's; nothing changes.
+        CorruptEpisode: An episode is damaged; nothing changes.
+        DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
+    """
+    with editing(path, "resample", {"frequency": frequency}, new_info=lambda info: at_rate(info, frequency)) as edit:
+        episodes = edit.dataset.episodes
+        for i, episode in enumerate(episodes):
+            edit.write(episode, resampled(rows_of(episode), episode.info, frequency))
+            if on_progress is not None:
+                on_progress(i + 1, len(episodes))
+
+
+def at_rate(info: DatasetInfo, frequency: float) -> DatasetInfo:
+    """Return the info at a lower rate.
+
+    Raises:
+        InvalidSetup: The rate is not lower than the dataset's.
+    """
+    if not 0 < frequency < info.frequency:
+        raise InvalidSetup(
+            f"frequency is {frequency:g}; valid is above 0 and below the dataset's {info.frequency:g} Hz."
+        )
+    return replace(info, frequency=frequency)
+
+
+def resampled(rows: pa.Table, info: DatasetInfo, frequency: float) -> pa.Table:
+    """Return the rows of an episode at a lower rate.
+
+    Args:
+        rows: All its rows.
+        info: Its features and rate.
+        frequency: The new rate [Hz].
+    """
+    kept = kept_rows(rows.num_rows, info.frequency / frequency)
+    taken = take_rows(rows, info, kept)
+    columns = {field.name: taken.column(field.name).combine_chunks() for field in taken.schema}
+    is_relative = info.setup.get("relative") == "last_step"
+    for feature in info.features:
+        column = rows.column(feature.key).combine_chunks()
+        if feature.key.startswith("action/") and is_relative and feature.key.split("/")[-1] in (*_TOGETHER, TWIST):
+            columns[feature.key] = _together(column, feature, kept, info.frequency)
+        elif feature.key in ("reward", "time/period"):
+            columns[feature.key] = _summed(column, kept)
+        elif feature.key in ("terminated", "truncated"):
+            columns[feature.key] = _any(column, kept)
+        elif feature.is_flags:
+            columns[feature.key] = _flags(column, feature, rows, info, kept)
+    return pa.Table.from_arrays([columns[name] for name in taken.schema.names], schema=taken.schema)
+
+
+def kept_rows(length: int, ratio: float) -> NDArray[np.int64]:
+    """Return the rows of an episode to keep: those nearest to the new rate's grid, with the first and the last.
+
+    Args:
+        length: Rows of the episode.
+        ratio: Old rate over new rate, above 1.
+    """
+    if length < 2:
+        return np.arange(length)
+    grid = np.rint(np.arange(0, length + ratio) * ratio).astype(np.int64)
+    grid = grid[grid < length]
+    # The rest after the last row of the grid joins it or is a step of its own, whichever is nearer.
+    rest = length - 1 - grid[-1]
+    if len(grid) > 1 and rest < ratio / 2:
+        grid[-1] = length - 1
+    elif rest:
+        grid = np.append(grid, length - 1)
+    return grid
+
+
+def _groups(kept: NDArray[np.int64]) -> list[slice]:
+    """Return for each kept row but the first the rows that it replaces."""
+    return [slice(int(a) + 1, int(b) + 1) for a, b in itertools.pairwise(kept)]
+
+
+def _summed(column: pa.Array, kept: NDArray[np.int64]) -> pa.Array:
+    values = flat_numbers(column)
+    sums = [values[group].sum() for group in _groups(kept)]
+    return pa.concat_arrays([pa.nulls(1, column.type), pa.array(sums, type=column.type)])
+
+
+def _any(column: pa.Array, kept: NDArray[np.int64]) -> pa.Array:
+    values = flat_numbers(column)
+    flags = pa.array([bool(values[group].any()) for group in _groups(kept)], type=column.type)
+    return pa.concat_arrays([column.take(pa.array(kept[:1])), flags])
+
+
+def _flags(column: pa.Array, feature: Feature, rows: pa.Table, info: DatasetInfo, kept: NDArray[np.int64]) -> pa.Array:
+    flags = flat_numbers(column)[kept].astype(np.uint8) & ~np.uint8(FrameFlag.REPEATED)
+    camera = feature.key.removeprefix("flags/frames/")
+    images = [f for f in info.features if f.is_image and camera_of(f.key) == camera]
+    if images:
+        origin = last_valid(rows.column(images[0].key).combine_chunks())[kept]
+        flags[1:][np.diff(origin) == 0] |= np.uint8(FrameFlag.REPEATED)
+    return pa.array(flags)
+
+
+def _joints(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    return steps.sum(axis=0)
+
+
+def _tquat(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([steps[:, :3].sum(axis=0), _turned(normalized(step[3:]) for step in steps)])
+
+
+def _xyzrpy(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([steps[:, :3].sum(axis=0), to_rpy(_turned(from_rpy(step[3:]) for step in steps))])
+
+
+def _twist(steps: NDArray[np.float64], frequency: float) -> NDArray[np.float64]:
+    # Turns about different axes do not add up, so they are composed as those of poses are.
+    turn = _turned(from_rotvec(step[3:] / frequency) for step in steps)
+    return np.concatenate([steps[:, :3].mean(axis=0), to_rotvec(turn) * frequency / len(steps)])
+
+
+def _turned(turns: Iterable[Quaternion]) -> Quaternion:
+    # A relative step turns about the axes of the base, so a later one is multiplied from the left.
+    return functools.reduce(lambda before, turn: multiply(turn, before), turns, IDENTITY)
+
+
+TWIST = "twist"
+
+_TOGETHER: dict[str, Any] = {"joints": _joints, "tquat": _tquat, "xyzrpy": _xyzrpy}
+"""How to combine several relative actions, by the last word of their key."""
+
+
+def _together(column: pa.Array, feature: Feature, kept: NDArray[np.int64], frequency: float) -> pa.Array:
+    values = flat_numbers(column).reshape(len(column), -1)
+    name = feature.key.split("/")[-1]
+    do = functools.partial(_twist, frequency=frequency) if name == TWIST else _TOGETHER[name]
+    whole = np.zeros((len(kept), feature.size), feature.numpy_dtype)
+    for i, group in enumerate(_groups(kept)):
+        whole[i + 1] = do(values[group].astype(np.float64))
+    mask = pa.array(np.arange(len(kept)) == 0)
+    return pa.FixedSizeListArray.from_arrays(pa.array(whole.reshape(-1)), feature.size, mask=mask)

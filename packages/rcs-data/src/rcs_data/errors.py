@@ -1,0 +1,81 @@
+"""What can go wrong, named: every error says what was given, what is valid and what to do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+
+class RcsError(Exception):
+    """The parent of every error that the libraries of the Robot Control Stack raise on purpose."""
+
+
+class InvalidSetup(RcsError, ValueError):
+    """A setup, an option or an argument does not make sense."""
+
+
+class UnknownName(RcsError, KeyError):
+    """A robot, task, camera or other part was asked for by a name that nothing has."""
+
+    def __init__(self, kind: str, given: str, known: Iterable[str], hint: str = "") -> None:
+        """Build the message: what was given, the nearest match, all known names.
+
+        Args:
+            kind: What was looked up, such as "robot".
+            given: The name that was asked for.
+            known: The names that exist.
+            hint: One more sentence on what to do, if there is one.
+        """
+        names = sorted(known)
+        near = difflib.get_close_matches(given.lower(), [n.lower() for n in names], n=1, cutoff=0.5)
+        match = next((n for n in names if near and n.lower() == near[0]), None)
+        nearest = f" Did you mean {match!r}?" if match else ""
+        self.message = f"There is no {kind} named {given!r}.{nearest} Known: {', '.join(names) or 'none'}."
+        if hint:
+            self.message += f" {hint}"
+        super().__init__(self.message)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Say how to make it anew in another process: from its message and attributes, with its notes."""
+        return _unknown_name, (type(self), self.message), vars(self)
+
+    def __str__(self) -> str:
+        """Return the message itself; a KeyError would show it in quotes."""
+        return self.message
+
+
+def _unknown_name(kind: type[UnknownName], message: str) -> UnknownName:
+    return kind.__new__(kind, message)
+
+
+class WrongOrder(RcsError, RuntimeError):
+    """A call came at a time when it has no meaning: a step before reset, a use after close."""
+
+
+class MissingDependency(RcsError, ImportError):
+    """An optional package or system library is not installed; the message has the remedy."""
+
+
+class DatasetError(RcsError, OSError):
+    """A dataset cannot be written, or is locked by another writer, or does not fit this setup."""
+
+
+class CorruptEpisode(RcsError, ValueError):
+    """A stored episode is incomplete or its bytes are not what was written."""
+
+
+def require_fields(kind: str, given: Iterable[object], valid: Iterable[str]) -> None:
+    """Check the keys of what was read.
+
+    Args:
+        kind: What a key is, such as "field of a selection".
+        given: The keys.
+        valid: The fields that there are.
+
+    Raises:
+        InvalidSetup: A key is none of them; the words name it, and the nearest field.
+    """
+    valid = set(valid)
+    if unknown := sorted(str(key) for key in given if key not in valid):
+        raise InvalidSetup(UnknownName(kind, unknown[0], valid).message)

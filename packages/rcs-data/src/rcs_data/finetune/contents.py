@@ -1,0 +1,161 @@
+"""What a policy learns from a dataset: its cameras, the parts of state and action, and what an action means."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from rcs_data.convert.options import ExportOptions, selected_cameras
+from rcs_data.errors import InvalidSetup
+from rcs_data.feature import Feature
+from rcs_data.reader import Dataset
+from rcs_data.trajectory import VectorLayout, action_layout, camera_features, state_layout
+
+Meaning = Literal["absolute", "relative", "delta"]
+"""Where to go, how far from the episode's origin, or how far from the action before; as in vlagents."""
+
+_MEANINGS: dict[str, Meaning] = {"absolute": "absolute", "origin": "relative", "last_step": "delta"}
+_ARMS = ("joints", "tquat", "xyzrpy")
+POSE = "xyzrpy"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A part of a vector."""
+
+    name: str
+    """Such as "joints", or "left/joints" with several robots."""
+    size: int
+    """How many numbers it has."""
+    unit: str
+    """Of its numbers."""
+    meaning: Meaning = "absolute"
+    """Of an action."""
+
+    @property
+    def is_arm(self) -> bool:
+        """Whether it moves an arm."""
+        return self.name.rpartition("/")[2] in _ARMS
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as vlagents reads it."""
+        return {"name": self.name, "size": self.size, "unit": self.unit, "meaning": self.meaning}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """What a policy learns from a dataset."""
+
+    name: str
+    """Of the dataset, in letters, digits and "_"."""
+    instruction: str
+    """What the robot is asked to do; an episode may say otherwise."""
+    rate: float
+    """Steps per second [Hz]."""
+    cameras: dict[str, tuple[int, int]]
+    """Height and width [pixels] by camera."""
+    state: tuple[Part, ...]
+    """Of the state, in order."""
+    action: tuple[Part, ...]
+    """Of the action, in order."""
+
+    @property
+    def state_size(self) -> int:
+        """Numbers of the state."""
+        return sum(part.size for part in self.state)
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action."""
+        return sum(part.size for part in self.action)
+
+    @property
+    def arm_mask(self) -> list[bool]:
+        """Whether each number of an action is an arm's; the others are of grippers and hands."""
+        return [part.is_arm for part in self.action for _ in range(part.size)]
+
+    @property
+    def scene_camera(self) -> str:
+        """The camera that shows the scene: the first that is not called after a wrist.
+
+        Raises:
+            InvalidSetup: There is no camera.
+        """
+        if not self.cameras:
+            raise InvalidSetup("The dataset has no camera, and these policies look at pictures.")
+        return next((name for name in self.cameras if not is_wrist(name)), next(iter(self.cameras)))
+
+    @property
+    def wrist_cameras(self) -> tuple[str, ...]:
+        """Cameras called after a wrist."""
+        return tuple(name for name in self.cameras if is_wrist(name) and name != self.scene_camera)
+
+    def settings(self, *, images: dict[str, str], has_state: bool, **options: Any) -> str:
+        """Return `vlagents.json`, with which the trained checkpoint is served.
+
+        Args:
+            images: Camera by the model's name of a picture.
+            has_state: Whether the model was told the state.
+            options: What the family asks for besides.
+        """
+        values: dict[str, Any] = {"dataset": self.name, "images": images}
+        if has_state:
+            values["state"] = [part.to_json() for part in self.state]
+        values |= {"action": [part.to_json() for part in self.action], "rate": self.rate}
+        return json.dumps(values | ({"options": options} if options else {}), indent=2) + "\n"
+
+
+def contents(dataset: Dataset, options: ExportOptions | None = None) -> Contents:
+    """Return what a policy learns from a dataset that is exported with these options.
+
+    Raises:
+        InvalidSetup: An option does not suit the dataset, or nobody can tell what its actions mean.
+    """
+    options = options or ExportOptions()
+    info = dataset.info
+    shown = camera_features(info)
+    state, action = state_layout(info, options.state), action_layout(info, options.action)
+    return Contents(
+        name=name_of(dataset, options),
+        instruction=info.instruction,
+        rate=info.frequency,
+        cameras={name: (shown[name].shape[0], shown[name].shape[1]) for name in selected_cameras([*shown], options)},
+        state=tuple(_part(feature, "absolute") for feature in state.features),
+        action=_action_parts(action, info.setup),
+    )
+
+
+def name_of(dataset: Dataset, options: ExportOptions) -> str:
+    """Return the name of an export: that of the options, else of the dataset's folder, as `rcs data export` has it."""
+    if options.name is not None:
+        return options.name
+    name = re.sub(r"\W+", "_", dataset.path.resolve().name, flags=re.ASCII).strip("_").lower()
+    return name if name[:1].isalpha() else f"rcs_{name}".rstrip("_")
+
+
+def is_wrist(camera: str) -> bool:
+    """Return whether a camera is called after a wrist."""
+    return "wrist" in camera.lower()
+
+
+def _part(feature: Feature, meaning: Meaning) -> Part:
+    name = "/".join(feature.key.split("/")[1:])
+    return Part(name=name, size=feature.size, unit=feature.unit, meaning=meaning)
+
+
+def _action_parts(layout: VectorLayout, setup: dict[str, Any]) -> tuple[Part, ...]:
+    parts: list[Part] = []
+    for feature in layout.features:
+        part = _part(feature, "absolute")
+        if part.is_arm and feature.key.startswith("action/"):
+            relative = setup.get("relative")
+            if relative not in _MEANINGS:
+                raise InvalidSetup(
+                    f"The dataset's setup does not say what {feature.key!r} counts from: relative is {relative!r}; "
+                    f"valid are {', '.join(_MEANINGS)}. With executed/{part.name} for the action, it is absolute."
+                )
+            part = _part(feature, _MEANINGS[relative])
+        parts.append(part)
+    return tuple(parts)

@@ -1,0 +1,265 @@
+"""What all episodes of a dataset share: rate, features, setup and instruction, as stored in `dataset.json`."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from rcs_data.errors import DatasetError, InvalidSetup
+from rcs_data.feature import Feature
+from rcs_data.json_file import MOST_DEPTH, depth_of
+from rcs_data.layout import check_name
+from rcs_data.text import check_text, check_texts
+
+SCHEMA_VERSION = 2
+"""The layout on disk that this code writes; it also reads the former ones:
+
+1. no flags, no held values, no history, and an image in every row;
+2. the current one.
+"""
+
+MERGED = "merged"
+"""Key of an origin: for each source, what its episodes shared that those of the merged dataset do not."""
+
+_MIN_FREQUENCY, _MAX_FREQUENCY = 0.001, 1e6
+# Numbers in a simulation state; hundreds of robots have some ten thousand.
+_LARGEST_STATE = 1 << 20
+_MEANING_OF_ACTIONS = ("control", "relative")
+
+Subsampling = Literal["444", "422", "420"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetInfo:
+    """What every episode of a dataset shares.
+
+    Raises:
+        InvalidSetup: A field does not make sense, or the setup is not JSON.
+    """
+
+    frequency: float
+    """Control steps per second that were aimed at [Hz]; the measured times are in the rows."""
+    features: tuple[Feature, ...]
+    """The columns, in the order in which they are stored."""
+    setup: dict[str, Any]
+    """The setup that the data came from, as JSON."""
+    instruction: str
+    """What the robot is asked to do, in words; an episode may have another one."""
+    schema_version: int = SCHEMA_VERSION
+    """The layout on disk."""
+    jpeg_quality: int = 95
+    """1 to 100; a higher one makes larger and better images."""
+    jpeg_subsampling: Subsampling = "444"
+    """Chroma subsampling; "420" halves the size and blurs coloured edges."""
+    sim_state_size: int | None = None
+    """Numbers in the simulation state per step; None without a simulation."""
+    versions: dict[str, str] = field(default_factory=dict[str, str])
+    """Versions of the recording software; informative, not compared when a recording is resumed."""
+    origin: dict[str, Any] = field(default_factory=dict[str, Any])
+    """Where the episodes are from, as JSON: a `collection`, or which datasets were `merged` or made a `mix`."""
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        object.__setattr__(self, "features", tuple(self.features))
+        _check_types(self)
+        if not _MIN_FREQUENCY <= self.frequency <= _MAX_FREQUENCY:
+            raise InvalidSetup(f"frequency is {self.frequency}; it must be from {_MIN_FREQUENCY} to {_MAX_FREQUENCY}.")
+        keys = Counter(feature.key for feature in self.features)
+        twice = sorted(key for key, count in keys.items() if count > 1)
+        if not keys or twice:
+            raise InvalidSetup(f"Features must have different keys; twice: {twice}." if twice else "No features given.")
+        if not 1 <= self.jpeg_quality <= 100:
+            raise InvalidSetup(f"jpeg_quality is {self.jpeg_quality}; valid is 1 to 100.")
+        if self.jpeg_subsampling not in get_args(Subsampling):
+            raise InvalidSetup(
+                f"jpeg_subsampling is {self.jpeg_subsampling!r}; valid are {', '.join(get_args(Subsampling))}."
+            )
+        if self.sim_state_size is not None and not 1 <= self.sim_state_size <= _LARGEST_STATE:
+            raise InvalidSetup(f"sim_state_size is {self.sim_state_size}; valid is 1 to {_LARGEST_STATE}, or None.")
+        check_text(self.instruction, "The instruction")
+        for name, values in (("setup", self.setup), ("origin", self.origin), ("versions", self.versions)):
+            try:
+                text = json.dumps(values, allow_nan=False)
+            except (TypeError, ValueError, RecursionError) as err:
+                raise InvalidSetup(f"The {name} of a dataset must be JSON: {err}.") from err
+            if depth_of(json.loads(text)) > MOST_DEPTH // 2:  # with room for what a merge puts around it
+                raise InvalidSetup(
+                    f"The {name} of a dataset must not be nested more than {MOST_DEPTH // 2} levels deep."
+                )
+            check_texts(values, f"the {name}")
+        _check_origin(self.origin)
+
+    def feature(self, key: str) -> Feature:
+        """Return the feature with this key.
+
+        Raises:
+            InvalidSetup: There is none; the message lists the known keys.
+        """
+        for feature in self.features:
+            if feature.key == key:
+                return feature
+        known = ", ".join(feature.key for feature in self.features)
+        raise InvalidSetup(f"There is no feature {key!r} in this dataset. Known: {known}.")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields as JSON values."""
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return {**values, "features": [feature.to_json() for feature in self.features]}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> DatasetInfo:
+        """Build the info from what `to_json` returned.
+
+        Raises:
+            DatasetError: The layout is newer than this code.
+            InvalidSetup: A field is missing, unknown or does not make sense.
+        """
+        refuse_newer_schema(values.get("schema_version"), "dataset")
+        try:
+            fields: dict[str, Any] = {**values, "features": tuple(Feature.from_json(f) for f in values["features"])}
+            return cls(**fields)
+        except (KeyError, TypeError) as err:
+            raise InvalidSetup(f"Not a description of a dataset: {err!r}.") from err
+
+
+def refuse_newer_schema(version: object, what: str) -> None:
+    """Raise if a file has a layout that this code does not know.
+
+    Args:
+        version: The schema version that the file states.
+        what: What was read, for the message.
+
+    Raises:
+        DatasetError: The version is not a number from 1 to `SCHEMA_VERSION`.
+    """
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise DatasetError(f"This {what} has schema version {version!r}; valid are 1 to {SCHEMA_VERSION}.")
+    if version > SCHEMA_VERSION:
+        raise DatasetError(
+            f"This {what} has schema version {version}, and the newest known here is {SCHEMA_VERSION}. "
+            "It was written by a newer version of this library; update to read it."
+        )
+
+
+def _check_types(info: DatasetInfo) -> None:
+    def refuse(name: str, valid: str) -> None:
+        raise InvalidSetup(f"{name} is {getattr(info, name)!r:.80}; it must be {valid}.")
+
+    if isinstance(info.frequency, bool) or not isinstance(info.frequency, int | float | np.number):
+        refuse("frequency", "a number")
+    if not all(isinstance(feature, Feature) for feature in info.features):
+        refuse("features", "features")
+    for name in ("jpeg_quality", "sim_state_size"):
+        value = getattr(info, name)
+        is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not is_whole and not (value is None and name == "sim_state_size"):
+            refuse(name, "a whole number")
+    for name in ("setup", "origin", "versions"):
+        if not isinstance(getattr(info, name), Mapping):
+            refuse(name, "a dictionary")
+    if not isinstance(info.jpeg_subsampling, str):
+        refuse("jpeg_subsampling", "text")
+    if not all(isinstance(version, str) for version in info.versions.values()):
+        refuse("versions", "a dictionary of texts")
+
+
+def _check_origin(origin: Mapping[str, Any]) -> None:
+    for name, part in _objects(origin, MERGED).items():
+        check_name(name, "a dataset")
+        if not isinstance(part, Mapping):
+            raise InvalidSetup(f"The origin of a dataset has {part!r:.80} instead of an object for {name!r}.")
+        _objects(part, "setup")
+        _check_origin(_objects(part, "origin"))
+
+
+def _objects(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    value = values.get(name, {})
+    if not isinstance(value, Mapping):
+        raise InvalidSetup(f"{name!r} of a dataset's origin is {value!r:.80}; it must be a dictionary.")
+    return value
+
+
+def differences(
+    stored: DatasetInfo, given: DatasetInfo, *, names: tuple[str, str] = ("the dataset", "this setup")
+) -> list[str]:
+    """Describe in which fields two infos differ, one line each; versions are not compared.
+
+    Args:
+        stored: What a dataset on disk has.
+        given: What a new recording would have.
+        names: What to call the two.
+    """
+    one, other = names
+    left, right = (dict(_leaves("", _comparable(info))) for info in (stored, given))
+    lines: list[str] = []
+    for name in sorted(left.keys() | right.keys()):
+        if name not in right:
+            lines.append(f"{name}: {one} has {left[name]!r}, which is not in {other}")
+        elif name not in left:
+            lines.append(f"{name}: {other} has {right[name]!r}, which is not in {one}")
+        elif left[name] != right[name]:
+            lines.append(f"{name}: {one} has {left[name]!r}, {other} has {right[name]!r}")
+    order = [[feature.key for feature in info.features] for info in (stored, given)]
+    if not lines and order[0] != order[1]:
+        lines.append(f"features: {one} has the order {order[0]}, {other} has {order[1]}")
+    return lines
+
+
+def feature_differences(
+    stored: DatasetInfo, given: DatasetInfo, *, names: tuple[str, str] = ("the dataset", "this setup")
+) -> list[str]:
+    """Describe how the rows of two infos differ: features and their order, rate, state, and meaning of actions.
+
+    Other differences of setup and instruction are ignored.
+
+    Args:
+        stored: One info.
+        given: The other.
+        names: What to call the two.
+    """
+    alike = replace(
+        given,
+        setup=stored.setup,
+        origin=stored.origin,
+        instruction=stored.instruction,
+        jpeg_quality=stored.jpeg_quality,
+        jpeg_subsampling=stored.jpeg_subsampling,
+    )
+    lines = differences(stored, alike, names=names)
+    for key in _MEANING_OF_ACTIONS:
+        one, other = stored.setup.get(key), given.setup.get(key)
+        if one is not None and other is not None and one != other:
+            lines.append(f"setup.{key}: actions are {one!r} in {names[0]} and {other!r} in {names[1]}")
+    return lines
+
+
+def shared_setup(setups: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what several setups have in common."""
+    first, *rest = setups
+    return {key: value for key, value in first.items() if all(key in s and s[key] == value for s in rest)}
+
+
+def _comparable(info: DatasetInfo) -> dict[str, Any]:
+    values = json.loads(json.dumps(info.to_json()))  # as read from disk: tuples become lists, keys strings
+    del values["versions"], values["schema_version"]  # an older layout is upgraded when it is written to
+    # By key, so that an additional feature is one line and does not shift the rest.
+    features = {feature.pop("key"): _form(feature) for feature in values.pop("features")}
+    return {**values, "features": features}
+
+
+def _form(feature: Mapping[str, Any]) -> str:
+    unit = f" [{feature['unit']}]" if feature["unit"] else ""
+    return f"{tuple(feature['shape'])} {feature['dtype']}{unit} {feature['encoding']}"
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict) and value:
+        for key, inner in value.items():
+            yield from _leaves(f"{name}.{key}" if name else str(key), inner)
+    else:
+        yield name, value

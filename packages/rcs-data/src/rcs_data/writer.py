@@ -1,0 +1,212 @@
+"""Writes a dataset: creates or resumes it, locks out other writers, and starts episodes."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import ExitStack
+from pathlib import Path
+
+from rcs_data.adopt import Files, adopt
+from rcs_data.closing import Closing
+from rcs_data.durable import disk_errors, remove_folder, sync_folder
+from rcs_data.episode_writer import EpisodeWriter
+from rcs_data.errors import DatasetError
+from rcs_data.head import Head, has_head, read_head, write_head
+from rcs_data.info import SCHEMA_VERSION, DatasetInfo, differences
+from rcs_data.layout import (
+    COPY_FILE,
+    DATASET_FILE,
+    EPISODES_FOLDER,
+    check_episode_id,
+    episode_folder,
+    episodes_folder,
+    generation_folder,
+    new_trash_folder,
+    open_folder,
+)
+from rcs_data.lock import LOCK_FILES, DatasetLock
+from rcs_data.recover import Leftovers, RecoverReport, settle_leftovers
+
+_log = logging.getLogger(__name__)
+
+
+class DatasetWriter(Closing):
+    """A dataset that is being recorded; a context manager.
+
+    Several episodes can be open at the same time, for example one per copy of an environment.
+    """
+
+    def __init__(self, path: Path, head: Head, lock: DatasetLock, recovered: RecoverReport) -> None:
+        """Hold a dataset; use `open` or `join` to get a writer.
+
+        Args:
+            path: The dataset's folder.
+            head: The contents of `dataset.json`.
+            lock: The lock that keeps other writers out.
+            recovered: What was done with the leftovers of an earlier writer.
+        """
+        self.path = path
+        self.info = head.info
+        self._base = generation_folder(path, head.generation)
+        self.recovered = recovered
+        self._lock = lock
+        self._open: list[EpisodeWriter] = []
+        self._is_closed = False
+
+    @classmethod
+    def open(
+        cls, path: str | Path, info: DatasetInfo, *, resume: bool = False, leftovers: Leftovers = "recover"
+    ) -> DatasetWriter:
+        """Create or resume a dataset as its only writer.
+
+        Args:
+            path: The folder; created if missing.
+            info: What the episodes share.
+            resume: Whether to add to an existing dataset instead of refusing it.
+            leftovers: What to do with episodes that were open when an earlier writer died.
+
+        Raises:
+            DatasetError: Another process writes to it; it exists and `resume` is not set; its info differs (the message
+                lists how); the folder contains something else; or the disk fails.
+            CorruptEpisode: `dataset.json` is damaged.
+        """
+        root = Path(path)
+        with disk_errors("make the dataset", root):
+            root.mkdir(parents=True, exist_ok=True)
+            if not has_head(root):
+                _refuse_strangers(root)
+        lock = DatasetLock.writer(root)
+        try:
+            with disk_errors("make the dataset", root):
+                if has_head(root):
+                    head = read_head(root)
+                    _refuse_other_info(root, head, info, resume)
+                    if head.info.schema_version < SCHEMA_VERSION:
+                        write_head(root, head)
+                else:
+                    episodes_folder(root).mkdir(exist_ok=True)
+                    sync_folder(root)
+                    head = Head(info=info)
+                    write_head(root, head)
+            report = settle_leftovers(root, head, leftovers)
+        except BaseException:
+            lock.release()
+            raise
+        for episode_id, reason in report.failed:
+            _log.warning("Open episode %r was left alone: %s", episode_id, reason)
+        return cls(root, head, lock, report)
+
+    @classmethod
+    def join(cls, path: str | Path) -> DatasetWriter:
+        """Join another process that is writing to the dataset, as its worker; their episodes have different ids.
+
+        Args:
+            path: The dataset's folder.
+
+        Raises:
+            DatasetError: There is no dataset, or no process is writing to it.
+            CorruptEpisode: `dataset.json` is damaged.
+        """
+        root = Path(path)
+        head = read_head(root)
+        return cls(root, head, DatasetLock.worker(root), RecoverReport())
+
+    def episode(self, episode_id: str, *, seed: int | None, instruction: str | None = None) -> EpisodeWriter:
+        """Start an episode.
+
+        Args:
+            episode_id: The name of its folder; the reader sorts by it.
+            seed: The seed that the environment was reset with; None if it was not seeded.
+            instruction: What the robot is asked to do; None for the dataset's instruction.
+
+        Raises:
+            InvalidSetup: The id cannot be the name of a folder.
+            DatasetError: An episode has this name, the writer is closed, or the disk fails.
+        """
+        if self._is_closed:
+            raise DatasetError(f"Cannot start episode {episode_id!r}: the writer of {self.path} is closed.")
+        words = self.info.instruction if instruction is None else instruction
+        writer = EpisodeWriter(self._base, self.info, episode_id, seed, words)
+        self._open = [other for other in self._open if other.state == "open"]
+        self._open.append(writer)
+        return writer
+
+    def adopt(self, episode_id: str, files: Files) -> None:
+        """Take in a complete episode that was recorded into another dataset of the same info, byte for byte.
+
+        Args:
+            episode_id: The episode; what a dead worker left of it is removed.
+            files: The contents of all files of its folder, by name.
+
+        Raises:
+            InvalidSetup: The id cannot be the name of a folder.
+            CorruptEpisode: The files are not what was written, or not those of this episode of such a dataset.
+            DatasetError: An episode has this name, the writer is closed, or the disk fails.
+        """
+        if self._is_closed:
+            raise DatasetError(f"Cannot take in episode {episode_id!r}: the writer of {self.path} is closed.")
+        adopt(self._base, self.info, episode_id, files)
+
+    def discard_leftover(self, episode_id: str) -> bool:
+        """Remove the open episode of a worker that died, so that its id is free; return whether there was one.
+
+        Args:
+            episode_id: The episode; no living worker may be recording it.
+
+        Raises:
+            DatasetError: This writer is recording it, or the disk fails.
+        """
+        check_episode_id(episode_id)
+        if any(episode.id == episode_id and episode.state == "open" for episode in self._open):
+            raise DatasetError(f"Episode {episode_id!r} is being recorded; discard it through its own writer.")
+        folder = open_folder(self._base, episode_id)
+        with disk_errors(f"discard episode {episode_id!r}", folder):
+            if not folder.exists():
+                return False
+            remove_folder(folder, new_trash_folder(self._base, episode_id))
+        return True
+
+    def remove_episode(self, episode_id: str) -> None:
+        """Remove a finished episode.
+
+        Args:
+            episode_id: The episode.
+
+        Raises:
+            DatasetError: There is no such episode, or the disk fails.
+        """
+        check_episode_id(episode_id)
+        folder = episode_folder(self._base, episode_id)
+        if not folder.exists():
+            raise DatasetError(f"There is no episode {episode_id!r} in {self.path} to remove.")
+        with disk_errors(f"remove episode {episode_id!r}", folder):
+            remove_folder(folder, new_trash_folder(self._base, episode_id))
+
+    def close(self) -> None:
+        """Abort the open episodes and give the lock back, whatever fails; calling it twice is harmless."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        with ExitStack() as last_to_first:
+            last_to_first.callback(self._lock.release)
+            for episode in self._open:
+                if episode.state == "open":
+                    last_to_first.callback(episode.end, "its dataset was closed")
+
+
+def _refuse_strangers(root: Path) -> None:
+    # What a kill can leave of a dataset being created.
+    ours = {*LOCK_FILES, EPISODES_FOLDER, f"{DATASET_FILE}.tmp", COPY_FILE, f"{COPY_FILE}.tmp"}
+    strangers = sorted(entry.name for entry in root.iterdir() if entry.name not in ours)
+    if strangers:
+        raise DatasetError(
+            f"{root} is neither a dataset nor empty: it has {', '.join(strangers[:5])}. Choose another folder."
+        )
+
+
+def _refuse_other_info(root: Path, head: Head, info: DatasetInfo, resume: bool) -> None:
+    lines = differences(head.info, info)
+    if lines:
+        raise DatasetError(f"The dataset in {root} was made with another setup. Differences:\n  " + "\n  ".join(lines))
+    if not resume:
+        raise DatasetError(f"There already is a dataset in {root}. Resume it (resume=True), or choose another folder.")

@@ -1,0 +1,239 @@
+"""What was exported comes back; what others made comes in; what is damaged is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rcs_data import Dataset, Feature, check
+from rcs_data.convert.formats import IMPORTS, export_format, import_format
+from rcs_data.convert.lerobot import export_lerobot
+from rcs_data.convert.lerobot_import import import_lerobot
+from rcs_data.convert.options import ExportOptions, ImportOptions
+from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup, UnknownName
+
+# Everything that the default options leave out.
+EXTRA = ("observation/xyzrpy", "executed/joints")
+SINGLE = {"observation/joints", "action/joints", "reward"}
+
+
+def compared(before: Dataset, after: Dataset, feature: Feature) -> None:
+    """Fail unless a feature is the same in all episodes, at the precision that the format has."""
+    for old, new in zip(before.episodes, after.episodes, strict=True):
+        a, b = old.column(feature.key), new.column(feature.key)
+        assert (a.shape, a.dtype) == (b.shape, b.dtype), feature.key
+        if feature.encoding == "jpeg":
+            assert np.abs(a.astype(float) - b).mean() < 4
+            np.testing.assert_allclose(a.mean(axis=(0, 1, 2)), b.mean(axis=(0, 1, 2)), atol=2.5)
+        elif feature.key in SINGLE:
+            np.testing.assert_array_equal(a.astype(np.float32), b.astype(np.float32), err_msg=feature.key)
+        else:
+            np.testing.assert_array_equal(a, b, err_msg=feature.key)
+
+
+@pytest.mark.parametrize("version", ["3.0", "2.1"])
+def test_export_and_import_give_everything_back(source: Dataset, tmp_path: Path, version: Any) -> None:
+    export_lerobot(source, tmp_path / "lerobot", ExportOptions(extra=EXTRA), version=version)
+    back = import_lerobot(tmp_path / "lerobot", tmp_path / "back")
+    assert back.info.features == source.info.features
+    assert back.info.frequency == source.info.frequency
+    assert back.info.instruction == source.info.instruction
+    assert back.info.setup["imported"]["setup"] == source.info.setup
+    for feature in source.info.features:
+        compared(source, back, feature)
+    for old, new in zip(source.episodes, back.episodes, strict=True):
+        assert (old.id, old.seed, old.success, old.instruction) == (new.id, new.seed, new.success, new.instruction)
+        assert {**old.outcome, "imported": new.outcome["imported"]} == new.outcome
+        assert new.outcome["imported"]["last_observation"] == "kept"
+    assert check(tmp_path / "back").is_ok
+
+
+def test_last_observations_come_back_whole_though_no_frame_has_them(source: Dataset, tmp_path: Path) -> None:
+    export_lerobot(source, tmp_path / "lerobot")
+    back = import_lerobot(tmp_path / "lerobot", tmp_path / "back", ImportOptions(lossless=True))
+    for old, new in zip(source.episodes, back.episodes, strict=True):
+        np.testing.assert_array_equal(old.column("observation/joints")[-1], new.column("observation/joints")[-1])
+        key = "observation/frames/wrist/rgb"
+        np.testing.assert_array_equal(old.column(key)[-1], new.column(key)[-1])
+
+
+def test_two_robots_and_no_cameras_come_back(make_dataset: Any, tmp_path: Path) -> None:
+    before = make_dataset(cameras=False, robots=("left", "right"), success=(None,))
+    export_lerobot(before, tmp_path / "lerobot")
+    back = import_lerobot(tmp_path / "lerobot", tmp_path / "back")
+    for side in ("left", "right"):
+        for part in ("observation", "action"):
+            key = f"{part}/{side}/joints"
+            for old, new in zip(before.episodes, back.episodes, strict=True):
+                np.testing.assert_array_equal(
+                    old.column(key)[1:-1].astype(np.float32), new.column(key)[1:-1].astype(np.float32)
+                )
+    assert [episode.success for episode in back.episodes] == [None, None, None]
+
+
+def test_images_can_stay_without_more_loss(source: Dataset, tmp_path: Path) -> None:
+    export_lerobot(source, tmp_path / "lerobot")
+    back = import_lerobot(tmp_path / "lerobot", tmp_path / "back", ImportOptions(lossless=True))
+    assert back.info.feature("observation/frames/side/rgb").encoding == "lossless"
+
+
+def test_a_second_round_changes_no_number(source: Dataset, tmp_path: Path) -> None:
+    first = tmp_path / "first"
+    export_lerobot(source, first)
+    import_lerobot(first, tmp_path / "back")
+    export_lerobot(Dataset.open(tmp_path / "back"), tmp_path / "second")
+    tables = [pq.read_table(tmp_path / n / "data" / "chunk-000" / "file-000.parquet") for n in ("first", "second")]
+    for name in tables[0].column_names:
+        left, right = (np.array(table.column(name).to_pylist()) for table in tables)
+        np.testing.assert_array_equal(left, right, err_msg=name)
+
+
+def foreign(source: Dataset, out: Path, version: Any, **options: Any) -> Path:
+    """Make an export that says nothing of where it came from."""
+    export_lerobot(source, out, ExportOptions(**options), version=version)
+    for path in (*out.glob("meta/rcs*"), *out.glob("meta/calibration.json")):
+        path.unlink()
+    shutil.rmtree(out / "rcs")
+    return out
+
+
+@pytest.mark.parametrize("version", ["3.0", "2.1"])
+def test_others_datasets_come_in_under_plain_names(source: Dataset, tmp_path: Path, version: Any) -> None:
+    given = foreign(source, tmp_path / "lerobot", version, extra=("observation/xyzrpy",))
+    back = import_lerobot(given, tmp_path / "back")
+    forms = {f.key: (f.shape, f.dtype) for f in back.info.features}
+    assert forms["observation/state"] == ((4,), "float32")
+    assert forms["action/action"] == ((4,), "float32")
+    assert forms["observation/xyzrpy"] == ((6,), "float64")
+    assert forms["reward"] == ((), "float32")
+    assert forms["observation/frames/side/rgb"] == ((32, 48, 3), "uint8")
+    assert forms["extra/next.done"] == ((), "bool")
+    for old, new in zip(source.episodes, back.episodes, strict=True):
+        assert new.length == old.length
+        actions = new.column("action/action")
+        np.testing.assert_array_equal(actions[1:, :3], old.column("action/joints")[1:].astype(np.float32))
+        assert np.isnan(actions[0]).all()
+        states = new.column("observation/state")
+        np.testing.assert_array_equal(states[:-1, :3], old.column("observation/joints")[:-1].astype(np.float32))
+        assert new.success == old.success
+        assert new.instruction == old.instruction
+        assert new.seed is None
+    assert [episode.id for episode in back.episodes] == ["000000", "000001", "000002"]
+    assert back.info.setup["imported"]["names"]["action"] == ["joints_0", "joints_1", "joints_2", "gripper"]
+    # The source has a number that is none, where no period was measured; it is kept and found.
+    assert all("time.period" in finding.message for finding in check(tmp_path / "back").findings)
+
+
+def test_an_observation_that_was_never_stored_is_repeated_and_says_so(source: Dataset, tmp_path: Path) -> None:
+    back = import_lerobot(foreign(source, tmp_path / "lerobot", "3.0"), tmp_path / "back")
+    for episode in back.episodes:
+        assert episode.outcome["imported"]["last_observation"] == "repeated"
+        states = episode.column("observation/state")
+        np.testing.assert_array_equal(states[-1], states[-2])
+        images = episode.column("observation/frames/side/rgb")
+        np.testing.assert_array_equal(images[-1], images[-2])
+
+
+def test_success_stays_unknown_where_the_source_does_not_say(make_dataset: Any, tmp_path: Path) -> None:
+    given = foreign(make_dataset(success=(True, None)), tmp_path / "lerobot", "3.0")
+    assert [e.success for e in import_lerobot(given, tmp_path / "back").episodes] == [None, None, None]
+
+
+def test_stamps_off_the_grid_are_kept_as_times(make_dataset: Any, tmp_path: Path) -> None:
+    given = foreign(make_dataset(cameras=False), tmp_path / "lerobot", "3.0")
+    path = given / "data" / "chunk-000" / "file-000.parquet"
+    table = pq.read_table(path)
+    stamps = table.column("timestamp").to_numpy() + 0.01 * np.arange(len(table), dtype=np.float32)
+    pq.write_table(table.set_column(table.column_names.index("timestamp"), "timestamp", pa.array(stamps)), path)
+    first = import_lerobot(given, tmp_path / "back").episodes[0].column("time/timestamp")
+    np.testing.assert_array_equal(first[:-1], stamps[:6])
+    assert np.isnan(first[-1])
+
+
+def test_images_in_the_tables_and_columns_of_words_are_met(make_dataset: Any, tmp_path: Path) -> None:
+    given = foreign(make_dataset(cameras=False), tmp_path / "lerobot", "2.1")
+    info = json.loads((given / "meta" / "info.json").read_text())
+    # Channels first, as old datasets have it.
+    info["features"]["wrist_image"] = {"dtype": "image", "shape": [3, 8, 8], "names": ["channel", "height", "width"]}
+    info["features"]["note"] = {"dtype": "string", "shape": [1], "names": None}
+    (given / "meta" / "info.json").write_text(json.dumps(info))
+    encoder = av.CodecContext.create("png", "w")
+    encoder.width, encoder.height, encoder.pix_fmt = 8, 8, "rgb24"
+    picture = np.random.default_rng(0).integers(0, 256, (8, 8, 3), np.uint8)
+    png = b"".join(bytes(p) for p in encoder.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+    for path in (given / "data").glob("*/*.parquet"):
+        table = pq.read_table(path)
+        table = table.append_column("wrist_image", pa.array([{"bytes": png, "path": "x.png"}] * len(table)))
+        pq.write_table(table.append_column("note", pa.array(["hm"] * len(table))), path)
+    back = import_lerobot(given, tmp_path / "back", ImportOptions(lossless=True))
+    image = back.episodes[0].column("observation/frames/wrist_image/rgb")[0]
+    np.testing.assert_array_equal(image, picture)
+    assert "note" in back.info.setup["imported"]["left_out"]
+
+
+def test_an_export_that_was_changed_since_is_not_trusted(make_dataset: Any, tmp_path: Path) -> None:
+    for name, cameras in (("plain", False), ("seen", True)):
+        given = tmp_path / name
+        export_lerobot(make_dataset(f"of-{name}", cameras=cameras), given)
+        path = given / "meta" / "rcs_provenance.jsonl"
+        path.write_text("\n".join(path.read_text().split("\n")[1:]))
+    back = import_lerobot(tmp_path / "plain", tmp_path / "back")
+    assert back.episodes[0].outcome["imported"]["last_observation"] == "repeated"
+    assert back.episodes[0].seed is None
+    with pytest.raises(CorruptEpisode, match="changed since"):
+        import_lerobot(tmp_path / "seen", tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
+def test_missing_rows_frames_and_files_are_told(source: Dataset, tmp_path: Path) -> None:
+    good = tmp_path / "good"
+    export_lerobot(source, good, version="2.1")
+
+    def broken(name: str) -> Path:
+        return Path(shutil.copytree(good, tmp_path / name))
+
+    rows = broken("rows")
+    path = rows / "data" / "chunk-000" / "episode_000001.parquet"
+    pq.write_table(pq.read_table(path).slice(0, 4), path)
+    gone = broken("gone")
+    (gone / "data" / "chunk-000" / "episode_000002.parquet").unlink()
+    video = broken("video")
+    shutil.copy(
+        video / "videos" / "chunk-000" / "observation.images.side" / "episode_000000.mp4",
+        video / "videos" / "chunk-000" / "observation.images.side" / "episode_000002.mp4",
+    )
+    garbage = broken("garbage")
+    (garbage / "meta" / "info.json").write_text("{")
+    for folder, words in ((rows, "4 rows"), (gone, "no rows"), (video, "no frame at"), (garbage, "damaged")):
+        with pytest.raises(CorruptEpisode, match=words):
+            import_lerobot(folder, tmp_path / "out")
+        assert not (tmp_path / "out").exists()
+
+
+def test_versions_that_are_not_known_are_refused(make_dataset: Any, tmp_path: Path) -> None:
+    export_lerobot(make_dataset(cameras=False), tmp_path / "lerobot")
+    info = tmp_path / "lerobot" / "meta" / "info.json"
+    info.write_text(info.read_text().replace("v3.0", "v1.6"))
+    with pytest.raises(DatasetError, match=r"v1\.6; supported: v2\.0"):
+        import_lerobot(tmp_path / "lerobot", tmp_path / "out")
+    with pytest.raises(DatasetError, match=r"info\.json is missing"):
+        import_lerobot(tmp_path, tmp_path / "out")
+
+
+def test_formats_are_found_by_name_and_by_looks(make_dataset: Any, tmp_path: Path) -> None:
+    dataset = make_dataset(cameras=False)
+    export_format("lerobot-v2.1")(dataset, tmp_path / "lerobot", ExportOptions())
+    assert import_format("auto", tmp_path / "lerobot") is IMPORTS["lerobot"].read
+    with pytest.raises(UnknownName, match="lerobot-v3"):
+        export_format("lerobot-v4")
+    with pytest.raises(UnknownName, match="auto"):
+        import_format("zarr", tmp_path)
+    with pytest.raises(InvalidSetup, match="Cannot recognise"):
+        import_format("auto", dataset.path)

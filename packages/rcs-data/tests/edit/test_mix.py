@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from rcs_data import Dataset, check, edit
+from rcs_data.edit import Harmonise, Part, mix, parse_part
+from rcs_data.errors import DatasetError, InvalidSetup
+
+if TYPE_CHECKING:
+    from conftest import MakeDataset
+
+RGB, DEPTH = "observation/frames/wrist/rgb", "observation/frames/wrist/depth"
+
+
+@pytest.fixture
+def real(tmp_path: Path, make_dataset: MakeDataset) -> Path:
+    return make_dataset(
+        tmp_path / "real",
+        [5, 7, 4, 6],
+        seed=1,
+        sim_state_size=3,
+        setup={"robot": "fr3", "lab": "ours", "relative": "last_step"},
+    )
+
+
+@pytest.fixture
+def sim(tmp_path: Path, make_dataset: MakeDataset) -> Path:
+    return make_dataset(tmp_path / "sim", [4, 6, 5, 8, 3], seed=2)
+
+
+def test_a_mix_has_as_many_of_each_as_asked_and_says_where_each_came_from(
+    tmp_path: Path, real: Path, sim: Path
+) -> None:
+    mixed = mix([Part(path=real, episodes=3), Part(path=sim, episodes=4)], tmp_path / "mix", seed=5)
+    assert check(mixed.path).is_ok
+    sources = [episode.source for episode in mixed.episodes]
+    origin = [source["dataset"] for source in sources if source]
+    assert (origin.count("real"), origin.count("sim"), len(mixed)) == (3, 4, 7)
+    datasets = {"real": Dataset.open(real), "sim": Dataset.open(sim)}
+    for episode, source in zip(mixed.episodes, sources, strict=True):
+        assert source is not None
+        before = datasets[source["dataset"]][source["episode"]]
+        assert source["digest"] == datasets[source["dataset"]].digest()
+        assert episode.content_hash == before.content_hash
+        np.testing.assert_array_equal(episode.column(RGB), before.column(RGB))
+    assert mixed.info.origin["mix"] == {"seed": 5, "parts": {"real": 3, "sim": 4}}
+    assert mixed.info.sim_state_size is None  # states of two simulations are in no one
+
+
+def test_the_seed_decides_which(tmp_path: Path, real: Path, sim: Path) -> None:
+    def drawn(seed: int, name: str) -> list[str]:
+        parts = [Part(path=real, episodes=2), Part(path=sim, episodes=2)]
+        return [episode.id for episode in mix(parts, tmp_path / name, seed=seed).episodes]
+
+    assert drawn(1, "a") == drawn(1, "b")
+    assert len({tuple(drawn(seed, str(seed))) for seed in range(6)}) > 1
+
+
+def test_shares_are_of_the_total(tmp_path: Path, real: Path, sim: Path) -> None:
+    mixed = mix([Part(path=real, share=1), Part(path=sim, share=2)], tmp_path / "mix", total=6)
+    assert mixed.info.origin["mix"]["parts"] == {"real": 2, "sim": 4}
+
+
+@pytest.mark.parametrize(
+    ("parts", "total", "message"),
+    [
+        ([("real", 9, None)], None, "at most 4 episodes of .*real; got 9"),
+        ([("real", None, 0.5), ("sim", None, 0.5)], None, "total"),
+        ([("real", None, 0.5), ("sim", 2, None)], 4, "every part"),
+        ([("real", 2, None)], 4, "needs a share"),
+        ([], None, "nothing to mix"),
+    ],
+)
+def test_numbers_that_do_not_go_together_are_refused(
+    tmp_path: Path, real: Path, sim: Path, parts: list[Any], total: int | None, message: str
+) -> None:
+    paths = {"real": real, "sim": sim}
+    with pytest.raises(InvalidSetup, match=message):
+        mix([Part(path=paths[name], episodes=n, share=w) for name, n, w in parts], tmp_path / "mix", total=total)
+    assert not (tmp_path / "mix").exists()
+
+
+def test_other_features_are_refused_with_what_differs_or_mapped(tmp_path: Path, real: Path, sim: Path) -> None:
+    edit.resize(real, (12, 8))
+    edit.rename_camera(real, "wrist", "hand")
+    edit.resample(sim, 10)
+    parts = [Part(path=real), Part(path=sim)]
+    with pytest.raises(
+        DatasetError, match=r"(?s)real and sim do not fit.*hand/rgb.*frequency: real has 30.0, sim has 10"
+    ):
+        mix(parts, tmp_path / "mix")
+    how = Harmonise(rename={"real": {"hand": "wrist"}}, size=(12, 8), frequency=10)
+    mixed = mix(parts, tmp_path / "mix", mapping=how)
+    assert check(mixed.path).is_ok, str(check(mixed.path))
+    assert (mixed.info.frequency, mixed.info.feature(RGB).shape, len(mixed)) == (10, (8, 12, 3), 9)
+    for episode in mixed.episodes:
+        joints = episode.column("observation/joints")
+        np.testing.assert_allclose(np.diff(joints, axis=0), episode.column("action/joints")[1:], atol=1e-12)
+
+
+def test_relative_and_absolute_actions_do_not_mix(tmp_path: Path, make_dataset: MakeDataset, sim: Path) -> None:
+    other = make_dataset(tmp_path / "absolute", [4], setup={"robot": "fr3", "relative": "absolute"})
+    with pytest.raises(DatasetError, match=r"setup\.relative: actions are 'last_step' in sim and 'abs"):
+        mix([Part(path=sim), Part(path=other)], tmp_path / "mix")
+
+
+def test_what_only_some_have_can_be_left_out(tmp_path: Path, real: Path, sim: Path) -> None:
+    edit.rename_camera(real, "wrist", "front")
+    mixed = mix([Part(path=real), Part(path=sim)], tmp_path / "common", mapping=Harmonise(common=True))
+    keys = [feature.key for feature in mixed.info.features]
+    assert "observation/joints" in keys
+    assert not [key for key in keys if "frames" in key]
+    assert check(mixed.path).is_ok
+    dropped = mix([Part(path=sim)], tmp_path / "dropped", mapping=Harmonise(drop=("observation/frames/wrist/depth",)))
+    assert DEPTH not in [feature.key for feature in dropped.info.features]
+    assert RGB in [feature.key for feature in dropped.info.features]
+    assert dropped.info.sim_state_size == 3  # one simulation: its states stay
+    assert check(dropped.path).is_ok
+
+
+def test_another_number_of_joints_is_refused(tmp_path: Path, make_dataset: MakeDataset, sim: Path) -> None:
+    from dataclasses import replace
+
+    info = Dataset.open(sim).info
+    features = [replace(f, shape=(5,)) if f.key.endswith("joints") else f for f in info.features]
+    other = tmp_path / "other"
+    from rcs_data import DatasetWriter
+
+    DatasetWriter.open(other, replace(info, features=tuple(features))).close()
+    with pytest.raises(DatasetError, match=r"(?s)observation/joints: sim has '\(2,\).*other has '\(5,\)"):
+        mix([Part(path=sim), Part(path=other)], tmp_path / "mix", mapping=Harmonise(common=True))
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("a/b:143", Part(path=Path("a/b"), episodes=143)),
+        ("sim:0.7", Part(path=Path("sim"), share=0.7)),
+        ("sim", Part(path=Path("sim"))),
+        ("c:/d:2", Part(path=Path("c:/d"), episodes=2)),
+    ],
+)
+def test_a_part_can_be_written_in_one_word(text: str, part: Part) -> None:
+    assert parse_part(text) == part
+
+
+def test_a_word_that_is_no_part_is_refused() -> None:
+    with pytest.raises(InvalidSetup, match="DATASET:143"):
+        parse_part("sim:many")

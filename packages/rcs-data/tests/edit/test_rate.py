@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rcs_data import Dataset, check, edit
+from rcs_data.edit.rate import kept_rows
+from rcs_data.errors import InvalidSetup
+from rcs_data.flags import FrameFlag
+
+if TYPE_CHECKING:
+    from conftest import MakeDataset
+
+RGB = "observation/frames/wrist/rgb"
+
+
+@given(st.integers(0, 2000), st.floats(1.001, 50))
+def test_the_first_and_the_last_row_stay_and_steps_are_as_long_as_asked(length: int, ratio: float) -> None:
+    kept = kept_rows(length, ratio)
+    assert len(kept) == min(length, len(kept))
+    if length:
+        assert (kept[0], kept[-1]) == (0, length - 1)
+    steps = np.diff(kept)
+    assert (steps > 0).all()
+    if len(steps) > 1:
+        assert (np.abs(steps[:-1] - ratio) <= 1).all()
+        assert steps[-1] <= 1.5 * ratio + 1
+
+
+def test_relative_actions_of_the_new_steps_lead_to_where_the_old_ones_led(dataset: Path) -> None:
+    edit.resample(dataset, 5)
+    opened = Dataset.open(dataset)
+    assert opened.info.frequency == 5
+    assert [episode.length for episode in opened.episodes] == [3, 2, 1, 4]
+    for episode in opened.episodes:
+        joints, actions = episode.column("observation/joints"), episode.column("action/joints")
+        np.testing.assert_allclose(np.diff(joints, axis=0), actions[1:], atol=1e-12)
+        np.testing.assert_array_equal(episode.column("executed/joints")[1:], joints[1:])
+    assert check(dataset).is_ok, str(check(dataset))
+
+
+def test_of_absolute_actions_the_last_stays(tmp_path: Path, make_dataset: MakeDataset) -> None:
+    path = make_dataset(tmp_path / "set", [13], setup={"relative": "absolute"})
+    before = Dataset.open(path).episodes[0].column("action/joints")
+    edit.resample(path, 10)
+    np.testing.assert_array_equal(Dataset.open(path).episodes[0].column("action/joints")[1:], before[3::3])
+
+
+def test_rewards_are_summed_periods_too_and_ends_stay_ends(dataset: Path) -> None:
+    before = [e.column("reward")[1:].sum() for e in Dataset.open(dataset).episodes]
+    edit.resample(dataset, 7)
+    for total, episode in zip(before, Dataset.open(dataset).episodes, strict=True):
+        assert np.nansum(episode.column("reward")) == total
+        assert episode.column("terminated").tolist() == [False] * (episode.length - 1) + [True]
+        times = episode.column("time/monotonic")
+        np.testing.assert_allclose(np.diff(times), episode.column("time/period")[1:], atol=1e-9)
+
+
+def test_a_frame_is_what_was_seen_and_a_repeat_only_where_nothing_new_came(dataset: Path) -> None:
+    before = Dataset.open(dataset)["000000"]
+    frames = before.column(RGB)
+    edit.resample(dataset, 15)
+    after = Dataset.open(dataset)["000000"]
+    np.testing.assert_array_equal(after.column(RGB), frames[::2])
+    # Rows 0, 2, 4, 6, 8, 10, 12; a repeat is in 2, 5, 8, 11: it shows the row before, which is new since the last kept.
+    assert not (after.flags("wrist") & FrameFlag.REPEATED).any()
+    np.testing.assert_array_equal(after.sim_state()[:, 0], np.arange(0, 13, 2))
+
+
+@pytest.mark.parametrize("frequency", [30, 31, 0, -5])
+def test_only_a_lower_rate_is_possible(dataset: Path, frequency: float) -> None:
+    with pytest.raises(InvalidSetup, match="valid is above 0 and below"):
+        edit.resample(dataset, frequency)

@@ -1,0 +1,99 @@
+"""What a killed call leaves beside its result is named and removed by the next one, and what lives stays."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rcs_data import Dataset, edit
+from rcs_data.errors import DatasetError
+from rcs_data.output import new_output, remove_leftovers
+
+DYING = """
+import os, sys, signal
+from pathlib import Path
+from rcs_data.output import new_output
+with new_output(sys.argv[1]) as partial:
+    if sys.argv[2] == "folder":
+        (partial / "deep").mkdir(parents=True)
+        (partial / "deep" / "file").write_text("half")
+    else:
+        partial.write_text("half")
+    print("at work", flush=True)
+    if sys.argv[3] == "dies":
+        os.kill(os.getpid(), signal.SIGKILL)
+    sys.stdin.readline()
+"""
+
+
+def start(out: Path, kind: str, how: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", DYING, str(out), kind, how]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "at work\n"
+    return process
+
+
+@pytest.mark.parametrize("kind", ["folder", "file"])
+def test_what_a_kill_leaves_is_removed_and_named_by_the_next_call(
+    tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    out = tmp_path / "result"
+    for _ in range(2):
+        with start(out, kind, "dies") as process:
+            assert process.wait(20) == -signal.SIGKILL
+    assert len(list(tmp_path.iterdir())) == 2, "the second call has removed what the first had left"
+    with caplog.at_level(logging.WARNING), new_output(out) as partial:
+        partial.write_text("whole")
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+    assert "left by a killed call" in caplog.text
+
+
+def test_what_another_process_is_at_stays(tmp_path: Path) -> None:
+    out = tmp_path / "result"
+    with start(out, "folder", "lives") as process:
+        assert remove_leftovers(out) == []
+        assert process.stdin is not None
+        process.stdin.write("go on\n")
+        process.stdin.flush()
+        assert process.wait(20) == 0
+    assert (out / "deep" / "file").read_text() == "half"
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+
+
+def test_results_of_other_names_stay(tmp_path: Path) -> None:
+    with start(tmp_path / "other", "folder", "dies") as process:
+        process.wait(20)
+    with new_output(tmp_path / "result") as partial:
+        partial.mkdir()
+    assert len(list(tmp_path.iterdir())) == 3
+    assert remove_leftovers(tmp_path / "other")
+
+
+def test_an_error_leaves_nothing(tmp_path: Path) -> None:
+    def fail() -> None:
+        with new_output(tmp_path / "result") as partial:
+            partial.mkdir()
+            raise ValueError("mine")
+
+    with pytest.raises(ValueError, match="mine"):
+        fail()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_link_is_not_written_through(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "result").symlink_to("elsewhere")
+    with pytest.raises(DatasetError, match="exists already"), new_output(tmp_path / "result"):
+        pass
+
+
+def test_a_merge_removes_what_a_killed_merge_left(dataset: Path, tmp_path: Path) -> None:
+    with start(tmp_path / "merged", "folder", "dies") as process:
+        process.wait(20)
+    edit.merge([dataset], tmp_path / "merged")
+    assert len(Dataset.open(tmp_path / "merged")) == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset", "merged"]

@@ -1,0 +1,79 @@
+"""A small file that claims or holds gigabytes is refused before it is read."""
+
+from __future__ import annotations
+
+import hashlib
+import resource
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rcs_data import Dataset, check
+from rcs_data.durable import sealed, unsealed
+from rcs_data.errors import CorruptEpisode
+from rcs_data.parquet import FREE_BYTES, opened
+
+ROWS = 1_000_000
+
+
+def zeros(rows: int, size: int) -> pa.Array:
+    return pa.FixedSizeListArray.from_arrays(pa.array(np.zeros(rows * size)), size)
+
+
+@pytest.fixture
+def bomb(tmp_path: Path) -> Path:
+    table = pa.table({"a": zeros(ROWS, 3)})
+    with pq.ParquetWriter(tmp_path / "bomb.parquet", table.schema, compression="zstd") as writer:
+        for _ in range(8):
+            writer.write_table(table)
+    return tmp_path / "bomb.parquet"
+
+
+def test_a_bomb_is_refused_before_it_takes_memory(bomb: Path) -> None:
+    assert bomb.stat().st_size < 1 << 20
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with opened(bomb) as source, pytest.raises(CorruptEpisode, match="and claims"):
+        source.table()
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
+
+
+def test_of_a_bomb_what_is_small_is_read(bomb: Path) -> None:
+    with opened(bomb) as source:
+        assert source.table(groups=[3]).num_rows == ROWS
+
+
+def test_one_value_that_stands_for_many_rows_is_refused(tmp_path: Path) -> None:
+    table = pa.table({"a": pa.array([bytes(1_000_000)] * 200)})
+    pq.write_table(table, tmp_path / "bomb.parquet", compression="zstd", use_dictionary=True)
+    with opened(tmp_path / "bomb.parquet") as source, pytest.raises(CorruptEpisode, match="once read"):
+        source.table()
+
+
+def test_rows_without_values_take_memory_too(tmp_path: Path) -> None:
+    rows = FREE_BYTES // 24 + 1
+    pq.write_table(pa.table({"a": pa.nulls(rows, pa.list_(pa.float64(), 3))}), tmp_path / "bomb.parquet")
+    with opened(tmp_path / "bomb.parquet") as source, pytest.raises(CorruptEpisode, match=f"claims {rows} rows"):
+        source.table()
+
+
+def test_check_and_readers_refuse_an_episode_that_is_a_bomb(dataset: Path) -> None:
+    folder = dataset / "episodes/000001"
+    schema = Dataset.open(dataset)["000001"].steps().schema
+    columns = {
+        field.name: pa.nulls(ROWS, field.type) if field.name != "observation/joints" else zeros(ROWS, 3)
+        for field in schema
+    }
+    table = pa.table(columns, schema)
+    with pq.ParquetWriter(folder / "steps.parquet", schema, compression="zstd") as writer:
+        for _ in range(8):
+            writer.write_table(table)
+    about = unsealed((folder / "episode.json").read_bytes(), folder)
+    digest = hashlib.sha256((folder / "steps.parquet").read_bytes()).hexdigest()
+    changes = {"length": 8 * ROWS, "sha256": {**about["sha256"], "steps.parquet": digest}}
+    (folder / "episode.json").write_bytes(sealed({**about, **changes}))
+    with pytest.raises(CorruptEpisode, match=r"000001/steps\.parquet"):
+        Dataset.open(dataset)["000001"].column("observation/joints")
+    assert "claims" in str(check(dataset).damage[0])
+    assert Dataset.open(dataset)["000000"].column("observation/joints").shape == (6, 3)

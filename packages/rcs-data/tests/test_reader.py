@@ -1,0 +1,124 @@
+"""A reader gives what was written, only what was asked for, and says what is missing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rcs_data import SCHEMA_VERSION, Dataset, DatasetInfo, DatasetWriter, Feature
+from rcs_data.durable import sealed, unsealed
+from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
+
+
+def test_episodes_come_sorted_with_their_facts(dataset: Path) -> None:
+    found = Dataset.open(dataset)
+    assert [episode.id for episode in found.episodes] == ["000000", "000001", "000002"]
+    assert [episode.success for episode in found.episodes] == [True, False, True]
+    assert [episode.length for episode in found.episodes] == [6, 7, 8]
+    assert found["000001"].outcome == {"failure": "slip"}
+    assert len(found) == 3
+
+
+def test_frames_come_one_by_one(dataset: Path) -> None:
+    episode = Dataset.open(dataset).episodes[1]
+    frames = list(episode.frames("observation/frames/wrist/rgb"))
+    assert len(frames) == episode.length
+    np.testing.assert_array_equal(np.stack(frames), episode.column("observation/frames/wrist/rgb"))
+    jpegs = list(episode.encoded_frames("observation/frames/wrist/rgb"))
+    assert all(jpeg.startswith(b"\xff\xd8") for jpeg in jpegs)
+
+
+def test_only_the_columns_asked_for_are_read(dataset: Path) -> None:
+    episode = Dataset.open(dataset).episodes[0]
+    assert episode.steps(["reward", "terminated"]).column_names == ["reward", "terminated"]
+    assert episode.steps().column_names == [feature.key for feature in episode.info.features]
+
+
+def test_what_is_no_image_has_no_frames(dataset: Path) -> None:
+    episode = Dataset.open(dataset).episodes[0]
+    with pytest.raises(InvalidSetup, match="not an image"):
+        next(episode.frames("reward"))
+    with pytest.raises(InvalidSetup, match="Known: observation/joints"):
+        episode.column("speed")
+    with pytest.raises(InvalidSetup, match="no episode 'x'"):
+        Dataset.open(dataset)["x"]
+
+
+def test_a_missing_dataset_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"dataset\.json is missing"):
+        Dataset.open(tmp_path)
+
+
+def test_a_damaged_episode_does_not_keep_the_others_from_being_read(dataset: Path) -> None:
+    (dataset / "episodes/000000/episode.json").write_text("{")
+    (dataset / "episodes/000001/steps.parquet").unlink()
+    found = Dataset.open(dataset)
+    with pytest.raises(CorruptEpisode, match="damaged"):
+        _ = found.episodes[0].success
+    with pytest.raises(CorruptEpisode, match=r"Cannot read .*steps\.parquet"):
+        found.episodes[1].column("reward")
+    assert found.episodes[2].column("reward").shape == (8,)
+
+
+def test_a_changed_verdict_is_seen(dataset: Path) -> None:
+    path = dataset / "episodes/000001/episode.json"
+    path.write_text(path.read_text().replace('"success": false', '"success": true'))
+    with pytest.raises(CorruptEpisode, match="checksum"):
+        _ = Dataset.open(dataset)["000001"].success
+
+
+def test_a_newer_layout_is_refused(dataset: Path) -> None:
+    for path in (dataset / "episodes/000001/episode.json", dataset / "dataset.json"):
+        values = unsealed(path.read_bytes(), path)
+        path.write_bytes(sealed({**values, "schema_version": SCHEMA_VERSION + 1}))
+        with pytest.raises(DatasetError, match="newer version of this library; update"):
+            _ = Dataset.open(dataset)["000001"].success
+
+
+def test_the_files_are_plain_json(dataset: Path) -> None:
+    about = json.loads((dataset / "episodes/000001/episode.json").read_text())
+    assert about["seed"] == 1
+    assert set(about["sha256"]) == {"steps.parquet", "sim_state.parquet"}
+
+
+def test_a_table_of_all_episodes_has_every_value_at_its_place(dataset: Path) -> None:
+    found = Dataset.open(dataset)
+    table = found.to_arrow()
+    assert table.column_names[:3] == ["episode", "row", "observation/joints"]
+    assert not any("frames" in name and "time" not in name for name in table.column_names)
+    assert table.num_rows == sum(episode.length for episode in found.episodes)
+    joints = np.array(table.column("observation/joints").to_pylist())
+    np.testing.assert_array_equal(joints, np.concatenate([e.column("observation/joints") for e in found.episodes]))
+    places = list(zip(table.column("episode").to_pylist(), table.column("row").to_pylist(), strict=True))
+    assert places == [(episode.id, row) for episode in found.episodes for row in range(episode.length)]
+    rewards = found.to_arrow(["reward"]).column("reward").to_pylist()
+    assert [reward is None for reward in rewards] == [row == 0 for _, row in places]
+    with pytest.raises(InvalidSetup, match="image columns cannot be tabulated"):
+        found.to_arrow(["observation/frames/wrist/rgb"])
+
+
+def test_a_table_has_held_values_in_every_row(tmp_path: Path) -> None:
+    matrix = Feature(key="observation/matrix", shape=(2, 2), dtype="float64", encoding="held")
+    info = DatasetInfo(frequency=10.0, features=(matrix,), setup={}, instruction="")
+    with DatasetWriter.open(tmp_path / "dataset", info) as writer:
+        assert Dataset.open(tmp_path / "dataset").to_arrow().column_names == ["episode", "row", matrix.key]
+        for name, values in (("a", [1, 1, 1, 2]), ("b", [2, 3, 3])):
+            with writer.episode(name, seed=0) as episode:
+                for value in values:
+                    episode.add({matrix.key: np.full((2, 2), float(value))})
+                episode.finish(None)
+    found = Dataset.open(tmp_path / "dataset")
+    assert found.episodes[0].steps().column(matrix.key).null_count == 2
+    held = [value[3] for value in found.to_arrow().column(matrix.key).to_pylist()]
+    assert held == [1, 1, 1, 2, 2, 3, 3]
+
+
+def test_a_dataset_is_a_collection_of_its_episodes(dataset: Path) -> None:
+    opened = Dataset.open(dataset)
+    assert list(opened) == list(opened.episodes)
+    assert len(list(opened)) == len(opened) == 3
+    assert all(episode in opened and episode.id in opened and opened[episode.id] is episode for episode in opened)
+    assert "no such" not in opened
+    assert 0 not in opened

@@ -1,0 +1,78 @@
+"""The timing report names gaps, freezes and repeats, and invents no time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from rcs_data import DatasetWriter
+
+if TYPE_CHECKING:
+    from conftest import MakeInfo, MakeRows
+
+STATE = 5  # the sim_state_size of make_info
+
+
+def timing_of(path: Path, info: Any, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    with DatasetWriter.open(path, info) as writer, writer.episode("a", seed=0) as episode:
+        for row in rows:
+            episode.add(row, np.zeros(STATE))
+        return episode.finish(None).timing
+
+
+def test_a_steady_recording_has_no_gap(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> None:
+    timing = timing_of(tmp_path, make_info(images=True), make_rows(31, images=True))
+    period = timing["period"]
+    assert timing["rows"] == 31
+    assert period["mean"] == pytest.approx(1 / 30)
+    assert period["jitter_max"] < 1e-9
+    assert (period["gaps"], period["missed_steps"], period["backwards"]) == (0, 0, 0)
+    assert timing["cameras"]["observation/frames/wrist/rgb"] == {
+        "new_images": 31,
+        "repeated_images": 0,
+        "repeated_captures": 0,
+        "longest_freeze": 0,
+    }
+
+
+def test_a_pause_of_four_periods_is_one_gap_with_three_missed_steps(
+    tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows
+) -> None:
+    rows = make_rows(10)
+    for row in rows[5:]:
+        row["time/monotonic"] += 3 / 30
+    period = timing_of(tmp_path, make_info(), rows)["period"]
+    assert (period["gaps"], period["missed_steps"]) == (1, 3)
+    assert period["max"] == pytest.approx(4 / 30)
+
+
+def test_a_clock_that_runs_backwards_is_counted(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> None:
+    rows = make_rows(4)
+    rows[2]["time/monotonic"] = 0.0
+    assert timing_of(tmp_path, make_info(), rows)["period"]["backwards"] == 1
+
+
+def test_a_frozen_camera_is_counted_by_image_and_by_capture_time(
+    tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows
+) -> None:
+    rows = make_rows(9, images=True)
+    for row in rows[3:6]:
+        row["observation/frames/wrist/rgb"] = rows[2]["observation/frames/wrist/rgb"]
+        row["time/frames/wrist"] = rows[2]["time/frames/wrist"]
+    cameras = timing_of(tmp_path, make_info(images=True), rows)["cameras"]
+    assert cameras["observation/frames/wrist/rgb"] == {
+        "new_images": 9,
+        "repeated_images": 3,
+        "repeated_captures": 3,
+        "longest_freeze": 3,
+    }
+    assert cameras["observation/frames/wrist/depth"]["repeated_images"] == 0
+
+
+def test_times_that_were_not_measured_are_left_out(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> None:
+    rows = make_rows(5)
+    for row in rows:
+        row["time/monotonic"] = None
+    assert timing_of(tmp_path, make_info(), rows)["period"] is None

@@ -1,5 +1,0 @@
-"""Finds damage, doubtful rows and missing labels in a dataset, and repairs what it can."""
-
-from rcs.lazy import load_on_use
-
-load_on_use(__name__)

@@ -1,5 +1,0 @@
-"""Exports datasets to the formats of other programs, and imports them."""
-
-from rcs.lazy import load_on_use
-
-load_on_use(__name__)
