@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rcs_data
 
 import rcs
 
@@ -63,7 +64,7 @@ def roots(modules: list[str]) -> set[str]:
 
 def test_importing_the_package_has_no_effect() -> None:
     # No site module: an editable install has an import hook of its own.
-    paths = [str(Path(rcs.__file__).parents[1]), *site.getsitepackages()]
+    paths = [*(str(Path(str(module.__file__)).parents[1]) for module in (rcs, rcs_data)), *site.getsitepackages()]
     seen = watch("-I", "-S", "-B", before=f"sys.path += {paths!r}")
     assert seen["opened"] == []
     assert seen["connected"] == []

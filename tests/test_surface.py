@@ -13,16 +13,28 @@ from pathlib import Path
 from typing import get_type_hints
 
 import pytest
+import rcs_data
 from rcs_data.lazy import LazyPackage
 
 import rcs
 from rcs.envs.setup import Options, Setup
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ["rcs", *(found.name for found in pkgutil.walk_packages(rcs.__path__, "rcs.") if found.ispkg)]
+PACKAGES = [
+    name
+    for root in (rcs, rcs_data)
+    for name in (
+        root.__name__,
+        *(found.name for found in pkgutil.walk_packages(root.__path__, f"{root.__name__}.") if found.ispkg),
+    )
+]
 LAZY = [name for name in PACKAGES if isinstance(importlib.import_module(name), LazyPackage)]
-MODULES = ["rcs.errors", "rcs_data.torch"]  # errors are no package; torch is an extra
+MODULES = ["rcs.errors", "rcs_data.errors", "rcs_data.torch"]  # errors are no package; torch is an extra
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def is_ours(module: str) -> bool:
+    return module.partition(".")[0] in ("rcs", "rcs_data")
 
 
 def programs() -> Iterator[tuple[str, str]]:
@@ -37,10 +49,12 @@ def programs() -> Iterator[tuple[str, str]]:
 def imports(program: str) -> Iterator[tuple[str, str | None]]:
     """Give the modules of ours that a program imports, and the names that it imports from them."""
     for node in ast.walk(ast.parse(program)):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "rcs":
+        if isinstance(node, ast.ImportFrom) and is_ours(node.module or ""):
             yield from ((str(node.module), alias.name) for alias in node.names)
         elif isinstance(node, ast.Import):
-            yield from ((alias.name, None) for alias in node.names if alias.name.partition(".")[0] == "rcs")
+            yield from (
+                (alias.name, None) for alias in node.names if alias.name.partition(".")[0] in ("rcs", "rcs_data")
+            )
 
 
 @pytest.mark.parametrize(("where", "program"), list(programs()), ids=lambda text: text if len(text) < 60 else "")

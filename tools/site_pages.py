@@ -20,9 +20,15 @@ PACKAGES = (
 )  # fmt: skip
 
 
+def path_of(package: str) -> Path:
+    """Return the folder of a package; with the suffix `.py` it is the file of a module."""
+    source = ROOT / "packages/rcs-data/src" if package.startswith("rcs_data") else ROOT / "src"
+    return source / package.replace(".", "/")
+
+
 def homes_of(package: str) -> dict[str, str]:
     """Return where each public name of a package is defined: of a package what it exports, of a module what it has."""
-    path = ROOT / "src" / package.replace(".", "/")
+    path = path_of(package)
     names: dict[str, str] = {}
     stub = path / "__init__.pyi"
     if stub.exists():
@@ -31,6 +37,8 @@ def homes_of(package: str) -> dict[str, str]:
                 names |= {str(one.asname): f"{node.module}.{one.name}" for one in node.names if one.asname}
         return {name: home for name, home in names.items() if not name.startswith("_")}
     for node in ast.parse(path.with_suffix(".py").read_text("utf-8")).body:
+        if isinstance(node, ast.ImportFrom):  # what it gives on from another module has `as`
+            names |= {str(one.asname): f"{node.module}.{one.name}" for one in node.names if one.asname == one.name}
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_"):
             names[node.name] = f"{package}.{node.name}"
     return names
@@ -38,7 +46,7 @@ def homes_of(package: str) -> dict[str, str]:
 
 def summary_of(package: str) -> str:
     """Return the docstring of a package, which says what it is for."""
-    path = ROOT / "src" / package.replace(".", "/")
+    path = path_of(package)
     source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     return ast.get_docstring(ast.parse(source.read_text("utf-8"))) or ""
 

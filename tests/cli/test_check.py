@@ -43,7 +43,7 @@ def test_a_whole_dataset_is_told_in_a_line_and_exit_code_0(capsys: pytest.Captur
     code, told = call(capsys, str(dataset))
     assert code == 0
     assert told.splitlines() == [
-        "note: Joints are not compared with limits: the setup names no robot.",
+        "note: 'observation/joints' is not compared with limits: the dataset has none for it.",
         "2 episodes, 100 rows, 0 images checked: no damage",
     ]
 

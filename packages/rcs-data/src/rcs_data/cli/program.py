@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, fields
 from typing import Annotated, Any, cast
 
-from rcs_data.cli.console import plain_console
 from rcs_data.cli.verbs import Table, let_current_folder_be_imported, load, overview
 from rcs_data.errors import RcsError, UnknownName
 
@@ -138,6 +137,8 @@ def _union(table: Table) -> Any:
 
 
 def _failed(message: str, code: int = 1) -> int:
+    from rcs_data.cli.console import plain_console
+
     plain_console(stderr=True).print(f"error: {message}", style="bold red")
     return code
 

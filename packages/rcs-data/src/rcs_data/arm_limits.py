@@ -12,7 +12,7 @@ from rcs_data.text import check_text
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointLimits:
+class ArmLimits:
     """Ranges and speeds of an arm's joints, with which its recorded positions are checked.
 
     Raises:
@@ -44,7 +44,7 @@ class JointLimits:
         return asdict(self)
 
     @classmethod
-    def from_json(cls, values: object) -> JointLimits:
+    def from_json(cls, values: object) -> ArmLimits:
         """Build the limits from what `to_json` returned.
 
         Raises:
