@@ -1,6 +1,5 @@
 from rcs_data import convert as convert
 from rcs_data import edit as edit
-from rcs_data.arm_limits import ArmLimits as ArmLimits
 from rcs_data.check.dataset import check as check
 from rcs_data.check.report import CheckReport as CheckReport
 from rcs_data.check.report import Finding as Finding
@@ -12,6 +11,7 @@ from rcs_data.feature import Feature as Feature
 from rcs_data.frame_access import FrameAccess as FrameAccess
 from rcs_data.info import SCHEMA_VERSION as SCHEMA_VERSION
 from rcs_data.info import DatasetInfo as DatasetInfo
+from rcs_data.joint_bounds import JointBounds as JointBounds
 from rcs_data.reader import Dataset as Dataset
 from rcs_data.reader import EpisodeRecord as EpisodeRecord
 from rcs_data.recover import RecoverReport as RecoverReport

@@ -10,8 +10,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 import pyarrow as pa
 
-from rcs_data.arm_limits import ArmLimits
 from rcs_data.errors import InvalidSetup
+from rcs_data.joint_bounds import JointBounds
 from rcs_data.text import check_text
 
 Encoding = Literal["plain", "held", "jpeg", "lossless", "depth", "labels"]
@@ -54,7 +54,7 @@ class Feature:
     W, 3) uint8 image; "lossless": the same without loss. "depth": an (H, W) uint16 image without loss. "labels": the
     same of numbers that name what a pixel shows. Only new images are stored: a row without one has that of the row
     before."""
-    limits: ArmLimits | None = None
+    limits: JointBounds | None = None
     """Of joint positions: what these joints can do, with which `check` compares them; None where nobody knows."""
 
     def __post_init__(self) -> None:
@@ -191,7 +191,7 @@ class Feature:
         try:
             fields: dict[str, Any] = {**values, "shape": tuple(values["shape"])}
             if "limits" in fields:
-                fields["limits"] = ArmLimits.from_json(fields["limits"])
+                fields["limits"] = JointBounds.from_json(fields["limits"])
             return cls(**fields)
         except (KeyError, TypeError, ValueError, AttributeError) as err:
             if isinstance(err, InvalidSetup):

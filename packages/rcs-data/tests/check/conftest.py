@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rcs_data import ArmLimits, DatasetInfo, DatasetWriter, Feature
+from rcs_data import DatasetInfo, DatasetWriter, Feature, JointBounds
 
 RGB = "observation/frames/wrist/rgb"
 FPS = 30.0
 Rows = list[dict[str, Any]]
 MakeMoving = Callable[..., Path]
 
-ARM = ArmLimits(
+ARM = JointBounds(
     arm="an arm of tests",
     names=tuple(f"joint{i}" for i in range(1, 8)),
     lower=(-2.8, -1.7, -2.8, -3.0, -2.8, 0.5, -2.8),
@@ -90,5 +90,5 @@ def moving_info() -> DatasetInfo:
 
 
 @pytest.fixture
-def arm() -> ArmLimits:
+def arm() -> JointBounds:
     return ARM

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from rcs_data import ArmLimits, CheckReport, DatasetInfo, Feature, check
+from rcs_data import CheckReport, DatasetInfo, Feature, JointBounds, check
 
 if TYPE_CHECKING:
     from conftest import MakeMoving, Rows
@@ -29,7 +29,7 @@ def found(report: CheckReport) -> list[tuple[str, tuple[int, int] | None]]:
     return [(finding.kind, finding.rows) for finding in report.findings]
 
 
-def test_a_step_beyond_the_velocity_limit_is_a_jump(tmp_path: Path, moving: MakeMoving, arm: ArmLimits) -> None:
+def test_a_step_beyond_the_velocity_limit_is_a_jump(tmp_path: Path, moving: MakeMoving, arm: JointBounds) -> None:
     limit = arm.velocity[2] / 30
     assert found(check(moving(tmp_path / "slow", spike(0.9 * limit)))) == []
     report = check(moving(tmp_path / "fast", spike(2 * limit)))
@@ -67,7 +67,7 @@ def test_an_unknown_robot_may_start_and_stop_at_once(
     assert found(check(moving(tmp_path, jerk, features=without_limits(moving_info)))) == []
 
 
-def test_joints_beyond_their_limits_are_named(tmp_path: Path, moving: MakeMoving, arm: ArmLimits) -> None:
+def test_joints_beyond_their_limits_are_named(tmp_path: Path, moving: MakeMoving, arm: JointBounds) -> None:
     def shift(rows: Rows) -> None:
         by = arm.upper[3] + 0.1 - rows[0][JOINTS][3]
         for row in rows:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from rcs_data import ArmLimits, Feature
+from rcs_data import Feature, JointBounds
 
 from rcs.devices import lookup
 from rcs.robots.description import ArmDescription
@@ -23,9 +23,9 @@ def with_limits(features: Sequence[Feature], robot: str | None) -> list[Feature]
     return [replace(feature, limits=limits.get(feature.key)) for feature in features]
 
 
-def limits_of(arm: ArmDescription) -> ArmLimits:
+def limits_of(arm: ArmDescription) -> JointBounds:
     """Return the limits of an arm's joints as a dataset has them."""
-    return ArmLimits(
+    return JointBounds(
         arm=arm.label, names=arm.joints, lower=arm.joint_lower, upper=arm.joint_upper, velocity=arm.velocity_limit
     )
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.arm_limits import ArmLimits
 from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
 from rcs_data.check.report import Finding, counted
+from rcs_data.joint_bounds import JointBounds
 
 # Tolerance of joint limits [rad]: simulated limits are springs, and encoders have offsets.
 _BEYOND = 0.02
@@ -56,7 +56,7 @@ def check_motion(place: EpisodePlace, rows: EpisodeRows) -> Iterator[Finding]:
             yield place.warning("joint_jump", message, touched)
 
 
-def _jumps(joints: NDArray[np.float64], seconds: NDArray[np.float64], limits: ArmLimits | None) -> NDArray[np.bool_]:
+def _jumps(joints: NDArray[np.float64], seconds: NDArray[np.float64], limits: JointBounds | None) -> NDArray[np.bool_]:
     """Return which steps of which joints are impossible, shape (length - 1, dof)."""
     steps = _steps(joints)
     if limits is not None:
@@ -73,5 +73,5 @@ def _steps(joints: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.nan_to_num(np.abs(np.diff(joints, axis=0)))
 
 
-def _joints(limits: ArmLimits, which: NDArray[np.bool_]) -> str:
+def _joints(limits: JointBounds, which: NDArray[np.bool_]) -> str:
     return ", ".join(name for name, is_named in zip(limits.names, which, strict=True) if is_named)

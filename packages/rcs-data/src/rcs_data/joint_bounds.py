@@ -12,7 +12,7 @@ from rcs_data.text import check_text
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArmLimits:
+class JointBounds:
     """Ranges and speeds of an arm's joints, with which its recorded positions are checked.
 
     Raises:
@@ -44,7 +44,7 @@ class ArmLimits:
         return asdict(self)
 
     @classmethod
-    def from_json(cls, values: object) -> ArmLimits:
+    def from_json(cls, values: object) -> JointBounds:
         """Build the limits from what `to_json` returned.
 
         Raises:

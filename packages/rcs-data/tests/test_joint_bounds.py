@@ -3,7 +3,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from rcs_data import ArmLimits, Feature
+from rcs_data import Feature, JointBounds
 from rcs_data.errors import InvalidSetup
 
 GOOD: dict[str, Any] = {
@@ -16,7 +16,7 @@ GOOD: dict[str, Any] = {
 
 
 def test_limits_come_back_as_they_were_stored() -> None:
-    feature = Feature(key="observation/joints", shape=(2,), dtype="float64", limits=ArmLimits(**GOOD))
+    feature = Feature(key="observation/joints", shape=(2,), dtype="float64", limits=JointBounds(**GOOD))
     assert Feature.from_json(feature.to_json()) == feature
     plain = Feature(key="observation/joints", shape=(2,), dtype="float64")
     assert "limits" not in plain.to_json()
@@ -27,7 +27,7 @@ def test_limits_come_back_as_they_were_stored() -> None:
 )
 def test_limits_that_make_no_sense_are_refused(change: dict[str, Any]) -> None:
     with pytest.raises(InvalidSetup):
-        ArmLimits(**{**GOOD, **change})
+        JointBounds(**{**GOOD, **change})
 
 
 @pytest.mark.parametrize("stored", [None, [], {"arm": "x"}, {**GOOD, "more": 1}, {**GOOD, "names": 3}])
@@ -38,4 +38,4 @@ def test_what_is_read_from_a_file_is_not_believed(stored: Any) -> None:
 
 def test_limits_belong_to_as_many_joints() -> None:
     with pytest.raises(InvalidSetup, match="limits of 2 joints"):
-        Feature(key="observation/joints", shape=(3,), dtype="float64", limits=ArmLimits(**GOOD))
+        Feature(key="observation/joints", shape=(3,), dtype="float64", limits=JointBounds(**GOOD))
