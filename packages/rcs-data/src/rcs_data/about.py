@@ -9,7 +9,7 @@ from typing import Any
 
 from rcs_data.durable import unsealed
 from rcs_data.errors import CorruptEpisode
-from rcs_data.info import refuse_newer_schema
+from rcs_data.info import refuse_other_schema
 from rcs_data.json_file import read_bytes
 from rcs_data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE, is_name
 
@@ -28,7 +28,7 @@ def read_about(folder: Path) -> dict[str, Any]:
 
     Raises:
         CorruptEpisode: It is missing, was changed, or has impossible values.
-        DatasetError: Its layout is newer than this code.
+        DatasetError: Its layout is of another version.
     """
     path = folder / EPISODE_FILE
     return checked_about(unsealed(read_bytes(path), path), path)
@@ -43,9 +43,9 @@ def checked_about(values: dict[str, Any], path: Path) -> dict[str, Any]:
 
     Raises:
         CorruptEpisode: A field is missing or not valid; the message names it and what is valid.
-        DatasetError: Its layout is newer than this code.
+        DatasetError: Its layout is of another version.
     """
-    refuse_newer_schema(values.get("schema_version"), f"episode, {path.parent},")
+    refuse_other_schema(values.get("schema_version"), f"episode, {path.parent},")
     for name, (is_right, valid) in _FIELDS.items():
         is_there = name in values or name in _OPTIONAL
         if not is_there or not is_right(values.get(name)):
@@ -82,7 +82,7 @@ def _is_verdict(value: Any) -> bool:
     return value is None or isinstance(value, bool)
 
 
-def _is_time(value: Any) -> bool:
+def _is_text_or_none(value: Any) -> bool:
     return value is None or isinstance(value, str)
 
 
@@ -136,11 +136,40 @@ _FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "length": (_is_length, f"a whole number from 1 to {MOST_ROWS}"),
     "outcome": (_is_object, "an object"),
     "instruction": (_is_text, "text"),
-    "started": (_is_time, "text or null"),
-    "ended": (_is_time, "text or null"),
+    "started": (_is_text_or_none, "text or null"),
+    "ended": (_is_text_or_none, "text or null"),
     "versions": (lambda value: _of(value, _is_text), "an object of texts"),
     "content_hash": (_is_hash, "a SHA-256 in hexadecimal"),
     "sha256": (_are_hashes, f"the SHA-256 of {STEPS_FILE}, and of {SIM_STATE_FILE} if it is there"),
     "timing": (_is_timing, "an object with period, cameras and writer, each an object of numbers or null"),
     "source": (_is_source, "null, or an object with names as dataset and episode, and the source of that"),
+}
+
+
+def entry_problem(values: Mapping[str, Any]) -> str | None:
+    """Return what is wrong with an episode's line in the index; None if nothing is.
+
+    Args:
+        values: Its fields.
+    """
+    for name, is_right in _ENTRY.items():
+        if not is_right(values.get(name)):
+            return f"an episode's {name} is {values.get(name)!r:.80}"
+    unknown = values.keys() - _ENTRY.keys()
+    return f"an episode has {', '.join(map(repr, sorted(unknown)))}" if unknown else None
+
+
+def _is_folder(value: Any) -> bool:
+    return isinstance(value, str) and is_name(value)
+
+
+_ENTRY: dict[str, Callable[[Any], bool]] = {
+    "id": _is_folder,
+    "folder": _is_folder,
+    "length": _is_length,
+    "success": _is_verdict,
+    "seed": _is_seed,
+    "content_hash": _is_hash,
+    "instruction": _is_text_or_none,
+    "failure": _is_text_or_none,
 }

@@ -11,12 +11,12 @@ from rcs_data.compact import publish
 from rcs_data.durable import HashedFile, disk_errors, remove_folder, sync_folder, unsealed, write_file
 from rcs_data.errors import CorruptEpisode, DatasetError
 from rcs_data.info import DatasetInfo
+from rcs_data.journal import Journal
 from rcs_data.layout import (
     EPISODE_FILE,
     SIM_STATE_FILE,
     STEPS_FILE,
     check_episode_id,
-    episode_folder,
     new_trash_folder,
     open_folder,
 )
@@ -25,13 +25,13 @@ Files = Mapping[str, bytes | memoryview]
 """The contents of files by name."""
 
 
-def adopt(base: Path, info: DatasetInfo, episode_id: str, files: Files) -> Path:
+def adopt(journal: Journal, info: DatasetInfo, episode_id: str, files: Files) -> Path:
     """Write an episode's files into a dataset, byte for byte, and return its folder.
 
     A kill leaves an open episode without rows, which the next writer removes, or a complete one.
 
     Args:
-        base: The folder that has the current episodes.
+        journal: The dataset's index.
         info: What the dataset's episodes share; that of the dataset that the episode was recorded into is equal.
         episode_id: The episode. No writer may be recording it; what a dead one left of it is removed.
         files: All files of its folder.
@@ -48,17 +48,18 @@ def adopt(base: Path, info: DatasetInfo, episode_id: str, files: Files) -> Path:
             f"Episode {episode_id!r} came with the files {', '.join(sorted(files)) or '(none)'}; "
             f"an episode of this dataset has {', '.join(sorted(expected))}."
         )
-    folder = open_folder(base, episode_id)
+    root = journal.root
+    folder = open_folder(root, episode_id)
     description = bytes(files[EPISODE_FILE])
     about = checked_about(unsealed(description, folder / EPISODE_FILE), folder / EPISODE_FILE)
     hashes = {name: hashlib.sha256(data).hexdigest() for name, data in files.items() if name != EPISODE_FILE}
     if about["id"] != episode_id or about["sha256"] != hashes:
         raise CorruptEpisode(f"Episode {episode_id!r} did not arrive as it was written: an id or a hash differs.")
-    if episode_folder(base, episode_id).exists():
-        raise DatasetError(f"There already is an episode {episode_id!r} in {base}; remove it, or choose another id.")
+    if episode_id in journal.refresh().episodes:
+        raise DatasetError(f"There already is an episode {episode_id!r} in {root}; remove it, or choose another id.")
     with disk_errors(f"write episode {episode_id!r}", folder):
         if folder.exists():
-            remove_folder(folder, new_trash_folder(base, episode_id))
+            remove_folder(folder, new_trash_folder(root, episode_id))
         folder.mkdir()
         for name in hashes:
             file = HashedFile(folder / name)
@@ -69,4 +70,4 @@ def adopt(base: Path, info: DatasetInfo, episode_id: str, files: Files) -> Path:
                 file.close()
         write_file(folder / EPISODE_FILE, description)
         sync_folder(folder)
-    return publish(base, episode_id)
+    return publish(journal, episode_id)

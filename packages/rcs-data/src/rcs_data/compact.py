@@ -5,9 +5,9 @@ A kill at any point leaves an open episode, which can be compacted again from it
 1. `steps.parquet` and `sim_state.parquet` are written and synced inside the open folder. Without `episode.json` they
 are ignored, so they need no temporary names.
 2. `episode.json` is put in place in one step and the folder synced. From here on the episode is finished.
-3. The stream is removed and the folder gets its final name.
+3. The stream is removed, the folder gets its final name, and the index a line.
 
-That is five syncs with a simulation and four without; each makes sure that no step reaches the disk before the one it
+That is six syncs with a simulation and five without; each makes sure that no step reaches the disk before the one it
 builds on, in case the power fails.
 """
 
@@ -23,17 +23,19 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from rcs_data.about import read_about
 from rcs_data.content import ContentHash
 from rcs_data.durable import HashedFile, disk_errors, sealed, sync_folder, write_file
 from rcs_data.errors import CorruptEpisode, DatasetError
 from rcs_data.info import SCHEMA_VERSION, DatasetInfo
+from rcs_data.journal import Journal
 from rcs_data.layout import (
     ABORTED_FILE,
     EPISODE_FILE,
     ROWS_FILE,
     SIM_STATE_FILE,
     STEPS_FILE,
-    episode_folder,
+    free_folder,
     open_folder,
 )
 from rcs_data.rows import SIM_STATE, sim_state_schema, steps_schema, stream_schema
@@ -47,7 +49,7 @@ _GROUP_OF_IMAGES = 256
 
 
 def compact(
-    base: Path,
+    journal: Journal,
     episode_id: str,
     info: DatasetInfo,
     *,
@@ -60,7 +62,7 @@ def compact(
     """Turn the open episode's stream into a complete episode and return its folder; None if there are no rows.
 
     Args:
-        base: The folder that has the current episodes.
+        journal: The dataset's index.
         episode_id: The episode.
         info: What the dataset's episodes share.
         success: Whether the task was done; None if that is not known.
@@ -73,7 +75,7 @@ def compact(
         DatasetError: The disk is full or fails, or a complete episode has this name; the stream stays.
         CorruptEpisode: The stream's columns differ from the dataset's.
     """
-    folder = open_folder(base, episode_id)
+    folder = open_folder(journal.root, episode_id)
     with disk_errors(f"finish episode {episode_id!r}", folder):
         stream = StreamReader(folder / ROWS_FILE)
         header = stream.header
@@ -97,7 +99,7 @@ def compact(
         }
         rows = _chain(first, groups)
         seal(folder, info, rows, about, timing=lambda: {**(timing or {}), "is_torn": stream.is_torn})
-    return publish(base, episode_id)
+    return publish(journal, episode_id)
 
 
 def seal(
@@ -153,20 +155,25 @@ def cut(table: pa.Table, info: DatasetInfo) -> Iterator[pa.Table]:
         yield table.slice(start, size).combine_chunks()
 
 
-def publish(base: Path, episode_id: str) -> Path:
-    """Rename an open episode that has its `episode.json` to its final name, and return the folder.
+def publish(journal: Journal, episode_id: str) -> Path:
+    """Make an open episode that has its `episode.json` one of the dataset, and return its folder.
 
     Raises:
-        DatasetError: The disk fails, or a complete episode has this name.
+        DatasetError: The disk fails, or an episode has this name.
+        CorruptEpisode: Its `episode.json` is damaged.
     """
-    opened, final = open_folder(base, episode_id), episode_folder(base, episode_id)
+    root = journal.root
+    opened = open_folder(root, episode_id)
+    about = read_about(opened)
+    if episode_id in journal.refresh().episodes:
+        raise DatasetError(f"There already is an episode {episode_id!r} in {root}; the other one is in {opened}.")
     with disk_errors(f"publish episode {episode_id!r}", opened):
         for name in (ROWS_FILE, ABORTED_FILE):
             (opened / name).unlink(missing_ok=True)
-        if final.exists():
-            raise DatasetError(f"There already is an episode {episode_id!r} in {base}; the other one is in {opened}.")
+        final = free_folder(root, episode_id)
         opened.rename(final)
         sync_folder(final.parent)
+        journal.add(about, final.name)
     return final
 
 

@@ -6,7 +6,6 @@ import logging
 import time
 from collections.abc import Callable, Mapping
 from datetime import datetime, timezone
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -18,7 +17,8 @@ from rcs_data.compact import compact, library_versions
 from rcs_data.durable import as_json, disk_errors, remove_folder, sealed, write_file
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.info import DatasetInfo
-from rcs_data.layout import ABORTED_FILE, ROWS_FILE, check_episode_id, episode_folder, new_trash_folder, open_folder
+from rcs_data.journal import Journal
+from rcs_data.layout import ABORTED_FILE, ROWS_FILE, check_episode_id, new_trash_folder, open_folder
 from rcs_data.reader import EpisodeRecord
 from rcs_data.rows import RowBuffer, Value, stream_schema
 from rcs_data.stream import EpisodeHeader, StreamWriter
@@ -40,11 +40,13 @@ class EpisodeWriter:
     of them or a resumed recording discards them.
     """
 
-    def __init__(self, base: Path, info: DatasetInfo, episode_id: str, seed: int | None, instruction: str) -> None:
+    def __init__(
+        self, journal: Journal, info: DatasetInfo, episode_id: str, seed: int | None, instruction: str
+    ) -> None:
         """Make the open episode's folder.
 
         Args:
-            base: The folder that has the current episodes.
+            journal: The dataset's index.
             info: What the dataset's episodes share.
             episode_id: The name of the episode.
             seed: The seed of the reset.
@@ -62,9 +64,9 @@ class EpisodeWriter:
         self.state: State = "open"
         self.end: Callable[[str], object] = self.abort
         """Ends the episode when its dataset is closed, given a reason; a thread that adds rows sets its own."""
-        self._base = base
+        self._journal = journal
         self._info = info
-        self._folder = open_folder(base, episode_id)
+        self._folder = open_folder(journal.root, episode_id)
         self._rows = 0
         self._buffer = RowBuffer(info)
         header = EpisodeHeader(
@@ -83,9 +85,9 @@ class EpisodeWriter:
                     "Resume the dataset to recover or discard it, or choose another id."
                 ) from err
             # Checked only now: a writer that finished this id in between has freed the open folder's name.
-            if episode_folder(base, episode_id).exists():
+            if episode_id in journal.refresh().episodes:
                 self._folder.rmdir()
-                raise DatasetError(f"There already is an episode {episode_id!r} in {base}; choose another id.")
+                raise DatasetError(f"There already is an episode {episode_id!r} in {journal.root}; choose another id.")
             self._stream = StreamWriter(self._folder / ROWS_FILE, stream_schema(info), header)
         self._flushed_at = time.monotonic()
 
@@ -159,7 +161,7 @@ class EpisodeWriter:
             self._stream.close()
             verdict = None if success is None else bool(success)
             folder = compact(
-                self._base,
+                self._journal,
                 self.id,
                 self._info,
                 success=verdict,
@@ -190,7 +192,7 @@ class EpisodeWriter:
             raise DatasetError(f"Episode {self.id!r} is finished and cannot be discarded.")
         self._stream.close()
         with disk_errors(f"discard episode {self.id!r}", self._folder):
-            remove_folder(self._folder, new_trash_folder(self._base, self.id))
+            remove_folder(self._folder, new_trash_folder(self._journal.root, self.id))
         self.state = "discarded"
 
     def abort(self, reason: str) -> None:

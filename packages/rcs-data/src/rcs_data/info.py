@@ -16,12 +16,8 @@ from rcs_data.json_file import MOST_DEPTH, depth_of
 from rcs_data.layout import check_name
 from rcs_data.text import check_text, check_texts
 
-SCHEMA_VERSION = 2
-"""The layout on disk that this code writes; it also reads the former ones:
-
-1. no flags, no held values, no history, and an image in every row;
-2. the current one.
-"""
+SCHEMA_VERSION = 3
+"""The layout on disk that this code writes and reads."""
 
 MERGED = "merged"
 """Key of an origin: for each source, what its episodes shared that those of the merged dataset do not."""
@@ -116,10 +112,10 @@ class DatasetInfo:
         """Build the info from what `to_json` returned.
 
         Raises:
-            DatasetError: The layout is newer than this code.
+            DatasetError: The layout is of another version.
             InvalidSetup: A field is missing, unknown or does not make sense.
         """
-        refuse_newer_schema(values.get("schema_version"), "dataset")
+        refuse_other_schema(values.get("schema_version"), "dataset")
         try:
             fields: dict[str, Any] = {**values, "features": tuple(Feature.from_json(f) for f in values["features"])}
             return cls(**fields)
@@ -127,22 +123,23 @@ class DatasetInfo:
             raise InvalidSetup(f"Not a description of a dataset: {err!r}.") from err
 
 
-def refuse_newer_schema(version: object, what: str) -> None:
-    """Raise if a file has a layout that this code does not know.
+def refuse_other_schema(version: object, what: str) -> None:
+    """Raise if a file has a layout that this code does not read.
 
     Args:
         version: The schema version that the file states.
         what: What was read, for the message.
 
     Raises:
-        DatasetError: The version is not a number from 1 to `SCHEMA_VERSION`.
+        DatasetError: The version is another one.
     """
-    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
-        raise DatasetError(f"This {what} has schema version {version!r}; valid are 1 to {SCHEMA_VERSION}.")
-    if version > SCHEMA_VERSION:
+    if version != SCHEMA_VERSION or isinstance(version, bool):
+        newer = isinstance(version, int) and version > SCHEMA_VERSION
+        remedy = (
+            "Update this library to read it." if newer else "Record it anew, or export it with the version it is of."
+        )
         raise DatasetError(
-            f"This {what} has schema version {version}, and the newest known here is {SCHEMA_VERSION}. "
-            "It was written by a newer version of this library; update to read it."
+            f"This {what} has schema version {version!r}, and this library reads {SCHEMA_VERSION}. {remedy}"
         )
 
 
@@ -246,7 +243,7 @@ def shared_setup(setups: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _comparable(info: DatasetInfo) -> dict[str, Any]:
     values = json.loads(json.dumps(info.to_json()))  # as read from disk: tuples become lists, keys strings
-    del values["versions"], values["schema_version"]  # an older layout is upgraded when it is written to
+    del values["versions"], values["schema_version"]
     # By key, so that an additional feature is one line and does not shift the rest.
     features = {feature.pop("key"): _form(feature) for feature in values.pop("features")}
     return {**values, "features": features}

@@ -1,8 +1,4 @@
-"""Paths in a dataset's folder, and valid names of episodes.
-
-There are two folders: that of the dataset (`root`), with `dataset.json` and the locks, and that of the current episodes
-(`base`), which is the same until the first edit, then that of a generation.
-"""
+"""Paths in a dataset's folder, and valid names of episodes."""
 
 from __future__ import annotations
 
@@ -12,8 +8,9 @@ from pathlib import Path
 from rcs_data.errors import InvalidSetup
 
 DATASET_FILE = "dataset.json"
-COPY_FILE = "dataset.copy.json"
-"""Backup of `dataset.json`, read if that is damaged."""
+"""What the episodes share, for people and for repairs; the index has it too, and that is what is read."""
+JOURNAL_FILE = "episodes.jsonl"
+"""The index: which episodes there are, and what happened to them."""
 EPISODE_FILE = "episode.json"
 STEPS_FILE = "steps.parquet"
 SIM_STATE_FILE = "sim_state.parquet"
@@ -23,14 +20,12 @@ ABORTED_FILE = "aborted.json"
 """Why an open episode was aborted."""
 
 EPISODES_FOLDER = "episodes"
-GENERATIONS_FOLDER = "generations"
 QUARANTINE_FOLDER = "quarantine"
 """Damaged files that a repair put aside, unchanged; nothing reads them."""
 _OPEN = ".open-"
 _LONGEST_NAME = 200
-MOST_GENERATIONS = 10**9 - 1
-"""The largest number of a generation, one for each edit; its folder has four digits, or more if needed."""
 _DISCARDED = ".discarded-"
+_WRITTEN = "@"
 
 
 def is_name(text: str) -> bool:
@@ -90,9 +85,8 @@ def links_out(root: Path) -> list[Path]:
     Args:
         root: The dataset's folder; it may itself be a link.
     """
-    bases = [root, *(generation_folder(root, number) for number in generations(root))]
-    folders = [root / GENERATIONS_FOLDER, root / QUARANTINE_FOLDER, *bases[1:], *map(episodes_folder, bases)]
     inside = root.resolve()
+    folders = (root / QUARANTINE_FOLDER, episodes_folder(root))
     return [path for path in folders if path.is_symlink() and not _resolved(path).is_relative_to(inside)]
 
 
@@ -103,75 +97,70 @@ def _resolved(path: Path) -> Path:
         return Path("/")
 
 
-def generation_folder(root: Path, generation: int) -> Path:
-    """Return the folder of a generation; that of 0 is the dataset's own."""
-    return root if generation == 0 else root / GENERATIONS_FOLDER / f"{generation:04d}"
+def has_dataset(root: Path) -> bool:
+    """Return whether there is a dataset in a folder."""
+    return (root / JOURNAL_FILE).exists()
 
 
-def generations(root: Path) -> list[int]:
-    """Return the sorted numbers of the generations on disk except 0, including those of killed edits."""
-    try:
-        names = [path.name for path in (root / GENERATIONS_FOLDER).iterdir()]
-    except (FileNotFoundError, NotADirectoryError):
-        return []
-    return sorted(
-        int(name) for name in names if name.isdecimal() and name.isascii() and len(name) <= len(str(MOST_GENERATIONS))
-    )
-
-
-def episodes_folder(base: Path) -> Path:
+def episodes_folder(root: Path) -> Path:
     """Return the folder with all episodes."""
-    return base / EPISODES_FOLDER
+    return root / EPISODES_FOLDER
 
 
-def episode_folder(base: Path, episode_id: str) -> Path:
-    """Return the folder of a complete episode."""
-    return base / EPISODES_FOLDER / episode_id
+def episode_folder(root: Path, name: str) -> Path:
+    """Return the folder of a complete episode by its name, which is that in the index."""
+    return root / EPISODES_FOLDER / name
 
 
-def open_folder(base: Path, episode_id: str) -> Path:
+def free_folder(root: Path, episode_id: str) -> Path:
+    """Return the folder for a recorded episode: its id, with a number if a deleted episode has that."""
+    folder = episode_folder(root, episode_id)
+    number = 0
+    while folder.exists():
+        number += 1
+        folder = episode_folder(root, f"{episode_id}+{number}")
+    return folder
+
+
+def open_folder(root: Path, episode_id: str) -> Path:
     """Return the folder of an episode that is being recorded."""
-    return base / EPISODES_FOLDER / f"{_OPEN}{episode_id}"
+    return root / EPISODES_FOLDER / f"{_OPEN}{episode_id}"
 
 
-def new_trash_folder(base: Path, episode_id: str) -> Path:
+def new_trash_folder(root: Path, episode_id: str) -> Path:
     """Return a free name for a folder about to be removed."""
-    return base / EPISODES_FOLDER / f"{_DISCARDED}{episode_id}-{secrets.token_hex(4)}"
+    return root / EPISODES_FOLDER / f"{_DISCARDED}{episode_id}-{secrets.token_hex(4)}"
 
 
-def complete_ids(base: Path) -> list[str]:
-    """Return the ids of the complete episodes, sorted."""
-    return sorted(name for name in _names(base) if is_name(name) and _has_description(base, name))
+def written_folder(episode_id: str, number: int) -> str:
+    """Return the name of the folder that the edit of a number writes for an episode."""
+    return f"{episode_id}{_WRITTEN}{number}"
 
 
-def incomplete_ids(base: Path) -> list[str]:
-    """Return the names of folders that look complete but have no `episode.json`; no kill leaves these."""
-    return sorted(name for name in _names(base) if is_name(name) and not _has_description(base, name))
+def folder_names(root: Path) -> list[str]:
+    """Return the sorted names of the folders of complete episodes, whether the index has them or not."""
+    return sorted(name for name in _names(root) if is_name(name))
 
 
-def strange_names(base: Path) -> list[str]:
+def strange_names(root: Path) -> list[str]:
     """Return entries beside the episodes whose names cannot be episodes; nothing reads them."""
-    names = (name for name in _names(base) if not name.startswith(_DISCARDED))
+    names = (name for name in _names(root) if not name.startswith(_DISCARDED))
     return sorted(name for name in names if not is_name(name.removeprefix(_OPEN)))
 
 
-def open_ids(base: Path) -> list[str]:
+def open_ids(root: Path) -> list[str]:
     """Return the sorted ids of the open episodes: being recorded, or left by a dead writer."""
-    names = (name.removeprefix(_OPEN) for name in _names(base) if name.startswith(_OPEN))
+    names = (name.removeprefix(_OPEN) for name in _names(root) if name.startswith(_OPEN))
     return sorted(name for name in names if is_name(name))
 
 
-def trash_folders(base: Path) -> list[Path]:
+def trash_folders(root: Path) -> list[Path]:
     """Return the remains of discarded episodes."""
-    return [base / EPISODES_FOLDER / name for name in _names(base) if name.startswith(_DISCARDED)]
+    return [root / EPISODES_FOLDER / name for name in _names(root) if name.startswith(_DISCARDED)]
 
 
-def _has_description(base: Path, name: str) -> bool:
-    return (episode_folder(base, name) / EPISODE_FILE).exists()
-
-
-def _names(base: Path) -> list[str]:
+def _names(root: Path) -> list[str]:
     try:
-        return [path.name for path in (base / EPISODES_FOLDER).iterdir()]
+        return [path.name for path in (root / EPISODES_FOLDER).iterdir()]
     except (FileNotFoundError, NotADirectoryError):
         return []

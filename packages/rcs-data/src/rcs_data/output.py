@@ -71,6 +71,28 @@ def temporary_folder(target: Path) -> Generator[Path]:
         lock.release()
 
 
+def leftovers(root: Path) -> list[Path]:
+    """Return what killed calls left beside a result; nothing is removed."""
+    target = root.absolute()
+    start = f".{target.name}{_PARTIAL}"
+    try:
+        names = _names(target.parent)
+    except OSError:
+        return []
+    found: list[Path] = []
+    for name in sorted(name for name in names if name.startswith(start) and name.endswith(_LOCK)):
+        try:
+            fd = os.open(target.with_name(name), os.O_RDWR | os.O_NOFOLLOW)
+        except OSError:
+            continue  # it is not ours
+        try:
+            if try_lock(fd, fcntl.LOCK_SH):
+                found.append(target.with_name(name.removesuffix(_LOCK)))
+        finally:
+            os.close(fd)
+    return found
+
+
 def remove_leftovers(target: Path) -> list[Path]:
     """Remove what killed calls left of a result, with a warning each, and return the paths.
 
@@ -95,7 +117,7 @@ def remove_leftovers(target: Path) -> list[Path]:
             if os.path.lexists(partial):
                 remove_tree(partial)
                 _log.warning("Removed %s, left by a killed call.", partial)
-                removed.append(partial)
+            removed.append(partial)
             lock.unlink(missing_ok=True)
         finally:
             os.close(fd)

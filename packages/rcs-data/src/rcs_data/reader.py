@@ -19,15 +19,14 @@ from rcs_data.codec import blank_frame, decode_frame
 from rcs_data.content import flat_numbers
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.flags import FrameFlag, flags_key
-from rcs_data.head import Head, read_head
+from rcs_data.index import Edit, Entry, State
 from rcs_data.info import DatasetInfo
+from rcs_data.journal import Journal
 from rcs_data.layout import (
     EPISODE_FILE,
     SIM_STATE_FILE,
     STEPS_FILE,
-    complete_ids,
     episode_folder,
-    generation_folder,
 )
 from rcs_data.parquet import UNREADABLE, ParquetSource
 from rcs_data.rows import SIM_STATE, sim_state_schema, steps_schema
@@ -39,15 +38,17 @@ class EpisodeRecord:
     Every property raises `CorruptEpisode` when the file it needs is missing or damaged.
     """
 
-    def __init__(self, path: Path, info: DatasetInfo) -> None:
+    def __init__(self, path: Path, info: DatasetInfo, entry: Entry | None = None) -> None:
         """Name an episode.
 
         Args:
             path: Its folder.
             info: What the dataset's episodes share.
+            entry: What the index has of it; None to take that from `episode.json`.
         """
         self.path = path
         self.info = info
+        self._given = entry
 
     def __repr__(self) -> str:
         """Name the episode."""
@@ -58,40 +59,50 @@ class EpisodeRecord:
 
         return episode_html(self)
 
-    @property
-    def id(self) -> str:
-        """The name, unique in the dataset."""
-        return self.path.name
+    @cached_property
+    def entry(self) -> Entry:
+        """What the index has of it."""
+        return self._given or Entry.of(read_about(self.path), self.path.name, self.info)
 
     @cached_property
     def about(self) -> dict[str, Any]:
-        """The contents of `episode.json`."""
-        return read_about(self.path)
+        """The contents of `episode.json`, with the instruction of today."""
+        return {**read_about(self.path), "instruction": self.instruction}
+
+    @property
+    def id(self) -> str:
+        """The name, unique in the dataset."""
+        return self.entry.id
 
     @property
     def seed(self) -> int | None:
         """The seed of the reset."""
-        return self.about["seed"]
+        return self.entry.seed
 
     @property
     def success(self) -> bool | None:
         """Whether the task was done; None if that is not known."""
-        return self.about["success"]
+        return self.entry.success
 
     @property
     def length(self) -> int:
         """Rows, the reset observation included."""
-        return self.about["length"]
+        return self.entry.length
+
+    @property
+    def failure(self) -> str | None:
+        """Why it failed, as the outcome says; None if it does not."""
+        return self.entry.failure
+
+    @property
+    def instruction(self) -> str:
+        """What the robot was asked to do."""
+        return self.info.instruction if self.entry.instruction is None else self.entry.instruction
 
     @property
     def outcome(self) -> dict[str, Any]:
         """What else is known about how it went."""
         return self.about["outcome"]
-
-    @property
-    def instruction(self) -> str:
-        """What the robot was asked to do."""
-        return self.about["instruction"]
 
     @property
     def timing(self) -> dict[str, Any]:
@@ -101,7 +112,7 @@ class EpisodeRecord:
     @property
     def content_hash(self) -> str:
         """A hash of all columns except times and flags: equal for runs that are equal bit for bit."""
-        return self.about["content_hash"]
+        return self.entry.content_hash
 
     @property
     def source(self) -> dict[str, Any] | None:
@@ -246,35 +257,36 @@ class EpisodeRecord:
 class Dataset:
     """A dataset on disk, for reading; one that is being recorded can be read too."""
 
-    def __init__(self, path: Path, head: Head, episodes: tuple[EpisodeRecord, ...]) -> None:
+    def __init__(self, path: Path, state: State) -> None:
         """Hold a dataset; use `open` to get one.
 
         Args:
             path: The folder.
-            head: The contents of `dataset.json`.
-            episodes: The complete episodes, sorted by id.
+            state: What the index says.
         """
         self.path = path
-        self.head = head
-        self.info = head.info
-        self.episodes = episodes
+        self.info = state.info
+        self.history: tuple[Edit, ...] = tuple(state.history)
+        """The edits, oldest first."""
+        self.episodes = tuple(
+            EpisodeRecord(episode_folder(path, entry.folder), state.info, entry)
+            for _, entry in sorted(state.episodes.items())
+        )
+        """The complete episodes, sorted by id."""
 
     @classmethod
     def open(cls, path: str | Path) -> Dataset:
         """Open the dataset in a folder.
 
         Args:
-            path: The folder with `dataset.json`.
+            path: The folder with `dataset.json` and the index.
 
         Raises:
-            DatasetError: There is no dataset, or its layout is newer than this code.
-            CorruptEpisode: `dataset.json` is damaged.
+            DatasetError: There is no dataset, or its layout is of another version.
+            CorruptEpisode: The index is damaged.
         """
         root = Path(path)
-        head = read_head(root)
-        base = generation_folder(root, head.generation)
-        episodes = (EpisodeRecord(episode_folder(base, name), head.info) for name in complete_ids(base))
-        return cls(root, head, tuple(episodes))
+        return cls(root, Journal(root).state)
 
     def digest(self) -> str:
         """Return one SHA-256 over all episodes except times and flags: equal for two runs of one collection."""

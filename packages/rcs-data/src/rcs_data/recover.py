@@ -1,26 +1,28 @@
-"""Repairs a dataset after its writer died: open episodes are completed, garbage is removed."""
+"""Completes a dataset after its writer died: open episodes become whole ones, garbage is removed."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from rcs_data.about import read_about
 from rcs_data.compact import compact, publish
-from rcs_data.durable import disk_errors, remove_folder, remove_tree, sync_folder, unsealed, write_file
-from rcs_data.errors import CorruptEpisode, DatasetError
-from rcs_data.head import Head, read_head, read_head_file
+from rcs_data.durable import disk_errors, remove_folder, remove_tree, sealed, sync_folder, unsealed, write_file
+from rcs_data.errors import CorruptEpisode
+from rcs_data.index import State
 from rcs_data.info import DatasetInfo
+from rcs_data.journal import Journal
 from rcs_data.json_file import read_bytes
 from rcs_data.layout import (
     ABORTED_FILE,
-    COPY_FILE,
     DATASET_FILE,
     EPISODE_FILE,
+    JOURNAL_FILE,
     ROWS_FILE,
     episode_folder,
-    generation_folder,
-    generations,
+    folder_names,
     new_trash_folder,
     open_folder,
     open_ids,
@@ -62,83 +64,118 @@ def recover(path: str | Path) -> RecoverReport:
 
     Raises:
         DatasetError: There is no dataset, a living writer holds it, or the disk fails.
-        CorruptEpisode: `dataset.json` is damaged.
+        CorruptEpisode: The index is damaged.
     """
     root = Path(path)
-    read_head(root)  # before anything is created
+    Journal(root)  # before anything is created
     with DatasetLock.writer(root):
-        return settle_leftovers(root, read_head(root), "recover")
+        return settle_leftovers(Journal(root), "recover")
 
 
-def settle_leftovers(root: Path, head: Head, leftovers: Leftovers) -> RecoverReport:
+def settle_leftovers(journal: Journal, leftovers: Leftovers) -> RecoverReport:
     """Do what `recover` does, for a caller that holds the lock.
 
     Args:
-        root: The dataset's folder.
-        head: The contents of `dataset.json`.
+        journal: The dataset's index.
         leftovers: Whether open episodes become complete ones or are removed; finished ones are always kept.
 
     Raises:
         DatasetError: The disk fails.
     """
-    with disk_errors("remove what discarded episodes left", root):
-        base = generation_folder(root, head.generation)
-        for folder in (*trash_folders(base), *unreachable_generations(root, head)):
-            remove_tree(folder)
-        for name in (DATASET_FILE, COPY_FILE):
-            (root / f"{name}.tmp").unlink(missing_ok=True)
-        _renew_copy(root)
+    root, info = journal.root, journal.state.info
     done: dict[str, list[str]] = {"recovered": [], "published": [], "removed": []}
     failed: list[tuple[str, str]] = []
-    for episode_id in open_ids(base):
+    with disk_errors("remove what discarded episodes left", root):
+        garbage, unlisted = stray_folders(root, journal.state)
+        for folder in (*trash_folders(root), *garbage):
+            remove_tree(folder)
+        for name in (DATASET_FILE, JOURNAL_FILE):
+            (root / f"{name}.tmp").unlink(missing_ok=True)
+        for folder in unlisted:
+            try:
+                about = read_about(folder)
+            except CorruptEpisode as err:
+                failed.append((folder.name, str(err)))
+                continue
+            journal.add(about, folder.name)
+            done["published"].append(about["id"])
+        write_description(root, info)
+    for episode_id in open_ids(root):
         try:
-            done[_settle(base, head.info, episode_id, leftovers)].append(episode_id)
+            done[_settle(journal, info, episode_id, leftovers)].append(episode_id)
         except CorruptEpisode as err:
             failed.append((episode_id, str(err)))
     return RecoverReport(**{name: tuple(ids) for name, ids in done.items()}, failed=tuple(failed))
 
 
-def _renew_copy(root: Path) -> None:
-    """Update the copy of `dataset.json`, in case a kill came between the two.
+def write_description(root: Path, info: DatasetInfo) -> None:
+    """Write `dataset.json` unless it is there already.
 
-    An old copy, read instead of a damaged `dataset.json`, would make the newest generation look like garbage.
+    Raises:
+        OSError: The disk fails.
     """
-    try:
-        read_head_file(root / DATASET_FILE)
-    except (CorruptEpisode, DatasetError):
-        return  # the copy is all that is left
-    data = read_bytes(root / DATASET_FILE)
-    if not (root / COPY_FILE).is_file() or (root / COPY_FILE).read_bytes() != data:
-        write_file(root / COPY_FILE, data)
+    path, data = root / DATASET_FILE, sealed(info.to_json())
+    if not path.is_file() or path.read_bytes() != data:
+        write_file(path, data)
         sync_folder(root)
 
 
-def unreachable_generations(root: Path, head: Head) -> list[Path]:
-    """Return the folders of generations that the history does not mention, left by killed edits."""
-    reachable = {head.generation, *(n for edit in head.history for n in (edit.before, edit.after))}
-    return [generation_folder(root, n) for n in generations(root) if n not in reachable]
+def stray_folders(root: Path, state: State) -> tuple[list[Path], list[Path]]:
+    """Return the folders of episodes that the index does not have: garbage, and complete ones that it should have.
+
+    A kill leaves them: of an edit before its line is in the index, of a removal after that, and of a recorded episode
+    whose folder is in its place and not yet in the index.
+
+    Args:
+        root: The dataset's folder.
+        state: What the index says.
+    """
+    known = state.folders()
+    garbage: list[Path] = []
+    unlisted: list[Path] = []
+    for name in folder_names(root):
+        if name in known:
+            continue
+        folder = episode_folder(root, name)
+        is_garbage = _WRITTEN_BY_AN_EDIT.fullmatch(name) is not None or _was_removed(folder, state)
+        (garbage if is_garbage else unlisted).append(folder)
+    return garbage, unlisted
 
 
-def _settle(base: Path, info: DatasetInfo, episode_id: str, leftovers: Leftovers) -> str:
-    folder = open_folder(base, episode_id)
+_WRITTEN_BY_AN_EDIT = re.compile(r".+@[0-9]+")
+
+
+def _was_removed(folder: Path, state: State) -> bool:
+    """Return whether a folder is what was removed under its name, and not what was recorded since."""
+    content_hash = state.removed.get(folder.name)
+    if content_hash is None:
+        return False
+    try:
+        return read_about(folder)["content_hash"] == content_hash
+    except CorruptEpisode:
+        return True
+
+
+def _settle(journal: Journal, info: DatasetInfo, episode_id: str, leftovers: Leftovers) -> str:
+    folder = open_folder(journal.root, episode_id)
     if folder.is_symlink() or not folder.is_dir():
         raise CorruptEpisode(f"{folder} is not a folder but {'a link' if folder.is_symlink() else 'a file'}")
     with disk_errors(f"recover episode {episode_id!r}", folder):
         (folder / f"{EPISODE_FILE}.tmp").unlink(missing_ok=True)
         (folder / f"{ABORTED_FILE}.tmp").unlink(missing_ok=True)
-    if episode_folder(base, episode_id).exists():
+    if episode_id in journal.state.episodes:
         raise CorruptEpisode(f"there is a complete episode of the same name beside {folder}")
     if (folder / EPISODE_FILE).exists():
-        publish(base, episode_id)
+        publish(journal, episode_id)
         return "published"
     has_rows = (folder / ROWS_FILE).exists()
     if leftovers == "recover" and has_rows:
         outcome: dict[str, Any] = {"recovered": True, **_aborted(folder)}
         # The end was not measured; the rows have the time of the last one.
-        if compact(base, episode_id, info, success=None, outcome=outcome, ended=None) is not None:
+        if compact(journal, episode_id, info, success=None, outcome=outcome, ended=None) is not None:
             return "recovered"
     with disk_errors(f"remove episode {episode_id!r}", folder):
-        remove_folder(folder, new_trash_folder(base, episode_id))
+        remove_folder(folder, new_trash_folder(journal.root, episode_id))
     return "removed"
 
 

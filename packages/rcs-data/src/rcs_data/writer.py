@@ -8,24 +8,24 @@ from pathlib import Path
 
 from rcs_data.adopt import Files, adopt
 from rcs_data.closing import Closing
-from rcs_data.durable import disk_errors, remove_folder, sync_folder
+from rcs_data.durable import disk_errors, remove_folder
 from rcs_data.episode_writer import EpisodeWriter
 from rcs_data.errors import DatasetError
-from rcs_data.head import Head, has_head, read_head, write_head
-from rcs_data.info import SCHEMA_VERSION, DatasetInfo, differences
+from rcs_data.info import DatasetInfo, differences
+from rcs_data.journal import Journal
 from rcs_data.layout import (
-    COPY_FILE,
     DATASET_FILE,
     EPISODES_FOLDER,
+    JOURNAL_FILE,
     check_episode_id,
     episode_folder,
     episodes_folder,
-    generation_folder,
+    has_dataset,
     new_trash_folder,
     open_folder,
 )
 from rcs_data.lock import LOCK_FILES, DatasetLock
-from rcs_data.recover import Leftovers, RecoverReport, settle_leftovers
+from rcs_data.recover import Leftovers, RecoverReport, settle_leftovers, write_description
 
 _log = logging.getLogger(__name__)
 
@@ -36,19 +36,18 @@ class DatasetWriter(Closing):
     Several episodes can be open at the same time, for example one per copy of an environment.
     """
 
-    def __init__(self, path: Path, head: Head, lock: DatasetLock, recovered: RecoverReport) -> None:
+    def __init__(self, journal: Journal, lock: DatasetLock, recovered: RecoverReport) -> None:
         """Hold a dataset; use `open` or `join` to get a writer.
 
         Args:
-            path: The dataset's folder.
-            head: The contents of `dataset.json`.
+            journal: The dataset's index.
             lock: The lock that keeps other writers out.
             recovered: What was done with the leftovers of an earlier writer.
         """
-        self.path = path
-        self.info = head.info
-        self._base = generation_folder(path, head.generation)
+        self.path = journal.root
+        self.info = journal.state.info
         self.recovered = recovered
+        self._journal = journal
         self._lock = lock
         self._open: list[EpisodeWriter] = []
         self._is_closed = False
@@ -68,33 +67,30 @@ class DatasetWriter(Closing):
         Raises:
             DatasetError: Another process writes to it; it exists and `resume` is not set; its info differs (the message
                 lists how); the folder contains something else; or the disk fails.
-            CorruptEpisode: `dataset.json` is damaged.
+            CorruptEpisode: The index is damaged.
         """
         root = Path(path)
         with disk_errors("make the dataset", root):
             root.mkdir(parents=True, exist_ok=True)
-            if not has_head(root):
+            if not has_dataset(root):
                 _refuse_strangers(root)
         lock = DatasetLock.writer(root)
         try:
             with disk_errors("make the dataset", root):
-                if has_head(root):
-                    head = read_head(root)
-                    _refuse_other_info(root, head, info, resume)
-                    if head.info.schema_version < SCHEMA_VERSION:
-                        write_head(root, head)
+                if has_dataset(root):
+                    journal = Journal(root)
+                    _refuse_other_info(root, journal.state.info, info, resume)
                 else:
                     episodes_folder(root).mkdir(exist_ok=True)
-                    sync_folder(root)
-                    head = Head(info=info)
-                    write_head(root, head)
-            report = settle_leftovers(root, head, leftovers)
+                    journal = Journal.create(root, info)
+                    write_description(root, info)
+            report = settle_leftovers(journal, leftovers)
         except BaseException:
             lock.release()
             raise
         for episode_id, reason in report.failed:
             _log.warning("Open episode %r was left alone: %s", episode_id, reason)
-        return cls(root, head, lock, report)
+        return cls(journal, lock, report)
 
     @classmethod
     def join(cls, path: str | Path) -> DatasetWriter:
@@ -105,17 +101,16 @@ class DatasetWriter(Closing):
 
         Raises:
             DatasetError: There is no dataset, or no process is writing to it.
-            CorruptEpisode: `dataset.json` is damaged.
+            CorruptEpisode: The index is damaged.
         """
-        root = Path(path)
-        head = read_head(root)
-        return cls(root, head, DatasetLock.worker(root), RecoverReport())
+        journal = Journal(Path(path))
+        return cls(journal, DatasetLock.worker(journal.root), RecoverReport())
 
     def episode(self, episode_id: str, *, seed: int | None, instruction: str | None = None) -> EpisodeWriter:
         """Start an episode.
 
         Args:
-            episode_id: The name of its folder; the reader sorts by it.
+            episode_id: Its name; the reader sorts by it.
             seed: The seed that the environment was reset with; None if it was not seeded.
             instruction: What the robot is asked to do; None for the dataset's instruction.
 
@@ -126,7 +121,7 @@ class DatasetWriter(Closing):
         if self._is_closed:
             raise DatasetError(f"Cannot start episode {episode_id!r}: the writer of {self.path} is closed.")
         words = self.info.instruction if instruction is None else instruction
-        writer = EpisodeWriter(self._base, self.info, episode_id, seed, words)
+        writer = EpisodeWriter(self._journal, self.info, episode_id, seed, words)
         self._open = [other for other in self._open if other.state == "open"]
         self._open.append(writer)
         return writer
@@ -145,7 +140,7 @@ class DatasetWriter(Closing):
         """
         if self._is_closed:
             raise DatasetError(f"Cannot take in episode {episode_id!r}: the writer of {self.path} is closed.")
-        adopt(self._base, self.info, episode_id, files)
+        adopt(self._journal, self.info, episode_id, files)
 
     def discard_leftover(self, episode_id: str) -> bool:
         """Remove the open episode of a worker that died, so that its id is free; return whether there was one.
@@ -159,15 +154,15 @@ class DatasetWriter(Closing):
         check_episode_id(episode_id)
         if any(episode.id == episode_id and episode.state == "open" for episode in self._open):
             raise DatasetError(f"Episode {episode_id!r} is being recorded; discard it through its own writer.")
-        folder = open_folder(self._base, episode_id)
+        folder = open_folder(self.path, episode_id)
         with disk_errors(f"discard episode {episode_id!r}", folder):
             if not folder.exists():
                 return False
-            remove_folder(folder, new_trash_folder(self._base, episode_id))
+            remove_folder(folder, new_trash_folder(self.path, episode_id))
         return True
 
     def remove_episode(self, episode_id: str) -> None:
-        """Remove a finished episode.
+        """Remove a finished episode for good.
 
         Args:
             episode_id: The episode.
@@ -176,11 +171,11 @@ class DatasetWriter(Closing):
             DatasetError: There is no such episode, or the disk fails.
         """
         check_episode_id(episode_id)
-        folder = episode_folder(self._base, episode_id)
-        if not folder.exists():
-            raise DatasetError(f"There is no episode {episode_id!r} in {self.path} to remove.")
-        with disk_errors(f"remove episode {episode_id!r}", folder):
-            remove_folder(folder, new_trash_folder(self._base, episode_id))
+        with disk_errors(f"remove episode {episode_id!r}", self.path):
+            entry = self._journal.remove(episode_id)
+            folder = episode_folder(self.path, entry.folder)
+            if folder.exists():
+                remove_folder(folder, new_trash_folder(self.path, entry.folder))
 
     def close(self) -> None:
         """Abort the open episodes and give the lock back, whatever fails; calling it twice is harmless."""
@@ -196,16 +191,16 @@ class DatasetWriter(Closing):
 
 def _refuse_strangers(root: Path) -> None:
     # What a kill can leave of a dataset being created.
-    ours = {*LOCK_FILES, EPISODES_FOLDER, f"{DATASET_FILE}.tmp", COPY_FILE, f"{COPY_FILE}.tmp"}
+    ours = {*LOCK_FILES, EPISODES_FOLDER, f"{JOURNAL_FILE}.tmp", DATASET_FILE, f"{DATASET_FILE}.tmp"}
     strangers = sorted(entry.name for entry in root.iterdir() if entry.name not in ours)
-    if strangers:
-        raise DatasetError(
-            f"{root} is neither a dataset nor empty: it has {', '.join(strangers[:5])}. Choose another folder."
-        )
+    has_episodes = any((root / EPISODES_FOLDER).glob("*"))
+    if strangers or has_episodes:
+        what = ", ".join(strangers[:5]) or f"episodes and no {JOURNAL_FILE}; `rcs data check --repair` makes it anew"
+        raise DatasetError(f"{root} is neither a dataset nor empty: it has {what}. Choose another folder.")
 
 
-def _refuse_other_info(root: Path, head: Head, info: DatasetInfo, resume: bool) -> None:
-    lines = differences(head.info, info)
+def _refuse_other_info(root: Path, stored: DatasetInfo, info: DatasetInfo, resume: bool) -> None:
+    lines = differences(stored, info)
     if lines:
         raise DatasetError(f"The dataset in {root} was made with another setup. Differences:\n  " + "\n  ".join(lines))
     if not resume:

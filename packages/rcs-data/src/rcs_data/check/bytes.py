@@ -6,15 +6,15 @@ import errno
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
 
 from rcs_data import parquet
 from rcs_data.about import read_about
-from rcs_data.check.descriptions import is_as_written
 from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
+from rcs_data.check.folder import is_as_written
 from rcs_data.check.report import Finding, counted
 from rcs_data.codec import decode_frame
 from rcs_data.content import ContentHash, flat_numbers
@@ -36,17 +36,18 @@ class EpisodeBytes:
     The files are read, not mapped, so that an unreadable sector raises an error instead of ending the process.
     """
 
-    def __init__(self, place: EpisodePlace, info: DatasetInfo, *, decode_frames: bool) -> None:
+    def __init__(self, place: EpisodePlace, info: DatasetInfo, *, depth: Literal["bytes", "rows", "frames"]) -> None:
         """Prepare the check.
 
         Args:
             place: Where the episode is.
             info: What the dataset's episodes share.
-            decode_frames: Whether to decode each image.
+            depth: Whether to read the rows, and to decode each image.
         """
         self._place = place
         self._info = info
-        self._decode_frames = decode_frames
+        self._reads_rows = depth != "bytes"
+        self._decode_frames = depth == "frames"
         self.rows = EpisodeRows(info)
         self.frames = 0
         """Number of decoded images."""
@@ -58,7 +59,7 @@ class EpisodeBytes:
         try:
             about = read_about(self._place.folder)
         except DatasetError as err:
-            yield self._damage("newer_layout", str(err), EPISODE_FILE)
+            yield self._damage("other_layout", str(err), EPISODE_FILE)
             return
         except CorruptEpisode as err:
             yield self._damage("altered", str(err), EPISODE_FILE)
@@ -81,7 +82,8 @@ class EpisodeBytes:
             yield self._damage("unreadable", f"cannot be read: {err.strerror or err}", name)
             return
         if not is_altered:
-            yield from self._check_parquet(name, schema)
+            if self._reads_rows:
+                yield from self._check_parquet(name, schema)
             return
         try:
             found = list(self._check_parquet(name, schema))

@@ -7,28 +7,30 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from rcs_data.check.bytes import EpisodeBytes
-from rcs_data.check.descriptions import check_head
 from rcs_data.check.episode_rows import EpisodePlace, is_joints
-from rcs_data.check.generations import check_former, check_leftovers, former_folders, known_damage
+from rcs_data.check.folder import check_former, check_index, check_leftovers
 from rcs_data.check.images import check_images
 from rcs_data.check.labels import check_labels, check_verdicts
 from rcs_data.check.motion import check_motion
-from rcs_data.check.report import CheckReport, Finding, counted
+from rcs_data.check.report import CheckReport, Finding
 from rcs_data.check.stored_timing import check_timing
 from rcs_data.check.times import check_times
-from rcs_data.head import Head
+from rcs_data.index import Entry, State
 from rcs_data.info import MERGED, DatasetInfo
-from rcs_data.layout import complete_ids, episode_folder, generation_folder
+from rcs_data.layout import EPISODE_FILE, episode_folder
 from rcs_data.output import OnProgress
+
+Depth = Literal["bytes", "rows", "frames"]
+"""How far a check looks: that every byte is what was written; what the rows say, too; that every image decodes, too."""
 
 
 def check(
     path: str | Path,
     *,
-    decode_frames: bool = True,
+    depth: Depth = "frames",
     workers: int | None = None,
     on_progress: OnProgress | None = None,
 ) -> CheckReport:
@@ -36,39 +38,36 @@ def check(
 
     Args:
         path: The dataset's folder.
-        decode_frames: Whether to decode each image too, which takes most of the time.
+        depth: How far to look; decoding images takes most of the time.
         workers: Threads; None for one per core. Decoding and hashing release the GIL.
         on_progress: Called with the number of episodes done and in all.
 
     Raises:
-        DatasetError: There is no dataset, or its layout is newer than this code.
+        DatasetError: There is no dataset, or its layout is of another version.
     """
     root = Path(path)
-    head, findings = check_head(root)
-    if head is None:
+    state, findings = check_index(root)
+    if state is None:
         return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=tuple(findings))
-    findings += check_leftovers(root, head)
-    base = generation_folder(root, head.generation)
-    ids = complete_ids(base)
-    how = _How(info=head.info, is_resampled=_is_resampled(head), decode_frames=decode_frames)
-    done: list[_Checked] = []
+    findings += check_leftovers(root, state)
+    entries = [entry for _, entry in sorted(state.episodes.items())]
+    how = _How(info=state.info, is_resampled=_is_resampled(state), depth=depth)
+    rows = frames = 0
     with ThreadPoolExecutor(workers or os.cpu_count() or 1, thread_name_prefix="check episodes") as pool:
-        places = [EpisodePlace(root, episode_folder(base, name)) for name in ids]
-        for checked in pool.map(lambda place: _check_episode(place, how), places):
-            done.append(checked)
+        for number, checked in enumerate(pool.map(lambda entry: _check_episode(root, entry, how), entries)):
+            rows, frames = rows + checked.rows, frames + checked.frames
+            findings += checked.findings
             if on_progress is not None:
-                on_progress(len(done), len(ids))
-    verdicts = {name: checked.success for name, checked in zip(ids, done, strict=True) if checked.has_verdict}
-    findings += check_verdicts(verdicts)
-    findings += [finding for checked in done for finding in checked.findings]
-    findings += check_former(root, head)
+                on_progress(number + 1, len(entries))
+    findings += check_verdicts({entry.id: entry.success for entry in entries})
+    findings += check_former(root, state)
     return CheckReport(
         path=root,
-        episodes=len(ids),
-        rows=sum(checked.rows for checked in done),
-        frames=sum(checked.frames for checked in done),
+        episodes=len(entries),
+        rows=rows,
+        frames=frames,
         findings=tuple(findings),
-        notes=(*_unlimited(head.info), *_known(root, head)),
+        notes=tuple(_unlimited(state.info)),
     )
 
 
@@ -78,7 +77,7 @@ class _How:
 
     info: DatasetInfo
     is_resampled: bool
-    decode_frames: bool
+    depth: Depth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,46 +87,42 @@ class _Checked:
     rows: int
     frames: int
     findings: tuple[Finding, ...]
-    success: bool | None
-    has_verdict: bool
 
 
-def _check_episode(place: EpisodePlace, how: _How) -> _Checked:
-    bytes_ = EpisodeBytes(place, how.info, decode_frames=how.decode_frames)
+def _check_episode(root: Path, entry: Entry, how: _How) -> _Checked:
+    place = EpisodePlace(root, episode_folder(root, entry.folder), entry.id)
+    if not place.folder.is_dir():
+        return _Checked(rows=0, frames=0, findings=())  # told with the folder
+    bytes_ = EpisodeBytes(place, how.info, depth=how.depth)
     findings = list(bytes_.findings())
     about: dict[str, Any] = bytes_.rows.about
+    if about:
+        findings += _check_entry(place, entry, about)
     if not any(finding.severity == "damage" for finding in findings):  # damaged rows are not checked further
         rows = bytes_.rows
-        findings += check_labels(place, about)
-        findings += check_times(place, rows, is_resampled=how.is_resampled)
-        findings += check_images(place, rows)
-        findings += check_motion(place, rows)
-        findings += check_timing(place, about, bytes_.timing)
-    return _Checked(
-        rows=int(about.get("length", 0)),
-        frames=bytes_.frames,
-        findings=tuple(findings),
-        success=about.get("success"),
-        has_verdict=bool(about),
-    )
+        findings += check_labels(place, {**about, "instruction": entry.instruction or how.info.instruction})
+        if how.depth != "bytes":
+            findings += check_times(place, rows, is_resampled=how.is_resampled)
+            findings += check_images(place, rows)
+            findings += check_motion(place, rows)
+            findings += check_timing(place, about, bytes_.timing)
+    return _Checked(rows=int(about.get("length", 0)), frames=bytes_.frames, findings=tuple(findings))
 
 
-def _is_resampled(head: Head) -> bool:
-    was_edited = any(edit.command == "resample" for edit in head.history)
-    return was_edited or "imported" in head.info.setup or not {"mix", MERGED}.isdisjoint(head.info.origin)
+def _check_entry(place: EpisodePlace, entry: Entry, about: dict[str, Any]) -> Iterator[Finding]:
+    """Yield a finding for each field in which the index differs from `episode.json`."""
+    for name in ("id", "length", "success", "seed", "content_hash"):
+        if about[name] != getattr(entry, name):
+            message = f"{name} is {about[name]!r}, and {getattr(entry, name)!r} in the index"
+            yield place.finding("damage", "other_episode", message, file=EPISODE_FILE)
+
+
+def _is_resampled(state: State) -> bool:
+    was_edited = any(edit.command == "resample" for edit in state.history)
+    return was_edited or "imported" in state.info.setup or not {"mix", MERGED}.isdisjoint(state.info.origin)
 
 
 def _unlimited(info: DatasetInfo) -> Iterator[str]:
     for feature in info.features:
         if is_joints(feature) and feature.limits is None:
             yield f"{feature.key!r} is not compared with limits: the dataset has none for it."
-
-
-def _known(root: Path, head: Head) -> Iterator[str]:
-    folders = {str(folder.relative_to(root)) for folder in former_folders(root, head)}
-    count = len(folders & known_damage(head))
-    if count:
-        yield (
-            f"{counted(count, 'damaged folder')} of former generations, known from a repair: an undo can bring the "
-            "damage back; `rcs data prune` removes it."
-        )

@@ -28,11 +28,8 @@ class EpisodePlace:
     """The dataset's folder."""
     folder: Path
     """The episode's folder."""
-
-    @property
-    def id(self) -> str:
-        """The episode's id."""
-        return self.folder.name
+    id: str
+    """The episode's id."""
 
     def finding(
         self,

@@ -32,8 +32,6 @@ def check_labels(place: EpisodePlace, about: dict[str, Any]) -> Iterator[Finding
         yield warning("no_instruction", "no instruction; set one with `rcs data relabel`")
     if about.get("length") == 1:
         yield warning("no_action", "has one row, and so no steps")
-    if about.get("id", place.id) != place.id:
-        yield warning("wrong_id", f"has the id {about['id']!r}, but its folder is {place.id!r}")
 
 
 def check_verdicts(verdicts: dict[str, bool | None]) -> Iterator[Finding]:

@@ -1,54 +1,29 @@
-"""Repairs what can be repaired in a dataset. Damaged files are kept in `quarantine/`, and undo is possible.
+"""Repairs a dataset: what is damaged is put aside, as it was, and everything else can be read again.
 
-First the rest of the folder: `dataset.json` and its copy are restored from each other, and leftovers of a killed writer
-or edit are recovered. Then the episodes, all in one edit: a single changed byte is restored; of larger damage the rows
-before it are kept, without a verdict; a missing `episode.json` is restored from the rows.
+First the index and `dataset.json` are restored from each other and from the episodes; then what killed programs left is
+completed or removed; then damaged episodes move to `quarantine/`. Nothing guesses at bytes: a damaged episode is
+restored from a backup or not at all.
 """
 
 from __future__ import annotations
 
-import json
-import shutil
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-import pyarrow as pa
-
-from rcs_data.check.bitrot import mended_json
-from rcs_data.check.dataset import check
-from rcs_data.check.descriptions import check_head
-from rcs_data.check.episode_rows import EpisodeRows
-from rcs_data.check.generations import DAMAGED, REPAIR, damaged_former, former_folders
-from rcs_data.check.images import right_flags
-from rcs_data.check.report import Finding, counted
-from rcs_data.check.salvage import salvage
-from rcs_data.durable import disk_errors, link_file, sync_folder, write_file
-from rcs_data.edit.rows import rows_of
-from rcs_data.edit.transaction import Transaction, editing
-from rcs_data.errors import CorruptEpisode, InvalidSetup
-from rcs_data.flags import companion
-from rcs_data.head import Head, read_head, write_head
-from rcs_data.info import DatasetInfo
-from rcs_data.json_file import read_bytes
-from rcs_data.layout import (
-    COPY_FILE,
-    DATASET_FILE,
-    QUARANTINE_FOLDER,
-    episode_folder,
-    episodes_folder,
-    generation_folder,
-    open_folder,
-)
+from rcs_data.check.dataset import Depth, check
+from rcs_data.check.folder import check_index, described, whole_lines
+from rcs_data.check.report import counted
+from rcs_data.durable import disk_errors, sync_folder
+from rcs_data.errors import CorruptEpisode, DatasetError
+from rcs_data.index import Changes
+from rcs_data.journal import Journal, write_state
+from rcs_data.layout import JOURNAL_FILE, QUARANTINE_FOLDER, episode_folder, episodes_folder, has_dataset
 from rcs_data.lock import DatasetLock
-from rcs_data.output import OnProgress
-from rcs_data.reader import EpisodeRecord
-from rcs_data.recover import recover
+from rcs_data.output import OnProgress, remove_leftovers
+from rcs_data.recover import settle_leftovers, stray_folders, write_description
 
-What = Literal["restored", "recovered", "removed", "rewritten", "recomputed", "quarantined", "noted", "failed"]
-_REWRITTEN = ("timing", "flags", "wrong_id")
+What = Literal["restored", "recovered", "removed", "quarantined", "failed"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +31,8 @@ class Mending:
     """One repair."""
 
     what: What
-    """restored: bit for bit. rewritten: with the readable part. quarantined: nothing is readable. noted: listed in the
-    history, not changed. failed: not changed."""
+    """restored: readable again. recovered: completed. removed: garbage. quarantined: damaged, put aside as it was.
+    failed: not changed."""
     episode: str | None
     """The episode's id; None for the dataset as a whole."""
     message: str
@@ -88,7 +63,7 @@ class RepairReport:
 def repair(
     path: str | Path,
     *,
-    decode_frames: bool = True,
+    depth: Depth = "frames",
     workers: int | None = None,
     on_progress: OnProgress | None = None,
 ) -> RepairReport:
@@ -96,186 +71,109 @@ def repair(
 
     Args:
         path: The dataset's folder.
-        decode_frames: Whether each image is decoded to find damage.
+        depth: How far to look for damage, as for `check`.
         workers: Threads of the check; None for one per core.
         on_progress: Called with the number of episodes checked and in all.
 
     Raises:
-        DatasetError: There is no dataset, its layout is newer than this code, another process writes to it, or the disk
+        DatasetError: There is no dataset, its layout is of another version, another process writes to it, or the disk
             fails.
     """
     root = Path(path)
-    mendings = _mend_head(root)
-    try:
-        read_head(root)
-    except CorruptEpisode as err:
-        return RepairReport(mendings=(*mendings, Mending(what="failed", episode=None, message=str(err))))
-    mendings += _settle(root)
-    findings = check(root, decode_frames=decode_frames, workers=workers, on_progress=on_progress).findings
-    newer = {f.episode for f in findings if f.kind == "newer_layout"}
-    damaged = {f.episode for f in findings if f.episode and f.severity == "damage" and f.kind != "former"} - newer
-    rewritten = {f.episode for f in findings if f.episode and f.kind in _REWRITTEN} - damaged - newer
-    if damaged or rewritten or any(f.kind == "former" for f in findings):
-        mendings += _mend_episodes(root, sorted(filter(None, damaged)), sorted(filter(None, rewritten)), findings)
+    target = root.absolute()
+    mendings: list[Mending] = []
+    with disk_errors("repair", root):
+        mendings += [_done("removed", f"{left.name}, left by a killed program") for left in remove_leftovers(target)]
+    if mendings and not has_dataset(root) and described(root) is None:
+        return RepairReport(mendings=tuple(mendings))
+    check_index(root)  # before a lock is created
+    with DatasetLock.writer(root), disk_errors("repair", root):
+        mendings += _mend_index(root)
+        try:
+            journal = Journal(root)
+        except CorruptEpisode as err:
+            return RepairReport(mendings=(*mendings, _done("failed", str(err))))
+        mendings += _settle(journal)
+        findings = check(root, depth=depth, workers=workers, on_progress=on_progress).findings
+        damaged = {f.episode for f in findings if f.episode is not None and f.severity == "damage"}
+        damaged -= {f.episode for f in findings if f.kind == "other_layout"}
+        mendings += _put_aside(journal, sorted(name for name in damaged if name in journal.state.episodes))
     return RepairReport(mendings=tuple(mendings))
 
 
-def _mend_head(root: Path) -> list[Mending]:
-    """Restore `dataset.json` and its copy from whichever is whole."""
-    check_head(root)  # before a lock is created
-    lock = DatasetLock.writer(root)
-    try:
-        head, findings = check_head(root)
-        how = f"from what {COPY_FILE if any(f.file == DATASET_FILE for f in findings) else DATASET_FILE} says"
-        if head is None:
-            head, how = _healed_head(root), "by putting back the one bit that had changed"
-        if head is None or not findings:
-            return []
-        with disk_errors("restore the dataset's description", root):
-            for finding in findings:
-                if finding.kind == "altered":
-                    _quarantine_file(root, root / finding.file)
-            write_head(root, head)
-        message = f"{' and '.join(sorted({f.file for f in findings}, reverse=True))}, {how}"
-        return [Mending(what="restored", episode=None, message=message)]
-    finally:
-        lock.release()
-
-
-def _healed_head(root: Path) -> Head | None:
-    for name in (DATASET_FILE, COPY_FILE):
-        if (root / name).exists():
-            try:
-                values = mended_json(read_bytes(root / name), root / name)
-                if values is not None:
-                    return Head.from_json(values)
-            except (CorruptEpisode, InvalidSetup):
-                continue
-    return None
-
-
-def _settle(root: Path) -> list[Mending]:
-    """Recover the dataset; what cannot be recovered goes to quarantine, since it would block every edit."""
-    report = recover(root)
-    mendings = [Mending(what="recovered", episode=name, message="its writer was gone") for name in report.recovered]
-    mendings += [Mending(what="recovered", episode=name, message="it was finished") for name in report.published]
-    mendings += [Mending(what="removed", episode=name, message="open, without a row") for name in report.removed]
-    if not report.failed:
-        return mendings
-    lock = DatasetLock.writer(root)
-    try:
-        base = generation_folder(root, read_head(root).generation)
-        with disk_errors("put what cannot be recovered into quarantine", root):
-            for name, reason in report.failed:
-                target = _new_quarantine(root, f"open-{name}")
-                open_folder(base, name).rename(target)
-                sync_folder(episodes_folder(base))
-                message = f"{reason} It is in {target.relative_to(root)}."
-                mendings.append(Mending(what="quarantined", episode=name, message=message))
-    finally:
-        lock.release()
-    return mendings
-
-
-def _mend_episodes(
-    root: Path, damaged: list[str], rewritten: list[str], findings: tuple[Finding, ...]
-) -> list[Mending]:
-    """Make a generation with the damaged episodes repaired and all others unchanged."""
-    head = read_head(root)
-    base = generation_folder(root, head.generation)
-    listed = [str(episode_folder(base, name).relative_to(root)) for name in damaged]
-    arguments = {
-        "damaged_episodes": damaged,
-        "rewritten": rewritten,
-        DAMAGED: sorted({*damaged_former(root, head), *listed}),
-    }
+def _mend_index(root: Path) -> list[Mending]:
+    """Restore the index and `dataset.json` from what is whole."""
     mendings: list[Mending] = []
-    made: list[Path] = []
-    try:
-        with editing(root, REPAIR, arguments) as edit:
-            for episode in edit.dataset.episodes:
-                if episode.id in rewritten:
-                    mendings.append(_rewrite(edit, episode))
-                elif episode.id not in damaged:
-                    edit.keep(episode)
-            contents = {e.content_hash: e.id for e in edit.dataset.episodes if e.id not in damaged}
-            for name in damaged:
-                found = [finding for finding in findings if finding.episode == name]
-                place = _quarantine(root, episode_folder(base, name), found)
-                made.append(place)
-                mendings.append(_mend(edit, episode_folder(base, name), place.relative_to(root), contents))
-    except BaseException:
-        for place in made:  # links to files that stay in place
-            shutil.rmtree(place, ignore_errors=True)
-        raise
-    former = len(arguments[DAMAGED]) - len(listed)
-    if former:
-        message = f"{counted(former, 'damaged folder')} of former generations: an undo can bring the damage back"
-        mendings.append(Mending(what="noted", episode=None, message=message))
+    findings = check_index(root)[1]
+    if any(finding.file == JOURNAL_FILE for finding in findings):
+        state, count = whole_lines(root) if (root / JOURNAL_FILE).exists() else (described(root), 0)
+        if state is None:
+            return []
+        if not episodes_folder(root).is_dir():
+            episodes_folder(root).mkdir()
+        write_state(root, state)
+        what = f"the index without {counted(count, 'damaged line')}" if count else "the index, from dataset.json"
+        mendings.append(
+            _done("restored", f"{what}; episodes that it does not have any more are taken from their folders")
+        )
+    elif findings:
+        mendings.append(_done("restored", "dataset.json, from the index"))
+    if findings:
+        write_description(root, Journal(root).state.info)
     return mendings
 
 
-def _rewrite(edit: Transaction, episode: EpisodeRecord) -> Mending:
-    """Write an episode with flags and timing report recomputed from its rows."""
-    rows = rows_of(episode)
-    edit.write(episode, _with_right_flags(rows, episode.info))
-    return Mending(what="recomputed", episode=episode.id, message="flags and timing report, from its rows")
+def _settle(journal: Journal) -> list[Mending]:
+    """Complete and remove what killed programs left."""
+    garbage, unlisted = stray_folders(journal.root, journal.state)
+    mendings = [_done("removed", f"{folder.name}, left by a killed program") for folder in garbage]
+    unreadable = set(unlisted)
+    report = settle_leftovers(journal, "recover")
+    completed = (*report.recovered, *report.published)
+    mendings += [Mending(what="recovered", episode=name, message="completed, and in the index") for name in completed]
+    mendings += [Mending(what="removed", episode=name, message="had no rows") for name in report.removed]
+    for name, why in report.failed:
+        folder = episode_folder(journal.root, name)
+        if folder in unreadable:
+            _move(journal.root, folder)
+            mendings.append(Mending(what="quarantined", episode=name, message=f"its description cannot be read: {why}"))
+        else:
+            mendings.append(Mending(what="failed", episode=name, message=why))
+    return mendings
 
 
-def _with_right_flags(table: pa.Table, info: DatasetInfo) -> pa.Table:
-    rows = EpisodeRows(info)
-    rows.add(table)
-    for key, log in rows.frames.items():
-        log.is_new = table.column(key).is_valid().to_pylist()
-    for keys in rows.cameras.values():
-        name = companion(keys[0], info.features, "flags")
-        if name is not None:
-            place = table.schema.get_field_index(name)
-            column = pa.array(np.asarray(right_flags(rows, keys)))
-            table = table.set_column(place, table.schema.field(place), column)
-    return table
+def _put_aside(journal: Journal, damaged: list[str]) -> list[Mending]:
+    """Take damaged episodes out of the index, and move their folders to the quarantine."""
+    if not damaged:
+        return []
+    folders = {name: episode_folder(journal.root, journal.state.episodes[name].folder) for name in damaged}
+    journal.edit("repair", {"episodes": damaged}, Changes(dropped=tuple(damaged)))
+    mendings: list[Mending] = []
+    for name, folder in folders.items():
+        where = "its folder is gone"
+        if folder.exists():
+            where = f"damaged; its files are in {_move(journal.root, folder).relative_to(journal.root)}"
+        mendings.append(Mending(what="quarantined", episode=name, message=where))
+    return mendings
 
 
-def _mend(edit: Transaction, folder: Path, quarantine: Path, contents: dict[str, str]) -> Mending:
-    """Write the salvaged part of an episode into the new generation."""
-    former = former_folders(edit.dataset.path, edit.dataset.head)
-    others = [other for other in reversed(former) if other.name == folder.name]  # the newest first
-    found = salvage(folder, edit.info, others=others)
-    episode = EpisodeRecord(folder, edit.info)
-    vars(episode)["about"] = {"timing": {}, **found.about}  # instead of the file
-    where = f"The former files are in {quarantine}."
-    twin = None if found.is_exact else contents.get(found.content_hash)
-    if found.rows.num_rows == 0 or twin is not None:
-        why = "no row can be read" if twin is None else f"its rows are those of episode {twin}"
-        return Mending(what="quarantined", episode=folder.name, message=f"{why}. {where}")
-    edit.write(episode, found.rows)
-    what: What = "restored" if found.is_whole else "rewritten"
-    return Mending(what=what, episode=folder.name, message=f"{found.said}. {where}")
-
-
-def _quarantine(root: Path, folder: Path, findings: Iterable[Finding]) -> Path:
-    """Link a damaged episode's files, with the findings, to where no edit or prune removes them."""
-    target = _new_quarantine(root, folder.name)
-    target.mkdir()
-    for file in sorted(folder.iterdir()):
-        if file.is_file():
-            link_file(file, target / file.name)
-    found = [finding.to_json() for finding in findings]
-    write_file(target / "findings.json", json.dumps(found, indent=1, ensure_ascii=False).encode())
-    sync_folder(target)
-    sync_folder(target.parent)
-    return target
-
-
-def _quarantine_file(root: Path, path: Path) -> None:
-    target = _new_quarantine(root, path.name)
-    link_file(path, target)
-    sync_folder(target.parent)
-
-
-def _new_quarantine(root: Path, name: str) -> Path:
-    (root / QUARANTINE_FOLDER).mkdir(exist_ok=True)
+def _move(root: Path, folder: Path) -> Path:
+    """Move a folder to a free name in the quarantine, and return that."""
+    quarantine = root / QUARANTINE_FOLDER
+    quarantine.mkdir(exist_ok=True)
+    target = quarantine / folder.name
     number = 1
-    while (target := root / QUARANTINE_FOLDER / f"{name}-{number}").exists():
+    while target.exists():
         number += 1
+        target = quarantine / f"{folder.name}-{number}"
+    try:
+        folder.rename(target)
+    except OSError as err:
+        raise DatasetError(f"Cannot move {folder} to {target}: {err.strerror or err}.") from err
+    sync_folder(quarantine)
+    sync_folder(folder.parent)
     return target
+
+
+def _done(what: What, message: str) -> Mending:
+    return Mending(what=what, episode=None, message=message)

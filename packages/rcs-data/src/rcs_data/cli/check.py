@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rcs_data import CheckReport, check
+from rcs_data.check.dataset import Depth
 from rcs_data.check.repair import RepairReport, repair
 from rcs_data.cli.console import plain_console
 from rcs_data.output import OnProgress
@@ -33,23 +34,26 @@ class CheckCommand:
 
     path: tyro.conf.Positional[Path]
     """Folder of the dataset."""
+    depth: Depth = "frames"
+    """How far to look: that every `bytes` is what was written; the `rows` too; that all `frames` decode, too."""
     fast: bool = False
-    """Do not decode the frames; every byte is still checked."""
+    """The same as `--depth bytes`."""
     strict: bool = False
     """Exit with code 1 for warnings, too."""
     repair: bool = False
-    """Repair what can be repaired first. Damaged files go to the folder `quarantine`, and `undo` reverts the repair."""
+    """Repair first: restore the index, complete what a kill left, put damaged episodes into the folder `quarantine`."""
     json: bool = False
     """Print JSON instead of a table."""
 
     def run(self) -> int:
         """Repair if asked to, check, and print the findings."""
         mended: RepairReport | None = None
+        depth = "bytes" if self.fast else self.depth
         if self.repair:
             with _progress("Looking for damage") as on_progress:
-                mended = repair(self.path, decode_frames=not self.fast, on_progress=on_progress)
+                mended = repair(self.path, depth=depth, on_progress=on_progress)
         with _progress("Checking") as on_progress:
-            report = check(self.path, decode_frames=not self.fast, on_progress=on_progress)
+            report = check(self.path, depth=depth, on_progress=on_progress)
         if self.json:
             print(json_.dumps(_document(report, mended), indent=1, ensure_ascii=False))
         else:

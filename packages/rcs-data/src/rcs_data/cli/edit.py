@@ -173,9 +173,9 @@ class HistoryCommand:
     def run(self) -> int:
         """Print a line per edit."""
         table = Table("when", "what", "with", "episodes after", box=None, pad_edge=False)
-        for line in Dataset.open(self.path).head.history:
+        for line in Dataset.open(self.path).history:
             given = ", ".join(f"{key}={_short(value)}" for key, value in line.arguments.items() if value is not None)
-            table.add_row(line.at, line.command, given, str(len(line.episodes)))
+            table.add_row(line.at, line.command, given, str(line.episodes))
         plain_console().print(table)
         return 0
 

@@ -28,9 +28,7 @@ class InfoCommand:
         episodes = dataset.episodes
         verdicts = Verdicts.of(episode.success for episode in episodes)
         steps = sum(episode.length for episode in episodes)
-        failures = Counter(
-            str(episode.outcome.get("failure") or "not classified") for episode in episodes if episode.success is False
-        )
+        failures = Counter(episode.failure or "not classified" for episode in episodes if episode.success is False)
         table = Table(show_header=False, box=None, pad_edge=False)
         table.add_row("dataset", str(dataset.path))
         table.add_row("instruction", dataset.info.instruction)

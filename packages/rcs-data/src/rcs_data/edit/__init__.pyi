@@ -11,5 +11,5 @@ from rcs_data.edit.mix import Part as Part
 from rcs_data.edit.mix import mix as mix
 from rcs_data.edit.mix import parse_part as parse_part
 from rcs_data.edit.rate import resample as resample
-from rcs_data.edit.undo import prune as prune
-from rcs_data.edit.undo import undo as undo
+from rcs_data.edit.transaction import prune as prune
+from rcs_data.edit.transaction import undo as undo

@@ -26,9 +26,7 @@ def delete(path: str | Path, episodes: Iterable[str]) -> None:
     ids = sorted(set(episodes))
     with editing(path, "delete", {"episodes": ids}) as edit:
         require_ids(edit.dataset, ids)
-        for episode in edit.dataset.episodes:
-            if episode.id not in ids:
-                edit.keep(episode)
+        edit.drop(ids)
 
 
 def keep(path: str | Path, episodes: Iterable[str]) -> None:
@@ -45,8 +43,8 @@ def keep(path: str | Path, episodes: Iterable[str]) -> None:
     ids = sorted(set(episodes))
     with editing(path, "keep", {"episodes": ids}) as edit:
         require_ids(edit.dataset, ids)
-        for name in ids:
-            edit.keep(edit.dataset[name])
+        kept = set(ids)
+        edit.drop(record.id for record in edit.dataset if record.id not in kept)
 
 
 def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> None:
@@ -65,17 +63,14 @@ def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> N
     """
     with editing(path, "trim", {"episode": episode, "first": first, "last": last}) as edit:
         require_ids(edit.dataset, [episode])
-        for record in edit.dataset.episodes:
-            if record.id != episode:
-                edit.keep(record)
-                continue
-            end = record.length + last if last < 0 else last
-            if not 0 <= first <= end < record.length:
-                raise InvalidSetup(
-                    f"Expected rows of episode {episode!r} between 0 and "
-                    f"{record.length - 1}, the first not after the last; got {first} to {last}."
-                )
-            edit.write(record, take_rows(rows_of(record), record.info, range(first, end + 1)))
+        record = edit.dataset[episode]
+        end = record.length + last if last < 0 else last
+        if not 0 <= first <= end < record.length:
+            raise InvalidSetup(
+                f"Expected rows of episode {episode!r} between 0 and {record.length - 1}, the first not after the "
+                f"last; got {first} to {last}."
+            )
+        edit.write(record, [take_rows(rows_of(record), record.info, range(first, end + 1))])
 
 
 def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | None = None) -> None:
@@ -96,11 +91,7 @@ def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | Non
     new_info = (lambda info: replace(info, instruction=instruction)) if is_all else (lambda info: info)
     with editing(path, "relabel", arguments, new_info=new_info) as edit:
         require_ids(edit.dataset, ids or [])
-        for episode in edit.dataset.episodes:
-            if ids is None or episode.id in ids:
-                edit.keep(episode, instruction=instruction)
-            else:
-                edit.keep(episode)
+        edit.relabel(ids, instruction)
 
 
 def require_ids(dataset: Dataset, ids: Iterable[str]) -> None:
@@ -109,7 +100,7 @@ def require_ids(dataset: Dataset, ids: Iterable[str]) -> None:
     Raises:
         InvalidSetup: There is no such episode; the message lists some that exist.
     """
-    known = [episode.id for episode in dataset.episodes]
-    if missing := sorted(set(ids) - set(known)):
+    if missing := sorted(name for name in set(ids) if name not in dataset):
+        known = [episode.id for episode in dataset.episodes[:6]]
         some = ", ".join(known[:5]) + (" …" if len(known) > 5 else "")
         raise InvalidSetup(f"There is no episode {', '.join(missing)} in {dataset.path}; it has {some or 'none'}.")

@@ -49,7 +49,7 @@ def rename_camera(path: str | Path, name: str, to: str, *, on_progress: OnProgre
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
             rows = rows_of(episode)
-            edit.write(episode, with_names(rows, edit.info))
+            edit.write(episode, [with_names(rows, edit.info)])
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 
@@ -94,7 +94,7 @@ def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress |
     with editing(path, "resize", {"size": list(size)}, new_info=lambda info: resized(info, size)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
-            edit.write(episode, with_size(rows_of(episode), episode.info, edit.info))
+            edit.write(episode, [with_size(rows_of(episode), episode.info, edit.info)])
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 

@@ -113,7 +113,7 @@ def mix(
                     made.keep(episode, episode_id=new_id, **about)
                 else:
                     rows = _mapped(rows_of(episode), dataset.info, info, how.rename.get(name, {}))
-                    made.write(episode, rows, episode_id=new_id, **about)
+                    made.write(episode, [rows], episode_id=new_id, **about)
                 done += 1
                 if on_progress is not None:
                     on_progress(done, len(ids))

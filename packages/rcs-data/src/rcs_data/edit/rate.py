@@ -44,7 +44,7 @@ def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | No
     with editing(path, "resample", {"frequency": frequency}, new_info=lambda info: at_rate(info, frequency)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
-            edit.write(episode, resampled(rows_of(episode), episode.info, frequency))
+            edit.write(episode, [resampled(rows_of(episode), episode.info, frequency)])
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 

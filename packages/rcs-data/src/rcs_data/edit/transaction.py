@@ -1,126 +1,99 @@
-"""Transactions: a new generation of a dataset's episodes, or a new dataset, takes effect only when complete.
+"""Transactions: an edit of a dataset, or a new dataset of episodes of others, takes effect only when complete.
 
-Episodes are never changed. In a new generation, an unchanged one is a folder of links to the same files. Nothing reads
-a generation before `dataset.json` names it, and the next edit removes what a kill left of it.
+The folder of an episode never changes. An edit writes new folders for the episodes whose rows change, and then one line
+to the index, which names them. Until then nothing reads them, and the next writer removes what a kill left.
 """
 
 from __future__ import annotations
 
 import contextlib
-import shutil
-from collections.abc import Callable, Generator, Mapping
-from dataclasses import replace
-from datetime import datetime, timezone
+from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
+from rcs_data.about import read_about
 from rcs_data.compact import cut, seal
-from rcs_data.durable import copy_file, disk_errors, link_file, remove_tree, sealed, sync_folder, write_file
+from rcs_data.durable import disk_errors, link_file, remove_tree, sealed, sync_folder, write_file
 from rcs_data.errors import DatasetError, InvalidSetup
-from rcs_data.head import Edit, Head, read_head, write_head
+from rcs_data.index import Changes, Edit, Entry, State
 from rcs_data.info import DatasetInfo
+from rcs_data.journal import Journal, write_state
 from rcs_data.layout import (
     EPISODE_FILE,
-    SIM_STATE_FILE,
-    STEPS_FILE,
     check_episode_id,
-    complete_ids,
     episode_folder,
     episodes_folder,
-    generation_folder,
-    generations,
     open_ids,
+    written_folder,
 )
 from rcs_data.lock import DatasetLock
 from rcs_data.output import new_output
 from rcs_data.reader import Dataset, EpisodeRecord
-from rcs_data.recover import unreachable_generations
+from rcs_data.recover import stray_folders, write_description
 
 
-class EpisodeFolder:
-    """A folder that is being filled with complete episodes."""
+class Transaction:
+    """An edit that is being prepared; made by `editing`."""
 
-    def __init__(self, base: Path, info: DatasetInfo, place: Callable[[Path, Path], object]) -> None:
-        """Start with no episodes.
-
-        Args:
-            base: Its episodes go to `base/episodes`.
-            info: What they share.
-            place: Links or copies a file of another episode.
-        """
+    def __init__(self, dataset: Dataset, info: DatasetInfo, number: int) -> None:
+        """Change nothing yet; use `editing`."""
+        self.dataset = dataset
         self.info = info
-        self._base = base
-        self._place = place
+        self._number = number
+        self._dropped: set[str] = set()
+        self._folders: list[Path] = []
+        self._written: dict[str, Entry] = {}
+        self._relabelled: tuple[str, ...] | None = ()
+        self._instruction: str | None = None
 
-    def keep(self, episode: EpisodeRecord, *, episode_id: str | None = None, **about: Any) -> None:
-        """Add an episode with all its rows unchanged.
+    def drop(self, ids: Iterable[str]) -> None:
+        """Leave episodes out."""
+        self._dropped |= set(ids)
+
+    def relabel(self, ids: Iterable[str] | None, instruction: str) -> None:
+        """Change the instruction of some episodes; None for all, whose instruction is then the dataset's."""
+        self._relabelled = None if ids is None else tuple(ids)
+        self._instruction = None if ids is None else instruction
+
+    def write(self, episode: EpisodeRecord, rows: Iterable[pa.Table]) -> None:
+        """Give an episode new rows.
 
         Args:
             episode: The episode.
-            episode_id: Its new id; None for the same.
-            about: Fields of `episode.json` to change.
+            rows: All its rows with the columns of `stream_schema`, in pieces.
 
         Raises:
-            CorruptEpisode: Its `episode.json` is damaged.
+            OSError: The disk is full or fails.
         """
-        name = episode_id or episode.id
-        folder = self._new(name)
-        files = [STEPS_FILE] if self.info.sim_state_size is None else [STEPS_FILE, SIM_STATE_FILE]
-        values = episode.about
-        for file in files:
-            self._place(episode.path / file, folder / file)
-        if about or name != episode.id or list(values["sha256"]) != files:
-            hashes = {file: values["sha256"][file] for file in files}
-            write_file(folder / EPISODE_FILE, sealed({**values, "id": name, "sha256": hashes, **about}))
-        else:
-            self._place(episode.path / EPISODE_FILE, folder / EPISODE_FILE)
-        sync_folder(folder)
-
-    def write(self, episode: EpisodeRecord, rows: pa.Table, *, episode_id: str | None = None, **about: Any) -> None:
-        """Add an episode with new rows.
-
-        Args:
-            episode: Source of the other fields of `episode.json`.
-            rows: The rows, with the columns of `stream_schema`.
-            episode_id: Its new id; None for the same.
-            about: Fields of `episode.json` to change.
-        """
-        found = ("length", "content_hash", "sha256", "timing", "schema_version")
-        kept = {key: value for key, value in episode.about.items() if key not in found}
-        name = episode_id or episode.id
-        seal(
-            self._new(name),
-            self.info,
-            cut(rows, self.info),
-            {**kept, "id": name, **about},
-            timing=_same_writer(episode),
-        )
-
-    def _new(self, episode_id: str) -> Path:
-        check_episode_id(episode_id)
-        folder = episode_folder(self._base, episode_id)
-        if folder.exists():
-            raise InvalidSetup(f"The id {episode_id!r} is given to two episodes; choose different ids.")
+        folder = episode_folder(self.dataset.path, written_folder(episode.id, self._number))
+        self._folders.append(folder)
         folder.mkdir()
-        return folder
+        self._written[episode.id] = _written(folder, self.info, episode, rows, {})
 
+    def commit(self, journal: Journal, command: str, arguments: Mapping[str, Any]) -> None:
+        """Write the line of the edit to the index.
 
-def _same_writer(episode: EpisodeRecord) -> Callable[[], Mapping[str, Any]]:
-    """Return the entries of the timing report that cannot be computed from the rows."""
-    kept = {key: value for key, value in episode.timing.items() if key in ("writer", "is_torn")}
-    return lambda: kept
+        Raises:
+            OSError: The disk is full or fails.
+        """
+        sync_folder(episodes_folder(self.dataset.path))
+        changes = Changes(
+            dropped=tuple(sorted(self._dropped)),
+            written=tuple(self._written.values()),
+            relabelled=self._relabelled,
+            instruction=self._instruction,
+            info=None if self.info == self.dataset.info else self.info,
+        )
+        journal.edit(command, arguments, changes)
 
-
-class Transaction(EpisodeFolder):
-    """A new generation of a dataset; made by `editing`."""
-
-    def __init__(self, dataset: Dataset, info: DatasetInfo, generation: int) -> None:
-        """Start with no episodes; use `editing`."""
-        super().__init__(generation_folder(dataset.path, generation), info, link_file)
-        self.dataset = dataset
-        self.generation = generation
+    def abandon(self, journal: Journal) -> None:
+        """Remove what was written, unless the index has it already."""
+        if journal.refresh().last_number < self._number:
+            for folder in self._folders:
+                with contextlib.suppress(OSError):
+                    remove_tree(folder)
 
 
 @contextlib.contextmanager
@@ -131,7 +104,7 @@ def editing(
     *,
     new_info: Callable[[DatasetInfo], DatasetInfo] = lambda info: info,
 ) -> Generator[Transaction]:
-    """Edit a dataset: the block fills a new generation, which becomes current at its end.
+    """Edit a dataset: the block says what changes, and the end of the block makes it so.
 
     Args:
         path: The dataset's folder.
@@ -145,48 +118,99 @@ def editing(
         CorruptEpisode: The dataset is damaged.
     """
     root = Path(path)
-    read_head(root)  # before a lock is created
-    with DatasetLock.writer(root):
-        dataset = Dataset.open(root)
-        head = dataset.head
-        if still_open := open_ids(generation_folder(root, head.generation)):
+    with locked(root) as journal, disk_errors(command, root):
+        if still_open := open_ids(root):
             raise DatasetError(f"Episodes {still_open} of {root} were left open by a recording; run recover first.")
-        with disk_errors(command, root):
-            for folder in unreachable_generations(root, head):
-                remove_tree(folder)
-            known = {head.generation, *generations(root), *(edit.after for edit in head.history)}
-            generation = max(known) + 1
-            base = generation_folder(root, generation)
-            transaction = Transaction(dataset, new_info(head.info), generation)
-            try:
-                episodes_folder(base).mkdir(parents=True)
-                yield transaction
-                _commit(transaction, head, command, dict(arguments))
-            except BaseException:
-                if read_head(root).generation != generation:
-                    shutil.rmtree(base, ignore_errors=True)
-                raise
-
-
-def _commit(transaction: Transaction, head: Head, command: str, arguments: dict[str, Any]) -> None:
-    root = transaction.dataset.path
-    base = generation_folder(root, transaction.generation)
-    for folder in (episodes_folder(base), base, base.parent):
-        sync_folder(folder)
-    edit = Edit(
-        command=command,
-        arguments=arguments,
-        at=now(),
-        before=head.generation,
-        after=transaction.generation,
-        episodes=tuple(complete_ids(base)),
-        info=head.info.to_json(),
-    )
-    write_head(root, Head(info=transaction.info, generation=transaction.generation, history=(*head.history, edit)))
+        for folder in stray_folders(root, journal.state)[0]:
+            remove_tree(folder)
+        info = new_info(journal.state.info)
+        transaction = Transaction(Dataset(root, journal.state), info, journal.state.last_number + 1)
+        try:
+            yield transaction
+            transaction.commit(journal, command, arguments)
+        except BaseException:
+            transaction.abandon(journal)
+            raise
+        write_description(root, info)
 
 
 @contextlib.contextmanager
-def making(out: str | Path, info: DatasetInfo) -> Generator[EpisodeFolder]:
+def locked(root: Path) -> Generator[Journal]:
+    """Hold a dataset as its only writer, and yield its index.
+
+    Raises:
+        DatasetError: There is no dataset, or another process writes to it.
+        CorruptEpisode: The index is damaged.
+    """
+    Journal(root)  # before a lock is created
+    with DatasetLock.writer(root):
+        yield Journal(root)
+
+
+class NewDataset:
+    """A dataset that is being made of episodes of others; made by `making`."""
+
+    def __init__(self, root: Path, info: DatasetInfo) -> None:
+        """Start with no episodes."""
+        self.info = info
+        self._root = root
+        self._entries: dict[str, Entry] = {}
+
+    def keep(self, episode: EpisodeRecord, *, episode_id: str | None = None, **about: Any) -> None:
+        """Add an episode with all its rows unchanged; its files become links to the same bytes.
+
+        Args:
+            episode: The episode.
+            episode_id: Its new id; None for the same.
+            about: Fields of `episode.json` to change.
+
+        Raises:
+            CorruptEpisode: Its `episode.json` is damaged.
+        """
+        name, folder = self._new(episode_id or episode.id)
+        stored = read_about(episode.path)
+        for file in stored["sha256"]:
+            link_file(episode.path / file, folder / file)
+        values = {**stored, "id": name, "instruction": episode.instruction, **about}
+        if values == stored:
+            link_file(episode.path / EPISODE_FILE, folder / EPISODE_FILE)
+        else:
+            write_file(folder / EPISODE_FILE, sealed(values))
+        sync_folder(folder)
+        self._entries[name] = Entry.of(values, name, self.info)
+
+    def write(
+        self, episode: EpisodeRecord, rows: Iterable[pa.Table], *, episode_id: str | None = None, **about: Any
+    ) -> None:
+        """Add an episode with new rows.
+
+        Args:
+            episode: Source of the other fields of `episode.json`.
+            rows: The rows with the columns of `stream_schema`, in pieces.
+            episode_id: Its new id; None for the same.
+            about: Fields of `episode.json` to change.
+        """
+        name, folder = self._new(episode_id or episode.id)
+        self._entries[name] = _written(folder, self.info, episode, rows, {"id": name, **about})
+
+    def finish(self) -> None:
+        """Write the index, without which nothing reads the episodes."""
+        write_state(self._root, State(self.info, dict(sorted(self._entries.items()))))
+        write_description(self._root, self.info)
+        for folder in (episodes_folder(self._root), self._root):
+            sync_folder(folder)
+
+    def _new(self, episode_id: str) -> tuple[str, Path]:
+        check_episode_id(episode_id)
+        if episode_id in self._entries:
+            raise InvalidSetup(f"The id {episode_id!r} is given to two episodes; choose different ids.")
+        folder = episode_folder(self._root, episode_id)
+        folder.mkdir()
+        return episode_id, folder
+
+
+@contextlib.contextmanager
+def making(out: str | Path, info: DatasetInfo) -> Generator[NewDataset]:
     """Make a dataset of episodes of others: the block fills it, and it appears at its end.
 
     Args:
@@ -198,12 +222,70 @@ def making(out: str | Path, info: DatasetInfo) -> Generator[EpisodeFolder]:
     """
     with new_output(out) as partial:
         episodes_folder(partial).mkdir(parents=True)
-        yield EpisodeFolder(partial, replace(info), copy_file)
-        write_head(partial, Head(info=info))
-        for folder in (episodes_folder(partial), partial):
-            sync_folder(folder)
+        made = NewDataset(partial, info)
+        yield made
+        made.finish()
 
 
-def now() -> str:
-    """Return the wall clock in the format of the history."""
-    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+def undo(path: str | Path) -> Edit:
+    """Undo the last edit that is not undone yet, and return it.
+
+    Args:
+        path: The dataset.
+
+    Raises:
+        DatasetError: There is nothing to undo, the former episodes are gone, what was recorded since does not fit, or
+            another process writes to the dataset; nothing changes.
+        CorruptEpisode: The dataset is damaged.
+    """
+    root = Path(path)
+    with locked(root) as journal, disk_errors("undo", root):
+        gone = [one.id for one in journal.state.returning() if not episode_folder(root, one.folder).exists()]
+        if gone:
+            edit = journal.state.undoable()
+            raise DatasetError(
+                f"Cannot undo {edit.command if edit else ''!r}: episodes {', '.join(gone[:5])} of {root} are in "
+                "quarantine, or were removed."
+            )
+        edit = journal.undo()
+        write_description(root, journal.state.info)
+    return edit
+
+
+def prune(path: str | Path) -> int:
+    """Remove former episodes for good, and return the bytes freed; the history stays, but cannot be undone.
+
+    Args:
+        path: The dataset.
+
+    Raises:
+        DatasetError: Another process writes to the dataset, or the disk fails.
+        CorruptEpisode: The dataset is damaged.
+    """
+    root = Path(path)
+    freed = 0
+    with locked(root) as journal, disk_errors("prune", root):
+        journal.shorten()
+        for folder in stray_folders(root, journal.state)[0]:
+            freed += _freed(folder)
+            remove_tree(folder)
+    return freed
+
+
+def _freed(folder: Path) -> int:
+    """Return the bytes of the files in a folder that no other folder links to."""
+    found = [file.stat() for file in folder.rglob("*") if file.is_file()]
+    return sum(one.st_size for one in found if one.st_nlink == 1)
+
+
+def _written(
+    folder: Path, info: DatasetInfo, episode: EpisodeRecord, rows: Iterable[pa.Table], changes: Mapping[str, Any]
+) -> Entry:
+    """Write an episode with new rows into a folder, and return its entry."""
+    found = ("length", "content_hash", "sha256", "timing", "schema_version")
+    kept = {key: value for key, value in episode.about.items() if key not in found}
+    # What cannot be computed from the rows.
+    measured = {key: value for key, value in episode.timing.items() if key in ("writer", "is_torn")}
+    pieces = (piece for table in rows for piece in cut(table, info))
+    seal(folder, info, pieces, {**kept, **changes}, timing=lambda: measured)
+    return Entry.of(read_about(folder), folder.name, info)

@@ -1,0 +1,175 @@
+"""Checks the folder of a dataset: its index, `dataset.json`, and what killed programs left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rcs_data.about import read_about
+from rcs_data.check.report import Finding, Severity, counted
+from rcs_data.durable import sealed, unsealed
+from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
+from rcs_data.index import State
+from rcs_data.info import DatasetInfo
+from rcs_data.journal import Journal
+from rcs_data.json_file import parsed_json, read_bytes
+from rcs_data.layout import (
+    DATASET_FILE,
+    JOURNAL_FILE,
+    episode_folder,
+    episodes_folder,
+    folder_names,
+    links_out,
+    open_folder,
+    open_ids,
+    strange_names,
+    trash_folders,
+)
+from rcs_data.lock import is_locked
+from rcs_data.output import leftovers
+from rcs_data.recover import stray_folders
+from rcs_data.text import mended_text
+
+_UNPRINTABLE = dict.fromkeys(range(32), "�")
+
+
+def is_as_written(data: bytes, values: dict[str, Any]) -> bool:
+    """Return whether the bytes of sealed JSON are exactly those that its values are written as.
+
+    A changed space, or E instead of e in a number, does not change the values nor their checksum.
+    """
+    return sealed(values) == data
+
+
+def check_index(root: Path) -> tuple[State | None, list[Finding]]:
+    """Check the index and `dataset.json`; return what the index says, as far as it can be read.
+
+    Args:
+        root: The dataset's folder.
+
+    Raises:
+        DatasetError: There is no dataset, or its layout is of another version.
+    """
+    findings: list[Finding] = []
+    state: State | None = None
+    if (root / JOURNAL_FILE).exists() or not (root / DATASET_FILE).exists():
+        try:
+            state = Journal(root).state
+        except CorruptEpisode as err:
+            findings.append(_finding("damage", "altered", None, JOURNAL_FILE, str(err)))
+            state = whole_lines(root)[0]
+    else:
+        message = "missing; `rcs data check --repair` makes it anew from the episodes"
+        findings.append(_finding("damage", "missing", None, JOURNAL_FILE, message))
+    return state, [*findings, *_check_description(root, state)]
+
+
+def whole_lines(root: Path) -> tuple[State | None, int]:
+    """Return what the index says without its damaged lines, and the number of those; None if the first is damaged.
+
+    Raises:
+        DatasetError: The layout is of another version.
+    """
+    from rcs_data.journal import checked_line  # what only a damaged index needs
+
+    state: State | None = described(root)
+    damaged = 0
+    for number, line in enumerate(read_bytes(root / JOURNAL_FILE).split(b"\n")[:-1]):
+        body = checked_line(line)
+        try:
+            values = parsed_json(b"" if body is None else body, root / JOURNAL_FILE)
+            if number == 0:
+                state = State(DatasetInfo.from_json(values["dataset"]))
+            elif state is not None:
+                state.take(values)
+        except (CorruptEpisode, InvalidSetup, KeyError, AttributeError):
+            damaged += 1
+    return state, damaged
+
+
+def described(root: Path) -> State | None:
+    """Return the state of a dataset without episodes that `dataset.json` describes; None if it cannot be read."""
+    path = root / DATASET_FILE
+    try:
+        return State(DatasetInfo.from_json(unsealed(read_bytes(path), path)))
+    except (CorruptEpisode, InvalidSetup):
+        return None
+
+
+def _check_description(root: Path, state: State | None) -> Iterator[Finding]:
+    path = root / DATASET_FILE
+    if not path.exists():
+        yield _finding("damage", "missing", None, DATASET_FILE, "missing; `rcs data check --repair` restores it")
+        return
+    try:
+        data = read_bytes(path)
+        values = unsealed(data, path)
+    except CorruptEpisode as err:
+        yield _finding("damage", "altered", None, DATASET_FILE, str(err))
+        return
+    if not is_as_written(data, values):
+        message = "is readable, but its bytes are not those that were written"
+        yield _finding("damage", "altered", None, DATASET_FILE, message)
+    elif state is not None and data != sealed(state.info.to_json()) and not is_locked(root):
+        message = "not what the index says: an edit was killed; `rcs data recover` updates it"
+        yield _finding("warning", "stale", None, DATASET_FILE, message)
+
+
+def check_leftovers(root: Path, state: State) -> Iterator[Finding]:
+    """Yield what a killed writer or edit left, and whole folders that are missing.
+
+    Args:
+        root: The dataset's folder.
+        state: What the index says.
+    """
+    folder = episodes_folder(root)
+    names = set(folder_names(root))
+    if not folder.is_dir():
+        yield _finding("damage", "missing", None, _in(root, folder), "missing, with all episodes in it")
+    for entry in state.episodes.values():
+        if entry.folder not in names:
+            place = _in(root, episode_folder(root, entry.folder))
+            yield _finding("damage", "missing", entry.id, place, "missing, with all files in it")
+    for path in links_out(root):
+        message = f"a link out of the dataset to {path.readlink()}; it is read, but never written through"
+        yield _finding("warning", "link", None, _in(root, path), message)
+    for path in leftovers(root):
+        yield _finding("warning", "left_over", None, path.name, f"beside {root.name}, left by a killed program")
+    if is_locked(root):
+        return  # a living writer has open episodes
+    for episode_id in open_ids(root):
+        place = _in(root, open_folder(root, episode_id))
+        yield _finding("warning", "left_open", episode_id, place, "open, and its writer is gone; run recover")
+    for name in strange_names(root):
+        place = _in(root, folder / mended_text(name).translate(_UNPRINTABLE))
+        yield _finding("warning", "stranger", None, place, "its name cannot be an episode's; nothing reads it")
+    garbage, unlisted = stray_folders(root, state)
+    for path in (*trash_folders(root), *garbage):
+        yield _finding("warning", "left_over", None, _in(root, path), "left by a killed program; run recover")
+    for path in unlisted:
+        message = "complete, and not in the index; run recover"
+        try:
+            read_about(path)
+        except CorruptEpisode as err:
+            message = f"not in the index, and cannot be read: {err}"
+        except DatasetError as err:
+            message = str(err)
+        yield _finding("warning", "unlisted", None, _in(root, path), message)
+
+
+def check_former(root: Path, state: State) -> Iterator[Finding]:
+    """Yield a finding if episodes that undo would bring back are not there any more."""
+    gone = [one.id for one in state.returning() if not episode_folder(root, one.folder).exists()]
+    edit = state.undoable()
+    if gone and edit is not None:
+        message = f"{edit.command!r} cannot be undone: {counted(len(gone), 'former episode')} in quarantine or removed"
+        yield _finding("warning", "former", None, JOURNAL_FILE, message)
+
+
+def _in(root: Path, path: Path) -> str:
+    return str(path.relative_to(root))
+
+
+def _finding(severity: Severity, kind: str, episode: str | None, file: str, message: str) -> Finding:
+    return Finding(severity=severity, kind=kind, episode=episode, file=file, message=message)

@@ -1,0 +1,230 @@
+"""`episodes.jsonl`: the index of a dataset, told as what happened to it, line by line.
+
+The first line has what the episodes share; each later one adds a recorded episode, or is an edit with the differences
+that it makes, or undoes one. What the dataset is now is the sum of its lines. Appending a line is the one step in which
+anything takes effect; a line that a kill has cut short counts as not written. Each line ends with its CRC-32.
+
+Several processes may append at a time: they take turns by a lock on the file.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from rcs_data.durable import sync_folder, write_all, write_file
+from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
+from rcs_data.index import Changes, Edit, Entry, State
+from rcs_data.info import DatasetInfo
+from rcs_data.json_file import parsed_json
+from rcs_data.layout import JOURNAL_FILE
+
+_LONGEST_FILE = 1 << 31
+
+
+class Journal:
+    """The journal of a dataset on disk; `state` is brought up to date by `refresh` and by every addition."""
+
+    def __init__(self, root: Path) -> None:
+        """Read it.
+
+        Raises:
+            DatasetError: There is no dataset, or its layout is of another version.
+            CorruptEpisode: A line is damaged; `rcs data check --repair` leaves it out.
+        """
+        self.root = root
+        self.path = root / JOURNAL_FILE
+        self._end = 0
+        self._count = 0
+        self.state = self._first()
+        self.refresh()
+
+    @classmethod
+    def create(cls, root: Path, info: DatasetInfo) -> Journal:
+        """Write the journal of a new dataset, in one step.
+
+        Raises:
+            OSError: The disk fails.
+        """
+        write_file(root / JOURNAL_FILE, line_of({"dataset": info.to_json()}))
+        sync_folder(root)
+        return cls(root)
+
+    def refresh(self) -> State:
+        """Take the lines that were appended since, and return the state.
+
+        Raises:
+            DatasetError: The journal is gone.
+            CorruptEpisode: A line is damaged.
+        """
+        for number, body in self._lines():
+            try:
+                self.state.take(parsed_json(body, self.path))
+            except InvalidSetup as err:
+                raise self._damaged(number, str(err)) from err
+        return self.state
+
+    def add(self, about: Mapping[str, Any], folder: str) -> None:
+        """Add an episode whose folder is complete.
+
+        Args:
+            about: The contents of its `episode.json`.
+            folder: The name of its folder.
+
+        Raises:
+            DatasetError: There is an episode of this id.
+            OSError: The disk is full or fails.
+        """
+
+        def line(state: State) -> dict[str, Any]:
+            if about["id"] in state.episodes:
+                raise DatasetError(f"There already is an episode {about['id']!r} in {self.root}; choose another id.")
+            return {"add": Entry.of(about, folder, state.info).to_json()}
+
+        self._append(line)
+
+    def remove(self, episode_id: str) -> Entry:
+        """Take an episode out for good, and return what it was.
+
+        Raises:
+            DatasetError: There is no such episode.
+            OSError: The disk is full or fails.
+        """
+        entry = self.refresh().episodes.get(episode_id)
+
+        def line(state: State) -> dict[str, Any]:
+            if episode_id not in state.episodes:
+                raise DatasetError(f"There is no episode {episode_id!r} in {self.root} to remove.")
+            return {"remove": episode_id}
+
+        self._append(line)
+        assert entry is not None
+        return entry
+
+    def edit(self, command: str, arguments: Mapping[str, Any], changes: Changes) -> None:
+        """Make an edit.
+
+        Args:
+            command: What is done, for the history.
+            arguments: Its arguments, for the history, as JSON values.
+            changes: What changes.
+
+        Raises:
+            OSError: The disk is full or fails; nothing has changed.
+        """
+        self._append(lambda state: {"edit": {**_told(state, command, arguments), **changes.to_json()}})
+
+    def undo(self) -> Edit:
+        """Undo the last edit that is not undone, and return it.
+
+        Raises:
+            DatasetError: There is nothing to undo, or something was recorded since that would not fit.
+            OSError: The disk is full or fails.
+        """
+        edit = self.refresh().undoable()
+        if edit is None:
+            raise DatasetError(f"There is nothing to undo in {self.root}.")
+        self.state.refuse_undo(self.root)
+        told = {"command": edit.command, "at": edit.at}
+        self._append(lambda state: {"undo": _told(state, "undo", told)})
+        return edit
+
+    def shorten(self) -> None:
+        """Write the journal anew, in one step: what the dataset is, and its history without what undo needs.
+
+        Raises:
+            OSError: The disk is full or fails; the former journal is there.
+        """
+        write_state(self.root, self.refresh())
+        fresh = Journal(self.root)
+        self.state, self._end, self._count = fresh.state, fresh._end, fresh._count
+
+    def _first(self) -> State:
+        for _, body in self._lines(most=1):
+            values = parsed_json(body, self.path)
+            if set(values) != {"dataset"} or not isinstance(values["dataset"], dict):
+                raise self._damaged(1, "it does not say what the episodes share")
+            try:
+                return State(DatasetInfo.from_json(values["dataset"]))
+            except InvalidSetup as err:
+                raise self._damaged(1, str(err)) from err
+        raise self._damaged(1, "it is not there")
+
+    def _lines(self, most: int | None = None) -> Iterator[tuple[int, bytes]]:
+        """Yield the number and the text of each whole line from where the last reading ended."""
+        try:
+            with self.path.open("rb") as file:
+                file.seek(self._end)
+                data = file.readline() if most else file.read(_LONGEST_FILE)
+        except FileNotFoundError:
+            raise DatasetError(f"There is no dataset in {self.root}: {JOURNAL_FILE} is missing.") from None
+        except OSError as err:
+            raise DatasetError(f"Cannot read {self.path}: {err.strerror or err}.") from err
+        for line in data.split(b"\n")[:-1]:  # after the last line break comes nothing, or what a kill cut short
+            body = checked_line(line)
+            if body is None:
+                raise self._damaged(self._count + 1, "its checksum does not match")
+            self._end += len(line) + 1
+            self._count += 1
+            yield self._count, body
+
+    def _append(self, make: Callable[[State], dict[str, Any]]) -> None:
+        """Append a line made of the newest state, when it is this process's turn."""
+        with self.path.open("r+b", buffering=0) as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            self.refresh()
+            line = line_of(make(self.state))
+            file.truncate(self._end)  # a killed writer may have left half a line
+            file.seek(self._end)
+            try:
+                write_all(file.fileno(), line)
+                os.fsync(file.fileno())
+            except BaseException:
+                file.truncate(self._end)
+                raise
+            self.refresh()
+
+    def _damaged(self, number: int, why: str) -> CorruptEpisode:
+        return CorruptEpisode(
+            f"{self.path} is damaged in line {number}: {why}. `rcs data check --repair` leaves the line out."
+        )
+
+
+def line_of(values: Mapping[str, Any]) -> bytes:
+    """Return a line of the journal, with its checksum and line break."""
+    body = json.dumps(values, separators=(",", ":"), ensure_ascii=False).encode()
+    return b"%b\t%08x\n" % (body, zlib.crc32(body))
+
+
+def checked_line(line: bytes) -> bytes | None:
+    """Return the text of a line; None if its checksum does not match."""
+    body, _, checksum = line.rpartition(b"\t")
+    return body if checksum == b"%08x" % zlib.crc32(body) else None
+
+
+def write_state(root: Path, state: State) -> None:
+    """Write a journal that comes to a state, in one step, without what undo needs.
+
+    Raises:
+        OSError: The disk is full or fails.
+    """
+    lines = [line_of({"dataset": state.info.to_json()})]
+    lines += [line_of({"add": entry.to_json()}) for entry in state.episodes.values()]
+    lines += [line_of({"past": vars(edit)}) for edit in state.history]
+    write_file(root / JOURNAL_FILE, b"".join(lines))
+    sync_folder(root)
+
+
+def now() -> str:
+    """Return the wall clock in the format of the history."""
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+
+
+def _told(state: State, command: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    return {"number": state.last_number + 1, "command": command, "arguments": dict(arguments), "at": now()}
