@@ -36,20 +36,18 @@ def test_what_cannot_be_is_named_by_check_and_refused_by_all_else(dataset: Path,
     say(dataset, **{field: value})
     episode = Dataset.open(dataset)["000001"]
     with pytest.raises(CorruptEpisode, match=rf"000001/episode.json is damaged: {field} is .*; valid is "):
-        _ = episode.success
+        _ = episode.about
     found = [finding for finding in check(dataset).damage if finding.episode == "000001"]
     assert field in found[0].message
-    assert run(InfoCommand(path=dataset)) == 1
+    assert run(InfoCommand(path=dataset)) == 0, "the index has what it needs"
     assert run(ViewCommand(path=dataset)) == 0, "the page lists it as damaged"
 
 
-def test_a_repair_keeps_the_rows_of_such_an_episode(dataset: Path) -> None:
-    rows = Dataset.open(dataset)["000001"].steps()
+def test_a_repair_puts_such_an_episode_aside(dataset: Path) -> None:
     say(dataset, success="yes")
     repair(dataset)
-    episode = Dataset.open(dataset)["000001"]
-    assert episode.success is None
-    assert episode.steps().equals(rows)
+    assert [episode.id for episode in Dataset.open(dataset)] == ["000000", "000002"]
+    assert (dataset / "quarantine/000001/episode.json").exists()
     assert check(dataset).is_ok
 
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord, Feature, check
-from rcs_data.durable import sealed, unsealed
+from rcs_data import DatasetInfo, DatasetWriter, EpisodeRecord, Feature, check
 from rcs_data.flags import FrameFlag
 
 RGB, DEPTH, MATRIX = "observation/frames/wrist/rgb", "observation/frames/wrist/depth", "observation/frames/wrist/matrix"
@@ -109,33 +108,3 @@ def test_what_is_held_passes_the_check(tmp_path: Path) -> None:
     report = check(tmp_path)
     assert report.is_ok, str(report)
     assert report.frames == 4
-
-
-def test_a_dataset_of_the_first_layout_is_read_and_resumed(tmp_path: Path) -> None:
-    """The first layout is this one without flags, held values, history and a copy of dataset.json."""
-    info = DatasetInfo(
-        frequency=100.0,
-        features=(Feature(key=RGB, shape=SHAPE, dtype="uint8", encoding="jpeg"),),
-        setup={},
-        instruction="",
-    )
-    a, b = images(2)
-    record(tmp_path, [{RGB: a}, {RGB: b}], info)
-    for name in ("dataset.json", "episodes/a/episode.json"):
-        path = tmp_path / name
-        values = unsealed(path.read_bytes(), path)
-        for key in ("generation", "history"):
-            values.pop(key, None)
-        path.write_bytes(sealed({**values, "schema_version": 1}))
-    (tmp_path / "dataset.copy.json").unlink()
-
-    assert Dataset.open(tmp_path).episodes[0].column(RGB).shape == (2, *SHAPE)
-    assert check(tmp_path).is_ok
-    with DatasetWriter.open(tmp_path, info, resume=True) as writer, writer.episode("b", seed=1) as episode:
-        episode.add({RGB: a})
-        episode.add({RGB: None})
-        episode.finish(True)
-    dataset = Dataset.open(tmp_path)
-    assert [episode.length for episode in dataset.episodes] == [2, 2]
-    assert dataset.info.schema_version == 2
-    assert check(tmp_path).is_ok

@@ -56,7 +56,7 @@ def test_a_part_is_not_named_out_of_its_folder(dataset: Path, tmp_path: Path) ->
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("name", ["episodes", "generations", "quarantine"])
+@pytest.mark.parametrize("name", ["episodes", "quarantine"])
 def test_nothing_is_written_through_a_link_that_leads_out(dataset: Path, tmp_path: Path, name: str) -> None:
     outside = tmp_path / "outside"
     if (dataset / name).exists():

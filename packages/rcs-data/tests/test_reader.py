@@ -10,6 +10,7 @@ import pytest
 from rcs_data import SCHEMA_VERSION, Dataset, DatasetInfo, DatasetWriter, Feature
 from rcs_data.durable import sealed, unsealed
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
+from rcs_data.journal import line_of
 
 
 def test_episodes_come_sorted_with_their_facts(dataset: Path) -> None:
@@ -47,7 +48,7 @@ def test_what_is_no_image_has_no_frames(dataset: Path) -> None:
 
 
 def test_a_missing_dataset_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=r"dataset\.json is missing"):
+    with pytest.raises(DatasetError, match=r"episodes\.jsonl is missing"):
         Dataset.open(tmp_path)
 
 
@@ -56,7 +57,7 @@ def test_a_damaged_episode_does_not_keep_the_others_from_being_read(dataset: Pat
     (dataset / "episodes/000001/steps.parquet").unlink()
     found = Dataset.open(dataset)
     with pytest.raises(CorruptEpisode, match="damaged"):
-        _ = found.episodes[0].success
+        _ = found.episodes[0].outcome
     with pytest.raises(CorruptEpisode, match=r"Cannot read .*steps\.parquet"):
         found.episodes[1].column("reward")
     assert found.episodes[2].column("reward").shape == (8,)
@@ -66,15 +67,22 @@ def test_a_changed_verdict_is_seen(dataset: Path) -> None:
     path = dataset / "episodes/000001/episode.json"
     path.write_text(path.read_text().replace('"success": false', '"success": true'))
     with pytest.raises(CorruptEpisode, match="checksum"):
-        _ = Dataset.open(dataset)["000001"].success
+        _ = Dataset.open(dataset)["000001"].about
 
 
-def test_a_newer_layout_is_refused(dataset: Path) -> None:
-    for path in (dataset / "episodes/000001/episode.json", dataset / "dataset.json"):
-        values = unsealed(path.read_bytes(), path)
-        path.write_bytes(sealed({**values, "schema_version": SCHEMA_VERSION + 1}))
-        with pytest.raises(DatasetError, match="newer version of this library; update"):
-            _ = Dataset.open(dataset)["000001"].success
+def test_another_layout_is_refused(dataset: Path) -> None:
+    path = dataset / "episodes/000001/episode.json"
+    values = unsealed(path.read_bytes(), path)
+    path.write_bytes(sealed({**values, "schema_version": SCHEMA_VERSION + 1}))
+    with pytest.raises(DatasetError, match="Update this library"):
+        _ = Dataset.open(dataset)["000001"].about
+    journal = dataset / "episodes.jsonl"
+    first, *rest = journal.read_bytes().split(b"\n")
+    older = json.loads(first.rpartition(b"\t")[0])
+    older["dataset"]["schema_version"] = SCHEMA_VERSION - 1
+    journal.write_bytes(line_of(older) + b"\n".join(rest))
+    with pytest.raises(DatasetError, match="Record it anew"):
+        Dataset.open(dataset)
 
 
 def test_the_files_are_plain_json(dataset: Path) -> None:

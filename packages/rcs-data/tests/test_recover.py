@@ -41,7 +41,7 @@ def test_a_kill_before_any_call_leaves_old_or_new_and_never_both(killed: Path) -
     hashes: dict[str, set[str]] = {"first": set(), "second": set()}
     for path in datasets:
         progress = (killed / f"{path.name}.progress").read_text().split()
-        if "opened" not in progress and not (path / "dataset.json").exists():
+        if "opened" not in progress and not (path / "episodes.jsonl").exists():
             continue
         before = {episode.id for episode in Dataset.open(path).episodes}
         recover(path)
@@ -75,7 +75,7 @@ def _expect_rows_of_one_take(episode: EpisodeRecord, value: int, *, is_finished:
 
 
 def test_a_dataset_whose_making_was_killed_can_be_made_again(killed: Path, make_info: MakeInfo, record: Record) -> None:
-    unmade = [path for path in killed.iterdir() if path.is_dir() and not (path / "dataset.json").exists()]
+    unmade = [path for path in killed.iterdir() if path.is_dir() and not (path / "episodes.jsonl").exists()]
     assert unmade
     for path in unmade:
         with DatasetWriter.open(path, make_info()) as writer:

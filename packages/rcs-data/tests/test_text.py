@@ -74,7 +74,7 @@ def test_an_abort_keeps_its_reason_as_far_as_it_is_text(
 def test_relabelling_refuses_it_and_changes_nothing(dataset: Path, ids: list[str] | None) -> None:
     with pytest.raises(InvalidSetup, match="half a surrogate pair"):
         edit.relabel(dataset, HALF, episodes=ids)
-    assert Dataset.open(dataset).head.history == ()
+    assert Dataset.open(dataset).history == ()
     edit.relabel(dataset, "pick", episodes=ids)
 
 

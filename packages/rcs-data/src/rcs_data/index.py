@@ -155,8 +155,13 @@ class State:
 
     def folders(self) -> set[str]:
         """Return the folders of the episodes, and of those that undo can bring back."""
+        return {entry.folder for entry in (*self.episodes.values(), *self.former_entries())}
+
+    def former_entries(self) -> list[Entry]:
+        """Return the entries of folders that only undo can bring back."""
         kept = {entry.folder for entry in self.episodes.values()}
-        return kept | {entry.folder for one in self.former for entry in one.entries.values() if entry is not None}
+        entries = (entry for one in self.former for entry in one.entries.values() if entry is not None)
+        return list({entry.folder: entry for entry in entries if entry.folder not in kept}.values())
 
     def undoable(self) -> Edit | None:
         """Return the edit that undo would undo, if there is one."""
@@ -166,6 +171,11 @@ class State:
         """Return the entries that undoing the last edit brings back, and that are not the present ones."""
         entries = self.former[-1].entries if self.former else {}
         return [one for name, one in entries.items() if one is not None and one != self.episodes.get(name)]
+
+    def forget(self) -> None:
+        """Give up what undo would bring back; its episodes count as removed."""
+        self.removed |= {entry.folder: entry.content_hash for entry in self.former_entries()}
+        self.former.clear()
 
     def refuse_undo(self, root: Path) -> None:
         """Raise if undoing the last edit would lose what was recorded since.
@@ -239,6 +249,11 @@ class State:
         self.info = undone.info or self.info
         self.history.append(replace(edit, episodes=len(self.episodes)))
 
+    def _gone(self, value: Any) -> None:
+        if not isinstance(value, list) or len(value) != 2 or not all(isinstance(text, str) for text in value):
+            raise InvalidSetup(f"a removed episode is {value!r:.80}")
+        self.removed[value[0]] = value[1]
+
     def _past(self, value: Any) -> None:
         if not isinstance(value, dict) or not isinstance(value.get("episodes"), int):
             raise InvalidSetup(f"a former edit is {value!r:.80}")
@@ -250,6 +265,7 @@ _KINDS: dict[str, Callable[[State, Any], None]] = {
     "remove": State._remove,  # pyright: ignore[reportPrivateUsage]
     "edit": State._edit,  # pyright: ignore[reportPrivateUsage]
     "undo": State._undo,  # pyright: ignore[reportPrivateUsage]
+    "gone": State._gone,  # pyright: ignore[reportPrivateUsage]
     "past": State._past,  # pyright: ignore[reportPrivateUsage]
 }
 

@@ -24,6 +24,7 @@ from rcs_data.index import Changes, Edit, Entry, State
 from rcs_data.info import DatasetInfo
 from rcs_data.json_file import parsed_json
 from rcs_data.layout import JOURNAL_FILE
+from rcs_data.text import check_texts, is_storable
 
 _LONGEST_FILE = 1 << 31
 
@@ -129,7 +130,7 @@ class Journal:
         """
         edit = self.refresh().undoable()
         if edit is None:
-            raise DatasetError(f"There is nothing to undo in {self.root}.")
+            raise DatasetError(f"There is nothing to undo in {self.root}; what was pruned does not come back.")
         self.state.refuse_undo(self.root)
         told = {"command": edit.command, "at": edit.at}
         self._append(lambda state: {"undo": _told(state, "undo", told)})
@@ -141,7 +142,9 @@ class Journal:
         Raises:
             OSError: The disk is full or fails; the former journal is there.
         """
-        write_state(self.root, self.refresh())
+        state = self.refresh()
+        state.forget()
+        write_state(self.root, state)
         fresh = Journal(self.root)
         self.state, self._end, self._count = fresh.state, fresh._end, fresh._count
 
@@ -197,8 +200,15 @@ class Journal:
 
 
 def line_of(values: Mapping[str, Any]) -> bytes:
-    """Return a line of the journal, with its checksum and line break."""
-    body = json.dumps(values, separators=(",", ":"), ensure_ascii=False).encode()
+    """Return a line of the journal, with its checksum and line break.
+
+    Raises:
+        InvalidSetup: A text cannot be stored.
+    """
+    text = json.dumps(values, separators=(",", ":"), ensure_ascii=False)
+    if not is_storable(text):
+        check_texts(dict(values), "what is to be stored")
+    body = text.encode()
     return b"%b\t%08x\n" % (body, zlib.crc32(body))
 
 
@@ -217,6 +227,7 @@ def write_state(root: Path, state: State) -> None:
     lines = [line_of({"dataset": state.info.to_json()})]
     lines += [line_of({"add": entry.to_json()}) for entry in state.episodes.values()]
     lines += [line_of({"past": vars(edit)}) for edit in state.history]
+    lines += [line_of({"gone": [folder, content_hash]}) for folder, content_hash in state.removed.items()]
     write_file(root / JOURNAL_FILE, b"".join(lines))
     sync_folder(root)
 

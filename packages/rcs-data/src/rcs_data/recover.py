@@ -97,6 +97,9 @@ def settle_leftovers(journal: Journal, leftovers: Leftovers) -> RecoverReport:
             except CorruptEpisode as err:
                 failed.append((folder.name, str(err)))
                 continue
+            if about["id"] in journal.state.episodes:
+                failed.append((folder.name, f"the index has another episode {about['id']!r}"))
+                continue
             journal.add(about, folder.name)
             done["published"].append(about["id"])
         write_description(root, info)

@@ -70,7 +70,7 @@ def test_black_images_are_found_row_by_row(tmp_path: Path, moving: MakeMoving) -
     path = moving(tmp_path, cover)
     (finding,) = found(path)
     assert (finding.kind, finding.rows) == ("black", (7, 8))
-    assert not check(path, decode_frames=False).findings, "without decoding nobody knows"
+    assert not check(path, depth="rows").findings, "without decoding nobody knows"
 
 
 def test_the_touch_of_nothing_is_not_frozen(tmp_path: Path, moving: MakeMoving) -> None:

@@ -1,8 +1,7 @@
-"""A repair keeps all that can be read, changes nothing else, hides nothing, and can be undone."""
+"""A repair makes everything else readable again, puts aside what is damaged as it was, and hides nothing."""
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import sys
@@ -10,26 +9,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from rcs_data import Dataset, DatasetWriter, check, edit
 from rcs_data.check.repair import Mending, repair
 from rcs_data.durable import sealed, unsealed
-from rcs_data.errors import DatasetError
-from rcs_data.flags import FrameFlag
+from rcs_data.errors import CorruptEpisode, DatasetError
 from rcs_data.layout import new_trash_folder, open_folder
 from rcs_data.lock import DatasetLock
+from rcs_data.output import temporary_folder
 
 if TYPE_CHECKING:
-    from conftest import MakeInfo, MakeMoving, MakeRows, Rows
+    from conftest import MakeInfo, MakeRows
 
 STATE = 5
 ID = "000001"
-RGB = "observation/frames/wrist/rgb"
+INDEX = "episodes.jsonl"
 
 
 def file(dataset: Path, name: str = "steps.parquet") -> Path:
     return Dataset.open(dataset)[ID].path / name
+
+
+def ids(dataset: Path) -> list[str]:
+    return [episode.id for episode in Dataset.open(dataset)]
 
 
 def only(dataset: Path) -> Mending:
@@ -51,42 +53,58 @@ def test_a_whole_dataset_is_left_alone(dataset: Path) -> None:
 
 
 @pytest.mark.parametrize("how", ["damaged", "gone"])
-@pytest.mark.parametrize("name", ["dataset.json", "dataset.copy.json"])
-def test_of_two_descriptions_one_is_made_from_the_other(dataset: Path, name: str, how: str) -> None:
-    edit.delete(dataset, ["000000"])
-    path = dataset / name
+def test_the_description_is_made_anew_from_the_index(dataset: Path, how: str) -> None:
+    edit.relabel(dataset, "push")
+    path = dataset / "dataset.json"
     data = path.read_bytes()
     path.unlink() if how == "gone" else path.write_bytes(data[:-20])
-    assert len(Dataset.open(dataset)) == 2
+    assert len(Dataset.open(dataset)) == 3
     assert only(dataset).what == "restored"
     assert path.read_bytes() == data
-    assert (dataset / "quarantine" / f"{name}-1").exists() == (how == "damaged")
     assert not check(dataset).findings
 
 
-def test_a_recording_goes_on_where_only_the_copy_is_left(dataset: Path, make_info: MakeInfo) -> None:
-    (dataset / "dataset.json").unlink()
-    with DatasetWriter.open(dataset, make_info(images=True), resume=True) as writer:
-        assert writer.info.instruction == "pick the cuboid"
-    with pytest.raises(DatasetError, match="already is a dataset"):
-        DatasetWriter.open(dataset, make_info(images=True))
-    assert len(Dataset.open(dataset)) == 3
+def test_the_index_is_made_anew_from_the_episodes(dataset: Path) -> None:
+    before = {episode.id: episode.entry for episode in Dataset.open(dataset)}
+    (dataset / INDEX).unlink()
+    assert [(f.severity, f.file) for f in check(dataset).damage] == [("damage", INDEX)]
+    with pytest.raises(DatasetError, match="missing"):
+        Dataset.open(dataset)
+    assert {mending.what for mending in repair(dataset).mendings} == {"restored", "recovered"}
+    assert {episode.id: episode.entry for episode in Dataset.open(dataset)} == before
+    assert not check(dataset).findings
 
 
-def test_two_descriptions_that_are_lost_are_told(dataset: Path) -> None:
-    for name in ("dataset.json", "dataset.copy.json"):
-        scribble(dataset / name, 100)
-    assert only(dataset).what == "failed"
+@pytest.mark.parametrize("line", [0, 1, 2])
+def test_a_damaged_line_of_the_index_is_left_out_and_its_episode_added_anew(dataset: Path, line: int) -> None:
+    before = {episode.id: episode.entry for episode in Dataset.open(dataset)}
+    path = dataset / INDEX
+    lines = path.read_bytes().split(b"\n")
+    lines[line] = lines[line].replace(b"0", b"1", 1)
+    path.write_bytes(b"\n".join(lines))
+    with pytest.raises(CorruptEpisode, match=f"damaged in line {line + 1}: its checksum"):
+        Dataset.open(dataset)
+    assert not check(dataset).is_ok
+    repair(dataset)
+    assert {episode.id: episode.entry for episode in Dataset.open(dataset)} == before
+    assert not check(dataset).findings
+
+
+def test_half_a_line_at_the_end_was_never_written(dataset: Path, make_info: MakeInfo) -> None:
+    path = dataset / INDEX
+    whole = path.read_bytes()
+    path.write_bytes(whole + whole.split(b"\n")[1][:50])
+    assert ids(dataset) == ["000000", ID, "000002"]
+    assert not check(dataset).findings
+    edit.delete(dataset, [ID])
+    assert ids(dataset) == ["000000", "000002"]
+
+
+def test_an_index_and_a_description_that_are_lost_are_told(dataset: Path) -> None:
+    scribble(dataset / "dataset.json", 100)
+    scribble(dataset / INDEX, 100)
+    assert {mending.what for mending in repair(dataset).mendings} == {"failed"}
     assert len(check(dataset).damage) == 2
-
-
-def test_an_old_copy_is_made_anew_by_the_next_writer(dataset: Path, make_info: MakeInfo) -> None:
-    old = (dataset / "dataset.copy.json").read_bytes()
-    edit.relabel(dataset, "push")
-    (dataset / "dataset.copy.json").write_bytes(old)
-    assert [(f.kind, f.severity) for f in check(dataset).findings] == [("stale_copy", "warning")]
-    DatasetWriter.open(dataset, make_info(images=True, instruction="push"), resume=True).close()
-    assert not check(dataset).findings
 
 
 def test_what_a_killed_writer_left_is_recovered_and_removed(
@@ -97,198 +115,85 @@ def test_what_a_killed_writer_left_is_recovered_and_removed(
         for row in make_rows(4, images=True):
             episode.add(row, np.zeros(STATE))
     new_trash_folder(dataset, "gone").mkdir()
-    (dataset / "generations/0001").mkdir(parents=True)
+    shutil.copytree(dataset / "episodes/000000", dataset / "episodes/000000@1")
     assert {f.kind for f in check(dataset).findings} == {"left_open", "left_over"}
-    mending = only(dataset)
-    assert (mending.what, mending.episode) == ("recovered", "late")
+    assert [(m.what, m.episode) for m in repair(dataset).mendings] == [("removed", None), ("recovered", "late")]
     assert Dataset.open(dataset)["late"].length == 4
-    assert not list(dataset.rglob("*gone*")) and not (dataset / "generations/0001").exists()
+    assert not list(dataset.rglob("*gone*")) and not list(dataset.rglob("*@1"))
     assert {f.kind for f in check(dataset).findings} == {"no_verdict"}
 
 
-def test_an_open_episode_that_cannot_be_recovered_is_out_of_the_way(
-    dataset: Path, tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows
-) -> None:
-    with DatasetWriter.open(tmp_path / "else", make_info(sim_state_size=None)) as writer:
-        writer.episode("late", seed=0).add(make_rows(1)[0])
-    shutil.copytree(open_folder(tmp_path / "else", "late"), open_folder(dataset, "late"))
-    mending = only(dataset)
-    assert (mending.what, mending.episode) == ("quarantined", "late")
-    assert (dataset / "quarantine/open-late-1/rows.arrows").exists()
-    assert not check(dataset).findings
+def test_what_a_killed_merge_left_beside_a_dataset_is_named_and_removed(dataset: Path) -> None:
+    program = f"""
+        import os
+        from pathlib import Path
+        from rcs_data.output import temporary_folder
+        context = temporary_folder(Path({str(dataset)!r}))
+        context.__enter__().mkdir()
+        os.kill(os.getpid(), 9)
+    """
+    assert temporary_folder
+    subprocess.run([sys.executable, "-c", __import__("textwrap").dedent(program)], check=False)
+    assert [f.kind for f in check(dataset).findings] == ["left_over"]
+    assert only(dataset).what == "removed"
+    assert sorted(path.name for path in dataset.parent.iterdir()) == [dataset.name]
+
+
+def test_a_finished_episode_that_the_index_lacks_is_added(dataset: Path) -> None:
+    shutil.copytree(dataset / "episodes", dataset.parent / "kept")
     edit.delete(dataset, [ID])
-
-
-def test_a_repair_is_an_edit_that_can_be_undone(dataset: Path) -> None:
-    path = file(dataset)
-    scribble(path, 1000)
-    damaged = path.read_bytes()
-    repair(dataset)
-    assert [line.command for line in Dataset.open(dataset).head.history] == ["repair"]
-    edit.undo(dataset)
-    assert file(dataset).read_bytes() == damaged
-    assert not check(dataset).is_ok
-    assert repair(dataset).mendings[0].what != "failed"
-    assert check(dataset).is_ok
-
-
-def test_the_damaged_files_outlive_a_prune_with_what_was_found(dataset: Path) -> None:
-    path = file(dataset)
-    scribble(path, 1000)
-    damaged = path.read_bytes()
-    repair(dataset)
-    assert any("known from a repair" in note for note in check(dataset).notes)
     edit.prune(dataset)
-    kept = dataset / "quarantine" / f"{ID}-1"
-    assert (kept / "steps.parquet").read_bytes() == damaged
-    assert json.loads((kept / "findings.json").read_text())[0]["kind"] == "unreadable"
-    assert not any("known from a repair" in note for note in check(dataset).notes)
+    shutil.copytree(dataset.parent / "kept/000000", dataset / "episodes/late")
+    path = dataset / "episodes/late/episode.json"
+    path.write_bytes(sealed({**unsealed(path.read_bytes(), path), "id": "late"}))
+    assert [f.kind for f in check(dataset).findings] == ["unlisted"]
+    assert (only(dataset).what, ids(dataset)) == ("recovered", ["000000", "000002", "late"])
 
 
-def test_rows_before_the_damage_are_kept(tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows) -> None:
-    path, count = tmp_path / "set", 600  # three row groups of 256 rows
-    with DatasetWriter.open(path, make_info(images=True)) as writer, writer.episode(ID, seed=7) as episode:
-        for i, row in enumerate(make_rows(count, images=True)):
-            episode.add(row, np.full(STATE, float(i)))
-        episode.finish(True, {"failure": None})
-    before = Dataset.open(path)[ID]
-    joints, states = before.column("observation/joints"), before.sim_state()
-    steps = file(path)
-    column = before.steps().schema.names.index("observation/joints")
-    scribble(steps, pq.read_metadata(steps).row_group(1).column(column).data_page_offset + 100)
-    mending = only(path)
-    assert (mending.what, mending.episode) == ("rewritten", ID)
-    assert "256 of 600 rows are kept, without a verdict" in mending.message
-    after = Dataset.open(path)[ID]
-    assert (after.length, after.success, after.seed, after.instruction) == (256, None, 7, "pick the cuboid")
-    assert after.outcome["former"] == {"rows": 600, "success": True, "outcome": {"failure": None}}
-    np.testing.assert_array_equal(after.column("observation/joints"), joints[:256])
-    np.testing.assert_array_equal(after.sim_state(), states[:256])
-
-
-def test_images_before_the_first_broken_one_are_kept(dataset: Path) -> None:
-    before = Dataset.open(dataset)[ID]
-    images = list(before.encoded_frames(RGB))
-    steps = file(dataset)
-    scribble(steps, steps.read_bytes().index(images[5]), 2)
-    repair(dataset)
-    after = Dataset.open(dataset)[ID]
-    assert after.length == 4, "the one just before the broken image may have been touched too"
-    assert list(after.encoded_frames(RGB)) == images[:4]
-
-
-@pytest.mark.parametrize("how", ["gone", "cut", "scribbled"])
-def test_a_description_is_made_anew_from_the_rows(dataset: Path, how: str) -> None:
-    before = Dataset.open(dataset)[ID]
-    about, content = before.about, before.content_hash
-    path = before.path / "episode.json"
-    data = path.read_bytes()
-    if how == "gone":
-        path.unlink()
-    elif how == "cut":
-        path.write_bytes(data[: data.index(b'"content_hash"')])
-    else:
-        scribble(path, data.index(b'"seed"'), 6)
-    assert only(dataset).what == "rewritten"
-    after = Dataset.open(dataset)[ID]
-    assert after.content_hash == content
-    assert (after.success, after.instruction) == (None, "pick the cuboid")
-    assert after.seed == (1 if how == "cut" else None)
-    assert after.outcome["repaired"] is True
-    assert after.timing["period"] == about["timing"]["period"]
-    assert check(dataset).is_ok
-
-
-def test_simulation_states_that_are_lost_cost_no_row(dataset: Path) -> None:
-    file(dataset, "sim_state.parquet").unlink()
-    assert "7 of its simulation states cannot be read" in only(dataset).message
-    after = Dataset.open(dataset)[ID]
-    assert (after.length, after.success) == (7, False)
-    assert np.isnan(after.sim_state()).all()
-    (finding,) = [f for f in check(dataset).findings if f.kind == "not_finite"]
-    assert finding.file.endswith("sim_state.parquet")
-
-
-def test_an_episode_of_which_nothing_reads_is_only_in_quarantine(dataset: Path) -> None:
+def test_damaged_episodes_are_put_aside_as_they_were(dataset: Path) -> None:
     path = file(dataset)
-    path.write_bytes(b"nothing")
+    scribble(path, 1000)
+    damaged = path.read_bytes()
     mending = only(dataset)
     assert (mending.what, mending.episode) == ("quarantined", ID)
-    assert [e.id for e in Dataset.open(dataset).episodes] == ["000000", "000002"]
-    assert (dataset / "quarantine" / f"{ID}-1" / "steps.parquet").read_bytes() == b"nothing"
+    assert (dataset / "quarantine" / ID / "steps.parquet").read_bytes() == damaged
+    assert ids(dataset) == ["000000", "000002"]
+    assert check(dataset).is_ok
+    assert [line.command for line in Dataset.open(dataset).history] == ["repair"]
+    with pytest.raises(DatasetError, match="are in quarantine"):
+        edit.undo(dataset)
+    edit.prune(dataset)
+    assert (dataset / "quarantine" / ID / "steps.parquet").read_bytes() == damaged
 
 
-def test_rows_of_another_episode_are_not_taken_for_its_own(dataset: Path) -> None:
-    for name in ("steps.parquet", "sim_state.parquet"):
-        shutil.copy(dataset / "episodes/000000" / name, dataset / "episodes" / ID / name)
-    assert "those of episode 000000" in only(dataset).message
-    assert [e.id for e in Dataset.open(dataset).episodes] == ["000000", "000002"]
-
-
-def test_a_file_that_another_generation_still_has_is_taken_from_there(dataset: Path) -> None:
-    content = Dataset.open(dataset)[ID].content_hash
-    edit.delete(dataset, ["000000"])
-    file(dataset).unlink()
-    mending = only(dataset)
-    assert (mending.what, "taken from another generation" in mending.message) == ("restored", True)
-    assert Dataset.open(dataset)[ID].content_hash == content
-
-
-def test_a_wrong_timing_report_is_computed_anew(dataset: Path) -> None:
+@pytest.mark.parametrize("how", ["gone", "cut"])
+def test_an_episode_without_its_description_is_put_aside(dataset: Path, how: str) -> None:
     path = file(dataset, "episode.json")
-    about = unsealed(path.read_bytes(), path)
-    wrong = {**about["timing"], "rows": 99, "writer": {"dropped_images": 0}}
-    path.write_bytes(sealed({**about, "timing": wrong}))
-    (finding,) = check(dataset).findings
-    assert (finding.kind, finding.severity) == ("timing", "warning")
-    assert only(dataset).what == "recomputed"
-    after = Dataset.open(dataset)[ID]
-    assert after.timing == {**about["timing"], "writer": {"dropped_images": 0}}
-    assert (after.content_hash, after.success) == (about["content_hash"], about["success"])
-    assert not check(dataset).findings
+    path.unlink() if how == "gone" else path.write_bytes(path.read_bytes()[:-9])
+    assert only(dataset).what == "quarantined"
+    assert ids(dataset) == ["000000", "000002"]
+    assert (dataset / "quarantine" / ID / "steps.parquet").exists()
 
 
-def test_wrong_flags_are_set_by_the_images(tmp_path: Path, moving: MakeMoving, monkeypatch: pytest.MonkeyPatch) -> None:
-    def leave_out(rows: Rows) -> None:
-        rows[4][RGB] = None
-        rows[6]["flags/frames/wrist"] = 64
-
-    monkeypatch.setattr("rcs_data.rows.FrameFlag", type("NoFlags", (), {"MISSING": 0}))  # a writer that says nothing
-    path = moving(tmp_path, leave_out, length=12)
-    assert [(f.kind, f.rows) for f in check(path).findings] == [("flags", (4, 6))]
-    assert only(path).what == "recomputed"
-    expected = np.zeros(12, np.uint8)
-    expected[4] = FrameFlag.MISSING
-    np.testing.assert_array_equal(Dataset.open(path).episodes[0].flags("wrist"), expected)
-
-
-def test_damage_of_former_episodes_is_noted_and_then_known(dataset: Path) -> None:
-    edit.delete(dataset, [ID])
-    scribble(dataset / "episodes" / ID / "steps.parquet", 1000)
-    (finding,) = check(dataset).damage
-    assert (finding.kind, finding.episode, finding.file) == ("former", ID, f"episodes/{ID}/steps.parquet")
-    assert only(dataset).what == "noted"
-    assert not check(dataset).findings
-    edit.undo(dataset)
-    edit.undo(dataset)
-    assert [finding.episode for finding in check(dataset).damage] == [ID], "an undo brings it back"
+def test_an_episode_whose_folder_is_gone_is_no_longer_listed(dataset: Path) -> None:
+    shutil.rmtree(dataset / "episodes" / ID)
+    assert "its folder is gone" in only(dataset).message
+    assert ids(dataset) == ["000000", "000002"]
 
 
 def test_a_kill_at_any_call_leaves_something_that_can_be_repaired(dataset: Path, tmp_path: Path) -> None:
     before = {e.id: e.content_hash for e in Dataset.open(dataset).episodes}
     edit.delete(dataset, ["000000"])
-    data = bytearray(file(dataset).read_bytes())
-    data[900] ^= 1
-    file(dataset).write_bytes(bytes(data))
-    scribble(dataset / "dataset.copy.json", 50)
+    scribble(file(dataset), 900)
+    scribble(dataset / "dataset.json", 50)
     program = Path(__file__).parents[1] / "edit/kill_every_edit.py"
-    subprocess.run([sys.executable, program, dataset, tmp_path, "repair", "5"], check=True, timeout=100)
+    subprocess.run([sys.executable, program, dataset, tmp_path, "repair"], check=True, timeout=100)
     killed = [path for path in tmp_path.iterdir() if path.name.isdigit()]
     assert len(killed) > 8, "the kill must have hit more than a few calls"
     for path in killed:
         repair(path)
         assert check(path).is_ok, path.name
-        assert {e.id: e.content_hash for e in Dataset.open(path).episodes} == {k: before[k] for k in (ID, "000002")}
+        assert {e.id: e.content_hash for e in Dataset.open(path).episodes} == {"000002": before["000002"]}
 
 
 def test_a_dataset_that_somebody_writes_to_is_not_repaired(dataset: Path) -> None:
@@ -302,26 +207,10 @@ def test_a_dataset_that_somebody_writes_to_is_not_repaired(dataset: Path) -> Non
     assert not (dataset / "quarantine").exists()
 
 
-def test_a_repair_that_fails_changes_nothing(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scribble(file(dataset), 1000)
-    before = {path: path.read_bytes() for path in (dataset / "episodes").rglob("*.*")}
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patch:
-        # By its module: in `rcs_data` the name of the folder is that of the function.
-        patch.setattr(sys.modules["rcs_data.check.repair"], "salvage", full)
-        with pytest.raises(DatasetError, match="No space left"):
-            repair(dataset)
-    assert {path: path.read_bytes() for path in (dataset / "episodes").rglob("*.*")} == before
-    assert Dataset.open(dataset).head.generation == 0
-    assert not list((dataset / "quarantine").iterdir())
-
-
 def test_an_episode_of_a_newer_layout_is_no_damage_to_be_mended(dataset: Path) -> None:
     path = file(dataset, "episode.json")
     newer = sealed({**unsealed(path.read_bytes(), path), "schema_version": 99})
     path.write_bytes(newer)
     assert not repair(dataset).mendings
     assert path.read_bytes() == newer
+    assert open_folder(dataset, "x").name == ".open-x"

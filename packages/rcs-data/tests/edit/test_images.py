@@ -28,7 +28,7 @@ def test_renaming_a_camera_there_and_back_changes_no_bit(dataset: Path) -> None:
 def test_a_name_that_cannot_be_is_refused(dataset: Path, name: str, to: str) -> None:
     with pytest.raises(InvalidSetup):
         edit.rename_camera(dataset, name, to)
-    assert Dataset.open(dataset).head.history == ()
+    assert Dataset.open(dataset).history == ()
 
 
 def test_half_the_size_is_the_mean_of_four_pixels_and_half_the_focal_length(dataset: Path) -> None:

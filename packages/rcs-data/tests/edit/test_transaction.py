@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from rcs_data import Dataset, DatasetInfo, DatasetWriter, check, edit, recover
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord, check, edit, recover
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.lock import DatasetLock
 
@@ -37,7 +37,7 @@ def test_a_kill_before_any_call_leaves_the_dataset_before_or_after_the_edit(
     killed = sorted((path for path in tmp_path.iterdir() if path.name.isdigit()), key=lambda path: int(path.name))
     after = state(killed[-1])
     assert before != after
-    assert len(killed) > (8 if name == "undo" else 15), "the kill must have hit more than a few calls"
+    assert len(killed) > 5, "the kill must have hit more than a few calls"
     seen = [state(path) for path in killed]
     assert set(map(str, seen)) == {str(before), str(after)}
     assert seen == sorted(seen, key=lambda found: found == after), "once it is done, it stays done"
@@ -71,7 +71,7 @@ def test_undo_takes_back_one_edit_after_the_other(dataset: Path) -> None:
         assert state(dataset) == expected
     with pytest.raises(DatasetError, match="nothing to undo"):
         edit.undo(dataset)
-    commands = [line.command for line in Dataset.open(dataset).head.history]
+    commands = [line.command for line in Dataset.open(dataset).history]
     assert commands == ["delete", "relabel", "rename-camera", "undo", "undo", "undo"]
 
 
@@ -85,21 +85,54 @@ def test_after_an_undo_another_edit_can_be_made_and_undone(dataset: Path) -> Non
     assert state(dataset) == before
 
 
+def record(writer: DatasetWriter, name: str, like: EpisodeRecord) -> None:
+    """Record an episode of one row, that of another one's start."""
+    features = like.info.features
+    row = {f.key: None if f.can_be_held and f.is_image else like.column(f.key)[0] for f in features}
+    given = {key: value for key, value in row.items() if not key.startswith(("action", "executed", "reward"))}
+    with writer.episode(name, seed=1) as episode:
+        episode.add({**given, "time/period": None}, like.sim_state()[0])
+        episode.finish(True)
+
+
 def test_what_was_recorded_since_an_edit_is_not_lost_by_an_undo(dataset: Path) -> None:
     edit.delete(dataset, ["000001"])
     info = Dataset.open(dataset).info
     with DatasetWriter.open(dataset, info, resume=True) as writer:
         last = Dataset.open(dataset).episodes[0]
-        with writer.episode("new", seed=1) as episode:
-            row = {f.key: None if f.can_be_held and f.is_image else last.column(f.key)[0] for f in info.features}
-            given = {key: value for key, value in row.items() if not key.startswith(("action", "executed", "reward"))}
-            episode.add({**given, "time/period": None}, last.sim_state()[0])
-            episode.finish(True)
-    with pytest.raises(DatasetError, match=r"new were recorded .* undo would lose"):
-        edit.undo(dataset)
-    edit.delete(dataset, ["new"])
+        record(writer, "new", last)
     edit.undo(dataset)
-    assert "new" in [e.id for e in Dataset.open(dataset).episodes]
+    assert [e.id for e in Dataset.open(dataset).episodes] == ["000000", "000001", "000002", "000003", "new"]
+    edit.rename_camera(dataset, "wrist", "hand")
+    with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
+        record(writer, "newer", Dataset.open(dataset).episodes[0])
+    with pytest.raises(DatasetError, match="do not fit what the dataset was before"):
+        edit.undo(dataset)
+    assert "newer" in Dataset.open(dataset)
+
+
+def test_the_id_of_a_deleted_episode_is_free_and_the_episode_comes_back_by_undo(dataset: Path) -> None:
+    before = Dataset.open(dataset)["000001"].content_hash
+    edit.delete(dataset, ["000001"])
+    with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
+        record(writer, "000001", Dataset.open(dataset).episodes[0])
+    assert Dataset.open(dataset)["000001"].length == 1
+    assert check(dataset).is_ok
+    edit.delete(dataset, ["000001"])
+    edit.undo(dataset)
+    edit.undo(dataset)
+    assert Dataset.open(dataset)["000001"].content_hash == before
+    assert check(dataset).is_ok
+
+
+def test_a_hundred_edits_add_a_line_each(dataset: Path) -> None:
+    journal = dataset / "episodes.jsonl"
+    size = journal.stat().st_size
+    for number in range(100):
+        edit.relabel(dataset, f"pick {number}", episodes=["000001"])
+    assert journal.stat().st_size - size < 100 * 300
+    assert [e.instruction for e in Dataset.open(dataset)][1] == "pick 99"
+    assert len(list((dataset / "episodes").iterdir())) == 4
 
 
 def test_unchanged_episodes_take_no_space_and_pruning_frees_what_changed(dataset: Path) -> None:
@@ -113,7 +146,7 @@ def test_unchanged_episodes_take_no_space_and_pruning_frees_what_changed(dataset
     assert edit.prune(dataset) == deleted
     assert check(dataset).is_ok
     assert [e.id for e in Dataset.open(dataset).episodes] == ["000000", "000002", "000003"]
-    with pytest.raises(DatasetError, match="pruned"):
+    with pytest.raises(DatasetError, match="pruned does not come back"):
         edit.undo(dataset)
 
 
@@ -123,7 +156,7 @@ def test_an_edit_that_fails_leaves_the_dataset_as_it_was(dataset: Path, monkeypa
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    for call in ("link", "fsync", "write"):
+    for call in ("fsync", "write"):
         with monkeypatch.context() as patch:
             patch.setattr(f"os.{call}", full)
             with pytest.raises(DatasetError, match="No space left"):
@@ -135,14 +168,16 @@ def test_an_edit_that_fails_leaves_the_dataset_as_it_was(dataset: Path, monkeypa
     assert check(dataset).is_ok
 
 
-def test_where_links_are_not_possible_files_are_copied(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_links_are_not_possible_files_are_copied(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_: object) -> None:
         raise OSError(1, "Operation not permitted")
 
     monkeypatch.setattr("os.link", refuse)
-    edit.delete(dataset, ["000001"])
-    assert check(dataset).is_ok
-    assert len(Dataset.open(dataset)) == 3
+    edit.merge([dataset], tmp_path / "merged")
+    assert check(tmp_path / "merged").is_ok
+    assert len(Dataset.open(tmp_path / "merged")) == 4
 
 
 def test_a_dataset_that_is_being_recorded_is_not_edited(dataset: Path) -> None:
@@ -160,13 +195,13 @@ def test_an_open_episode_must_be_recovered_first(dataset: Path) -> None:
         edit.delete(dataset, ["000001"])
 
 
-def test_a_reader_of_the_former_generation_can_go_on(dataset: Path) -> None:
+def test_a_reader_that_opened_the_dataset_before_can_go_on(dataset: Path) -> None:
     opened = Dataset.open(dataset)
     edit.delete(dataset, ["000001"])
     assert len(opened["000001"].column("observation/joints")) == 8
 
 
-def test_a_flipped_bit_in_dataset_json_is_survived_by_its_copy(dataset: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_flipped_bit_in_dataset_json_changes_nothing_and_is_found(dataset: Path) -> None:
     edit.delete(dataset, ["000001"])
     before = state(dataset)
     path = dataset / "dataset.json"
@@ -174,5 +209,4 @@ def test_a_flipped_bit_in_dataset_json_is_survived_by_its_copy(dataset: Path, ca
     data[len(data) // 2] ^= 4
     path.write_bytes(bytes(data))
     assert state(dataset) == before
-    assert "dataset.copy.json" in caplog.text
     assert [finding.file for finding in check(dataset).damage] == ["dataset.json"]

@@ -11,7 +11,7 @@ from typing import Any
 import av
 import numpy as np
 import pytest
-from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, check, recover
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, check, edit, recover
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.view import ClipOptions, ViewReport, write_view
 from rcs_data.view.clips import pictures
@@ -39,7 +39,7 @@ def counts(report: ViewReport) -> tuple[int, int, int]:
 def rerecord(path: Path, success: bool, *, scale: float) -> None:
     """Record episode 000001 anew."""
     info = Dataset.open(path).info
-    shutil.rmtree(path / "episodes/000001")
+    edit.delete(path, ["000001"])
     with DatasetWriter.open(path, info, resume=True) as writer, writer.episode("000001", seed=1) as episode:
         for row in range(5):
             values: dict[str, Any] = {
@@ -122,7 +122,7 @@ def test_a_verdict_that_was_changed_is_shown_without_rendering(copy: Path) -> No
 
 def test_what_is_gone_from_the_dataset_or_half_done_is_gone_from_the_page(copy: Path) -> None:
     write_view(copy)
-    shutil.rmtree(copy / "episodes/000001")
+    edit.delete(copy, ["000001"])
     (copy / "view/episodes/000002/episode.js").write_bytes(b"// {")  # as if it had been cut short
     (copy / "view/episodes/.partial-0123").mkdir()
     assert counts(write_view(copy)) == (1, 1, 0)

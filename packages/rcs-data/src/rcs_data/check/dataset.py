@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from rcs_data.check.bytes import EpisodeBytes
 from rcs_data.check.episode_rows import EpisodePlace, is_joints
-from rcs_data.check.folder import check_former, check_index, check_leftovers
+from rcs_data.check.folder import check_index, check_leftovers, check_undo
 from rcs_data.check.images import check_images
 from rcs_data.check.labels import check_labels, check_verdicts
 from rcs_data.check.motion import check_motion
@@ -60,7 +60,8 @@ def check(
             if on_progress is not None:
                 on_progress(number + 1, len(entries))
     findings += check_verdicts({entry.id: entry.success for entry in entries})
-    findings += check_former(root, state)
+    findings += [finding for entry in state.former_entries() for finding in _check_former(root, entry, how)]
+    findings += check_undo(root, state)
     return CheckReport(
         path=root,
         episodes=len(entries),
@@ -107,6 +108,14 @@ def _check_episode(root: Path, entry: Entry, how: _How) -> _Checked:
             findings += check_motion(place, rows)
             findings += check_timing(place, about, bytes_.timing)
     return _Checked(rows=int(about.get("length", 0)), frames=bytes_.frames, findings=tuple(findings))
+
+
+def _check_former(root: Path, entry: Entry, how: _How) -> Iterator[Finding]:
+    """Yield damage of an episode that only undo can bring back."""
+    place = EpisodePlace(root, episode_folder(root, entry.folder), entry.id)
+    if place.folder.is_dir():  # or in quarantine
+        for finding in EpisodeBytes(place, how.info, depth="bytes").findings():
+            yield replace(finding, kind="former", message=f"{finding.message}; undo would bring back a damaged episode")
 
 
 def _check_entry(place: EpisodePlace, entry: Entry, about: dict[str, Any]) -> Iterator[Finding]:

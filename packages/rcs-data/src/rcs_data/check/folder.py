@@ -12,7 +12,7 @@ from rcs_data.durable import sealed, unsealed
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
 from rcs_data.index import State
 from rcs_data.info import DatasetInfo
-from rcs_data.journal import Journal
+from rcs_data.journal import Journal, checked_line
 from rcs_data.json_file import parsed_json, read_bytes
 from rcs_data.layout import (
     DATASET_FILE,
@@ -71,8 +71,6 @@ def whole_lines(root: Path) -> tuple[State | None, int]:
     Raises:
         DatasetError: The layout is of another version.
     """
-    from rcs_data.journal import checked_line  # what only a damaged index needs
-
     state: State | None = described(root)
     damaged = 0
     for number, line in enumerate(read_bytes(root / JOURNAL_FILE).split(b"\n")[:-1]):
@@ -158,13 +156,13 @@ def check_leftovers(root: Path, state: State) -> Iterator[Finding]:
         yield _finding("warning", "unlisted", None, _in(root, path), message)
 
 
-def check_former(root: Path, state: State) -> Iterator[Finding]:
+def check_undo(root: Path, state: State) -> Iterator[Finding]:
     """Yield a finding if episodes that undo would bring back are not there any more."""
     gone = [one.id for one in state.returning() if not episode_folder(root, one.folder).exists()]
     edit = state.undoable()
     if gone and edit is not None:
         message = f"{edit.command!r} cannot be undone: {counted(len(gone), 'former episode')} in quarantine or removed"
-        yield _finding("warning", "former", None, JOURNAL_FILE, message)
+        yield _finding("warning", "not_undoable", None, JOURNAL_FILE, message)
 
 
 def _in(root: Path, path: Path) -> str:

@@ -95,9 +95,13 @@ def repair(
             return RepairReport(mendings=(*mendings, _done("failed", str(err))))
         mendings += _settle(journal)
         findings = check(root, depth=depth, workers=workers, on_progress=on_progress).findings
-        damaged = {f.episode for f in findings if f.episode is not None and f.severity == "damage"}
-        damaged -= {f.episode for f in findings if f.kind == "other_layout"}
-        mendings += _put_aside(journal, sorted(name for name in damaged if name in journal.state.episodes))
+        damaged = {f.episode for f in findings if f.severity == "damage" and f.kind not in ("former", "other_layout")}
+        mendings += _put_aside(
+            journal, sorted(name for name in damaged if name is not None and name in journal.state.episodes)
+        )
+        for folder in sorted({root / Path(f.file).parent for f in findings if f.kind == "former"}):
+            _move(root, folder)
+            mendings.append(_done("quarantined", f"{folder.name}, a damaged former episode; undo cannot bring it back"))
     return RepairReport(mendings=tuple(mendings))
 
 
@@ -136,7 +140,7 @@ def _settle(journal: Journal) -> list[Mending]:
         folder = episode_folder(journal.root, name)
         if folder in unreadable:
             _move(journal.root, folder)
-            mendings.append(Mending(what="quarantined", episode=name, message=f"its description cannot be read: {why}"))
+            mendings.append(Mending(what="quarantined", episode=name, message=why))
         else:
             mendings.append(Mending(what="failed", episode=name, message=why))
     return mendings

@@ -26,6 +26,7 @@ from rcs_data.layout import (
     episode_folder,
     episodes_folder,
     open_ids,
+    trash_folders,
     written_folder,
 )
 from rcs_data.lock import DatasetLock
@@ -266,7 +267,7 @@ def prune(path: str | Path) -> int:
     freed = 0
     with locked(root) as journal, disk_errors("prune", root):
         journal.shorten()
-        for folder in stray_folders(root, journal.state)[0]:
+        for folder in (*stray_folders(root, journal.state)[0], *trash_folders(root)):
             freed += _freed(folder)
             remove_tree(folder)
     return freed
