@@ -1,14 +1,16 @@
 """Kill recordings and edits at random moments with SIGKILL and see what is left.
 
-A third of the trials each kills
+A quarter of the trials each kills
 
 - a collection in one process that notes, in memory shared with this program, how many rows it has recorded: there the
   loss is exact;
 - the whole process tree of `rcs collect` with two workers;
-- a program that deletes, trims, merges and undoes without end.
+- a program that deletes, trims, merges and undoes without end;
+- a program that exports to LeRobot's format and imports that without end.
 
 After every kill the finished episodes are checked by hash and `recover` brings back the open ones; after an edit the
-dataset must be as it was before or after it, and undo must lead back to what was recorded.
+dataset must be as it was before or after it, and undo must lead back to what was recorded; a conversion's result is
+there whole or not at all. Whatever is left beside is named by a check and removed by a repair.
 
 Prints one JSON object. `lossless` counts the kills after which no finished episode was missing or changed, no edit was
 half done and the check passed; `lost_rows_max` and `lost_s_max` are what the open episode lost.
@@ -28,11 +30,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import tyro
-from rcs_data import Dataset, check, edit, recover
+from rcs_data import Dataset, check, convert, edit, recover
+from rcs_data.check.repair import repair
 from rich.console import Console
 from rich.progress import track
 
@@ -45,6 +49,9 @@ from rcs.setups.make import make
 FPS = 30.0
 COUNTER = struct.Struct("<qq")
 """Number of the episode that is open and rows recorded of it."""
+
+
+KINDS = ("record", "workers", "edit", "convert")
 
 
 @dataclass(kw_only=True)
@@ -61,15 +68,17 @@ class Options:
     """Used by the program itself: collect into this folder and count rows."""
     editor: str = ""
     """Used by the program itself: edit the dataset in this folder."""
+    converter: str = ""
+    """Used by the program itself: convert the dataset in this folder."""
 
 
 @dataclass
 class Totals:
     """What was seen in all trials."""
 
-    lossless: dict[str, int] = field(default_factory=lambda: {"record": 0, "workers": 0, "edit": 0})
+    lossless: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
     """Kills after which nothing was lost but the end of the open episode, by kind."""
-    kills: dict[str, int] = field(default_factory=lambda: {"record": 0, "workers": 0, "edit": 0})
+    kills: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
     """All kills."""
     finished: int = 0
     """Episodes that were finished when the kill came."""
@@ -81,6 +90,8 @@ class Totals:
     """Datasets that did not pass the check after `recover`."""
     half_edits: int = 0
     """Datasets that were neither as before the edit nor as after it, or whose edit could not be undone."""
+    left: int = 0
+    """Trials after which something was left that no check names or no repair removes."""
     lost: list[int] = field(default_factory=list[int])
     """Rows that open episodes lost, where that is exact."""
 
@@ -134,6 +145,17 @@ def edit_without_end(folder: Path) -> None:
         edit.merge([folder, folder], merged)
 
 
+def convert_without_end(folder: Path) -> None:
+    """Export and import until killed."""
+    folder.with_suffix(".ready").touch()
+    while True:
+        exported, imported = folder.with_suffix(".lerobot"), folder.with_suffix(".imported")
+        for made in (exported, imported):
+            shutil.rmtree(made, ignore_errors=True)
+        convert.export_lerobot(Dataset.open(folder), exported)
+        convert.import_lerobot(exported, imported)
+
+
 def main(options: Options) -> None:
     """Kill, look, print."""
     setup = Setup(cameras=("wrist", "side") if options.cameras else ())
@@ -143,6 +165,9 @@ def main(options: Options) -> None:
     if options.editor:
         edit_without_end(Path(options.editor))
         return
+    if options.converter:
+        convert_without_end(Path(options.converter))
+        return
     rng = random.Random(options.seed)
     totals = Totals()
     with tempfile.TemporaryDirectory(prefix="rcs-kill-") as root:
@@ -150,9 +175,11 @@ def main(options: Options) -> None:
         list(collect(Collection(setup=setup, out=source, episodes=4), Progress()))
         for trial in track(range(options.trials), "Killing", console=Console(stderr=True)):
             folder = Path(root) / f"trial {trial}"
-            kind = ("record", "workers", "edit")[trial % 3]
+            kind = KINDS[trial % 4]
             if kind == "edit":
                 is_lossless = kill_edits(folder, source, rng, totals)
+            elif kind == "convert":
+                is_lossless = kill_conversions(folder, source, rng, totals)
             else:
                 is_lossless = kill_recording(folder, rng, options.cameras, kind == "record", totals)
             totals.kills[kind] += 1
@@ -170,6 +197,7 @@ def main(options: Options) -> None:
                 "finished_episodes": totals.finished,
                 "damaged": totals.damaged,
                 "half_edits": totals.half_edits,
+                "left_behind": totals.left,
                 "recovered_episodes": totals.recovered,
                 "checks_failed_after_recover": totals.failed_checks,
                 "exact_losses": len(totals.lost),
@@ -242,6 +270,36 @@ def kill_recording(folder: Path, rng: random.Random, has_cameras: bool, is_count
     return is_ok and not damaged
 
 
+def kill_conversions(folder: Path, source: Path, rng: random.Random, totals: Totals) -> bool:
+    """Kill a program that converts; return whether the source is as it was, and every result whole or not there."""
+    shutil.copytree(source, folder)
+    command = [sys.executable, __file__, "--converter", str(folder)]
+    kill_after(command, folder.with_suffix(".ready").exists, rng.uniform(0.0, 1.0))
+    imported = folder.with_suffix(".imported")
+    is_ok = check(folder).is_ok
+    if imported.exists():  # the program may just have been removing it
+        is_ok &= not (imported / "episodes.jsonl").exists() or check(imported).is_ok or not any(imported.iterdir())
+        shutil.rmtree(imported)
+    is_ok &= is_clean(folder, [folder.with_suffix(suffix) for suffix in (".lerobot", ".imported")], totals)
+    totals.failed_checks += not is_ok
+    return is_ok
+
+
+def is_clean(folder: Path, results: list[Path], totals: Totals) -> bool:
+    """Return whether checks name all that is left beside some results, and repairs remove it."""
+    hidden = {path.name for path in folder.parent.iterdir() if path.name.startswith(f".{folder.name}")}
+    named: set[str] = set()
+    for result in (folder, *results):
+        with suppress(DatasetError):  # there is nothing of that name
+            named |= {finding.file for finding in check(result).findings if finding.kind == "left_over"}
+        with suppress(DatasetError):
+            repair(result)
+    left = {path.name for path in folder.parent.iterdir() if path.name.startswith(f".{folder.name}")}
+    is_named = all(name.removesuffix(".lock") in named for name in hidden)
+    totals.left += bool(left) or not is_named
+    return not left and is_named
+
+
 def kill_edits(folder: Path, source: Path, rng: random.Random, totals: Totals) -> bool:
     """Kill a program that edits, look at what is left, and return whether each edit is there or not, and whole."""
     shutil.copytree(source, folder)
@@ -266,7 +324,7 @@ def kill_edits(folder: Path, source: Path, rng: random.Random, totals: Totals) -
     totals.damaged += len(damaged)
     totals.failed_checks += not is_ok
     totals.half_edits += not is_edit
-    return is_ok and is_edit and not damaged
+    return is_ok and is_edit and not damaged and is_clean(folder, [merged], totals)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,9 @@ import numpy as np
 import tyro
 from rcs_data import DatasetInfo, DatasetWriter, Feature
 
-PREPARE = "import sys, rcs_data; from rcs_data import Dataset, check, convert, edit, Windows; path, other = sys.argv[1:]\n"
+PREPARE = (
+    "import sys, rcs_data; from rcs_data import Dataset, check, convert, edit, Windows; path, other = sys.argv[1:]\n"
+)
 OPERATIONS = {
     "open": "Dataset.open(path)",
     "info": "from rcs_data.cli.info import InfoCommand; InfoCommand(path=path).run()",
@@ -43,7 +45,7 @@ OPERATIONS = {
     "undo_keep": "edit.undo(path)",
     "split": "edit.split(path, other + '-parts', parts={'train': 0.9, 'val': 0.1})",
     "merge": "edit.merge([path, other + '-parts/train'], other + '-merged')",
-    "export": "convert.export_lerobot(path, other + '-lerobot')",
+    "export": "convert.export_lerobot(Dataset.open(path), other + '-lerobot')",
     "import": "convert.import_lerobot(other + '-lerobot', other + '-imported')",
     "view": "from rcs_data.view import write_view; write_view(path)",
 }
@@ -105,13 +107,13 @@ LONG = {
     "trim": "edit.trim(path, 'long', first=10, last=-10)",
     "rename": "edit.rename_camera(path, 'side', 'front')",
     "resample": "edit.resample(path, 15)",
-    "export": "convert.export_lerobot(path, other + '-lerobot')",
+    "export": "convert.export_lerobot(Dataset.open(path), other + '-lerobot')",
 }
 
 
 def run(program: str, path: Path, other: Path) -> tuple[float, int]:
     """Run an operation as a process on one core; return its processor seconds and its most memory [MB]."""
-    command = ["taskset", "-c", str(sorted(os.sched_getaffinity(0))[0]), sys.executable, "-c", PREPARE + program]
+    command = ["taskset", "-c", str(min(os.sched_getaffinity(0))), sys.executable, "-c", PREPARE + program]
     child = subprocess.Popen([*command, str(path), str(other)], stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)

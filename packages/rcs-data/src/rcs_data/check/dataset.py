@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from rcs_data.check.bytes import EpisodeBytes
 from rcs_data.check.episode_rows import EpisodePlace, is_joints
-from rcs_data.check.folder import check_index, check_leftovers, check_undo
+from rcs_data.check.folder import check_beside, check_index, check_leftovers, check_undo
 from rcs_data.check.images import check_images
 from rcs_data.check.labels import check_labels, check_verdicts
 from rcs_data.check.motion import check_motion
@@ -20,7 +20,7 @@ from rcs_data.check.stored_timing import check_timing
 from rcs_data.check.times import check_times
 from rcs_data.index import Entry, State
 from rcs_data.info import MERGED, DatasetInfo
-from rcs_data.layout import EPISODE_FILE, episode_folder
+from rcs_data.layout import EPISODE_FILE, episode_folder, has_dataset
 from rcs_data.output import OnProgress
 
 Depth = Literal["bytes", "rows", "frames"]
@@ -46,6 +46,8 @@ def check(
         DatasetError: There is no dataset, or its layout is of another version.
     """
     root = Path(path)
+    if not has_dataset(root) and (left := check_beside(root)):
+        return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=tuple(left))
     state, findings = check_index(root)
     if state is None:
         return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=tuple(findings))

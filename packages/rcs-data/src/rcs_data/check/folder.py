@@ -132,8 +132,7 @@ def check_leftovers(root: Path, state: State) -> Iterator[Finding]:
     for path in links_out(root):
         message = f"a link out of the dataset to {path.readlink()}; it is read, but never written through"
         yield _finding("warning", "link", None, _in(root, path), message)
-    for path in leftovers(root):
-        yield _finding("warning", "left_over", None, path.name, f"beside {root.name}, left by a killed program")
+    yield from check_beside(root)
     if is_locked(root):
         return  # a living writer has open episodes
     for episode_id in open_ids(root):
@@ -154,6 +153,12 @@ def check_leftovers(root: Path, state: State) -> Iterator[Finding]:
         except DatasetError as err:
             message = str(err)
         yield _finding("warning", "unlisted", None, _in(root, path), message)
+
+
+def check_beside(root: Path) -> list[Finding]:
+    """Return what killed programs that were to make this folder, or something in its place, left beside it."""
+    message = f"beside {root.name}, left by a killed program; `rcs data check --repair` removes it"
+    return [_finding("warning", "left_over", None, path.name, message) for path in leftovers(root)]
 
 
 def check_undo(root: Path, state: State) -> Iterator[Finding]:
