@@ -122,11 +122,11 @@ def test_split_merge_and_mix(dataset: Path, tmp_path: Path) -> None:
 def test_what_makes_no_sense_is_told_and_nothing_changes(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str]
 ) -> None:
-    before = Dataset.open(dataset).head
+    before = Dataset.open(dataset).history
     filled = [str(tmp_path / "out") if word == "OUT" else word for word in words]
     assert call("data", filled[0], str(dataset), *filled[1:]) == 1
     assert "InvalidSetup" in capsys.readouterr().err
-    assert Dataset.open(dataset).head == before
+    assert Dataset.open(dataset).history == before
     assert not (tmp_path / "out").exists()
 
 

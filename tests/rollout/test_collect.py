@@ -11,10 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rcs_data import Dataset, compare_steps, edit, recover
-from rcs_data.compact import seal
+from rcs_data import Dataset, DatasetWriter, compare_steps, edit, recover
+from rcs_data.compact import publish, seal
 from rcs_data.edit import Part, mix
 from rcs_data.edit.rows import rows_of
+from rcs_data.journal import Journal
+from rcs_data.layout import open_folder
 
 import rcs
 from rcs.errors import DatasetError, InvalidSetup, RcsError
@@ -79,12 +81,17 @@ def test_an_interrupted_collection_is_resumed_to_the_same_dataset(dataset: Path,
     assert hashes(tmp_path / "part") == hashes(dataset)
 
 
-def fragment(path: Path, number: int, rows: int) -> None:
+def fragment(path: Path, number: int, rows: int, name: str = "") -> None:
     """Leave of an attempt what a kill and a recovery leave: its first rows, without a verdict."""
     whole = Dataset.open(path)[episode_id(number)]
     table = rows_of(whole).slice(0, rows)
-    about = {**whole.about, "success": None, "outcome": {"recovered": True}}
-    seal(whole.path, whole.info, [table.combine_chunks()], about)
+    about = {**whole.about, "id": name or whole.id, "success": None, "outcome": {"recovered": True}}
+    with DatasetWriter.open(path, whole.info, resume=True) as writer:
+        writer.remove_episode(whole.id)
+        opened = open_folder(path, about["id"])
+        opened.mkdir()
+        seal(opened, whole.info, [table.combine_chunks()], about)
+        publish(Journal(path), about["id"])
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -115,8 +122,7 @@ def test_collections_killed_and_recovered_end_as_one_that_was_not(dataset: Path,
 
 def test_episodes_that_no_attempt_made_stay(dataset: Path, tmp_path: Path) -> None:
     path = shutil.copytree(dataset, tmp_path / "more")
-    fragment(path, 1, 20)
-    (path / "episodes/000001").rename(path / "episodes/by hand")
+    fragment(path, 1, 20, "by hand")
     assert run(plan(path)).again == 0
     assert "by hand" in Dataset.open(path)
 
