@@ -18,7 +18,7 @@ from rcs_data.durable import disk_errors, sync_folder
 from rcs_data.errors import CorruptEpisode, DatasetError
 from rcs_data.index import Changes
 from rcs_data.journal import Journal, write_state
-from rcs_data.layout import JOURNAL_FILE, QUARANTINE_FOLDER, episode_folder, episodes_folder, has_dataset
+from rcs_data.layout import JOURNAL_FILE, QUARANTINE_FOLDER, episode_folder, episodes_folder, has_dataset, open_folder
 from rcs_data.lock import DatasetLock
 from rcs_data.output import OnProgress, remove_leftovers
 from rcs_data.recover import settle_leftovers, stray_folders, write_description
@@ -141,8 +141,9 @@ def _settle(journal: Journal) -> list[Mending]:
         if folder in unreadable:
             _move(journal.root, folder)
             mendings.append(Mending(what="quarantined", episode=name, message=why))
-        else:
-            mendings.append(Mending(what="failed", episode=name, message=why))
+        else:  # it would be in the way of every edit
+            _move(journal.root, open_folder(journal.root, name), f"open-{name}")
+            mendings.append(Mending(what="quarantined", episode=name, message=why))
     return mendings
 
 
@@ -161,15 +162,15 @@ def _put_aside(journal: Journal, damaged: list[str]) -> list[Mending]:
     return mendings
 
 
-def _move(root: Path, folder: Path) -> Path:
-    """Move a folder to a free name in the quarantine, and return that."""
+def _move(root: Path, folder: Path, name: str = "") -> Path:
+    """Move a folder to a free name in the quarantine, like its own or another one, and return that."""
     quarantine = root / QUARANTINE_FOLDER
     quarantine.mkdir(exist_ok=True)
-    target = quarantine / folder.name
+    target = quarantine / (name or folder.name)
     number = 1
     while target.exists():
         number += 1
-        target = quarantine / f"{folder.name}-{number}"
+        target = quarantine / f"{name or folder.name}-{number}"
     try:
         folder.rename(target)
     except OSError as err:

@@ -14,7 +14,7 @@ from typing import Any
 import pyarrow as pa
 
 from rcs_data.about import read_about
-from rcs_data.compact import cut, seal
+from rcs_data.compact import seal
 from rcs_data.durable import disk_errors, link_file, remove_tree, sealed, sync_folder, write_file
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.index import Changes, Edit, Entry, State
@@ -287,6 +287,5 @@ def _written(
     kept = {key: value for key, value in episode.about.items() if key not in found}
     # What cannot be computed from the rows.
     measured = {key: value for key, value in episode.timing.items() if key in ("writer", "is_torn")}
-    pieces = (piece for table in rows for piece in cut(table, info))
-    seal(folder, info, pieces, {**kept, **changes}, timing=lambda: measured)
+    seal(folder, info, rows, {**kept, **changes}, timing=lambda: measured)
     return Entry.of(read_about(folder), folder.name, info)
