@@ -12,6 +12,7 @@ from rcs_data.convert.lerobot import export_lerobot
 from rcs_data.convert.lerobot_import import import_lerobot, is_lerobot
 from rcs_data.convert.options import ExportOptions, ExportReport, ImportOptions
 from rcs_data.convert.rlds import export_rlds
+from rcs_data.convert.rlds_import import import_rlds, is_rlds
 from rcs_data.convert.robomimic import export_robomimic
 from rcs_data.convert.robomimic_import import import_robomimic
 from rcs_data.errors import InvalidSetup, UnknownName
@@ -42,6 +43,7 @@ EXPORTS: dict[str, Export] = {
 
 IMPORTS: dict[str, ImportFormat] = {
     "lerobot": ImportFormat(recognise=is_lerobot, read=import_lerobot),
+    "rlds": ImportFormat(recognise=is_rlds, read=import_rlds),
     "robomimic": ImportFormat(recognise=is_hdf5, read=import_robomimic),
 }
 

@@ -44,6 +44,12 @@ class ExportOptions:
     """Whether to compress images without loss, if the format leaves the choice: smaller, but slower to read."""
     name: str | None = None
     """Name of the export, in formats that store one; None for that of the dataset's folder."""
+    splits: tuple[str, ...] = ("train",)
+    """Splits with their shares of the episodes, such as train=0.9 val=0.1, in RLDS."""
+    shard_mb: int = 200
+    """Largest size of a file of several episodes [MB], in RLDS."""
+    normalise: bool = False
+    """Whether to scale each number of the action to [-1, 1], as robomimic's policies expect; the file has the scale."""
     workers: int = 1
     """Threads that encode, one core each."""
     on_progress: OnProgress | None = None
@@ -55,6 +61,8 @@ class ExportOptions:
             raise InvalidSetup(f"The codec is {self.codec!r}; valid are {', '.join(get_args(VideoCodec))}.")
         if self.fps is not None and self.fps < 1:
             raise InvalidSetup(f"fps is {self.fps}; it must be at least 1.")
+        if self.shard_mb < 1:
+            raise InvalidSetup(f"shard_mb is {self.shard_mb}; it must be at least 1.")
         if self.workers < 1:
             raise InvalidSetup(f"workers is {self.workers}; it must be at least 1.")
 
