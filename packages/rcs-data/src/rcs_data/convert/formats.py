@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from rcs_data.convert.aloha import import_aloha, is_aloha
 from rcs_data.convert.hdf5 import is_hdf5
 from rcs_data.convert.lerobot import export_lerobot
 from rcs_data.convert.lerobot_import import import_lerobot, is_lerobot
@@ -44,6 +45,7 @@ EXPORTS: dict[str, Export] = {
 IMPORTS: dict[str, ImportFormat] = {
     "lerobot": ImportFormat(recognise=is_lerobot, read=import_lerobot),
     "rlds": ImportFormat(recognise=is_rlds, read=import_rlds),
+    "aloha": ImportFormat(recognise=is_aloha, read=import_aloha),
     "robomimic": ImportFormat(recognise=is_hdf5, read=import_robomimic),
 }
 
