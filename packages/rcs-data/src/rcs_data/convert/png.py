@@ -10,7 +10,9 @@ import numpy as np
 from av.error import FFmpegError
 from numpy.typing import NDArray
 
+from rcs_data.codec import decode_frame
 from rcs_data.errors import CorruptEpisode
+from rcs_data.feature import Feature
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 """The first bytes of a PNG file."""
@@ -31,6 +33,15 @@ def encode_png(image: NDArray[Any]) -> bytes:
     codec: Any = av.CodecContext.create("png", "w")
     codec.width, codec.height, codec.pix_fmt, codec.options = frame.width, frame.height, pixels, _OPTIONS
     return b"".join(bytes(packet) for packet in [*codec.encode(frame), *codec.encode(None)])
+
+
+def as_png(feature: Feature, data: bytes) -> bytes:
+    """Return a recorded image as PNG: as it is, if it is stored so.
+
+    Raises:
+        CorruptEpisode: The bytes are not an image of the feature.
+    """
+    return data if data.startswith(SIGNATURE) else encode_png(decode_frame(feature, data))
 
 
 def png_shape(data: bytes | memoryview) -> tuple[int, ...]:

@@ -27,7 +27,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.codec import decode_frame
 from rcs_data.convert.observations import (
     FrameKey,
     as_float32,
@@ -38,7 +37,7 @@ from rcs_data.convert.observations import (
     step_values,
 )
 from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
-from rcs_data.convert.png import encode_png
+from rcs_data.convert.png import as_png
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.convert.rlds_features import Spec, features_json, image, numbers, tensor, text
 from rcs_data.convert.tfrecord import ShardWriter, Values
@@ -204,7 +203,7 @@ def _encoded(episode: EpisodeRecord, feature: Feature) -> Iterator[bytes]:
     for data in islice(episode.encoded_frames(feature.key), episode.length - 1):
         if data is not last:
             last = data
-            encoded = data if feature.encoding == "jpeg" else encode_png(decode_frame(feature, data))
+            encoded = data if feature.encoding == "jpeg" else as_png(feature, data)
         yield encoded
 
 
