@@ -177,7 +177,7 @@ def test_frames_that_stay_wrong_are_named(tmp_path: Path, monkeypatch: pytest.Mo
     given[3][:] = np.random.default_rng(0).integers(0, 256, (64, 80, 1))
     monkeypatch.setitem(video._OPTIONS, "h264", {**video._OPTIONS["h264"], "qmin": "50", "qmax": "51"})
     monkeypatch.setitem(video._MENDING, "h264", ({"forced-idr": "1"},))
-    with pytest.raises(DatasetError, match=r"h264 spoils 1 of 6 frames for v\.mp4, the first of them 3"):
+    with pytest.raises(DatasetError, match=r"h264 spoils 1 of 6 frames for v\.mp4, the first is 3"):
         encode_video(tmp_path / "v.mp4", given, given[0].shape, FPS, "h264")
 
 

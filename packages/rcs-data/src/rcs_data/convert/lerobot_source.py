@@ -81,7 +81,7 @@ class SourceEpisode:
     def images(
         self, name: str, feature: Feature, readers: dict[str, VideoReader], fps: float
     ) -> Iterator[NDArray[np.uint8] | bytes]:
-        """Yield the images of a column, one at a time: JPEG files as they are where the feature keeps such, else arrays.
+        """Yield the images of a column one by one: JPEG files as they are where the feature keeps such, else arrays.
 
         Args:
             name: The column.

@@ -115,7 +115,7 @@ def encode_video(
             wrong = _mended(packets, wrong, stream.codec_context, codec, options)
         if wrong:
             raise DatasetError(
-                f"{codec} spoils {len(wrong)} of {len(packets)} frames for {path.name}, the first of them {min(wrong)}: "
+                f"{codec} spoils {len(wrong)} of {len(packets)} frames for {path.name}, the first is {min(wrong)}: "
                 f"a block is off by more than {_LARGEST_ERROR**0.5:.0f} of 255. Choose another codec."
             )
         for number, packet in enumerate(packets):
