@@ -147,7 +147,7 @@ $(VENV)/.stamp-extras: $(VENV)/.stamp-built
 	@echo "==> Installing torch, Stable-Baselines3, Ray, Pinocchio and OMPL (first time: about 2 GB)"
 	@$(PIP) install -c constraints.txt torch
 	@$(PIP) install -c constraints.txt stable-baselines3 tensorboard mujoco-menagerie ray pin ompl
-	@$(PIP) install -c constraints.txt opencv-python-headless pupil-apriltags scipy pyzmq mcap protobuf
+	@$(PIP) install -c constraints.txt opencv-python-headless pupil-apriltags scipy pyzmq huggingface_hub mcap protobuf
 	@touch $@
 
 test-extras: test-wheel $(VENV)/.stamp-extras gl

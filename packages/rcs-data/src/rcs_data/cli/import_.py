@@ -35,6 +35,8 @@ class ImportCommand:
             bar = progress.add_task("Importing", total=None)
             options = replace(
                 self.more,
+                cameras=() if self.more.cameras == ("none",) else self.more.cameras,
+                on_note=lambda note: progress.console.print(f"Note: {note}"),
                 on_progress=lambda done, total: progress.update(bar, completed=done, total=total or None),
             )
             dataset = read(self.source, self.out, options)
