@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from rcs_data import Windows, check
 from rcs_data.convert.formats import import_format
+from rcs_data.convert.labels import row_texts
 from rcs_data.convert.options import ImportOptions
 from rcs_data.convert.png import decode_png
 
@@ -74,8 +75,8 @@ def main() -> None:
                         image = decode_png(data, frame.shape, frame.dtype.name)
                         assert np.abs(image.astype(int) - frame).max() <= (0 if kind == "depth" else 9)
             if name == "droid":
-                texts = dataset.episodes[1].outcome["imported"]["texts"]["language_instruction_2"]
-                assert texts == [[0, "move it, part 0"], [3, "move it, part 1"], [6, "move it, part 2"]], texts
+                texts = row_texts(dataset.episodes[1], "imported/language_instruction_2")
+                assert texts[:-1] == [f"move it, part {step // 3}" for step in range(7)], texts
             assert check(dataset.path).is_ok, check(dataset.path)
             assert len(Windows(dataset, horizon=4)) == 16
     print(json.dumps({"imported": list(COLUMNS), "jpegs_kept": jpegs}))

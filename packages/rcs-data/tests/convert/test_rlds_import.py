@@ -9,6 +9,7 @@ import pytest
 import simplejpeg
 from rcs_data import Dataset, Windows, check
 from rcs_data.convert.formats import import_format
+from rcs_data.convert.labels import row_texts
 from rcs_data.convert.options import ExportOptions, ImportOptions
 from rcs_data.convert.png import encode_png
 from rcs_data.convert.rlds import export_rlds
@@ -63,6 +64,7 @@ def test_a_dataset_of_others_becomes_one_of_ours(tmp_path: Path) -> None:
         "reward": ((), "float32", "plain"),
         "truncated": ((), "bool", "plain"),
         "terminated": ((), "bool", "plain"),
+        "imported/language_instruction": ((), "int32", "plain"),
     }
     assert set(back.info.setup["imported"]["left_out"]) == {"observation/points"}
     (first, second) = back.episodes
@@ -73,7 +75,8 @@ def test_a_dataset_of_others_becomes_one_of_ours(tmp_path: Path) -> None:
     assert second.column("truncated").tolist() == [False] * STEPS + [True] and not second.column("terminated").any()
     assert set(first.encoded_frames("observation/frames/image_0/rgb")) == {JPEG}
     np.testing.assert_array_equal(first.column("observation/frames/depth/depth")[2], DEPTH)
-    assert second.outcome["imported"]["texts"] == {"language_instruction": [[0, "push"], [2, "pull"]]}
+    words = ["push", "push", "pull", "pull", "pull"]  # the last row repeats
+    assert row_texts(second, "imported/language_instruction") == words
     assert len(Windows(back, horizon=2)) == 2 * STEPS
     assert check(tmp_path / "back").is_ok
 
@@ -85,15 +88,31 @@ def test_the_rate_must_be_given(tmp_path: Path) -> None:
     assert not (tmp_path / "back").exists()
 
 
-def test_files_that_were_not_downloaded_are_named(tmp_path: Path) -> None:
+def test_files_that_were_not_downloaded_are_refused_unless_they_may_be_missing(tmp_path: Path) -> None:
     _foreign(tmp_path / "in", shard_bytes=1)
-    missing = next(iter(sorted(tmp_path.glob("in/x/1.0.0/*tfrecord-00000-of-00002"))))
-    missing.unlink()
-    back = import_rlds(tmp_path / "in", tmp_path / "back", ImportOptions(frequency=5))
-    assert len(back) == 1 and back.info.setup["imported"]["left_out"][missing.name] == "the file is missing"
-    next(iter(tmp_path.glob("in/x/1.0.0/*tfrecord-00001-of-00002"))).unlink()
-    with pytest.raises(InvalidSetup, match="none of the 2 files"):
-        import_rlds(tmp_path / "in", tmp_path / "back2", ImportOptions(frequency=5))
+    (first, second) = sorted(tmp_path.glob("in/x/1.0.0/*tfrecord*"))
+    first.unlink()
+    with pytest.raises(InvalidSetup, match="1 of the 2 files"):
+        import_rlds(tmp_path / "in", tmp_path / "back", ImportOptions(frequency=5))
+    notes: list[str] = []
+    options = ImportOptions(frequency=5, allow_missing=True, on_note=notes.append)
+    assert [e.id for e in import_rlds(tmp_path / "in", tmp_path / "back", options)] == ["000001"]
+    assert len(notes) == 1 and first.name in notes[0]
+    chosen = ImportOptions(frequency=5, episodes=("1",), cameras=())
+    back = import_rlds(tmp_path / "in", tmp_path / "back2", chosen)
+    assert [e.id for e in back] == ["000001"] and not [f.key for f in back.info.features if f.is_image]
+    second.unlink()
+    with pytest.raises(InvalidSetup, match="0 of the 2 files"):
+        import_rlds(tmp_path / "in", tmp_path / "back3", options)
+
+
+def test_damaged_episodes_are_left_out_and_named_if_that_is_allowed(tmp_path: Path) -> None:
+    _foreign(tmp_path / "in", changes={"steps/observation/image_0": [JPEG, b"words", JPEG, JPEG]})
+    notes: list[str] = []
+    options = ImportOptions(frequency=5, allow_missing=True, on_note=notes.append)
+    back = import_rlds(tmp_path / "in", tmp_path / "back", options)
+    assert [e.id for e in back] == ["000000"] and "Episode 1 was left out" in notes[0]
+    assert check(tmp_path / "back").is_ok
 
 
 @pytest.mark.parametrize(
@@ -131,7 +150,7 @@ def test_episodes_that_are_not_as_described_are_refused(tmp_path: Path, name: st
             "dataset_info.json",
             '{"name": "../x", "splits": [{"name": "train", "shardLengths": ["1"]}]}',
             CorruptEpisode,
-            "cannot be the name",
+            "cannot have 1 episodes",
         ),
         ("rcs.json", "{}", CorruptEpisode, "damaged"),
         ("rcs.json", '{"info": {"features": []}, "columns": 3, "action": []}', Exception, "version|damaged"),

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +22,16 @@ import simplejpeg
 
 from rcs_data.codec import decode_jpeg
 from rcs_data.convert.hdf5 import array, camera_feature, is_hdf5, is_numeric, number_feature, reading_hdf5, rows_of
-from rcs_data.convert.options import ImportOptions, stored_as
-from rcs_data.convert.steps import EpisodeAbout, StepColumn, record_steps
+from rcs_data.convert.observations import kept_info
+from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
+from rcs_data.convert.steps import EpisodeAbout, StepColumn, import_episodes, record_steps
 from rcs_data.errors import CorruptEpisode, InvalidSetup, RcsError
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
-from rcs_data.output import new_output
 from rcs_data.reader import Dataset
 from rcs_data.writer import DatasetWriter
 
 _FREQUENCY = 50.0  # DT = 0.02 in the constants.py of ACT and of Mobile ALOHA
-_PROGRESS_ROWS = 32
 _NUMBERS = {
     "observations/qpos": "observation/joints",
     "observations/qvel": "observation/velocity",
@@ -62,7 +62,8 @@ def import_aloha(source: str | Path, out: str | Path, options: ImportOptions | N
     Args:
         source: A file, or the folder with them.
         out: The folder of the new dataset.
-        options: How to store images, and what the files do not say; the rate is 50 Hz unless `frequency` is given.
+        options: What to import, how to store images, and what the files do not say; the rate is 50 Hz unless
+            `frequency` is given.
 
     Raises:
         MissingDependency: h5py is not installed.
@@ -74,21 +75,20 @@ def import_aloha(source: str | Path, out: str | Path, options: ImportOptions | N
     files = _files(Path(source))
     if not files:
         raise InvalidSetup(f"{source} has no files of ALOHA, such as episode_0.hdf5.")
-    done = 0
-    with reading_hdf5(files[0]) as file:
+    chosen = selected_numbers(options.episodes, range(len(files)))
+    with reading_hdf5(files[chosen[0]]) as file:
         info, paths = _plan(file, options)
-    with new_output(out) as partial, DatasetWriter.open(partial, info) as writer:
-        for index, path in enumerate(files):
-            with reading_hdf5(path) as file:
-                steps = len(array(file, "action"))
-                columns = [_column(file, paths[feature.key], feature, steps) for feature in info.features]
-                imported: dict[str, Any] = {"file": path.name, "sim": bool(np.all(file.attrs.get("sim", False)))}
-                about = EpisodeAbout(id=f"{index:06d}", instruction=info.instruction, imported=imported)
-                for row in record_steps(writer, steps, columns, about):
-                    if options.on_progress is not None and (row % _PROGRESS_ROWS == 0 or row == steps):
-                        options.on_progress(done + row, 0)
-                done += steps
-    return Dataset.open(out)
+    info = kept_info(info, options)
+    return import_episodes(out, info, ((i, partial(_record, files[i], i, info, paths)) for i in chosen), options)
+
+
+def _record(path: Path, index: int, info: DatasetInfo, paths: dict[str, str], writer: DatasetWriter) -> Iterator[int]:
+    with reading_hdf5(path) as file:
+        steps = len(array(file, "action"))
+        columns = [_column(file, paths[feature.key], feature, steps) for feature in info.features]
+        imported: dict[str, Any] = {"file": path.name, "sim": bool(np.all(file.attrs.get("sim", False)))}
+        about = EpisodeAbout(id=f"{index:06d}", instruction=info.instruction, imported=imported)
+        yield from record_steps(writer, steps, columns, about)
 
 
 def _files(path: Path) -> list[Path]:

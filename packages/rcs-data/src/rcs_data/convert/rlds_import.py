@@ -6,8 +6,8 @@ Of datasets from elsewhere, in each step
   are; other observations become `observation/<name>`;
 - `action` becomes `action/action`, and the parts of a dictionary `action/<name>`; `action_dict/<name>` keeps its name;
 - `reward` stays, `is_terminal` becomes `terminated`, and `is_last` elsewhere `truncated`;
-- the first text named "…language_instruction" is the instruction: of the episode, its first words; where they change
-  within it, all of them are in its outcome, as other texts are;
+- the first words of the text named "…language_instruction" are the episode's instruction; all texts are kept per step,
+  as `labels` says, in `imported/<name>`;
 - other numbers, embeddings and tensors of more than 1024 numbers become `imported/<name>`.
 
 The format has no rate. An episode has a row more than steps, as `steps` says.
@@ -15,8 +15,10 @@ The format has no rate. An episode has a row more than steps, as `steps` says.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,28 +28,39 @@ from numpy.typing import NDArray
 
 from rcs_data.about import MOST_ROWS
 from rcs_data.codec import decode_jpeg
-from rcs_data.convert.options import ImportOptions, stored_as
+from rcs_data.convert.labels import LABELS, numbered
+from rcs_data.convert.observations import kept_info
+from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
 from rcs_data.convert.png import SIGNATURE, decode_png, png_shape
 from rcs_data.convert.provenance import checked_provenance
 from rcs_data.convert.rlds import RCS_FILE
 from rcs_data.convert.rlds_features import Stored, stored_features
-from rcs_data.convert.steps import ACTION_DICT, EpisodeAbout, StepColumn, about_of_provenance, record_steps
+from rcs_data.convert.steps import (
+    ACTION_DICT,
+    EpisodeAbout,
+    Record,
+    StepColumn,
+    about_of_provenance,
+    import_episodes,
+    leave_out,
+    record_steps,
+)
 from rcs_data.convert.tfrecord import StoredValues, read_examples, shard_name
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.feature import DTYPES, Feature
 from rcs_data.info import DatasetInfo
 from rcs_data.json_file import parsed_json, read_json
-from rcs_data.output import new_output
 from rcs_data.reader import Dataset
 from rcs_data.text import mended_text
 from rcs_data.writer import DatasetWriter
 
-_PROGRESS_ROWS = 32
 # More than any state of a robot; depth images as floats and the like have more.
 _LARGEST_OBSERVATION = 1024
 _INSTRUCTION = "language_instruction"
 _LONGEST_TEXT = 1 << 16
 _LAST, _TERMINAL = "steps/is_last", "steps/is_terminal"
+# Numbers of episodes are held in memory.
+_MOST_EPISODES = 1 << 24
 _JPEG = b"\xff\xd8"
 
 
@@ -66,8 +79,8 @@ class _Plan:
 
     info: DatasetInfo
     sources: tuple[_Source, ...]
-    texts: tuple[str, ...]
-    """Texts of steps, the instruction first."""
+    texts: dict[str, Feature]
+    """The features of texts, which number them."""
     has_provenance: bool
 
 
@@ -82,7 +95,7 @@ def import_rlds(source: str | Path, out: str | Path, options: ImportOptions | No
     Args:
         source: The folder with `dataset_info.json`, or one above it that has no other.
         out: The folder of the new dataset.
-        options: How to store images, and what the format does not say: `frequency`, which it needs.
+        options: What to import, how to store images, and what the format does not say: `frequency`, which it needs.
 
     Raises:
         InvalidSetup: There is no such dataset, it is stored in another file format or has no steps, or the rate is not
@@ -94,24 +107,17 @@ def import_rlds(source: str | Path, out: str | Path, options: ImportOptions | No
     folder = _folder(Path(source))
     if folder is None:
         raise InvalidSetup(f"{source} has no dataset of TensorFlow Datasets: no single folder with dataset_info.json.")
-    shards, missing = _shards(folder)
-    plan = _plan(folder, shards[0][1], missing, options)
-    done = 0
-    with new_output(out) as partial, DatasetWriter.open(partial, plan.info) as writer:
-        index = 0
-        for split, path in shards:
-            for example in read_examples(path):
-                try:
-                    for row in _record(writer, example, plan, index, split):
-                        done += row > 0
-                        if options.on_progress is not None and done % _PROGRESS_ROWS == 0:
-                            options.on_progress(done, 0)
-                except CorruptEpisode as err:
-                    raise CorruptEpisode(f"{path}, episode {index}: {err}") from err
-                index += 1
-    if options.on_progress is not None:
-        options.on_progress(done, done)
-    return Dataset.open(out)
+    shards = _shards(folder)
+    chosen = set(selected_numbers(options.episodes, range(sum(shard.episodes for shard in shards))))
+    needed = [shard for shard in shards if chosen & {*shard.numbers}]
+    found = [shard for shard in needed if shard.path.is_file()]
+    if not found or (len(found) < len(needed) and not options.allow_missing):
+        raise InvalidSetup(
+            f"{folder} has {len(found)} of the {len(needed)} files with these episodes. "
+            "Choose other episodes, or allow missing ones."
+        )
+    plan = _plan(folder, found[0], options)
+    return import_episodes(out, plan.info, _episodes(needed, chosen, plan, options), options)
 
 
 def _folder(path: Path) -> Path | None:
@@ -124,57 +130,99 @@ def _folder(path: Path) -> Path | None:
     return None
 
 
-def _shards(folder: Path) -> tuple[list[tuple[str, Path]], list[str]]:
-    """Return the splits and files of a dataset, and the names of those that are missing."""
+@dataclass(frozen=True)
+class _Shard:
+    """A file of episodes."""
+
+    path: Path
+    split: str
+    first: int
+    """The number of its first episode."""
+    episodes: int
+
+    @property
+    def numbers(self) -> range:
+        """The numbers of its episodes."""
+        return range(self.first, self.first + self.episodes)
+
+
+def _shards(folder: Path) -> list[_Shard]:
+    """Return the files of a dataset, split by split, whether they are there or not."""
     path = folder / "dataset_info.json"
     about = read_json(path)
     if about.get("fileFormat", "tfrecord") != "tfrecord":
         raise InvalidSetup(f"{path} says that the files are {about['fileFormat']!r}; only tfrecord can be imported.")
+    shards: list[_Shard] = []
+    first = 0
     try:
-        named = [
-            (str(split["name"]), shard_name(f"{about['name']}-{split['name']}.tfrecord", i, len(split["shardLengths"])))
-            for split in about["splits"]
-            for i in range(len(split["shardLengths"]))
-        ]
-    except (KeyError, TypeError) as err:
+        for split in about["splits"]:
+            lengths = [int(length) for length in split.get("shardLengths", ())]
+            for i, episodes in enumerate(lengths):
+                name = shard_name(f"{about['name']}-{split['name']}.tfrecord", i, len(lengths))
+                if "/" in name or "\0" in name or not 0 <= episodes <= _MOST_EPISODES - first:
+                    raise CorruptEpisode(f"{path} is damaged: {name!r:.80} cannot have {episodes} episodes.")
+                shards.append(_Shard(folder / name, str(split["name"]), first, episodes))
+                first += episodes
+    except (KeyError, TypeError, ValueError, AttributeError) as err:
+        if isinstance(err, CorruptEpisode):
+            raise
         raise CorruptEpisode(f"{path} is damaged: {err!r}.") from err
-    if wrong := [name for _, name in named if "/" in name or "\0" in name]:
-        raise CorruptEpisode(f"{path} is damaged: {wrong[0]!r:.80} cannot be the name of a file.")
-    found = [(split, folder / name) for split, name in named if (folder / name).is_file()]
-    if not found:
-        raise InvalidSetup(f"{folder} has none of the {len(named)} files that dataset_info.json lists.")
-    return found, [name for _, name in named if not (folder / name).is_file()]
+    return shards
 
 
-def _plan(folder: Path, first: Path, missing: list[str], options: ImportOptions) -> _Plan:
+def _episodes(
+    shards: Iterable[_Shard], chosen: set[int], plan: _Plan, options: ImportOptions
+) -> Iterator[tuple[int, Record]]:
+    """Yield what records each episode; what cannot be read of a file is left out, if that is allowed."""
+    for shard in shards:
+        numbers = [number for number in shard.numbers if number in chosen]
+        count = 0
+        try:
+            wanted = {number - shard.first for number in numbers}
+            for number, example in zip(numbers, read_examples(shard.path, wanted), strict=False):
+                count += 1
+                yield number, partial(_record, example=example, plan=plan, index=number, split=shard.split)
+            if count < len(numbers):
+                raise CorruptEpisode(f"{shard.path} has only {count} of {len(numbers)} episodes.")
+        except CorruptEpisode as err:
+            leave_out(f"Episodes {numbers[count]} to {numbers[-1]}", err, options)
+
+
+def _plan(folder: Path, first: _Shard, options: ImportOptions) -> _Plan:
     described = stored_features(read_json(folder / "features.json"), folder / "features.json")
     steps = {path: stored for path, stored in described.items() if path.startswith("steps/")}
     if not steps:
         raise InvalidSetup(f"{folder} has no steps; episodes of RLDS are a dataset of steps each.")
-    example = next(read_examples(first), {})
+    example = next(read_examples(first.path), {})
     ours = read_json(folder / RCS_FILE) if (folder / RCS_FILE).is_file() else None
-    left_out = dict.fromkeys(missing, "the file is missing")
+    left_out: dict[str, str] = {}
+    texts: dict[str, Feature] = {}
     if ours is None:
         sources = _foreign_sources(steps, example, left_out, options)
+        texts = {path: _text_feature(path) for path, stored in steps.items() if stored.kind == "text"}
         if not options.frequency:
             raise InvalidSetup(f"{folder} does not state its control rate, as no dataset of RLDS does; give frequency.")
         info = DatasetInfo(
             frequency=options.frequency,
-            features=tuple(feature for source in sources for feature in source.features),
+            features=(*(feature for source in sources for feature in source.features), *texts.values()),
             setup={"imported": {"format": "RLDS", "name": folder.parent.name, "left_out": left_out}},
             instruction=options.instruction or "",
             jpeg_quality=options.jpeg_quality,
         )
     else:
         sources, info = _own_sources(steps, ours, folder / RCS_FILE, options)
-    texts = [path for path, stored in steps.items() if stored.kind == "text" and not stored.shape]
-    texts.sort(key=lambda path: (not path.endswith(_INSTRUCTION), path))
+    info = kept_info(info, options)
+    kept = {feature.key for feature in info.features}
     return _Plan(
         info=info,
-        sources=tuple(sources),
-        texts=tuple(texts),
+        sources=tuple(source for source in sources if source.features[0].key in kept),
+        texts=texts,
         has_provenance=ours is not None and "episode_metadata/provenance" in described,
     )
+
+
+def _text_feature(path: str) -> Feature:
+    return Feature(key=f"imported/{path.removeprefix('steps/').rpartition('/')[2]}", shape=(), dtype="int32")
 
 
 def _own_sources(
@@ -287,7 +335,18 @@ def _record(
         for feature in source.features:
             columns.append(StepColumn(feature=feature, values=_typed(given[:, start : start + feature.size], feature)))
             start += feature.size
-    yield from record_steps(writer, count, columns, _about(example, plan, index, split, count))
+    labels: dict[str, list[str]] = {}
+    instruction = plan.info.instruction
+    for path, feature in plan.texts.items():
+        words = list(islice(_words(example, path), count))
+        values, labels[feature.key] = numbered(words)
+        columns.append(StepColumn(feature=feature, values=values))
+        if path.endswith(_INSTRUCTION):
+            instruction = next(filter(None, words), instruction)
+    about = _about(example, plan, index, split)
+    if not plan.has_provenance:
+        about = replace(about, instruction=instruction, outcome={LABELS: labels} if labels else {})
+    yield from record_steps(writer, count, columns, about)
 
 
 def _column(example: Mapping[str, StoredValues], path: str) -> StoredValues:
@@ -349,26 +408,12 @@ def _image_shape(data: memoryview) -> tuple[int, ...]:
     return int(height), int(width), 3
 
 
-def _about(example: Mapping[str, StoredValues], plan: _Plan, index: int, split: str, steps: int) -> EpisodeAbout:
+def _about(example: Mapping[str, StoredValues], plan: _Plan, index: int, split: str) -> EpisodeAbout:
     imported: dict[str, Any] = {"split": split, "index": index}
     if plan.has_provenance:
         text = next(_words(example, "episode_metadata/provenance"), "")
         came = checked_provenance(parsed_json(text, "the provenance of an episode"), "episode_metadata")
         return about_of_provenance(came, imported)
-    texts: dict[str, Any] = {}
-    words = plan.info.instruction
-    for path in plan.texts:
-        name = path.removeprefix("steps/")
-        changes: list[tuple[int, str]] = []
-        for step, text in enumerate(_words(example, path)):
-            if step < steps and (not changes or changes[-1][1] != text):
-                changes.append((step, text))
-        if path == plan.texts[0] and path.endswith(_INSTRUCTION):
-            words = next((text for _, text in changes if text), words)
-            if len(changes) < 2:
-                continue
-        if changes:
-            texts[name] = changes[0][1] if len(changes) == 1 else changes
     success = None
     for name in ("episode_metadata/success", "success"):
         if name in example:
@@ -377,12 +422,7 @@ def _about(example: Mapping[str, StoredValues], plan: _Plan, index: int, split: 
     for path, values in example.items():
         if path.startswith("episode_metadata/") and values.kind == 1:
             imported[path] = next(_words(example, path), "")
-    return EpisodeAbout(
-        id=f"{index:06d}",
-        instruction=words,
-        success=success,
-        imported={**imported, **({"texts": texts} if texts else {})},
-    )
+    return EpisodeAbout(id=f"{index:06d}", success=success, imported=imported)
 
 
 def _words(example: Mapping[str, StoredValues], path: str) -> Iterator[str]:

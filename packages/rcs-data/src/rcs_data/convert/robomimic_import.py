@@ -11,8 +11,9 @@ An episode has a row more than steps, as `steps` says; the last observation is t
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +21,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs_data.convert.hdf5 import array, camera_feature, is_numeric, number_feature, reading_hdf5, rows_of
-from rcs_data.convert.options import ImportOptions, stored_as
+from rcs_data.convert.observations import kept_info
+from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
 from rcs_data.convert.provenance import checked_provenance
 from rcs_data.convert.robomimic import LAST_STATE, PROVENANCE, RCS, VERDICTS
-from rcs_data.convert.steps import ACTION_DICT, EpisodeAbout, StepColumn, about_of_provenance, is_done, record_steps
+from rcs_data.convert.steps import (
+    ACTION_DICT,
+    EpisodeAbout,
+    StepColumn,
+    about_of_provenance,
+    import_episodes,
+    is_done,
+    record_steps,
+)
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
 from rcs_data.json_file import parsed_json
-from rcs_data.output import new_output
 from rcs_data.reader import Dataset
 from rcs_data.text import mended_text
 from rcs_data.writer import DatasetWriter
 
-_PROGRESS_ROWS = 32
 _MOST_NAMES = 1 << 20
 # Of each step, or of no step; groups are looked into.
 _KNOWN = ("obs", "next_obs", "rewards", "dones", "states", RCS, ACTION_DICT.strip("/"))
@@ -56,7 +64,7 @@ def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions
     Args:
         source: The file.
         out: The folder of the new dataset.
-        options: How to store images, and what the file does not say.
+        options: What to import, how to store images, and what the file does not say.
 
     Raises:
         MissingDependency: h5py is not installed.
@@ -69,19 +77,19 @@ def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions
     with reading_hdf5(Path(source)) as file:
         names = _demo_names(file)
         plan = (_own_plan if RCS in file["data"].attrs else _foreign_plan)(file, names, options)
-        lengths = [_steps(file["data"][name]) for name in names]
-        done = 0
-        with new_output(out) as partial, DatasetWriter.open(partial, plan.info) as writer:
-            for index, (name, steps) in enumerate(zip(names, lengths, strict=True)):
-                demo = file["data"][name]
-                columns = [_column(demo, feature, plan, steps) for feature in plan.info.features]
-                about = _about(file, name, index, plan)
-                states = _states(demo, plan.info.sim_state_size, steps)
-                for row in record_steps(writer, steps, columns, about, states):
-                    if options.on_progress is not None and (row % _PROGRESS_ROWS == 0 or row == steps):
-                        options.on_progress(done + row, sum(lengths))
-                done += steps
-    return Dataset.open(out)
+        plan = replace(plan, info=kept_info(plan.info, options))
+        chosen = selected_numbers(options.episodes, range(len(names)))
+        episodes = ((i, partial(_record, file, names[i], i, plan)) for i in chosen)
+        steps = 0 if options.allow_missing else sum(_steps(file["data"][names[i]]) for i in chosen)
+        return import_episodes(out, plan.info, episodes, options, steps)
+
+
+def _record(file: Any, name: str, index: int, plan: _Plan, writer: DatasetWriter) -> Iterator[int]:
+    demo = file["data"][name]
+    steps = _steps(demo)
+    columns = [_column(demo, feature, plan, steps) for feature in plan.info.features]
+    states = _states(demo, plan.info.sim_state_size, steps)
+    return record_steps(writer, steps, columns, _about(file, name, index, plan), states)
 
 
 def _demo_names(file: Any) -> list[str]:

@@ -6,21 +6,28 @@ the episode's outcome says so: "repeated" as `imported.last_observation`, and th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs_data.convert.options import ImportOptions
 from rcs_data.errors import CorruptEpisode
 from rcs_data.feature import Feature
+from rcs_data.info import DatasetInfo
+from rcs_data.output import new_output
+from rcs_data.reader import Dataset
 from rcs_data.rows import Value
 from rcs_data.writer import DatasetWriter
 
 ACTION_DICT = "action_dict/"
 """Begins the keys of other forms of the action, which are no part of it; zeros in the first row."""
 
+_PROGRESS_ROWS = 32
 _AFTER = ("terminated", "truncated")
 
 
@@ -54,6 +61,54 @@ class EpisodeAbout:
     """What else is known about how it went."""
     imported: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Where it is from, as JSON."""
+
+
+Record = Callable[[DatasetWriter], Iterator[int]]
+"""Records one episode, and yields the number of each written row, from 0."""
+
+
+def import_episodes(
+    out: str | Path, info: DatasetInfo, episodes: Iterable[tuple[int, Record]], options: ImportOptions, steps: int = 0
+) -> Dataset:
+    """Make a dataset of episodes, whole or not at all; damaged ones are left out, if that is allowed.
+
+    Args:
+        out: The folder of the new dataset.
+        info: What its episodes share.
+        episodes: The number of each, for notes, and what records it.
+        options: Says whether episodes may be left out.
+        steps: How many there are in all, for the progress; 0 if that is not known.
+
+    Raises:
+        CorruptEpisode: An episode is damaged and may not be left out, or none is left.
+        DatasetError: `out` exists, or the disk fails.
+    """
+    done = imported = 0
+    with new_output(out) as partial:
+        with DatasetWriter.open(partial, info) as writer:
+            for index, record in episodes:
+                row = 0
+                try:
+                    for row in record(writer):
+                        if options.on_progress is not None and row % _PROGRESS_ROWS == 0:
+                            options.on_progress(done + row, steps)
+                    imported += 1
+                except CorruptEpisode as err:
+                    leave_out(f"Episode {index}", err, options)
+                done += row
+                if options.on_progress is not None:
+                    options.on_progress(done, steps)
+        if not imported:
+            raise CorruptEpisode("No episode can be imported: all are missing or damaged.")
+    return Dataset.open(out)
+
+
+def leave_out(what: str, err: CorruptEpisode, options: ImportOptions) -> None:
+    """Note what was left out, or raise the error if that is not allowed."""
+    if not options.allow_missing:
+        raise err
+    if options.on_note is not None:
+        options.on_note(f"{what} was left out: {err}")
 
 
 def is_done(feature: Feature) -> bool:
@@ -94,7 +149,9 @@ def record_steps(
     """
     given = [(column, iter(column.values)) for column in columns]
     row: dict[str, Value] = {}
-    with writer.episode(about.id, seed=about.seed, instruction=about.instruction) as episode:
+    with ExitStack() as on_error:
+        episode = writer.episode(about.id, seed=about.seed, instruction=about.instruction)
+        on_error.callback(episode.discard)
         for i in range(steps + 1):
             row = {column.feature.key: _value(column, values, i, steps, row) for column, values in given}
             episode.add(row, None if states is None else states[i])
@@ -102,6 +159,7 @@ def record_steps(
         repeated = [c.feature.key for c, _ in given if c.last is None and not c.is_whole and not is_done(c.feature)]
         ended = {"last_observation": "repeated", "repeated": repeated} if repeated else {"last_observation": "kept"}
         episode.finish(about.success, {**about.outcome, "imported": {**about.imported, **ended}})
+        on_error.pop_all()
 
 
 def _value(column: StepColumn, values: Iterator[Any], row: int, steps: int, before: Mapping[str, Value]) -> Value:

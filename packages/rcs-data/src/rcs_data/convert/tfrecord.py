@@ -10,7 +10,7 @@ from __future__ import annotations
 import mmap
 import struct
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -169,8 +169,12 @@ class StoredValues:
         return np.frombuffer(data, "<f4")
 
 
-def read_examples(path: Path) -> Iterator[dict[str, StoredValues]]:
+def read_examples(path: Path, wanted: Container[int] | None = None) -> Iterator[dict[str, StoredValues]]:
     """Yield the Examples in a file; their values are parts of the file, read when they are used.
+
+    Args:
+        path: The file.
+        wanted: Which of them, by number; None for all.
 
     Raises:
         CorruptEpisode: The file is missing or damaged.
@@ -183,12 +187,16 @@ def read_examples(path: Path) -> Iterator[dict[str, StoredValues]]:
             data = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     except OSError as err:
         raise CorruptEpisode(f"Cannot read {path}: {err.strerror or err}.") from err
-    at = 0
+    at, number = 0, -1
     while at < size:
+        number += 1
         head = bytes(data[at : at + 12])
         length = int.from_bytes(head[:8], "little")
         if len(head) < 12 or head[8:] != _masked(google_crc32c.value(head[:8])) or at + length + 16 > size:
             raise CorruptEpisode(f"{path} is damaged at byte {at}: no whole record begins there.")
+        if wanted is not None and number not in wanted:
+            at += length + 16
+            continue
         record = data[at + 12 : at + 12 + length]
         crc = 0
         for start in range(0, length, _PIECE):
