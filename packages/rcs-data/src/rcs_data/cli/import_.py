@@ -24,7 +24,7 @@ class ImportCommand:
     out: Path
     """Folder of the new dataset; it must not exist yet."""
     format: str = "auto"
-    """lerobot or robomimic; default: detected."""
+    """lerobot, rlds, aloha or robomimic; default: detected."""
     more: tyro.conf.SuppressFixed[ImportOptions] = field(default_factory=ImportOptions)
 
     def run(self) -> int:
