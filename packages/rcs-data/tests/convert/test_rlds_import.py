@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import simplejpeg
-from rcs_data import Dataset, Windows, check
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, Windows, check
 from rcs_data.convert.formats import import_format
 from rcs_data.convert.labels import row_texts
 from rcs_data.convert.options import ExportOptions, ImportOptions
@@ -48,6 +48,24 @@ def test_an_export_of_ours_comes_back_with_its_names_and_its_jpegs(dataset: Path
             np.testing.assert_array_equal(new.column(key)[rows], expected, err_msg=key)
         np.testing.assert_array_equal(new.column("observation/joints")[-1], new.column("observation/joints")[-2])
     assert check(tmp_path / "back").is_ok
+
+
+def test_an_export_without_reward_and_with_a_state_of_its_own_comes_back(tmp_path: Path) -> None:
+    keys = ("observation/state", "action/gripper", "action/joints")
+    features = tuple(Feature(key=key, shape=(2,), dtype="float32") for key in keys)
+    info = DatasetInfo(frequency=10, features=features, setup={"a": 1}, instruction="pick")
+    with DatasetWriter.open(tmp_path / "in", info) as writer, writer.episode("a", seed=None) as episode:
+        for row in range(4):
+            values = {key: np.array([row, 10 * i], np.float32) for i, key in enumerate(keys)}
+            episode.add({key: value for key, value in values.items() if row or key.startswith("obs")})
+        episode.finish(None)
+    source = Dataset.open(tmp_path / "in")
+    export_rlds(source, tmp_path / "out")
+    back = import_rlds(tmp_path / "out", tmp_path / "back")
+    assert back.info == source.info
+    for key in keys[1:]:
+        np.testing.assert_array_equal(back["a"].column(key)[1:], source["a"].column(key)[1:])
+    np.testing.assert_array_equal(back["a"].column(keys[0])[:-1], source["a"].column(keys[0])[:-1])
 
 
 def test_a_dataset_of_others_becomes_one_of_ours(tmp_path: Path) -> None:

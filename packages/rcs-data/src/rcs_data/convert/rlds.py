@@ -158,12 +158,13 @@ def _columns(
         )
     observations = named(seen, _observation_name, taken=("state",))
     others = named([f for f in extra if f not in seen], lambda f: f.key.replace("/", "_"), taken=_STEP_NAMES)
+    reward = "reward" if any(feature.key == "reward" for feature in info.features) else None
     columns: dict[str, _Column] = {
         "observation/state": _Column(tensor((state.size,), "float32"), lambda s: as_float32(s.steps.states), own),
         **{f"observation/{name}": _feature_column(feature) for name, feature in observations.items()},
         **{name: _feature_column(feature) for name, feature in others.items()},
         "action": _Column(tensor((action.size,), "float32"), lambda s: as_float32(s.steps.actions)),
-        "reward": _Column(tensor((), "float32"), lambda s: as_float32(s.steps.rewards), "reward"),
+        "reward": _Column(tensor((), "float32"), lambda s: as_float32(s.steps.rewards), reward),
         "discount": _Column(tensor((), "float32"), lambda s: as_float32(~s.steps.terminated)),
         "is_first": _Column(tensor((), "bool"), lambda s: _only(0, len(s.steps))),
         "is_last": _Column(tensor((), "bool"), lambda s: _only(len(s.steps) - 1, len(s.steps))),

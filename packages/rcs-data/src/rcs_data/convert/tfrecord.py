@@ -31,6 +31,8 @@ _PIECE = 1 << 20
 _BYTES_LIST, _FLOAT_LIST, _INT64_LIST = 1, 2, 3
 # Far more than a dataset has features.
 _MOST_NAMES = 10_000
+# What is kept in memory of a file that is read [B]; a multiple of the piece.
+_MOST_RESIDENT = 1 << 25
 # Memory for the numbers of one feature of one episode [B]; images are not numbers.
 _MOST_NUMBERS = 1 << 28
 
@@ -134,6 +136,8 @@ class StoredValues:
     """The number of the list's type in a `tf.train.Feature`."""
     data: memoryview
     """The list."""
+    file: mmap.mmap
+    """The file that it is a part of."""
 
     def strings(self) -> Iterator[memoryview]:
         """Yield the byte strings.
@@ -143,7 +147,16 @@ class StoredValues:
         """
         if self.kind != _BYTES_LIST:
             raise CorruptEpisode(f"{self.name!r} has numbers; expected byte strings.")
-        return (value for _, value in fields(self.data))
+        return self._strings()
+
+    def _strings(self) -> Iterator[memoryview]:
+        read = 0
+        for _, value in fields(self.data):
+            yield value
+            read += len(value)
+            if read > _MOST_RESIDENT:
+                _forget(self.file)
+                read = 0
 
     def numbers(self, most: int) -> NDArray[np.float32] | NDArray[np.int64]:
         """Return the numbers.
@@ -184,9 +197,10 @@ def read_examples(path: Path, wanted: Container[int] | None = None) -> Iterator[
         if not size:
             raise CorruptEpisode(f"{path} is missing, empty or not a file.")
         with path.open("rb") as file:
-            data = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     except OSError as err:
         raise CorruptEpisode(f"Cannot read {path}: {err.strerror or err}.") from err
+    data = memoryview(mapped)
     at, number = 0, -1
     while at < size:
         number += 1
@@ -201,16 +215,18 @@ def read_examples(path: Path, wanted: Container[int] | None = None) -> Iterator[
         crc = 0
         for start in range(0, length, _PIECE):
             crc = google_crc32c.extend(crc, bytes(record[start : start + _PIECE]))
+            if start % _MOST_RESIDENT == 0:
+                _forget(mapped)
         if bytes(data[at + 12 + length : at + 16 + length]) != _masked(crc):
             raise CorruptEpisode(f"{path} is damaged: the record at byte {at} is not what was written.")
         try:
-            yield _example(record)
+            yield _example(record, mapped)
         except CorruptEpisode as err:
             raise CorruptEpisode(f"{path}, record at byte {at}: {err}") from err
         at += length + 16
 
 
-def _example(data: memoryview) -> dict[str, StoredValues]:
+def _example(data: memoryview, file: mmap.mmap) -> dict[str, StoredValues]:
     found: dict[str, StoredValues] = {}
     for features in _of(data, 1):
         for entry in _of(features, 1):
@@ -222,8 +238,13 @@ def _example(data: memoryview) -> dict[str, StoredValues]:
             if len(found) >= _MOST_NAMES:
                 raise CorruptEpisode(f"An Example has more than {_MOST_NAMES} features.")
             for kind, values in fields(parts.get(2, data[:0])):
-                found[name] = StoredValues(name, kind, values)
+                found[name] = StoredValues(name, kind, values, file)
     return found
+
+
+def _forget(file: mmap.mmap) -> None:
+    """Give back the memory of what was read; the pages come again when they are needed."""
+    file.madvise(mmap.MADV_DONTNEED)
 
 
 def _of(data: memoryview, number: int) -> Iterator[memoryview]:
