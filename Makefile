@@ -147,7 +147,7 @@ $(VENV)/.stamp-extras: $(VENV)/.stamp-built
 	@echo "==> Installing torch, Stable-Baselines3, Ray, Pinocchio and OMPL (first time: about 2 GB)"
 	@$(PIP) install -c constraints.txt torch
 	@$(PIP) install -c constraints.txt stable-baselines3 tensorboard mujoco-menagerie ray pin ompl
-	@$(PIP) install -c constraints.txt opencv-python-headless pupil-apriltags scipy pyzmq
+	@$(PIP) install -c constraints.txt opencv-python-headless pupil-apriltags scipy pyzmq huggingface_hub mcap protobuf
 	@touch $@
 
 test-extras: test-wheel $(VENV)/.stamp-extras gl
@@ -203,6 +203,11 @@ test-interop: build gl $(foreach r,$(READERS),$(INTEROP)/$(firstword $(subst :, 
 	    >$$export.log 2>&1 || { cat $$export.log; exit 1; }; \
 	  tail -n 1 $$export.log; \
 	done
+	@echo "==> Importing what TensorFlow Datasets writes"
+	@rm -rf $(INTEROP)/data/tfds && mkdir -p $(INTEROP)/data/tfds
+	@$(INTEROP)/tfds/bin/python tests/interop/write_rlds.py $(INTEROP)/data/tfds >$(INTEROP)/data/tfds.log 2>&1 || \
+	  { cat $(INTEROP)/data/tfds.log; exit 1; }
+	@$(BIN)/python tests/interop/import_rlds.py $(INTEROP)/data/tfds
 	@echo "==> Serving policies of other projects"
 	@$(BIN)/python -m pytest tests/interop -m interop --durations=5
 

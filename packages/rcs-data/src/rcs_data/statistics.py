@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -162,16 +162,25 @@ class RunningStatistics:
         if not self.count:
             raise InvalidSetup("There are no vectors to take statistics of.")
         low, high = self._low, self._high
-        q01, q99 = (np.array([bins.quantile(share) for bins in self._bins]) for share in (0.01, 0.99))
+        q01, q99 = self.quantiles((0.01, 0.99))
         return Statistics(
             count=self.count,
             mean=self._mean.copy(),
             std=np.sqrt(self._square / self.count),
             min=low.copy(),
             max=high.copy(),
-            q01=np.clip(q01, low, high),
-            q99=np.clip(q99, low, high),
+            q01=q01,
+            q99=q99,
         )
+
+    def quantiles(self, shares: Sequence[float]) -> NDArray[np.float64]:
+        """Return quantiles of the vectors so far, of which there must be some, shape (len(shares), size).
+
+        Args:
+            shares: From 0 to 1; 0.5 for the median.
+        """
+        found = [[bins.quantile(share) for bins in self._bins] for share in shares]
+        return np.clip(found, self._low, self._high)
 
 
 def check_finite(vectors: NDArray[np.float64]) -> None:

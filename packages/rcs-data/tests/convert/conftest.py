@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import google_crc32c
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
-from rcs_data.convert.crc32c import crc32c
 
 Example = dict[str, Any]
 MakeDataset = Callable[..., Dataset]
@@ -54,9 +54,9 @@ def _records(path: Path) -> list[bytes]:
     records: list[bytes] = []
     while data:
         (length,) = struct.unpack("<Q", data[:8])
-        assert _unmasked(data[8:12]) == crc32c(data[:8])
+        assert _unmasked(data[8:12]) == google_crc32c.value(data[:8])
         record, data = data[12 : 12 + length], data[12 + length :]
-        assert len(record) == length and _unmasked(data[:4]) == crc32c(record)
+        assert len(record) == length and _unmasked(data[:4]) == google_crc32c.value(record)
         records.append(record)
         data = data[4:]
     return records

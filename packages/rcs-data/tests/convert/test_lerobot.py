@@ -17,7 +17,7 @@ from rcs_data.convert import lerobot
 from rcs_data.convert.lerobot import depth_path, export_lerobot
 from rcs_data.convert.lerobot_layout import lerobot_layout
 from rcs_data.convert.lerobot_stats import QUANTILES
-from rcs_data.convert.lerobot_v3 import V3Writer
+from rcs_data.convert.lerobot_writer import V3Writer
 from rcs_data.convert.options import ExportOptions
 from rcs_data.convert.video import VideoReader, decode_depth_video
 from rcs_data.errors import DatasetError, InvalidSetup
@@ -210,8 +210,10 @@ def test_files_start_anew_when_they_are_full(make_dataset: Any, tmp_path: Path) 
     layout = lerobot_layout(dataset.info, dataset.episodes, ExportOptions())
     small = tmp_path / "small"
     small.mkdir()
-    job = lerobot._Job(root=small, layout=layout, tasks=sorted({e.instruction for e in dataset.episodes}))
-    writer = V3Writer(small, layout, "fr3", job.tasks, data_limit=1, video_limit=1)
+    job = lerobot._Job(root=small, layout=layout, tasks={}, subtasks={})
+    for episode in dataset.episodes:
+        job.collect(episode)
+    writer = V3Writer(small, layout, "fr3", [*job.tasks], [], data_limit=1, video_limit=1)
     first = 0
     for index, episode in enumerate(dataset.episodes):
         writer.add(job.encode((index, first, episode)))
@@ -241,19 +243,15 @@ def test_depth_is_kept_beside_without_loss(source: Dataset, tmp_path: Path) -> N
     assert any("depth" in note for note in report.notes)
 
 
-def test_matrices_are_kept_once_or_per_frame(source: Dataset, tmp_path: Path) -> None:
+def test_matrices_are_columns_of_every_frame(source: Dataset, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    export_lerobot(source, out)
-    entry = load(out / "meta" / "calibration.json")["episodes"][1]
-    assert entry["cameras"]["side"]["extrinsics"] == np.eye(4).tolist()
-    assert entry["cameras"]["wrist"]["intrinsics"] == np.eye(3).tolist()
-    assert entry["cameras"]["wrist"]["extrinsics"] is None
-    moving = pq.read_table(out / entry["per_frame"])
-    assert moving.column_names == ["wrist/extrinsics"]
-    np.testing.assert_array_equal(
-        vectors(moving, "wrist/extrinsics").reshape(-1, 4, 4),
-        source.episodes[1].column("observation/frames/wrist/extrinsics")[:-1],
-    )
+    export_lerobot(source, out, ExportOptions(cameras=("wrist",)))
+    features = load(out / "meta" / "info.json")["features"]
+    assert "calibration.side.extrinsics" not in features
+    assert features["calibration.wrist.extrinsics"]["shape"] == [16]
+    table = pq.read_table(out / "data" / "chunk-000" / "file-000.parquet")
+    truth = np.concatenate([e.column("observation/frames/wrist/extrinsics")[:-1] for e in source.episodes])
+    np.testing.assert_array_equal(vectors(table, "calibration.wrist.extrinsics").reshape(-1, 4, 4), truth)
 
 
 def test_provenance_of_every_episode_is_kept(source: Dataset, tmp_path: Path) -> None:

@@ -1,13 +1,15 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from typing import Any
 
 import av
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rcs_data.convert.png import encode_png
+from rcs_data.convert.png import decode_png, encode_png, png_shape
+from rcs_data.errors import CorruptEpisode
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 5), (48, 64)])
@@ -15,7 +17,27 @@ from rcs_data.convert.png import encode_png
 def test_another_decoder_finds_every_pixel(shape: Any, dtype: Any, channels: Any, pixels: str) -> None:
     noise = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (*shape, *channels), dtype, endpoint=True)
     for image in (noise, np.zeros_like(noise), np.asfortranarray(noise), noise[::-1, ::-1]):
-        np.testing.assert_array_equal(_decoded(encode_png(image), pixels), image)
+        data = encode_png(image)
+        np.testing.assert_array_equal(_decoded(data, pixels), image)
+        np.testing.assert_array_equal(decode_png(data, image.shape, image.dtype.name), image)
+        assert png_shape(data) == image.shape
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: data[:-20],
+        lambda data: data[:40],
+        lambda data: data[:5],
+        lambda data: data[:60] + bytes([data[60] ^ 1]) + data[61:],
+        lambda data: data[:16] + b"\x7f\xff\xff\xff" * 2 + data[24:],  # claims 2e9 x 2e9 pixels
+        lambda data: b"GIF89a" + data,
+    ],
+)
+def test_files_that_are_damaged_are_refused(damage: Callable[[bytes], bytes]) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (16, 24, 3), np.uint8)
+    with pytest.raises(CorruptEpisode):
+        decode_png(damage(encode_png(noise)), noise.shape, "uint8")
 
 
 def _decoded(data: bytes, pixels: str) -> NDArray[Any]:

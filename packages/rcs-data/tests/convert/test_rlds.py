@@ -10,9 +10,8 @@ import av
 import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
-from rcs_data.convert import rlds
 from rcs_data.convert.options import ExportOptions
-from rcs_data.convert.rlds import export_rlds
+from rcs_data.convert.rlds import export_rlds, split_shares
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.trajectory import action_layout, state_layout, trajectory
 
@@ -125,11 +124,23 @@ def test_what_nobody_knows_is_minus_one(tmp_path: Path, examples: Examples) -> N
     assert example["episode_metadata/seed"] == example["episode_metadata/success"] == [-1]
 
 
-def test_the_counts_are_those_of_the_files(
-    dataset: Path, tmp_path: Path, examples: Examples, read_records: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(rlds, "_SHARD_BYTES", 8000)
-    report = export_rlds(Dataset.open(dataset), tmp_path / "out", ExportOptions(name="Few_2"))
+def test_the_counts_are_those_of_the_files(tmp_path: Path, make_info: Any, read_records: Any) -> None:
+    info = make_info(
+        sim_state_size=None,
+        features=(
+            Feature(key="observation/x", shape=(50_000,), dtype="float32"),
+            Feature(key="action/x", shape=(1,), dtype="float32"),
+        ),
+    )
+    with DatasetWriter.open(tmp_path / "source", info) as writer:
+        for i in range(3):
+            with writer.episode(f"{i}", seed=i) as episode:
+                for row in range(3):
+                    done = {"action/x": np.ones(1, np.float32)} if row else {}
+                    episode.add({"observation/x": np.ones(50_000, np.float32), **done})
+                episode.finish(True)
+    source = Dataset.open(tmp_path / "source")
+    report = export_rlds(source, tmp_path / "out", ExportOptions(name="Few_2", shard_mb=1))
     about = json.loads((report.path / "dataset_info.json").read_text())
     assert (about["name"], about["version"], about["fileFormat"]) == ("Few_2", "1.0.0", "tfrecord")
     (split,) = about["splits"]
@@ -142,6 +153,34 @@ def test_the_counts_are_those_of_the_files(
     assert [int(length) for length in split["shardLengths"]] == [len(found) for found in records]
     assert int(split["numBytes"]) == sum(len(record) for found in records for record in found)
     assert report.bytes_written == sum(path.stat().st_size for path in report.path.iterdir())
+
+
+def test_episodes_are_shared_out_among_splits(dataset: Path, tmp_path: Path, examples: Examples) -> None:
+    report = export_rlds(Dataset.open(dataset), tmp_path / "out", ExportOptions(splits=("train=2/3", "val=1/3")))
+    splits = json.loads((report.path / "dataset_info.json").read_text())["splits"]
+    assert [(split["name"], split["shardLengths"]) for split in splits] == [("train", ["2"]), ("val", ["1"])]
+    names = [path.name for path in sorted(report.path.glob("*.tfrecord-*"))]
+    assert names == ["dataset-train.tfrecord-00000-of-00001", "dataset-val.tfrecord-00000-of-00001"]
+    assert [e["episode_metadata/episode_id"] for e in examples(report.path)] == [[b"000000"], [b"000002"], [b"000001"]]
+
+
+def test_shares_are_spread_evenly() -> None:
+    shares = split_shares(("train=0.9", "val=0.1"), 30)
+    assert shares.count("val") == 3 and {shares[i : i + 10].count("val") for i in (0, 10, 20)} == {1}
+    assert split_shares(("all",), 2) == ["all", "all"]
+
+
+@pytest.mark.parametrize(
+    "splits", [("train=0.9",), ("train", "val"), ("a=0.5", "a=0.5"), ("t=x",), ("a b",), ("a=-1", "b=2")]
+)
+def test_splits_that_are_none_are_refused(splits: tuple[str, ...]) -> None:
+    with pytest.raises(InvalidSetup, match="split"):
+        split_shares(splits, 10)
+
+
+def test_a_split_without_an_episode_is_refused() -> None:
+    with pytest.raises(InvalidSetup, match="none is left for the split val"):
+        split_shares(("train=0.9", "val=0.1"), 3)
 
 
 def test_episodes_and_cameras_are_chosen(dataset: Path, tmp_path: Path, examples: Examples) -> None:

@@ -8,9 +8,10 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from rcs_data import Dataset, DatasetWriter
+from rcs_data import Dataset, DatasetWriter, Feature
 from rcs_data.convert.options import ExportOptions
 from rcs_data.convert.robomimic import export_robomimic
+from rcs_data.convert.robomimic_import import import_robomimic
 from rcs_data.errors import DatasetError, InvalidSetup, MissingDependency
 from rcs_data.trajectory import action_layout, state_layout, trajectory
 
@@ -119,6 +120,48 @@ def test_actions_out_of_the_range_of_robomimic_are_told(dataset: Path, tmp_path:
     source = Dataset.open(dataset)
     notes = export_robomimic(source, tmp_path / "a.hdf5", ExportOptions(action=("action/index",))).notes
     assert len(notes) == 1 and "from -7 to 7" in notes[0]
+
+
+def test_actions_are_normalised_and_the_file_says_how(dataset: Path, tmp_path: Path) -> None:
+    source = Dataset.open(dataset)
+    report = export_robomimic(source, tmp_path / "out.hdf5", ExportOptions(normalise=True))
+    assert report.notes == ()
+    action = action_layout(source.info)
+    with h5py.File(report.path) as file:
+        stats = json.loads(file["data"].attrs["action_normalization_stats"])["actions"]
+        offset, scale = np.array(stats["offset"]), np.array(stats["scale"])
+        assert offset.shape == scale.shape == (1, action.size)
+        actions = np.concatenate([demo["actions"][()] for demo in file["data"].values()])
+        np.testing.assert_allclose(actions.min(axis=0), -1)
+        np.testing.assert_allclose(actions.max(axis=0), 1)
+        recorded = np.concatenate([action.rows(episode)[1:] for episode in source.episodes])
+        np.testing.assert_allclose(actions * scale + offset, recorded, atol=1e-12)
+    back = import_robomimic(report.path, tmp_path / "back")
+    for old, new in zip(source.episodes, back.episodes, strict=True):
+        np.testing.assert_array_equal(new.column("action/joints"), old.column("action/joints"))
+
+
+def test_an_action_that_is_constant_becomes_zero(tmp_path: Path, make_info: Any) -> None:
+    features = tuple(Feature(key=f"{kind}/joints", shape=(2,), dtype="float64") for kind in ("observation", "action"))
+    info = make_info(sim_state_size=None, features=features)
+    with DatasetWriter.open(tmp_path / "source", info) as writer, writer.episode("a", seed=None) as episode:
+        for i in range(4):
+            done = {"action/joints": np.array([3.0, float(i)])} if i else {}
+            episode.add({"observation/joints": np.zeros(2), **done})
+        episode.finish(True)
+    source = Dataset.open(tmp_path / "source")
+    with h5py.File(export_robomimic(source, tmp_path / "a.hdf5", ExportOptions(normalise=True)).path) as file:
+        np.testing.assert_allclose(file["data/demo_0/actions"], [[0, -1], [0, 0], [0, 1]])
+
+
+def test_parts_of_the_action_stand_by_themselves(dataset: Path, tmp_path: Path) -> None:
+    source = Dataset.open(dataset)
+    options = ExportOptions(action=("action/joints", "action/index"), normalise=True)
+    with h5py.File(export_robomimic(source, tmp_path / "a.hdf5", options).path) as file:
+        for episode, demo in zip(source.episodes, file["data"].values(), strict=True):
+            assert set(demo["action_dict"]) == {"joints", "index"}
+            for name in ("joints", "index"):
+                np.testing.assert_array_equal(demo["action_dict"][name], episode.column(f"action/{name}")[1:])
 
 
 @pytest.mark.parametrize(

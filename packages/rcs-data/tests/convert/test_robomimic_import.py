@@ -13,6 +13,7 @@ from rcs_data.convert.options import ExportOptions, ImportOptions
 from rcs_data.convert.robomimic import export_robomimic
 from rcs_data.convert.robomimic_import import import_robomimic
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
+from rcs_data.trajectory import action_layout
 
 
 def test_export_and_import_give_back_every_number_bit_for_bit(dataset: Path, tmp_path: Path) -> None:
@@ -145,6 +146,54 @@ def test_a_file_of_others_becomes_a_dataset(tmp_path: Path) -> None:
             assert imported["episode"] == f"demo_{i}" and imported["last_observation"] == "repeated"
             assert imported["repeated"] == ["observation/frames/agentview/depth", "simulation/states"]
     assert check(tmp_path / "back").is_ok
+
+
+def test_other_forms_of_the_action_and_masks_are_kept_there_and_back(tmp_path: Path) -> None:
+    _foreign(tmp_path / "in.hdf5", [(f"demo_{i}", 4, {}) for i in range(3)])
+    with h5py.File(tmp_path / "in.hdf5", "r+") as file:
+        for i in range(3):
+            file[f"data/demo_{i}/action_dict/abs_pos"] = np.arange(12.0).reshape(4, 3) + i
+            file[f"data/demo_{i}/action_dict/gripper"] = np.ones((4, 1))
+        file["mask/train"] = np.array(["demo_0", "demo_2"], "S")
+        file["mask/20_percent"] = np.array(["demo_1"], "S")
+        file["mask/success"] = np.array(["demo_1"], "S")
+    back = import_robomimic(tmp_path / "in.hdf5", tmp_path / "back")
+    assert [episode.outcome["imported"].get("masks") for episode in back.episodes] == [
+        ["train"],
+        ["20_percent"],
+        ["train"],
+    ]
+    np.testing.assert_array_equal(back.episodes[1].column("action_dict/abs_pos")[1:], np.arange(12.0).reshape(4, 3) + 1)
+    assert [feature.key for feature in action_layout(back.info).features] == ["action/action"]
+    with h5py.File(export_robomimic(back, tmp_path / "out.hdf5").path) as file:
+        found = {name: [member.decode() for member in members[()]] for name, members in file["mask"].items()}
+        assert found == {"train": ["demo_0", "demo_2"], "20_percent": ["demo_1"], "success": ["demo_1"]}
+        with h5py.File(tmp_path / "in.hdf5") as given:
+            for name in ("action_dict/abs_pos", "action_dict/gripper", "actions"):
+                np.testing.assert_array_equal(file[f"data/demo_2/{name}"], given[f"data/demo_2/{name}"])
+    again = import_robomimic(tmp_path / "out.hdf5", tmp_path / "again")
+    assert [e.content_hash for e in again.episodes] == [e.content_hash for e in back.episodes]
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "chunks"),
+    [
+        ("obs/robot0_eef_pos", (10**9, 10**9), None),
+        ("obs/robot0_eef_pos", (4, 3), (10**4, 10**5)),
+        ("actions", (10**12,), None),
+    ],
+)
+def test_arrays_of_absurd_size_are_refused_before_they_are_read(
+    tmp_path: Path, name: str, shape: tuple[int, ...], chunks: tuple[int, ...] | None
+) -> None:
+    _foreign(tmp_path / "in.hdf5", [("demo_0", 4, {})])
+    with h5py.File(tmp_path / "in.hdf5", "r+") as file:
+        del file[f"data/demo_0/{name}"], file["data/demo_0/next_obs"]
+        largest = None if chunks is None else (None,) * len(chunks)
+        file["data/demo_0"].create_dataset(name, shape, "f8", chunks=chunks or True, maxshape=largest)
+    with pytest.raises((CorruptEpisode, InvalidSetup)):
+        import_robomimic(tmp_path / "in.hdf5", tmp_path / "back")
+    assert [path.name for path in tmp_path.iterdir()] == ["in.hdf5"]
 
 
 def test_without_next_obs_the_last_observation_is_repeated_and_said_to_be(tmp_path: Path) -> None:

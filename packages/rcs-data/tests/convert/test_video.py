@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rcs_data.convert import video
 from rcs_data.convert.video import (
     VideoJoiner,
     VideoReader,
@@ -148,6 +150,41 @@ def test_a_png_is_decoded_exactly() -> None:
     np.testing.assert_array_equal(decode_image(data), given)
     with pytest.raises(CorruptEpisode, match="not an image"):
         decode_image(b"no image at all")
+
+
+@pytest.mark.parametrize(("codec", "worse"), [("h264", {"qmin": "50", "qmax": "51"}), ("av1", {"crf": "63"})])
+def test_a_frame_that_came_out_wrong_is_encoded_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, codec: Any, worse: dict[str, str]
+) -> None:
+    rng = np.random.default_rng(0)
+    flat = pictures(9)
+    # One picture has details that the encoder is told to spare.
+    flat[5][16:48, 16:48] = rng.integers(0, 256, (32, 32, 1))
+    monkeypatch.setitem(video._OPTIONS, codec, {**video._OPTIONS[codec], **worse})
+    good = {name: "0" if name == "qmin" else "6" if name == "qmax" else "8" for name in worse}
+    monkeypatch.setitem(video._MENDING, codec, ({"g": "1", **good} if codec == "av1" else {"forced-idr": "1", **good},))
+    encode_video(tmp_path / "v.mp4", flat, flat[0].shape, FPS, codec)
+    reader = VideoReader(tmp_path / "v.mp4")
+    shown = list(reader.frames(0.0, 9, FPS))
+    error = np.square(shown[5].astype(float) - flat[5])[16:48, 16:48].mean()
+    assert 10 * np.log10(255**2 / error) > 24
+    assert all(np.abs(a.astype(float) - b).mean() < 15 for a, b in zip(shown, flat, strict=True))
+    np.testing.assert_array_equal(next(reader.frames(5 / FPS, 1, FPS)), shown[5])  # alone, after a jump
+
+
+def test_frames_that_stay_wrong_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = pictures(6)
+    given[3][:] = np.random.default_rng(0).integers(0, 256, (64, 80, 1))
+    monkeypatch.setitem(video._OPTIONS, "h264", {**video._OPTIONS["h264"], "qmin": "50", "qmax": "51"})
+    monkeypatch.setitem(video._MENDING, "h264", ({"forced-idr": "1"},))
+    with pytest.raises(DatasetError, match=r"h264 spoils 1 of 6 frames for v\.mp4, the first is 3"):
+        encode_video(tmp_path / "v.mp4", given, given[0].shape, FPS, "h264")
+
+
+@pytest.mark.parametrize("codec", ["h264", "av1"])
+def test_even_noise_is_written(tmp_path: Path, codec: Any) -> None:
+    noise = list(np.random.default_rng(0).integers(0, 256, (6, 64, 80, 3), np.uint8))
+    assert encode_video(tmp_path / "v.mp4", noise, noise[0].shape, FPS, codec) == 6
 
 
 def test_an_encoder_leaves_the_priority_of_this_process_alone(tmp_path: Path) -> None:

@@ -24,5 +24,7 @@ VERBS: Table = {
     "view": "rcs_data.cli.view:ViewCommand",
     "export": "rcs_data.cli.export:ExportCommand",
     "import": "rcs_data.cli.import_:ImportCommand",
+    "pull": "rcs_data.cli.hub:PullCommand",
+    "push": "rcs_data.cli.hub:PushCommand",
     "recipe": "rcs_data.cli.recipe:RecipeCommand",
 }

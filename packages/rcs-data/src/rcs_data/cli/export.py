@@ -23,7 +23,7 @@ class ExportCommand:
     out: Path
     """File or folder to write; it must not exist yet."""
     format: str
-    """lerobot-v3, lerobot-v2.1 (openpi), gr00t, rlds (Octo, OpenVLA) or robomimic."""
+    """lerobot-v3, lerobot-v2.1 (openpi), gr00t, rlds (Octo, OpenVLA), robomimic, or mcap (Foxglove, Rerun)."""
     more: tyro.conf.SuppressFixed[ExportOptions] = field(default_factory=ExportOptions)
 
     def run(self) -> int:

@@ -24,7 +24,7 @@ class ImportCommand:
     out: Path
     """Folder of the new dataset; it must not exist yet."""
     format: str = "auto"
-    """lerobot or robomimic; default: detected."""
+    """lerobot, rlds, aloha or robomimic; default: detected."""
     more: tyro.conf.SuppressFixed[ImportOptions] = field(default_factory=ImportOptions)
 
     def run(self) -> int:
@@ -35,6 +35,8 @@ class ImportCommand:
             bar = progress.add_task("Importing", total=None)
             options = replace(
                 self.more,
+                cameras=() if self.more.cameras == ("none",) else self.more.cameras,
+                on_note=lambda note: progress.console.print(f"Note: {note}"),
                 on_progress=lambda done, total: progress.update(bar, completed=done, total=total or None),
             )
             dataset = read(self.source, self.out, options)

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from rcs_data.convert.aloha import import_aloha, is_aloha
 from rcs_data.convert.hdf5 import is_hdf5
 from rcs_data.convert.lerobot import export_lerobot
 from rcs_data.convert.lerobot_import import import_lerobot, is_lerobot
+from rcs_data.convert.mcap import export_mcap
 from rcs_data.convert.options import ExportOptions, ExportReport, ImportOptions
 from rcs_data.convert.rlds import export_rlds
+from rcs_data.convert.rlds_import import import_rlds, is_rlds
 from rcs_data.convert.robomimic import export_robomimic
 from rcs_data.convert.robomimic_import import import_robomimic
 from rcs_data.errors import InvalidSetup, UnknownName
@@ -38,10 +41,13 @@ EXPORTS: dict[str, Export] = {
     "gr00t": partial(export_lerobot, version="2.1", gr00t=True),
     "rlds": export_rlds,
     "robomimic": export_robomimic,
+    "mcap": export_mcap,
 }
 
 IMPORTS: dict[str, ImportFormat] = {
     "lerobot": ImportFormat(recognise=is_lerobot, read=import_lerobot),
+    "rlds": ImportFormat(recognise=is_rlds, read=import_rlds),
+    "aloha": ImportFormat(recognise=is_aloha, read=import_aloha),
     "robomimic": ImportFormat(recognise=is_hdf5, read=import_robomimic),
 }
 

@@ -1,16 +1,25 @@
-"""HDF5 files, with h5py imported when it is needed."""
+"""HDF5 files, with h5py imported when it is needed; their arrays are checked before they are read."""
 
 from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs_data.convert.options import ImportOptions, stored_as
 from rcs_data.errors import CorruptEpisode, MissingDependency, RcsError
+from rcs_data.feature import Feature
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
+# A few bytes can claim any size. What is read at once [B], beyond which it must not be many times its file.
+_FREE_BYTES, _MOST_GROWTH = 1 << 26, 64
+# Largest piece that is compressed as a whole [B].
+_MOST_CHUNK = 1 << 28
 
 
 def load_h5py() -> Any:
@@ -55,3 +64,62 @@ def reading_hdf5(path: Path) -> Generator[Any]:
     # h5py has no errors of its own, and turns the HDF5 library's into these.
     except (OSError, RuntimeError, KeyError) as err:
         raise CorruptEpisode(f"Cannot read {path}: {err}.") from err
+
+
+def is_numeric(values: Any) -> bool:
+    """Return whether this is an array of numbers, not a group, text, or single number."""
+    return getattr(values, "shape", None) is not None and values.ndim > 0 and values.dtype.kind in "fiub"
+
+
+def array(group: Any, path: str, *, by_row: bool = False) -> Any:
+    """Return an array of numbers that can be read row by row, and at once if it has fewer than three axes.
+
+    Args:
+        group: Where it is.
+        path: Its name.
+        by_row: Whether it is read row by row whatever its axes.
+
+    Raises:
+        CorruptEpisode: There is none, or it claims more than its file can hold.
+    """
+    values: Any = group.get(path)
+    if not is_numeric(values):
+        raise CorruptEpisode(f"{group.name} in {group.file.filename} has no array of numbers {path!r}.")
+    item = values.dtype.itemsize
+    most = max(_FREE_BYTES, _MOST_GROWTH * values.file.id.get_filesize())
+    if (values.ndim < 3 and values.size * item > most) or np.prod(
+        values.chunks or (1,), dtype=float
+    ) * item > _MOST_CHUNK:
+        raise CorruptEpisode(f"{values.name} claims {values.shape}, which is more than its file can hold.")
+    return values
+
+
+def rows_of(values: Any, feature: Feature) -> Iterator[NDArray[Any]]:
+    """Yield the rows of an array as values of a feature; those of images are read one by one."""
+    given = values if values.ndim > 2 else values[()]
+    return (np.asarray(given[i], feature.numpy_dtype).reshape(feature.shape) for i in range(len(given)))
+
+
+def number_feature(key: str, values: Any) -> Feature:
+    """Return the feature of an array of numbers, a row per step.
+
+    Raises:
+        InvalidSetup: Its shape or dtype cannot be stored.
+    """
+    dtype = "float32" if values.dtype == np.float16 else values.dtype.newbyteorder("=").name
+    return Feature(key=key, shape=values.shape[1:], dtype=dtype)
+
+
+def camera_feature(camera: str, values: Any, options: ImportOptions) -> Feature | None:
+    """Return the feature of an array of images, colour or depth; None if it has none.
+
+    Raises:
+        InvalidSetup: Its shape cannot be stored.
+    """
+    shape = values.shape[1:]
+    if values.dtype == np.uint8 and len(shape) == 3 and shape[2] == 3:
+        key = f"observation/frames/{camera}/rgb"
+        return stored_as(Feature(key=key, shape=shape, dtype="uint8", encoding="jpeg"), options)
+    if values.dtype == np.uint16 and (len(shape) == 2 or (len(shape) == 3 and shape[2] == 1)):
+        return Feature(key=f"observation/frames/{camera}/depth", shape=shape[:2], dtype="uint16", encoding="depth")
+    return None

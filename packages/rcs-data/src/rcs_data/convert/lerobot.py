@@ -1,49 +1,40 @@
 """Exports a dataset as a LeRobotDataset, v3.0 or v2.1, for LeRobot's own reader.
 
-LeRobot stores T frames of an episode's T + 1 rows. The last observation goes to `rcs/last_rows.parquet`, so that an
-import restores every row. Depth images stay lossless, as a video per episode in `rcs/depth`; `meta/calibration.json`
-has the camera matrices, `meta/rcs_provenance.jsonl` each episode's origin, `meta/rcs.json` the original features.
-LeRobot's reader ignores all of them.
+LeRobot stores T frames of an episode's T + 1 rows; the last observation is left out. Depth images stay lossless, as a
+video per episode in `rcs/depth`; `meta/rcs_provenance.jsonl` has each episode's origin, `meta/rcs.json` the original
+features. LeRobot's reader ignores all three.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from rcs_data.convert.calibration import (
-    CALIBRATION_FILE,
-    CONVENTION,
-    calibration_features,
-    write_episode_calibration,
-)
 from rcs_data.convert.gr00t import MODALITY_FILE, modality
-from rcs_data.convert.lerobot_files import EncodedEpisode, write_json, write_json_lines
+from rcs_data.convert.labels import row_texts
 from rcs_data.convert.lerobot_layout import (
-    LAST_ROWS_FILE,
     PROVENANCE_FILE,
     RCS_FILE,
+    SUBTASK,
     SUCCESS,
+    TASK,
+    TEXT,
     LeRobotLayout,
     lerobot_layout,
 )
-from rcs_data.convert.lerobot_stats import ImageHistogram, Moments, quantiles
-from rcs_data.convert.lerobot_v3 import V3Writer
-from rcs_data.convert.lerobot_v21 import V21Writer
+from rcs_data.convert.lerobot_stats import ImageHistogram, episode_stats
+from rcs_data.convert.lerobot_writer import EncodedEpisode, V3Writer, V21Writer, write_json, write_json_lines
 from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.convert.video import encode_depth_video, encode_video
 from rcs_data.errors import InvalidSetup
-from rcs_data.feature import Feature
 from rcs_data.output import new_output, size_on_disk
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.trajectory import step_frames
@@ -81,14 +72,16 @@ def export_lerobot(
         raise InvalidSetup(f"LeRobot v{version} cannot be written{' for GR00T, which reads 2.1' * gr00t}.")
     episodes = selected_episodes(dataset, options)
     layout = lerobot_layout(dataset.info, episodes, options)
-    tasks = list(dict.fromkeys(episode.instruction for episode in episodes))
-    steps = [episode.length - 1 for episode in episodes]
-    firsts = [0, *np.cumsum(steps).tolist()]
+    job = _Job(layout=layout, tasks={}, subtasks={}, root=Path(out))
+    for episode in episodes:
+        job.collect(episode)
+    firsts = [0, *np.cumsum([episode.length - 1 for episode in episodes]).tolist()]
     robot = options.robot_type or str(dataset.info.setup.get("robot") or "unknown")
+    digest = dataset.digest()
     with new_output(out) as root:
         root.mkdir()
-        job = _Job(root=root, layout=layout, tasks=tasks)
-        writer = (V3Writer if version == "3.0" else V21Writer)(root, layout, robot, tasks)
+        job = replace(job, root=root)
+        writer = (V3Writer if version == "3.0" else V21Writer)(root, layout, robot, [*job.tasks], [*job.subtasks])
         try:
             given = list(zip(range(len(episodes)), firsts, episodes, strict=False))
             for episode in _in_order(job.encode, given, options.workers):
@@ -102,7 +95,21 @@ def export_lerobot(
         (root / _TEMPORARY).rmdir()
         if gr00t:
             write_json(root / MODALITY_FILE, modality(layout))
-        _write_beside(root, dataset, episodes, job, robot)
+        rows = ({"episode_index": i, **episode_provenance(episode, digest)} for i, episode in enumerate(episodes))
+        write_json_lines(root / PROVENANCE_FILE, rows)
+        about = {
+            "schema_version": 1,
+            "dataset": digest,
+            "frequency": dataset.info.frequency,
+            "instruction": dataset.info.instruction,
+            "robot_type": robot,
+            "setup": dataset.info.setup,
+            "columns": [column.to_json() for column in layout.columns],
+            "cameras": {name: feature.to_json() for name, feature in layout.cameras.items()},
+            "depths": {name: feature.to_json() for name, feature in layout.depths.items()},
+            "order": [feature.key for feature in dataset.info.features],
+        }
+        write_json(root / RCS_FILE, about)
     return ExportReport(
         path=Path(out),
         episodes=len(episodes),
@@ -122,7 +129,16 @@ class _Job:
 
     root: Path
     layout: LeRobotLayout
-    tasks: list[str]
+    tasks: dict[str, int]
+    """The number of each instruction."""
+    subtasks: dict[str, int]
+    """The number of each subtask."""
+
+    def collect(self, episode: EpisodeRecord) -> None:
+        """Number the texts of an episode."""
+        for known, texts in ((self.tasks, self._tasks(episode)), (self.subtasks, self._subtasks(episode))):
+            for text in texts:
+                known.setdefault(text, len(known))
 
     def encode(self, given: tuple[int, int, EpisodeRecord]) -> EncodedEpisode:
         """Return an episode with its videos in the temporary folder.
@@ -131,10 +147,12 @@ class _Job:
             given: Its number, the number of its first frame, and the episode.
         """
         index, first, episode = given
-        task = self.tasks.index(episode.instruction)
-        arrays = self.layout.arrays(episode, index=index, first=first, task=task)
-        moments = {name: Moments.of(values) for name, values in arrays.items()}
-        stats = {name: found.stats(quantiles(arrays[name])) for name, found in moments.items()}
+        tasks = self._tasks(episode)
+        texts = {"task_index": np.array([self.tasks[text] for text in tasks])}
+        if SUBTASK in self.layout.tables:
+            texts["subtask_index"] = np.array([self.subtasks[text] for text in self._subtasks(episode)])
+        arrays = self.layout.arrays(episode, index=index, first=first, texts=texts)
+        numbers = {name: values for name, values in arrays.items() if self.layout.numbers[name][0] != TEXT}
         histograms = {name: ImageHistogram(episode.length - 1) for name in self.layout.cameras}
         folder = self.root / _TEMPORARY
         folder.mkdir(exist_ok=True)
@@ -150,75 +168,26 @@ class _Job:
         return EncodedEpisode(
             index=index,
             first=first,
-            instruction=episode.instruction,
+            tasks=list(dict.fromkeys(tasks)),
             table=self.layout.table(arrays),
             videos=videos,
-            stats={
-                **{name: values for name, values in stats.items() if values is not None},
-                **{name: histogram.stats() for name, histogram in histograms.items()},
-            },
-            moments=moments,
+            stats=episode_stats(numbers) | {name: histogram.stats() for name, histogram in histograms.items()},
+            numbers=numbers,
             histograms=histograms,
         )
 
-    def kept(self) -> list[Feature]:
-        """Return the exported features, each once."""
-        features = [f for column in self.layout.columns for f in column.parts.features]
-        features += [*self.layout.cameras.values(), *self.layout.depths.values()]
-        return list({feature.key: feature for feature in features}.values())
+    def _tasks(self, episode: EpisodeRecord) -> list[str]:
+        if TASK in self.layout.tables:
+            return row_texts(episode, TASK)[:-1]
+        return [episode.instruction] * (episode.length - 1)
+
+    def _subtasks(self, episode: EpisodeRecord) -> list[str]:
+        return row_texts(episode, SUBTASK)[:-1] if SUBTASK in self.layout.tables else []
 
 
 def depth_path(camera: str, index: int) -> str:
     """Return the path of the depth images of a camera and an episode."""
     return f"rcs/depth/{camera.replace('/', '.')}/chunk-{index // 1000:03d}/episode_{index:06d}.mkv"
-
-
-def _write_beside(root: Path, dataset: Dataset, episodes: Sequence[EpisodeRecord], job: _Job, robot: str) -> None:
-    info, layout = dataset.info, job.layout
-    digest = dataset.digest()
-    cameras = [*dict.fromkeys([*(_camera(f) for f in layout.cameras.values()), *layout.depths])]
-    matrices = calibration_features(info, cameras)
-    if matrices:
-        entries = [write_episode_calibration(root, episode, i, matrices) for i, episode in enumerate(episodes)]
-        write_json(root / CALIBRATION_FILE, {"convention": CONVENTION, "episodes": entries})
-    _write_last_rows(root / LAST_ROWS_FILE, episodes, job.kept() + [f for m in matrices.values() for f in m.values()])
-    write_json_lines(
-        root / PROVENANCE_FILE,
-        ({"episode_index": i, **episode_provenance(episode, digest)} for i, episode in enumerate(episodes)),
-    )
-    about = {
-        "schema_version": 1,
-        "dataset": digest,
-        "frequency": info.frequency,
-        "instruction": info.instruction,
-        "robot_type": robot,
-        "setup": info.setup,
-        "columns": [column.to_json() for column in layout.columns],
-        "cameras": {name: feature.to_json() for name, feature in layout.cameras.items()},
-        "depths": {name: feature.to_json() for name, feature in layout.depths.items()},
-        "calibration": {c: {name: f.to_json() for name, f in m.items()} for c, m in matrices.items()},
-        "order": [feature.key for feature in info.features],
-    }
-    write_json(root / RCS_FILE, about)
-
-
-def _write_last_rows(path: Path, episodes: Sequence[EpisodeRecord], features: Sequence[Feature]) -> None:
-    """Write the last observation of each episode, images as the dataset stores them."""
-    seen = [f for f in features if not f.is_unknown_at_reset and f.key not in ("terminated", "truncated")]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fields = [pa.field("episode_index", pa.int64()), *(pa.field(f.key, f.arrow_type) for f in seen)]
-    with pq.ParquetWriter(path, pa.schema(fields), compression="zstd") as writer:
-        for index, episode in enumerate(episodes):
-            arrays = [pa.array([index], pa.int64()), *(_last(episode, feature) for feature in seen)]
-            writer.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)))
-
-
-def _last(episode: EpisodeRecord, feature: Feature) -> pa.Array:
-    if feature.is_image:
-        return pa.array(list(deque(episode.encoded_frames(feature.key), maxlen=1)), pa.binary())
-    value: NDArray[Any] = episode.column(feature.key)[-1:]
-    flat = pa.array(np.ascontiguousarray(value).reshape(-1))
-    return flat if feature.shape == () else pa.FixedSizeListArray.from_arrays(flat, feature.size)
 
 
 def _notes(dataset: Dataset, layout: LeRobotLayout) -> Iterator[str]:
@@ -228,14 +197,10 @@ def _notes(dataset: Dataset, layout: LeRobotLayout) -> Iterator[str]:
         yield "LeRobot has no place for lossless depth; it is in rcs/depth, a video per episode (FFV1, 16 bits, mm)."
     if layout.fps != dataset.info.frequency:
         yield f"The export claims {layout.fps} frames/s; the dataset was recorded at {dataset.info.frequency:g}."
-    used = {f.key for column in layout.columns for f in column.parts.features}
+    used = {f.key for column in layout.columns for f in column.parts.features} | {*layout.tables}
     left = [f.key for f in dataset.info.features if not f.is_image and "/frames/" not in f.key and f.key not in used]
     if left:
         yield f"Not exported: {', '.join(left)}; add with --extra."
-
-
-def _camera(feature: Feature) -> str:
-    return "/".join(feature.key.split("/")[2:-1])
 
 
 def _counted(frames: Iterable[NDArray[Any]], histogram: ImageHistogram) -> Iterator[NDArray[Any]]:

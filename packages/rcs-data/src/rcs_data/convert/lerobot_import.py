@@ -1,40 +1,35 @@
 """Imports a LeRobotDataset, v2.0, v2.1 or v3.0, whether exported by RCS or not.
 
 T frames become T + 1 rows: row i has the observation of frame i, row i + 1 its action. LeRobot does not keep the
-observation after the last frame. Our exports have it beside the frames, which restores every row. In other datasets,
-row T repeats the observation of row T - 1, and `imported.last_observation` in the episode's outcome is "repeated".
+observation after the last frame, so row T repeats that of row T - 1, and `imported.last_observation` in the episode's
+outcome is "repeated".
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
-from rcs_data.codec import decode_frame
-from rcs_data.content import flat_numbers
-from rcs_data.convert.calibration import CALIBRATION_FILE, read_episode_calibration
+from rcs_data.convert.labels import LABELS, numbered
 from rcs_data.convert.lerobot import depth_path
-from rcs_data.convert.lerobot_layout import LAST_ROWS_FILE, PROVENANCE_FILE, RCS_FILE, SUCCESS
+from rcs_data.convert.lerobot_layout import PROVENANCE_FILE, RCS_FILE, SUCCESS
 from rcs_data.convert.lerobot_mapping import FeatureMapping, feature_mapping
-from rcs_data.convert.lerobot_source import LeRobotSource, SourceEpisode
-from rcs_data.convert.options import ImportOptions, stored_as
+from rcs_data.convert.lerobot_source import LeRobotSource, SourceEpisode, refuse_pointer
+from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
 from rcs_data.convert.provenance import by_episode, checked_provenance
 from rcs_data.convert.video import VideoReader, decode_depth_video
 from rcs_data.errors import CorruptEpisode, InvalidSetup
-from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
 from rcs_data.json_file import read_json, read_json_lines
 from rcs_data.layout import check_episode_id
 from rcs_data.output import new_output
-from rcs_data.parquet import opened_of_others
 from rcs_data.reader import Dataset
 from rcs_data.writer import DatasetWriter
 
@@ -48,138 +43,121 @@ def is_lerobot(source: Path) -> bool:
 
 
 def import_lerobot(source: str | Path, out: str | Path, options: ImportOptions | None = None) -> Dataset:
-    """Import a LeRobotDataset, whole or not at all.
+    """Import a LeRobotDataset or a part of it; an error leaves nothing.
 
-    Numbers keep the source's dtype, which is float32 for vectors of our exports. Images are compressed again. Success
-    is known only if the source has `next.success` or is our export.
+    Numbers keep the source's dtype, which is float32 for vectors of our exports. JPEG files in its tables stay as they
+    are; other images are compressed again. Success is known only if the source has `next.success` or is our export.
 
     Args:
         source: The folder of the LeRobotDataset.
         out: The folder to make.
-        options: How images are stored.
+        options: What to import, and how images are stored.
 
     Raises:
         DatasetError: There is no such dataset, `out` exists, or the disk fails.
-        CorruptEpisode: The source is damaged.
-        InvalidSetup: The source has nothing to import.
+        CorruptEpisode: The source is damaged or incomplete, and `allow_missing` is not set.
+        InvalidSetup: The source has nothing to import, or an option names an unknown episode or camera.
     """
     options = options or ImportOptions()
     given = LeRobotSource(Path(source))
+    chosen = selected_numbers(options.episodes, given.lengths)
     ours = read_json(given.root / RCS_FILE) if (given.root / RCS_FILE).is_file() else None
-    mapping = feature_mapping(given, ours, keeps_timestamp=not _is_on_grid(given))
-    beside = _Beside.of(given, ours, mapping)
-    with new_output(out) as folder:
-        readers: dict[str, VideoReader] = {}
-        done = 0
-        try:
-            with DatasetWriter.open(folder, _info(given, ours, mapping, options)) as writer:
-                for episode in given.episodes():
-                    _import(episode, writer, given, mapping, beside, readers, options)
-                    done += len(episode.table)
-                    if options.on_progress:
-                        options.on_progress(done, given.frames)
-        finally:
-            for reader in readers.values():
-                reader.close()
+    mapping = feature_mapping(given, ours, options, _carrying(given, chosen, options))
+    reading = _Reading(given, mapping, options, _provenance(given, ours))
+    total, done, imported = sum(given.lengths[index] for index in chosen), 0, 0
+    with new_output(out) as folder, reading:
+        with DatasetWriter.open(folder, _info(given, ours, mapping, options)) as writer:
+            for index, table in _rows(given, chosen, options):
+                try:
+                    reading.take(index, table, writer)
+                    imported += 1
+                except CorruptEpisode as err:
+                    _leave_out(index, err, options)
+                done += len(table)
+                if options.on_progress:
+                    options.on_progress(done, total)
+        if not imported:
+            raise CorruptEpisode(f"No episode of {given.root} can be imported: all are missing or damaged.")
     return Dataset.open(out)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Beside:
-    """The files that our exports have beside LeRobot's; empty for other datasets."""
+@dataclass
+class _Reading:
+    """Makes episodes of the source's rows and images."""
 
-    root: Path
-    provenance: dict[int, dict[str, Any]]
-    calibration: dict[int, dict[str, Any]]
-    has_last_rows: bool
+    source: LeRobotSource
+    mapping: FeatureMapping
+    options: ImportOptions
+    provenance: Mapping[int, dict[str, Any]]
 
-    @classmethod
-    def of(cls, source: LeRobotSource, ours: Mapping[str, Any] | None, mapping: FeatureMapping) -> _Beside:
-        provenance: dict[int, dict[str, Any]] = {}
-        calibration: dict[int, dict[str, Any]] = {}
-        path = source.root / PROVENANCE_FILE
-        if ours is not None and path.is_file():
-            rows = [checked_provenance(row, path) for row in read_json_lines(path)]
-            provenance = by_episode(rows, path)
-        # If episodes were added or removed since, these files no longer fit.
-        if {index: row["rows"] - 1 for index, row in provenance.items()} != source.lengths:
-            if mapping.depths or mapping.matrices:
-                raise CorruptEpisode(
-                    f"{source.root} was exported by RCS and changed since: {PROVENANCE_FILE} lists other "
-                    f"episodes than LeRobot's files. Remove {RCS_FILE} to import it like any other LeRobot dataset."
-                )
-            return cls(root=source.root, provenance={}, calibration={}, has_last_rows=False)
-        if mapping.matrices:
-            path = source.root / CALIBRATION_FILE
-            calibration = by_episode(read_json(path).get("episodes", []), path)
-        has_last_rows = (source.root / LAST_ROWS_FILE).is_file()
-        return cls(root=source.root, provenance=provenance, calibration=calibration, has_last_rows=has_last_rows)
+    def __enter__(self) -> None:
+        self._readers: dict[str, VideoReader] = {}
 
-    def last_row(self, index: int, features: tuple[Feature, ...]) -> dict[str, Any]:
-        """Return the last observation of an episode by key; empty if it was not stored."""
-        if not self.has_last_rows:
-            return {}
-        path = self.root / LAST_ROWS_FILE
-        with opened_of_others(path) as source:
-            if not 0 <= index < source.file.num_row_groups:
-                raise CorruptEpisode(f"{path} has {source.file.num_row_groups} groups, but none for episode {index}.")
-            table = source.table(groups=[index])
-        row: dict[str, Any] = {}
-        for feature in features:
-            if feature.key in table.column_names:
-                column = table.column(feature.key)
-                if len(column) != 1 or column.type != feature.arrow_type or column.null_count:
-                    raise CorruptEpisode(f"{path} has {len(column)} rows of {column.type} as {feature.key!r}.")
-                row[feature.key] = (
-                    decode_frame(feature, column[0].as_py())
-                    if feature.is_image
-                    else flat_numbers(column).reshape(1, *feature.shape)[0]
-                )
-        return row
+    def __exit__(self, *_: object) -> None:
+        for reader in self._readers.values():
+            reader.close()
 
-
-def _import(
-    episode: SourceEpisode,
-    writer: DatasetWriter,
-    source: LeRobotSource,
-    mapping: FeatureMapping,
-    beside: _Beside,
-    readers: dict[str, VideoReader],
-    options: ImportOptions,
-) -> None:
-    steps = len(episode.table)
-    seen, done = _numbers(episode, mapping)
-    if mapping.matrices:
-        entry = beside.calibration.get(episode.index, {})
-        seen |= read_episode_calibration(beside.root, entry, mapping.matrices, steps)
-    images: dict[str, Iterator[NDArray[Any]]] = {
-        feature.key: episode.images(name, feature.shape, readers, source.fps)
-        for name, feature in mapping.cameras.items()
-    }
-    for camera, feature in mapping.depths.items():
-        images[feature.key] = decode_depth_video(beside.root / depth_path(camera, episode.index))
-    last = beside.last_row(episode.index, mapping.features)
-    came = beside.provenance.get(episode.index, {})
-    instruction = came.get("instruction") or " ".join(episode.tasks[:1]) or options.instruction
-    current: dict[str, Any] = {}
-    with writer.episode(_name(episode, came), seed=came.get("seed"), instruction=instruction) as taken:
-        for row in range(steps + 1):
-            values = {key: column[row - 1] for key, column in done.items()} if row else {}
-            if row < steps:
-                current = {key: column[row] for key, column in seen.items()}
-                current |= {key: _next(frames, key, episode) for key, frames in images.items()}
-                taken.add(_timed(values | current))
-            else:
-                # Unmeasured times are not set.
-                repeated = {key: None if key.startswith("time/") else value for key, value in current.items()}
-                taken.add(_timed(values | repeated | last))
+    def take(self, index: int, table: pa.Table, writer: DatasetWriter) -> None:
+        """Write an episode, or nothing if it is damaged."""
+        source, mapping = self.source, self.mapping
+        videos = {name: source.video(name, index) for name in mapping.cameras if source.is_video(name)}
+        episode = SourceEpisode(index=index, table=table, videos=videos)
+        came = self.provenance.get(index, {})
+        seen, done = _numbers(episode, mapping)
+        texts: dict[str, list[str]] = {}
+        for name, feature in mapping.labels.items():
+            seen[feature.key], texts[feature.key] = numbered(source.texts(name, table))
+        images: dict[str, Iterator[Any]] = {
+            feature.key: episode.images(name, stored_as(feature, self.options), self._readers, source.fps)
+            for name, feature in mapping.cameras.items()
+        }
+        for camera, feature in mapping.depths.items():
+            images[feature.key] = decode_depth_video(source.root / depth_path(camera, index))
+        tasks = list(dict.fromkeys(source.texts("task_index", table) if "task_index" in table.column_names else []))
         about = {
-            "episode": episode.index,
-            "tasks": list(episode.tasks),
-            "last_observation": "kept" if last else "repeated",
+            "episode": index,
+            "tasks": tasks,
+            "last_observation": "repeated",
             **({"provenance": came} if came else {}),
         }
-        taken.finish(_success(episode, came), {**came.get("outcome", {}), "imported": about})
+        outcome = {**came.get("outcome", {}), "imported": about, **({LABELS: texts} if texts else {})}
+        name = str(came.get("episode", f"{index:06d}"))
+        check_episode_id(name)
+        instruction = came.get("instruction") or " ".join(tasks[:1]) or self.options.instruction
+        with ExitStack() as on_error:
+            taken = writer.episode(name, seed=came.get("seed"), instruction=instruction)
+            on_error.callback(taken.discard)
+            current: dict[str, Any] = {}
+            for row in range(len(table) + 1):
+                values = {key: column[row - 1] for key, column in done.items()} if row else {}
+                if row < len(table):
+                    current = {key: column[row] for key, column in seen.items()}
+                    current |= {key: _next(frames, key, index) for key, frames in images.items()}
+                    taken.add(_timed(values | current))
+                else:  # unmeasured times are not set
+                    taken.add(values | {k: None if k.startswith("time/") else value for k, value in current.items()})
+            taken.finish(_success(episode, came), outcome)
+            on_error.pop_all()
+
+
+def _rows(source: LeRobotSource, chosen: Iterable[int], options: ImportOptions) -> Iterator[tuple[int, pa.Table]]:
+    """Yield the rows of each episode; those that cannot be read are left out, if that is allowed."""
+    for path, episodes in source.files([*chosen]).items():
+        left = dict.fromkeys(episodes)
+        try:
+            for index, table in source.rows(path, episodes):
+                del left[index]
+                yield index, table
+        except CorruptEpisode as err:
+            for index in left:
+                _leave_out(index, err, options)
+
+
+def _leave_out(index: int, err: CorruptEpisode, options: ImportOptions) -> None:
+    if not options.allow_missing:
+        raise err
+    if options.on_note:
+        options.on_note(f"Episode {index} was left out: {err}")
 
 
 def _numbers(episode: SourceEpisode, mapping: FeatureMapping) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -201,17 +179,11 @@ def _timed(row: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _next(frames: Iterator[NDArray[Any]], key: str, episode: SourceEpisode) -> NDArray[Any]:
+def _next(frames: Iterator[Any], key: str, index: int) -> Any:
     frame = next(frames, None)
     if frame is None:
-        raise CorruptEpisode(f"Episode {episode.index} has fewer images of {key!r} than rows.")
+        raise CorruptEpisode(f"Episode {index} has fewer images of {key!r} than rows.")
     return frame
-
-
-def _name(episode: SourceEpisode, came: Mapping[str, Any]) -> str:
-    name = str(came.get("episode", f"{episode.index:06d}"))
-    check_episode_id(name)
-    return name
 
 
 def _success(episode: SourceEpisode, came: Mapping[str, Any]) -> bool | None:
@@ -222,21 +194,37 @@ def _success(episode: SourceEpisode, came: Mapping[str, Any]) -> bool | None:
     return None
 
 
+def _provenance(source: LeRobotSource, ours: Mapping[str, Any] | None) -> dict[int, dict[str, Any]]:
+    """Return the origin of each episode, if this is our export and nobody has changed it since."""
+    path = source.root / PROVENANCE_FILE
+    if ours is None or not path.is_file():
+        return {}
+    refuse_pointer(path)
+    found = by_episode([checked_provenance(row, path) for row in read_json_lines(path)], path)
+    if {index: row["rows"] - 1 for index, row in found.items()} == source.lengths:
+        return found
+    if ours.get("depths"):
+        raise CorruptEpisode(
+            f"{source.root} was exported by RCS and changed since: {PROVENANCE_FILE} lists other episodes than "
+            f"LeRobot's files. Remove {RCS_FILE} to import it like any other LeRobot dataset."
+        )
+    return {}
+
+
 def _info(
     source: LeRobotSource, ours: Mapping[str, Any] | None, mapping: FeatureMapping, options: ImportOptions
 ) -> DatasetInfo:
     if not mapping.features:
         raise InvalidSetup(f"{source.root} has no column to import: {mapping.left_out}.")
+    own = ours or {}
     imported: dict[str, Any] = {
         "format": f"LeRobot {source.version}",
         "robot_type": source.info.get("robot_type"),
         "names": {name: about.get("names") for name, about in source.features.items()},
         "left_out": mapping.left_out,
+        **({"dataset": own.get("dataset"), "setup": own.get("setup")} if own else {}),
     }
-    own = ours or {}
-    if own:
-        imported |= {"dataset": own.get("dataset"), "setup": own.get("setup")}
-    words = chain([own.get("instruction"), options.instruction], source.tasks.values())
+    words = [own.get("instruction"), options.instruction, *source.tasks.values()]
     return DatasetInfo(
         frequency=own.get("frequency", source.fps),
         features=tuple(stored_as(feature, options) for feature in mapping.features),
@@ -246,18 +234,22 @@ def _info(
     )
 
 
-def _is_on_grid(source: LeRobotSource) -> bool:
-    """Return whether all stamps equal frame number over rate, and so carry no information."""
-    if "timestamp" not in source.features or "frame_index" not in source.features:
-        return True
-    for path in sorted((source.root / "data").glob("*/*.parquet")):
-        with opened_of_others(path) as opened:
-            table = opened.table(["timestamp", "frame_index"])
-        if table.num_columns < 2:
-            raise CorruptEpisode(f"{path} lacks the column timestamp or frame_index listed in info.json.")
-        if not all(pa.types.is_integer(kind) or pa.types.is_floating(kind) for kind in table.schema.types):
-            raise CorruptEpisode(f"{path} has {table.schema.types} as timestamp and frame_index; expected numbers.")
-        off = table.column("timestamp").to_numpy() - table.column("frame_index").to_numpy() / source.fps
-        if len(off) and float(np.abs(off).max()) > _ON_GRID_S:
-            return False
-    return True
+def _carrying(source: LeRobotSource, chosen: Iterable[int], options: ImportOptions) -> set[str]:
+    """Return which of LeRobot's own columns carry something: stamps off the grid, a task that changes."""
+    names = [name for name in ("timestamp", "frame_index", "task_index") if name in source.features]
+    found: set[str] = set()
+    for path, episodes in source.files([*chosen]).items():
+        try:
+            for index, table in source.rows(path, episodes, names):
+                episode = SourceEpisode(index=index, table=table, videos={})
+                values = {name: episode.numbers(name, ()) for name in names}
+                if "task_index" in names and len(set(values["task_index"].tolist())) > 1:
+                    found.add("task_index")
+                if {"timestamp", "frame_index"} <= values.keys():
+                    off = np.abs(values["timestamp"] - values["frame_index"] / source.fps)
+                    if float(off.max(initial=0)) > _ON_GRID_S:
+                        found.add("timestamp")
+        except CorruptEpisode:
+            if not options.allow_missing:
+                raise
+    return found

@@ -3,20 +3,24 @@
 A frame of LeRobot is a step: an observation and the action that followed. Besides LeRobot's own columns, there is one
 for each measured time and each camera's flags, such as "time.monotonic", since `timestamp` is by definition frame /
 fps. Columns that begin with "observation" become inputs of LeRobot's policies, so only the state and the images are
-exported by default.
+exported by default. Camera matrices are columns too, `calibration.<camera>.intrinsics` [px] and `.extrinsics`, the
+camera's pose in the robot's base in OpenCV axes (x right, y down, z forward) [m], row-major. Texts per row, as
+`rcs_data.convert.labels` has them, are columns of strings, and `extra/task_index` becomes LeRobot's own.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from rcs_data.convert.labels import labels, row_texts
 from rcs_data.convert.options import ExportOptions, VideoCodec, selected_cameras
 from rcs_data.convert.video import pixel_format
 from rcs_data.errors import InvalidSetup
@@ -30,7 +34,11 @@ REWARD, DONE, SUCCESS = "next.reward", "next.done", "next.success"
 TERMINATED, TRUNCATED = "next.terminated", "next.truncated"
 RCS_FILE = "meta/rcs.json"
 PROVENANCE_FILE = "meta/rcs_provenance.jsonl"
-LAST_ROWS_FILE = "rcs/last_rows.parquet"
+TASK, SUBTASK = "extra/task_index", "extra/subtask_index"
+"""Features with texts per row that LeRobot has tables for."""
+
+TEXT = "string"
+"""LeRobot's dtype of texts."""
 
 INDICES = {
     "timestamp": "float32",
@@ -81,16 +89,19 @@ class LeRobotLayout:
     """Depth images by camera."""
     has_success: bool
     """Whether every episode has a verdict."""
+    tables: tuple[str, ...] = ()
+    """`TASK` and `SUBTASK` where the dataset has them."""
 
     @property
     def numbers(self) -> dict[str, tuple[str, int]]:
         """Dtype and size of every column in the Parquet files, in order."""
         sizes = {column.name: (column.dtype, column.parts.size) for column in self.columns}
         flags = [DONE, SUCCESS] if self.has_success else [DONE]
+        indices = {**INDICES, "subtask_index": "int64"} if SUBTASK in self.tables else INDICES
         return {
             **sizes,
             **dict.fromkeys(flags, ("bool", 1)),
-            **{name: (dtype, 1) for name, dtype in INDICES.items()},
+            **{name: (dtype, 1) for name, dtype in indices.items()},
         }
 
     def features(self) -> dict[str, Any]:
@@ -117,27 +128,29 @@ class LeRobotLayout:
         }
         return {"dtype": "video", "shape": list(feature.shape), "names": ["height", "width", "channels"], "info": about}
 
-    @property
+    @cached_property
     def schema(self) -> pa.Schema:
         """The schema of the Parquet files, with the features in the metadata of the `datasets` package."""
         fields: list[pa.Field] = []
         described: dict[str, Any] = {}
         for name, (dtype, size) in self.numbers.items():
-            number = pa.from_numpy_dtype(np.dtype(dtype))
+            number = pa.string() if dtype == TEXT else pa.from_numpy_dtype(np.dtype(dtype))
             fields.append(pa.field(name, number if size == 1 else pa.list_(number, size)))
             value = {"dtype": dtype, "_type": "Value"}
             # "Sequence", not "List": the versions of `datasets` that read v2.1 do not know the latter.
             described[name] = value if size == 1 else {"feature": value, "length": size, "_type": "Sequence"}
         return pa.schema(fields, metadata={"huggingface": json.dumps({"info": {"features": described}})})
 
-    def arrays(self, episode: EpisodeRecord, *, index: int, first: int, task: int) -> dict[str, NDArray[Any]]:
+    def arrays(
+        self, episode: EpisodeRecord, *, index: int, first: int, texts: Mapping[str, NDArray[Any]]
+    ) -> dict[str, NDArray[Any]]:
         """Return the columns of an episode, each of shape (steps, size).
 
         Args:
             episode: The episode.
             index: Its number among the exported ones.
             first: The number of its first frame in the dataset.
-            task: The number of its instruction.
+            texts: `task_index` and, if there are any, `subtask_index`, shape (steps,).
 
         Raises:
             CorruptEpisode: The episode is damaged.
@@ -154,10 +167,10 @@ class LeRobotLayout:
             "frame_index": np.arange(steps),
             "episode_index": np.full(steps, index),
             "index": np.arange(first, first + steps),
-            "task_index": np.full(steps, task),
+            **texts,
         }
         return {
-            name: np.ascontiguousarray(arrays[name].reshape(steps, size), dtype)
+            name: np.ascontiguousarray(arrays[name].reshape(steps, size), object if dtype == TEXT else dtype)
             for name, (dtype, size) in self.numbers.items()
         }
 
@@ -166,7 +179,7 @@ class LeRobotLayout:
         schema = self.schema
         made: list[pa.Array] = []
         for field in schema:
-            values = pa.array(arrays[field.name].reshape(-1))
+            values = pa.array(arrays[field.name].reshape(-1), *([field.type] if pa.types.is_string(field.type) else []))
             is_list = pa.types.is_fixed_size_list(field.type)
             made.append(pa.FixedSizeListArray.from_arrays(values, field.type.list_size) if is_list else values)
         return pa.Table.from_arrays(made, schema=schema)
@@ -190,17 +203,20 @@ def lerobot_layout(info: DatasetInfo, episodes: Sequence[EpisodeRecord], options
     layout = LeRobotLayout(
         fps=_whole_rate(info, options),
         codec=options.codec,
-        columns=_columns(info, options),
+        columns=_columns(info, options, chosen, episodes),
         cameras={IMAGES + name.replace("/", "."): cameras[name] for name in chosen if name in cameras},
         depths={name: depths[name] for name in chosen if name in depths},
         has_success=all(episode.success is not None for episode in episodes),
+        tables=tuple(key for key in (TASK, SUBTASK) if _is_text(info, episodes, key)),
     )
     for feature in layout.cameras.values():
         pixel_format(feature.shape[0], feature.shape[1], options.codec)
     return layout
 
 
-def _columns(info: DatasetInfo, options: ExportOptions) -> tuple[Column, ...]:
+def _columns(
+    info: DatasetInfo, options: ExportOptions, cameras: Sequence[str], episodes: Sequence[EpisodeRecord]
+) -> tuple[Column, ...]:
     columns = [
         Column(name=STATE, dtype="float32", parts=state_layout(info, options.state)),
         Column(name=ACTION, dtype="float32", parts=action_layout(info, options.action)),
@@ -208,17 +224,22 @@ def _columns(info: DatasetInfo, options: ExportOptions) -> tuple[Column, ...]:
     singles = {
         "reward": (REWARD, "float32"), "terminated": (TERMINATED, "bool"), "truncated": (TRUNCATED, "bool")
     }  # fmt: skip
-    for feature in info.features:
-        if feature.key in singles:
-            name, dtype = singles[feature.key]
-            columns.append(Column(name=name, dtype=dtype, parts=VectorLayout(features=(feature,))))
+    known = {feature.key: feature for feature in info.features}
+    columns += [_column(known[key], name, dtype) for key, (name, dtype) in singles.items() if key in known]
+    for camera in cameras:
+        for kind in ("intrinsics", "extrinsics"):
+            key = f"observation/frames/{camera}/{kind}"
+            if key in known:
+                columns.append(_column(known[key], f"calibration.{camera.replace('/', '.')}.{kind}"))
     extra = [info.feature(key) for key in options.extra]
     extra += [f for f in info.features if f.is_circumstance and f not in extra]
     for feature in extra:
         if feature.is_image or feature.key in singles:
             raise InvalidSetup(f"{feature.key!r} cannot be a column: choose features of numbers.")
+        plain = feature.key.removeprefix("extra/")
+        name = feature.key if plain in (*INDICES, REWARD, DONE, SUCCESS, TERMINATED, TRUNCATED) else plain
         columns.append(
-            Column(name=feature.key.replace("/", "."), dtype=feature.dtype, parts=VectorLayout(features=(feature,)))
+            _column(feature, name.replace("/", "."), TEXT if _is_text(info, episodes, feature.key) else None)
         )
     names = [column.name for column in columns]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -227,8 +248,18 @@ def _columns(info: DatasetInfo, options: ExportOptions) -> tuple[Column, ...]:
     return tuple(columns)
 
 
+def _column(feature: Feature, name: str, dtype: str | None = None) -> Column:
+    return Column(name=name, dtype=dtype or feature.dtype, parts=VectorLayout(features=(feature,)))
+
+
+def _is_text(info: DatasetInfo, episodes: Sequence[EpisodeRecord], key: str) -> bool:
+    return any(feature.key == key for feature in info.features) and all(key in labels(e) for e in episodes)
+
+
 def _values(column: Column, episode: EpisodeRecord) -> NDArray[Any]:
     features = column.parts.features
+    if column.dtype == TEXT:
+        return np.array(row_texts(episode, next(f.key for f in features))[:-1], object)
     # A single feature keeps its dtype; joined ones become float64, which cannot hold every 64-bit integer.
     rows = column.parts.rows(episode) if len(features) > 1 else episode.column(next(f.key for f in features))
     return rows[1:] if column.is_after else rows[:-1]

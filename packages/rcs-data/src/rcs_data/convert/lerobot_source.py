@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,22 @@ from numpy.typing import NDArray
 
 from rcs_data.codec import decode_jpeg
 from rcs_data.content import flat_numbers
+from rcs_data.convert.lerobot_layout import TEXT
 from rcs_data.convert.video import VideoReader, decode_image
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
+from rcs_data.feature import Feature
 from rcs_data.json_file import read_json, read_json_lines
 from rcs_data.parquet import opened_of_others
 from rcs_data.text import mended_text
 
 _VERSIONS = ("v2.0", "v2.1", "v3.0")
 _HIGHEST_FPS = 1e6
+_JPEG = (b"\xff\xd8", b"\xff\xd9")
+_POINTER = b"version https://git-lfs"
+_DATA_PATHS = {
+    "v3.0": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+    "v2.1": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
+}
 # A name in a path pattern, and the number of digits.
 _FIELD = re.compile(r"\{(?P<name>[a-z_]+)(?::0(?P<digits>\d)d)?\}")
 
@@ -44,8 +53,6 @@ class SourceEpisode:
 
     index: int
     """Its number."""
-    tasks: tuple[str, ...]
-    """What the robot was asked to do, in order of appearance."""
     table: pa.Table
     """Its frames without videos."""
     videos: dict[str, VideoPlace]
@@ -71,21 +78,31 @@ class SourceEpisode:
             )
         return numbers.reshape(len(self.table), *shape)
 
-    def images(self, name: str, shape: tuple[int, ...], readers: dict[str, VideoReader], fps: float) -> Iterator[Any]:
-        """Yield the images of a column, (H, W, 3) uint8, one at a time.
+    def images(
+        self, name: str, feature: Feature, readers: dict[str, VideoReader], fps: float
+    ) -> Iterator[NDArray[np.uint8] | bytes]:
+        """Yield the images of a column one by one: JPEG files as they are where the feature keeps such, else arrays.
 
         Args:
             name: The column.
-            shape: The shape of each.
+            feature: What they become.
             readers: Open videos by column, kept between calls, since the next episode may continue in the same one.
             fps: Frames per second.
 
         Raises:
             CorruptEpisode: An image is missing, damaged, or of another shape.
         """
-        for image in self._stored(name, shape) if name not in self.videos else self._decoded(name, readers, fps):
-            if image.shape != shape:
-                raise CorruptEpisode(f"Image of {name!r} in episode {self.index}: expected {shape}; got {image.shape}.")
+        # A native feature of videos could take the source's packets here, without decoding.
+        for given in self._stored(name) if name not in self.videos else self._decoded(name, readers, fps):
+            if isinstance(given, bytes) and given[:2] == _JPEG[0] and given[-2:] == _JPEG[1]:
+                image = decode_jpeg(given, feature.shape)
+                yield given if feature.encoding == "jpeg" else image
+                continue
+            image = decode_image(given) if isinstance(given, bytes) else given
+            if image.shape != feature.shape:
+                raise CorruptEpisode(
+                    f"Image of {name!r} in episode {self.index}: expected {feature.shape}; got {image.shape}."
+                )
             yield image
 
     def _column(self, name: str) -> pa.ChunkedArray:
@@ -98,10 +115,11 @@ class SourceEpisode:
         if name in readers and readers[name].path != place.path:
             readers.pop(name).close()
         if name not in readers:
+            refuse_pointer(place.path)
             readers[name] = VideoReader(place.path)
         yield from readers[name].frames(place.start, len(self.table), fps)
 
-    def _stored(self, name: str, shape: tuple[int, ...]) -> Iterator[NDArray[np.uint8]]:
+    def _stored(self, name: str) -> Iterator[bytes]:
         for item in self._column(name):
             stored = item.as_py()
             data = stored.get("bytes") if isinstance(stored, dict) else stored
@@ -109,7 +127,7 @@ class SourceEpisode:
                 raise CorruptEpisode(
                     f"Column {name!r} of episode {self.index} names image files but does not have them."
                 )
-            yield decode_jpeg(data, shape) if data.startswith(b"\xff\xd8") else decode_image(data)
+            yield data
 
 
 class LeRobotSource:
@@ -129,6 +147,7 @@ class LeRobotSource:
         path = root / "meta" / "info.json"
         if not path.is_file():
             raise DatasetError(f"There is no LeRobot dataset in {root}: meta/info.json is missing.")
+        refuse_pointer(path)
         self.info = read_json(path)
         self.version = str(self.info.get("codebase_version"))
         if self.version not in _VERSIONS:
@@ -142,6 +161,8 @@ class LeRobotSource:
         try:
             self._lengths, self._about = self._read_episodes()
             self.tasks = self._read_tasks()
+            path = root / "meta" / "subtasks.parquet"
+            self.subtasks = self._read_texts(path, "subtask_index") if path.is_file() else {}
         except DatasetError:
             raise
         except (KeyError, TypeError, OSError, pa.ArrowException) as err:
@@ -154,56 +175,77 @@ class LeRobotSource:
         """The number of frames of each episode."""
         return dict(self._lengths)
 
-    def episodes(self) -> Iterator[SourceEpisode]:
-        """Yield the episodes in the order of the files, with the numbers of one at a time in memory.
+    def files(self, episodes: Sequence[int]) -> dict[Path, list[int]]:
+        """Return the episodes in each Parquet file, relative to the folder."""
+        found: dict[Path, list[int]] = {}
+        pattern = self.info.get("data_path", _DATA_PATHS["v3.0" if self.version == "v3.0" else "v2.1"])
+        for index in episodes:
+            found.setdefault(filled(pattern, self._place("data", index)), []).append(index)
+        return found
+
+    def is_video(self, name: str) -> bool:
+        """Return whether a column's images are in videos."""
+        return self.features[name]["dtype"] == "video"
+
+    def video(self, name: str, index: int) -> VideoPlace:
+        """Return the place of an episode's video.
+
+        Raises:
+            CorruptEpisode: The description of the episode has none.
+        """
+        start = self._about[index].get(f"videos/{name}/from_timestamp") if self.version == "v3.0" else 0.0
+        if not isinstance(start, int | float) or not 0 <= start < math.inf:
+            raise CorruptEpisode(f"The video {name!r} of episode {index} in {self.root} begins at {start!r} s.")
+        where = {"video_key": name, **self._place(f"videos/{name}", index)}
+        return VideoPlace(path=self.root / filled(self.info.get("video_path"), where), start=float(start))
+
+    def rows(
+        self, path: Path, episodes: Sequence[int], columns: Sequence[str] | None = None
+    ) -> Iterator[tuple[int, pa.Table]]:
+        """Yield episodes of one file with their rows, one at a time in memory.
+
+        Args:
+            path: The file, relative to the folder.
+            episodes: Those to read.
+            columns: The columns to read, besides `episode_index`; None for all.
 
         Raises:
             CorruptEpisode: Rows are missing or damaged.
         """
-        left = dict(self._lengths)
-        for index, table in self._tables():
-            if left.pop(index, None) != len(table):
-                told = self._lengths.get(index, 0)
-                raise CorruptEpisode(f"Episode {index} of {self.root} has {len(table)} rows; expected {told}.")
-            used = dict.fromkeys(table.column("task_index").to_pylist()) if "task_index" in table.column_names else {}
-            yield SourceEpisode(
-                index=index,
-                tasks=tuple(self.tasks[i] for i in used if i in self.tasks),
-                table=table,
-                videos={name: self._video(name, index) for name, f in self.features.items() if f["dtype"] == "video"},
-            )
+        left = set(episodes)
+        file = self.root / path
+        refuse_pointer(file)
+        with opened_of_others(file) as source:
+            kept = None if columns is None else ["episode_index", *columns]
+            missing = [name for name in kept or () if name not in source.file.schema_arrow.names]
+            if missing:
+                raise CorruptEpisode(f"{file} lacks the column {missing[0]} listed in info.json.")
+            source.require(kept)
+            tables = (pa.Table.from_batches([batch]) for batch in source.batches(kept))
+            parts = (part for table in tables for part in _by_episode(table, file))
+            for index, group in groupby(parts, itemgetter(0)):
+                if index in left:
+                    rows = pa.concat_tables([part for _, part in group])
+                    if len(rows) != self._lengths[index]:
+                        told = self._lengths[index]
+                        raise CorruptEpisode(f"Episode {index} of {self.root} has {len(rows)} rows; expected {told}.")
+                    left.remove(index)
+                    yield index, rows
         if left:
             raise CorruptEpisode(f"Episodes {sorted(left)[:10]} of {self.root} are described but have no rows.")
 
-    def _tables(self) -> Iterator[tuple[int, pa.Table]]:
-        """Yield the rows of episode after episode, wherever files and row groups end."""
-        parts: list[pa.Table] = []
-        current: int | None = None
-        for path in sorted((self.root / "data").glob("*/*.parquet")):
-            with opened_of_others(path) as source:
-                source.require()
-                for batch in source.batches():
-                    for index, part in _by_episode(pa.Table.from_batches([batch]), path):
-                        if index != current and parts and current is not None:
-                            yield current, pa.concat_tables(parts)
-                            parts = []
-                        current = index
-                        parts.append(part)
-        if parts and current is not None:
-            yield current, pa.concat_tables(parts)
+    def texts(self, name: str, table: pa.Table) -> list[str]:
+        """Return the text of every row of a column: its own, or that which its number stands for."""
+        values = table.column(name).to_pylist()
+        if self.features[name]["dtype"] == TEXT:
+            return [mended_text(str(value or "")) for value in values]
+        known = self.subtasks if name == "subtask_index" else self.tasks
+        return [known.get(value, str(value)) for value in values]
 
-    def _video(self, name: str, index: int) -> VideoPlace:
-        pattern = self.info.get("video_path")
+    def _place(self, what: str, index: int) -> dict[str, object]:
         if self.version == "v3.0":
-            about = self._about[index]
-            where = {f"{part}_index": about.get(f"videos/{name}/{part}_index") for part in ("chunk", "file")}
-            start = about.get(f"videos/{name}/from_timestamp")
-        else:
-            chunk = index // self._chunks_size
-            where, start = {"episode_chunk": chunk, "episode_index": index}, 0.0
-        if not isinstance(start, int | float) or not 0 <= start < math.inf:
-            raise CorruptEpisode(f"The video {name!r} of episode {index} in {self.root} begins at {start!r} s.")
-        return VideoPlace(path=self.root / filled(pattern, {"video_key": name, **where}), start=float(start))
+            return {f"{part}_index": self._about[index].get(f"{what}/{part}_index") for part in ("chunk", "file")}
+        return {"episode_chunk": index // self._chunks_size, "episode_index": index}
 
     def _rate(self) -> float:
         fps = self.info.get("fps")
@@ -231,6 +273,7 @@ class LeRobotSource:
         else:
             rows = []
             for path in sorted((self.root / "meta" / "episodes").glob("*/*.parquet")):
+                refuse_pointer(path)
                 with opened_of_others(path) as source:
                     names = [name for name in source.file.schema_arrow.names if not name.startswith("stats/")]
                     rows += source.table(names).to_pylist()
@@ -246,15 +289,35 @@ class LeRobotSource:
         if self.version != "v3.0":
             rows = read_json_lines(self.root / "meta" / "tasks.jsonl")
             return {row["task_index"]: str(row["task"]) for row in rows}
-        path = self.root / "meta" / "tasks.parquet"
+        return self._read_texts(self.root / "meta" / "tasks.parquet", "task_index")
+
+    def _read_texts(self, path: Path, number: str) -> dict[int, str]:
+        refuse_pointer(path)
         with opened_of_others(path) as source:
             table = source.table()
-        # The instruction is the index of a pandas frame, whose column may have any name.
-        words = [name for name in table.column_names if name != "task_index"]
-        if "task_index" not in table.column_names or not words:
-            raise CorruptEpisode(f"{path} has columns {table.column_names}; it must have task_index and the words.")
-        tasks = zip(table.column("task_index").to_pylist(), table.column(words[0]).to_pylist(), strict=True)
-        return {index: mended_text(str(task)) for index, task in tasks}
+        # The text is the index of a pandas frame, whose column may have any name.
+        words = [name for name in table.column_names if name != number]
+        if number not in table.column_names or not words:
+            raise CorruptEpisode(f"{path} has columns {table.column_names}; it must have {number} and the words.")
+        texts = zip(table.column(number).to_pylist(), table.column(words[0]).to_pylist(), strict=True)
+        return {index: mended_text(str(text)) for index, text in texts}
+
+
+def refuse_pointer(path: Path) -> None:
+    """Raise if Git has left a pointer in place of a large file.
+
+    Raises:
+        CorruptEpisode: It has; the message says what to do.
+    """
+    try:
+        with path.open("rb") as file:
+            is_pointer = path.is_file() and file.read(len(_POINTER)) == _POINTER
+    except OSError:
+        return
+    if is_pointer:
+        raise CorruptEpisode(
+            f"{path} is a Git LFS pointer, not the file itself. Fetch the files with `git lfs pull` in their folder."
+        )
 
 
 def filled(pattern: object, values: Mapping[str, object]) -> Path:

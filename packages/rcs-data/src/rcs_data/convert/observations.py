@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.convert.options import ExportOptions, selected_cameras
+from rcs_data.convert.options import ExportOptions, ImportOptions, selected_cameras
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
@@ -35,12 +35,12 @@ class FrameKey:
         return cls("/".join(words[2:-1]), words[-1])
 
 
-def kept_info(info: DatasetInfo, options: ExportOptions) -> DatasetInfo:
-    """Return the info without the features of cameras that are not exported.
+def kept_info(info: DatasetInfo, options: ExportOptions | ImportOptions) -> DatasetInfo:
+    """Return the info without the features of cameras that are not chosen.
 
     Args:
         info: What the dataset's episodes share.
-        options: Cameras to export.
+        options: The cameras.
 
     Raises:
         InvalidSetup: A camera is unknown.

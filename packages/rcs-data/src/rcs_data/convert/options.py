@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
@@ -44,6 +45,12 @@ class ExportOptions:
     """Whether to compress images without loss, if the format leaves the choice: smaller, but slower to read."""
     name: str | None = None
     """Name of the export, in formats that store one; None for that of the dataset's folder."""
+    splits: tuple[str, ...] = ("train",)
+    """Splits with their shares of the episodes, such as train=0.9 val=0.1, in RLDS."""
+    shard_mb: int = 200
+    """Largest size of a file of several episodes [MB], in RLDS."""
+    normalise: bool = False
+    """Whether to scale each number of the action to [-1, 1], as robomimic's policies expect; the file has the scale."""
     workers: int = 1
     """Threads that encode, one core each."""
     on_progress: OnProgress | None = None
@@ -55,6 +62,8 @@ class ExportOptions:
             raise InvalidSetup(f"The codec is {self.codec!r}; valid are {', '.join(get_args(VideoCodec))}.")
         if self.fps is not None and self.fps < 1:
             raise InvalidSetup(f"fps is {self.fps}; it must be at least 1.")
+        if self.shard_mb < 1:
+            raise InvalidSetup(f"shard_mb is {self.shard_mb}; it must be at least 1.")
         if self.workers < 1:
             raise InvalidSetup(f"workers is {self.workers}; it must be at least 1.")
 
@@ -71,8 +80,16 @@ class ImportOptions:
     """What the robot was asked to do, if the source does not say."""
     frequency: float | None = None
     """Control steps per second [Hz], if the source does not say."""
+    episodes: tuple[str, ...] | None = None
+    """Numbers of episodes to import, and ranges such as 0-99 or 200-; None for all."""
+    cameras: tuple[str, ...] | None = None
+    """Cameras to import; None for all, an empty tuple (`none` on the command line) for none."""
+    allow_missing: bool = False
+    """Whether to leave out, and name, episodes whose rows or videos are missing or damaged, instead of refusing all."""
     on_progress: OnProgress | None = None
     """Called now and then while the import runs."""
+    on_note: Callable[[str], object] | None = None
+    """Called with a sentence for each episode that was left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,16 +145,40 @@ def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[Episode
     return tuple(kept)
 
 
-def selected_cameras(names: dict[str, object] | list[str], options: ExportOptions) -> tuple[str, ...]:
-    """Return the names of the cameras to export.
+def selected_numbers(ranges: Sequence[str] | None, known: Iterable[int]) -> list[int]:
+    """Return the numbers of episodes in their order, given numbers and ranges such as "0-99" or "200-"; None for all.
+
+    Raises:
+        InvalidSetup: A text is neither, or names no known episode.
+    """
+    kept = sorted(known)
+    if ranges is None:
+        return kept
+    chosen: set[int] = set()
+    for text in ranges:
+        start, dash, stop = text.partition("-")
+        is_range = start.isdecimal() and (stop.isdecimal() or not stop)
+        named = {n for n in kept if int(start) <= n <= (int(stop or n) if dash else int(start))} if is_range else set()
+        if not named:
+            raise InvalidSetup(
+                f"{text!r} names no episode; valid are numbers and ranges such as 0-99 or 200-, "
+                f"of {len(kept)} episodes from {min(kept, default=0)} to {max(kept, default=0)}."
+            )
+        chosen |= named
+    return sorted(chosen)
+
+
+def selected_cameras(names: Iterable[str], options: ExportOptions | ImportOptions) -> tuple[str, ...]:
+    """Return the names of the chosen cameras.
 
     Args:
         names: All cameras.
-        options: Cameras to export.
+        options: Those to export or import.
 
     Raises:
         InvalidSetup: A name is unknown.
     """
+    names = list(names)
     if options.cameras is None:
         return tuple(names)
     unknown = [name for name in options.cameras if name not in names]

@@ -10,15 +10,16 @@
 
 As in the datasets of Open X-Embodiment, the last step has an action, and the observation after it is left out. JPEGs
 are copied without compressing them again; losslessly recorded images become PNG. `rcs.json` beside the episodes has
-names and units of the numbers of state and action, and the rate.
+what an import needs: the feature of each column, names and units of the numbers of state and action, and the rate.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.codec import decode_frame
 from rcs_data.convert.observations import (
     FrameKey,
     as_float32,
@@ -37,10 +37,10 @@ from rcs_data.convert.observations import (
     step_values,
 )
 from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
-from rcs_data.convert.png import encode_png
+from rcs_data.convert.png import as_png
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.convert.rlds_features import Spec, features_json, image, numbers, tensor, text
-from rcs_data.convert.tfrecord import ShardWriter, Values, encode_example
+from rcs_data.convert.tfrecord import ShardWriter, Values
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
@@ -50,9 +50,6 @@ from rcs_data.trajectory import Trajectory, VectorLayout, action_layout, state_l
 
 VERSION = "1.0.0"
 RCS_FILE = "rcs.json"
-
-# TensorFlow Datasets recommends files of 100 to 200 MB.
-_SHARD_BYTES = 200_000_000
 
 _STEP_NAMES = (
     "action",
@@ -79,6 +76,8 @@ class _Source:
 class _Column:
     spec: Spec
     values: Callable[[_Source], Values]
+    key: str | None = None
+    """The feature that it is, if it is one."""
 
 
 def export_rlds(dataset: Dataset, out: str | Path, options: ExportOptions | None = None) -> ExportReport:
@@ -88,7 +87,7 @@ def export_rlds(dataset: Dataset, out: str | Path, options: ExportOptions | None
         dataset: The dataset.
         out: The folder for a folder of the export's name; it may have others already.
         options: Episodes, cameras and features; `extra` adds features that are not observations, such as
-            "executed/joints".
+            "executed/joints". `splits` shares the episodes out, and `shard_mb` limits the files.
 
     Raises:
         InvalidSetup: An option does not suit the dataset, nothing is left to export, or an episode is 2 GiB or more.
@@ -101,6 +100,7 @@ def export_rlds(dataset: Dataset, out: str | Path, options: ExportOptions | None
     state, action = state_layout(info, options.state), action_layout(info, options.action)
     columns = _columns(dataset, info, state, action, options)
     name = _name(dataset, options)
+    shares = split_shares(options.splits, len(episodes))
     digest = dataset.digest()
     total = sum(episode.length - 1 for episode in episodes)
     done = 0
@@ -108,21 +108,26 @@ def export_rlds(dataset: Dataset, out: str | Path, options: ExportOptions | None
     with new_output(target) as partial:
         folder = partial / VERSION
         folder.mkdir(parents=True)
-        shards = ShardWriter(folder, f"{name}-train.tfrecord", _SHARD_BYTES)
-        for episode in episodes:
+        shards = {
+            split: ShardWriter(folder, f"{name}-{split}.tfrecord", options.shard_mb * 1_000_000)
+            for split in dict.fromkeys(shares)
+        }
+        for split, episode in zip(shares, episodes, strict=True):
             steps = trajectory(episode, state, action)
             source = _Source(episode, steps, episode_provenance(episode, digest))
-            shards.write(encode_example({path: column.values(source) for path, column in columns.items()}))
+            shards[split].write({path: column.values(source) for path, column in columns.items()})
             done += len(steps)
             if options.on_progress is not None:
                 options.on_progress(done, total)
-        shards.close()
+        for shard in shards.values():
+            shard.close()
         _write_json(folder / "features.json", features_json({path: column.spec for path, column in columns.items()}))
         _write_json(folder / "dataset_info.json", _dataset_info(name, info.instruction, shards))
         about = {
             "dataset": digest,
             "state": describe_layout(state),
             "action": describe_layout(action),
+            "columns": {path: column.key for path, column in columns.items() if column.key is not None},
             "info": info.to_json(),
         }
         _write_json(folder / RCS_FILE, about)
@@ -141,9 +146,10 @@ def export_rlds(dataset: Dataset, out: str | Path, options: ExportOptions | None
 def _columns(
     dataset: Dataset, info: DatasetInfo, state: VectorLayout, action: VectorLayout, options: ExportOptions
 ) -> dict[str, _Column]:
-    seen = observed(info)
+    seen, own = observed(info), None
     if [feature.key for feature in state.features] == ["observation/state"]:
-        seen = tuple(feature for feature in seen if feature.key != "observation/state")  # already the state
+        own = "observation/state"
+        seen = tuple(feature for feature in seen if feature.key != own)  # already the state
     extra = [info.feature(key) for key in options.extra]
     images = [feature.key for feature in extra if feature.is_image]
     if images:
@@ -152,12 +158,13 @@ def _columns(
         )
     observations = named(seen, _observation_name, taken=("state",))
     others = named([f for f in extra if f not in seen], lambda f: f.key.replace("/", "_"), taken=_STEP_NAMES)
+    reward = "reward" if any(feature.key == "reward" for feature in info.features) else None
     columns: dict[str, _Column] = {
-        "observation/state": _Column(tensor((state.size,), "float32"), lambda s: as_float32(s.steps.states)),
+        "observation/state": _Column(tensor((state.size,), "float32"), lambda s: as_float32(s.steps.states), own),
         **{f"observation/{name}": _feature_column(feature) for name, feature in observations.items()},
         **{name: _feature_column(feature) for name, feature in others.items()},
         "action": _Column(tensor((action.size,), "float32"), lambda s: as_float32(s.steps.actions)),
-        "reward": _Column(tensor((), "float32"), lambda s: as_float32(s.steps.rewards)),
+        "reward": _Column(tensor((), "float32"), lambda s: as_float32(s.steps.rewards), reward),
         "discount": _Column(tensor((), "float32"), lambda s: as_float32(~s.steps.terminated)),
         "is_first": _Column(tensor((), "bool"), lambda s: _only(0, len(s.steps))),
         "is_last": _Column(tensor((), "bool"), lambda s: _only(len(s.steps) - 1, len(s.steps))),
@@ -188,8 +195,8 @@ def _observation_name(feature: Feature) -> str:
 
 def _feature_column(feature: Feature) -> _Column:
     if feature.is_image:
-        return _Column(image(feature), lambda s: list(_encoded(s.episode, feature)))
-    return _Column(numbers(feature), lambda s: _numbers(step_values(s.episode, feature)))
+        return _Column(image(feature), lambda s: _encoded(s.episode, feature), feature.key)
+    return _Column(numbers(feature), lambda s: _numbers(step_values(s.episode, feature)), feature.key)
 
 
 def _encoded(episode: EpisodeRecord, feature: Feature) -> Iterator[bytes]:
@@ -197,7 +204,7 @@ def _encoded(episode: EpisodeRecord, feature: Feature) -> Iterator[bytes]:
     for data in islice(episode.encoded_frames(feature.key), episode.length - 1):
         if data is not last:
             last = data
-            encoded = data if feature.encoding == "jpeg" else encode_png(decode_frame(feature, data))
+            encoded = data if feature.encoding == "jpeg" else as_png(feature, data)
         yield encoded
 
 
@@ -227,14 +234,50 @@ def _name(dataset: Dataset, options: ExportOptions) -> str:
     return given
 
 
-def _dataset_info(name: str, description: str, shards: ShardWriter) -> dict[str, Any]:
-    split = {
-        "name": "train",
-        "filepathTemplate": "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}",
-        "numBytes": str(shards.data_bytes),
-        "shardLengths": [str(length) for length in shards.shard_lengths],
-    }
-    return {"name": name, "version": VERSION, "description": description, "fileFormat": "tfrecord", "splits": [split]}
+def split_shares(splits: Sequence[str], episodes: int) -> list[str]:
+    """Return the split of each episode: shares are spread evenly, so that "val=0.1" gets every tenth.
+
+    Args:
+        splits: Names with their shares, such as ("train=0.9", "val=0.1"); a single name needs none.
+        episodes: Number of episodes.
+
+    Raises:
+        InvalidSetup: A name or share is not valid, or a split gets no episode.
+    """
+    shares: dict[str, Fraction] = {}
+    for words in splits:
+        name, _, share = words.partition("=")
+        try:
+            shares[name] = Fraction(share or "1")
+        except (ValueError, ZeroDivisionError):
+            shares[name] = Fraction(0)
+        if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII) or shares[name] <= 0:
+            raise InvalidSetup(f"{words!r} is no split; valid are names with shares, such as train=0.9 val=0.1.")
+    if len(shares) < len(splits) or sum(shares.values()) != 1:
+        raise InvalidSetup(f"The splits are {', '.join(splits)}; names must differ and shares add up to 1.")
+    given = dict.fromkeys(shares, 0)
+    chosen: list[str] = []
+    for i in range(1, episodes + 1):
+        # What is furthest behind its share; of equals the first, so that training comes first.
+        name = max(shares, key=lambda name: shares[name] * i - given[name])
+        given[name] += 1
+        chosen.append(name)
+    if empty := [name for name, count in given.items() if not count]:
+        raise InvalidSetup(f"Of {episodes} episodes none is left for the split {', '.join(empty)}.")
+    return chosen
+
+
+def _dataset_info(name: str, description: str, shards: Mapping[str, ShardWriter]) -> dict[str, Any]:
+    splits = [
+        {
+            "name": split,
+            "filepathTemplate": "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}",
+            "numBytes": str(shard.data_bytes),
+            "shardLengths": [str(length) for length in shard.shard_lengths],
+        }
+        for split, shard in shards.items()
+    ]
+    return {"name": name, "version": VERSION, "description": description, "fileFormat": "tfrecord", "splits": splits}
 
 
 def _write_json(path: Path, values: dict[str, Any]) -> None:

@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
 
+from rcs_data.errors import CorruptEpisode
 from rcs_data.feature import Feature
 
 _CLASSES = "tensorflow_datasets.core.features."
 
 Spec = dict[str, Any]
 """The description of one feature."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stored:
+    """A feature that a dataset of others has."""
+
+    kind: Literal["numbers", "text", "image", "other"]
+    """What it is; "other" cannot be imported."""
+    shape: tuple[int, ...] = ()
+    """Its shape; -1 where that differs between examples."""
+    dtype: str = ""
+    """A numpy dtype name, or "string"."""
+    about: str = ""
+    """Of images the encoding, "jpeg", "png" or "" if each may have another; of others the class."""
 
 
 def tensor(shape: tuple[int, ...], dtype: str) -> Spec:
@@ -66,3 +82,47 @@ def _folder(tree: Mapping[str, Any]) -> Spec:
 
 def _shape(shape: tuple[int, ...]) -> Spec:
     return {"dimensions": [str(n) for n in shape]} if shape else {}
+
+
+def stored_features(values: Mapping[str, Any], path: object) -> dict[str, Stored]:
+    """Return what `features.json` describes, by path, such as "steps/observation/state".
+
+    Args:
+        values: The contents of the file.
+        path: The file, for the message.
+
+    Raises:
+        CorruptEpisode: It is damaged, or of another version of TensorFlow Datasets.
+    """
+    try:
+        return dict(_leaves("", values))
+    except (KeyError, TypeError, ValueError, AttributeError) as err:
+        raise CorruptEpisode(f"{path} does not describe features as TensorFlow Datasets 4.7 does: {err!r}.") from err
+
+
+def _leaves(path: str, spec: Mapping[str, Any]) -> Iterator[tuple[str, Stored]]:
+    kind = str(spec["pythonClassName"]).rpartition(".")[2]
+    if "featuresDict" in spec:
+        for name, inner in spec["featuresDict"]["features"].items():
+            yield from _leaves(f"{path}/{name}" if path else str(name), inner)
+    elif kind == "Dataset" and path == "steps":
+        yield from _leaves(path, spec["sequence"]["feature"])
+    elif kind == "Image":
+        about = spec["image"]
+        encoding, dtype = str(about.get("encodingFormat", "")), str(about.get("dtype") or "uint8")
+        yield path, Stored(kind="image", shape=_dimensions(about), dtype=dtype, about=encoding)
+    elif kind in ("Tensor", "Scalar"):
+        about = spec["tensor"]
+        dtype, shape = str(about["dtype"]), _dimensions(about)
+        is_text = dtype in ("string", "object")
+        is_plain = str(about.get("encoding", "none")).lower() == "none" and not (is_text and shape)
+        kind = "other" if not is_plain else "text" if is_text else "numbers"
+        yield path, Stored(kind=kind, shape=shape, dtype=dtype, about="a tensor of its own encoding")
+    elif kind == "ClassLabel":
+        yield path, Stored(kind="numbers", dtype="int64")
+    else:
+        yield path, Stored(kind="text" if kind == "Text" else "other", about=f"a {kind}")
+
+
+def _dimensions(about: Mapping[str, Any]) -> tuple[int, ...]:
+    return tuple(int(n) for n in about.get("shape", {}).get("dimensions", ()))

@@ -5,12 +5,14 @@
 - `obs/<name>`, `next_obs/<name>`: every part of the observation under its own name (`joints`, `left_gripper`), in its
   own dtype; `<camera>_image` (H, W, 3) uint8; `<camera>_depth` (H, W, 1) uint16 [mm]; `<camera>_intrinsics` and so on;
 - `actions` float64, `rewards` float64, `dones` (1 where a step ended the episode), `states`: the simulation state,
-without columns if there is none;
+without columns if there is none; `action_dict/<name>`: each part of the action as recorded;
 - `rcs/<key>`: the other columns of the dataset (executed actions, times, flags), with one more row for the reset.
 robomimic ignores them; an import restores all columns from them.
 
 Attributes of `data`: `env_args` describes the robot, and `rcs` has what an import needs. `mask/train` and `mask/valid`
-split the episodes nine to one, `mask/success` lists the successful ones.
+split the episodes nine to one, unless they were imported with masks of their own; `mask/success` lists the successful
+ones. Normalised actions are (action - offset) / scale, with both in the attribute `action_normalization_stats`, in the
+form in which robomimic stores them with a policy.
 """
 
 from __future__ import annotations
@@ -29,11 +31,12 @@ from rcs_data.convert.hdf5 import load_h5py
 from rcs_data.convert.observations import FrameKey, describe_layout, kept_info, named, observed
 from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
+from rcs_data.convert.steps import ACTION_DICT
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
 from rcs_data.output import new_output, size_on_disk
 from rcs_data.reader import Dataset, EpisodeRecord
-from rcs_data.trajectory import VectorLayout, action_layout, state_layout, trajectory
+from rcs_data.trajectory import Trajectory, VectorLayout, action_layout, state_layout, trajectory
 
 RCS = "rcs"
 """Name of our attribute of `data` and of our group in each episode."""
@@ -41,11 +44,17 @@ PROVENANCE = "provenance"
 """The attribute of an episode with its origin."""
 LAST_STATE = "last_state"
 """The dataset in that group with the simulation state after the last step."""
+VERDICTS = {"success": True, "successful": True, "failure": False}
+"""The masks that say how episodes went."""
+NORMALISATION = "action_normalization_stats"
+"""The attribute of `data` with offset and scale of normalised actions, named as in robomimic's checkpoints."""
 
 # robomimic numbers its kinds of environments; 2 is Gym.
 _GYM_ENVIRONMENT = 2
 # One episode in this many is for validation, as in robomimic's own script.
 _VALIDATION = 10
+# Where an action is constant it is not scaled; robomimic's limit for that.
+_LEAST_RANGE = 1e-4
 # On noisy images level 6 takes twice as long and saves little.
 _ZLIB_LEVEL = 1
 
@@ -57,7 +66,7 @@ def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions |
         dataset: The dataset.
         out: The file.
         options: Episodes, cameras and features. `state` selects the parts of the observation in `obs`, each under its
-            own name; None for all. `compress` is for images.
+            own name; None for all. `compress` is for images, `normalise` for `actions`.
 
     Raises:
         MissingDependency: h5py is not installed.
@@ -79,7 +88,8 @@ def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions |
     others = tuple(feature for feature in info.features if feature not in parts)
     digest = dataset.digest()
     total = sum(episode.length - 1 for episode in episodes)
-    low, high = np.inf, -np.inf
+    low, high = _limits(episodes, action)
+    offset, scale = _normalisation(low, high) if options.normalise else (np.zeros_like(low), np.ones_like(low))
     done = 0
     with new_output(out) as partial, h5py.File(partial, "w", libver=("v110", "v110")) as file:
         data = file.create_group("data")
@@ -93,18 +103,23 @@ def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions |
             "actions": describe_layout(action),
         }
         data.attrs[RCS] = json.dumps(about)
+        if options.normalise:
+            statistics = {"offset": [offset.tolist()], "scale": [scale.tolist()]}
+            data.attrs[NORMALISATION] = json.dumps({"actions": statistics})
         for i, episode in enumerate(episodes):
             demo = data.create_group(f"demo_{i}")
-            actions = _write_demo(demo, episode, observations, others, action, options.compress)
+            steps = trajectory(episode, VectorLayout(features=()), action)
+            _write_demo(demo, episode, steps, observations, others, action, options.compress)
+            demo["actions"] = (steps.actions - offset) / scale
             demo.attrs[PROVENANCE] = json.dumps(episode_provenance(episode, digest))
-            low, high = min(low, actions.min()), max(high, actions.max())
-            done += len(actions)
+            done += len(steps)
             if options.on_progress is not None:
                 options.on_progress(done, total)
         for name, members in _masks(episodes).items():
             file[f"mask/{name}"] = np.array([f"demo_{i}" for i in members], "S")
     target = Path(out)
-    notes = () if -1 <= low <= high <= 1 else (_range_note(low, high),)
+    is_fit = options.normalise or (low.min() >= -1 and high.max() <= 1)
+    notes = () if is_fit else (_range_note(low.min(), high.max()),)
     images = sum(feature.is_image for feature in parts)
     return ExportReport(
         path=target,
@@ -119,12 +134,12 @@ def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions |
 def _write_demo(
     demo: Any,
     episode: EpisodeRecord,
+    steps: Trajectory,
     observations: dict[str, Feature],
     others: tuple[Feature, ...],
     action: VectorLayout,
     compress: bool,
-) -> NDArray[np.float64]:
-    steps = trajectory(episode, VectorLayout(features=()), action)
+) -> None:
     demo.attrs["num_samples"] = len(steps)
     for name, feature in observations.items():
         if feature.is_image:
@@ -132,7 +147,11 @@ def _write_demo(
         else:
             rows = episode.column(feature.key)
             demo[f"obs/{name}"], demo[f"next_obs/{name}"] = rows[:-1], rows[1:]
-    demo["actions"] = steps.actions
+    dictionary = {"_".join(key.split("/")[1:]): steps.actions[:, part] for key, part in action.slices.items()}
+    imported = (f for f in episode.info.features if f.key.startswith(ACTION_DICT))
+    dictionary |= {feature.key.removeprefix(ACTION_DICT): episode.column(feature.key)[1:] for feature in imported}
+    for name, values in dictionary.items():
+        demo[f"{ACTION_DICT}{name}"] = values
     demo["rewards"] = steps.rewards
     is_last = np.arange(len(steps)) == len(steps) - 1
     demo["dones"] = (steps.terminated | steps.truncated | is_last).astype(np.int64)
@@ -143,7 +162,6 @@ def _write_demo(
         demo[f"{RCS}/{LAST_STATE}"] = states[-1]
     for feature in others:
         demo[f"{RCS}/{feature.key}"] = episode.column(feature.key)
-    return steps.actions
 
 
 def _write_images(demo: Any, name: str, episode: EpisodeRecord, feature: Feature, compress: bool) -> None:
@@ -194,15 +212,43 @@ def _environment(info: DatasetInfo) -> dict[str, Any]:
     }
 
 
+def _limits(
+    episodes: tuple[EpisodeRecord, ...], action: VectorLayout
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the least and greatest of each number of the actions, shape (size,)."""
+    low, high = np.full(action.size, np.inf), np.full(action.size, -np.inf)
+    for episode in episodes:
+        actions = action.rows(episode)[1:]
+        low, high = np.minimum(low, actions.min(axis=0)), np.maximum(high, actions.max(axis=0))
+    return low, high
+
+
+def _normalisation(
+    low: NDArray[np.float64], high: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    is_constant = high - low < _LEAST_RANGE
+    return (low + high) / 2, np.where(is_constant, 1, (high - low) / 2)
+
+
 def _masks(episodes: tuple[EpisodeRecord, ...]) -> dict[str, list[int]]:
     everyone = range(len(episodes))
+    verdicts = {
+        "success": [i for i in everyone if episodes[i].success is True],
+        "failure": [i for i in everyone if episodes[i].success is False],
+    }
+    imported = [(episode.outcome.get("imported") or {}).get("masks") or () for episode in episodes]
+    if any(imported):
+        names = dict.fromkeys(str(name) for masks in imported for name in masks if "/" not in str(name))
+        return {
+            **{name: [i for i in everyone if name in imported[i]] for name in names},
+            **{name: members for name, members in verdicts.items() if members},
+        }
     # Every tenth, or the last of fewer; a single episode is for training.
     valid = list(everyone[_VALIDATION - 1 :: _VALIDATION]) or list(everyone[1:][-1:])
     masks = {
         "train": [i for i in everyone if i not in valid],
         "valid": valid,
-        "success": [i for i in everyone if episodes[i].success is True],
-        "failure": [i for i in everyone if episodes[i].success is False],
+        **verdicts,
     }
     return {name: members for name, members in masks.items() if members}
 
@@ -210,5 +256,5 @@ def _masks(episodes: tuple[EpisodeRecord, ...]) -> dict[str, list[int]]:
 def _range_note(low: float, high: float) -> str:
     return (
         f"Actions range from {low:.3g} to {high:.3g} as recorded; robomimic's policies with tanh outputs need them "
-        "from -1 to 1."
+        "from -1 to 1: export with --normalise."
     )

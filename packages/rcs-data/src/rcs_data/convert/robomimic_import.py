@@ -1,39 +1,61 @@
 """Imports HDF5 files for robomimic: our own, which restore every column, and others, such as LIBERO's.
 
-A step of robomimic becomes a row, and an episode gets one more: the observation after the last step, from `next_obs`.
-Values that are missing there, such as all observations of a file without `next_obs`, are repeated from the row before;
-then the episode's outcome has "repeated" as `imported.last_observation` and the features as `imported.repeated`.
+In files of others, `obs/<name>` becomes `observation/<name>`, images `observation/frames/<camera>/rgb` or, of uint16,
+`.../depth`; `actions` become `action/action`, `action_dict/<name>` keeps its name, `rewards` become `reward`, `dones`
+`terminated`, `states` `simulation/states`; other data per step become `imported/<name>`. An episode's success is known
+only if the file has a mask "success" or "failure"; other masks are kept in its outcome, as `imported.masks`.
+
+An episode has a row more than steps, as `steps` says; the last observation is taken from `next_obs` where there is one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.convert.hdf5 import reading_hdf5
-from rcs_data.convert.options import ImportOptions
-from rcs_data.convert.robomimic import LAST_STATE, RCS
-from rcs_data.convert.robomimic_source import (
-    Column,
-    DemoAbout,
-    SourcePlan,
-    demo_about,
-    demo_names,
-    is_numeric,
-    source_plan,
+from rcs_data.convert.hdf5 import array, camera_feature, is_numeric, number_feature, reading_hdf5, rows_of
+from rcs_data.convert.observations import kept_info
+from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
+from rcs_data.convert.provenance import checked_provenance
+from rcs_data.convert.robomimic import LAST_STATE, PROVENANCE, RCS, VERDICTS
+from rcs_data.convert.steps import (
+    ACTION_DICT,
+    EpisodeAbout,
+    StepColumn,
+    about_of_provenance,
+    import_episodes,
+    is_done,
+    record_steps,
 )
 from rcs_data.errors import CorruptEpisode, InvalidSetup
-from rcs_data.output import new_output
-from rcs_data.parquet import bound_of
+from rcs_data.feature import Feature
+from rcs_data.info import DatasetInfo
+from rcs_data.json_file import parsed_json
 from rcs_data.reader import Dataset
-from rcs_data.rows import Value
+from rcs_data.text import mended_text
 from rcs_data.writer import DatasetWriter
 
-_PROGRESS_ROWS = 32
+_MOST_NAMES = 1 << 20
+# Of each step, or of no step; groups are looked into.
+_KNOWN = ("obs", "next_obs", "rewards", "dones", "states", RCS, ACTION_DICT.strip("/"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Plan:
+    """How to import a file."""
+
+    info: DatasetInfo
+    paths: dict[str, str]
+    """The array of each feature, by key; those of `rcs` have a row for the reset, too."""
+    masks: dict[str, list[str]]
+    """The masks of each episode, by its name in the file."""
 
 
 def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions | None = None) -> Dataset:
@@ -42,7 +64,7 @@ def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions
     Args:
         source: The file.
         out: The folder of the new dataset.
-        options: How to store images, and what the file does not say.
+        options: What to import, how to store images, and what the file does not say.
 
     Raises:
         MissingDependency: h5py is not installed.
@@ -53,101 +75,176 @@ def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions
     """
     options = options or ImportOptions()
     with reading_hdf5(Path(source)) as file:
-        demos = demo_names(file)
-        plan = source_plan(file, options)
-        lengths = [_steps(file["data"][name]) for name in demos]
-        done = 0
-        with new_output(out) as partial, DatasetWriter.open(partial, plan.info) as writer:
-            for index, (name, steps) in enumerate(zip(demos, lengths, strict=True)):
-                about = demo_about(file, name, index, plan)
-                for row in _record(writer, file["data"][name], steps, plan, about):
-                    if options.on_progress is not None and (row % _PROGRESS_ROWS == 0 or row == steps):
-                        options.on_progress(done + row, sum(lengths))
-                done += steps
-    return Dataset.open(out)
+        names = _demo_names(file)
+        plan = (_own_plan if RCS in file["data"].attrs else _foreign_plan)(file, names, options)
+        plan = replace(plan, info=kept_info(plan.info, options))
+        chosen = selected_numbers(options.episodes, range(len(names)))
+        episodes = ((i, partial(_record, file, names[i], i, plan)) for i in chosen)
+        steps = 0 if options.allow_missing else sum(_steps(file["data"][names[i]]) for i in chosen)
+        return import_episodes(out, plan.info, episodes, options, steps)
 
 
-def _record(writer: DatasetWriter, demo: Any, steps: int, plan: SourcePlan, about: DemoAbout) -> Iterator[int]:
-    """Record an episode, and yield the number of each written row."""
-    columns = [(column.feature, _rows(demo, column, steps)) for column in plan.columns]
-    states = None
-    if plan.states is not None:
-        states = _states(demo, plan, steps)
-    with writer.episode(about.id, seed=about.seed, instruction=about.instruction) as episode:
-        for i in range(steps + 1):
-            row: dict[str, Value] = {}
-            for feature, rows in columns:
-                value = next(rows)
-                is_unknown = (i == 0 and feature.is_unknown_at_reset) or (feature.is_time and bool(np.isnan(value)))
-                row[feature.key] = None if is_unknown else value
-            episode.add(row, None if states is None else states[i])
-            yield i
-        repeated = [column.feature.key for column in plan.columns if column.is_repeated]
-        imported: dict[str, Any] = {
-            "episode": demo.name.split("/")[-1],
-            "last_observation": "repeated" if repeated else "kept",
-            **({"repeated": repeated} if repeated else {}),
-            **({"provenance": about.provenance} if about.provenance else {}),
-        }
-        episode.finish(about.success, {**about.outcome, "imported": imported})
+def _record(file: Any, name: str, index: int, plan: _Plan, writer: DatasetWriter) -> Iterator[int]:
+    demo = file["data"][name]
+    steps = _steps(demo)
+    columns = [_column(demo, feature, plan, steps) for feature in plan.info.features]
+    states = _states(demo, plan.info.sim_state_size, steps)
+    return record_steps(writer, steps, columns, _about(file, name, index, plan), states)
 
 
-def _states(demo: Any, plan: SourcePlan, steps: int) -> NDArray[np.float64]:
-    """Return the simulation's states, shape (steps + 1, size)."""
-    size = plan.info.sim_state_size or 0
-    given, last = (_dataset(demo, path) for path in (plan.states or "", f"{RCS}/{LAST_STATE}"))
+def _demo_names(file: Any) -> list[str]:
+    """Return the episodes of a file, "demo_10" after "demo_9"."""
+    names = list(file["data"]) if "data" in file and hasattr(file["data"], "keys") else []
+    if not names:
+        raise InvalidSetup(f"{file.filename} is not a file for robomimic: it has no episodes in a group 'data'.")
+    return sorted(names, key=lambda name: (int((re.findall(r"\d+$", name) or ["0"])[0]), name))
+
+
+def _own_plan(file: Any, names: list[str], options: ImportOptions) -> _Plan:
+    about = _own_attribute(file["data"], RCS)
+    described, observations = about.get("info"), about.get("observations")
+    if not isinstance(described, dict) or not isinstance(observations, dict):
+        raise CorruptEpisode(f"{file.filename} is damaged: the description of its episodes is missing.")
+    info = DatasetInfo.from_json(described)
+    features = tuple(stored_as(feature, options) for feature in info.features)
+    seen = {key: f"obs/{name}" for name, key in observations.items() if isinstance(key, str)}
+    return _Plan(
+        info=replace(info, features=features, jpeg_quality=options.jpeg_quality),
+        paths={feature.key: seen.get(feature.key, f"{RCS}/{feature.key}") for feature in features},
+        masks=_masks(file, names),
+    )
+
+
+def _foreign_plan(file: Any, names: list[str], options: ImportOptions) -> _Plan:
+    data, demo = file["data"], file["data"][names[0]]
+    environment = _json_attribute(data, "env_args")
+    kwargs = environment.get("env_kwargs")
+    frequency = (kwargs.get("control_freq") if isinstance(kwargs, dict) else None) or options.frequency
+    if not isinstance(frequency, int | float) or not frequency:
+        raise InvalidSetup(f"{file.filename} does not state its control rate; give frequency.")
+    arrays: dict[str, Any] = {}
+    for folder in ("obs", ACTION_DICT.strip("/")):
+        group = demo.get(folder)
+        arrays |= {f"{folder}/{name}": values for name, values in getattr(group, "items", dict)()}
+    arrays |= {name: values for name, values in demo.items() if name not in _KNOWN}
+    left_out = {path: "it is not an array of numbers" for path, values in arrays.items() if not is_numeric(values)}
+    features = {path: _feature(path, values, options) for path, values in arrays.items() if path not in left_out}
+    if "rewards" in demo:
+        features["rewards"] = Feature(key="reward", shape=(), dtype="float64")
+    if "dones" in demo:
+        features["dones"] = Feature(key="terminated", shape=(), dtype="bool")
+    if "states" in demo and is_numeric(demo["states"]) and demo["states"].size:
+        features["states"] = number_feature("simulation/states", demo["states"])
+    info = DatasetInfo(
+        frequency=float(frequency),
+        features=tuple(features.values()),
+        setup={"imported": {"format": "robomimic", "env_args": environment, "left_out": left_out}},
+        instruction=_instruction(data, demo) or options.instruction or str(environment.get("env_name", "")),
+        jpeg_quality=options.jpeg_quality,
+    )
+    return _Plan(info=info, paths={f.key: path for path, f in features.items()}, masks=_masks(file, names))
+
+
+def _feature(path: str, values: Any, options: ImportOptions) -> Feature:
+    """Return the feature that an array of others becomes."""
+    folder, _, name = path.rpartition("/")
+    if folder == "obs":
+        camera = re.sub("_(image|rgb|depth)$", "", name)
+        return camera_feature(camera, values, options) or number_feature(f"observation/{name}", values)
+    if folder:
+        return number_feature(f"{ACTION_DICT}{name}", values)
+    if name.startswith("action"):
+        return number_feature(f"action/{'action' if name == 'actions' else name}", values)
+    return number_feature(f"imported/{name}", values)
+
+
+def _column(demo: Any, feature: Feature, plan: _Plan, steps: int) -> StepColumn:
+    path = plan.paths[feature.key]
+    is_whole = path.startswith(f"{RCS}/")
+    values = _rows(demo, path, feature, steps + 1 if is_whole else steps)
+    after = f"next_{path}"
+    last = None
+    if path.startswith("obs/") and after in demo and not is_done(feature):
+        last = np.asarray(_rows(demo, after, feature, steps)[-1], feature.numpy_dtype)
+    return StepColumn(feature=feature, values=rows_of(values, feature), last=last, is_whole=is_whole)
+
+
+def _rows(demo: Any, path: str, feature: Feature, count: int) -> Any:
+    if path not in demo:
+        raise InvalidSetup(f"{demo.name} lacks {path!r}, which other episodes have.")
+    values = array(demo, path)
+    if len(values) != count:
+        raise CorruptEpisode(f"{values.name} has {len(values)} rows; expected {count}.")
+    if values.size != count * feature.size:
+        raise InvalidSetup(f"{values.name} has shape {values.shape[1:]}; other episodes have {feature.shape}.")
+    return values
+
+
+def _steps(demo: Any) -> int:
+    if not hasattr(demo, "keys") or "actions" not in demo or not len(array(demo, "actions")):
+        raise CorruptEpisode(f"{demo.name} has no actions.")
+    count = len(demo["actions"])
+    told = demo.attrs.get("num_samples", count)
+    if np.ndim(told) or told != count:
+        raise CorruptEpisode(f"{demo.name} has {count} actions, but num_samples is {told!r:.80}.")
+    return count
+
+
+def _states(demo: Any, size: int | None, steps: int) -> NDArray[np.float64] | None:
+    """Return the simulation's states of an export of ours, shape (steps + 1, size)."""
+    if size is None:
+        return None
+    given, last = array(demo, "states"), array(demo, f"{RCS}/{LAST_STATE}")
     if given.shape != (steps, size) or last.shape != (size,):
         raise CorruptEpisode(f"{demo.name} has states of {given.shape} and {last.shape}; expected {(steps, size)}.")
     return np.concatenate([np.asarray(given[()], np.float64), np.asarray(last[()], np.float64)[None]])
 
 
-def _dataset(demo: Any, path: str) -> Any:
-    """Return an array of numbers within the size limit of its file."""
-    values: Any = demo.get(path)
-    if not is_numeric(values):
-        raise CorruptEpisode(f"{demo.name} has no array of numbers {path!r}.")
-    if values.ndim < 3 and values.size * values.dtype.itemsize > bound_of(values.file.id.get_filesize()):
-        raise CorruptEpisode(f"{values.name} claims {values.shape}, which is more than its file can hold.")
-    return values
+def _about(file: Any, name: str, index: int, plan: _Plan) -> EpisodeAbout:
+    demo = file["data"][name]
+    masks = plan.masks[name]
+    kept = [mask for mask in masks if mask not in VERDICTS]
+    imported: dict[str, Any] = {"episode": name, **({"masks": kept} if kept else {})}
+    if PROVENANCE in demo.attrs:
+        return about_of_provenance(checked_provenance(_own_attribute(demo, PROVENANCE), demo.name), imported)
+    return EpisodeAbout(
+        id=f"{index:06d}",
+        instruction=_instruction(file["data"], demo) or plan.info.instruction,
+        success=next((VERDICTS[mask] for mask in masks if mask in VERDICTS), None),
+        imported=imported,
+    )
 
 
-def _rows(demo: Any, column: Column, steps: int) -> Iterator[NDArray[Any]]:
-    """Yield the value of each row of an episode, reading images one by one."""
-    feature = column.feature
-
-    def value(given: Any) -> NDArray[Any]:
-        return np.asarray(given, feature.numpy_dtype).reshape(feature.shape)[()]
-
-    given = _array(demo, column.path, column, steps)
-    after = None if column.after is None else _array(demo, column.after, column, steps)
-    rows = given if given.ndim > 2 else given[()]  # images one by one
-    if column.is_done and not column.is_whole:
-        yield value(np.zeros(feature.shape))
-    for i in range(len(given)):
-        yield value(rows[i])
-    if not (column.is_whole or column.is_done):
-        yield value(rows[-1] if after is None else after[-1])
+def _masks(file: Any, names: list[str]) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {name: [] for name in names}
+    group = file.get("mask")
+    for mask, members in getattr(group, "items", dict)():
+        if getattr(members, "ndim", None) == 1 and members.size <= _MOST_NAMES and members.dtype.kind in "SO":
+            for member in members[()]:
+                name = member.decode(errors="replace") if isinstance(member, bytes) else str(member)
+                if name in found:
+                    found[name].append(mask)
+    return found
 
 
-def _array(demo: Any, path: str, column: Column, steps: int) -> Any:
-    if path not in demo:
-        raise InvalidSetup(f"{demo.name} lacks {path!r}, which other episodes have.")
-    values = _dataset(demo, path)
-    expected = steps + 1 if column.is_whole else steps
-    if len(values) != expected:
-        raise CorruptEpisode(f"{values.name} has {len(values)} rows; expected {expected}.")
-    if values.size != expected * column.feature.size:
-        raise InvalidSetup(f"{values.name} has shape {values.shape[1:]}; other episodes have {column.feature.shape}.")
-    return values
+def _own_attribute(group: Any, name: str) -> dict[str, Any]:
+    """Return the JSON that RCS stored as an attribute of a group."""
+    text = group.attrs[name]
+    if not isinstance(text, str | bytes):
+        raise CorruptEpisode(f"{group.file.filename} is damaged: {group.name} has {text!r:.80} as {name!r}.")
+    return parsed_json(text, f"{group.file.filename}, {group.name}, {name!r}")
 
 
-def _steps(demo: Any) -> int:
-    if not hasattr(demo, "keys") or "actions" not in demo:
-        raise CorruptEpisode(f"{demo.name} has no actions.")
-    count = len(_dataset(demo, "actions"))
-    told = demo.attrs.get("num_samples", count)
-    if count < 1:
-        raise CorruptEpisode(f"{demo.name} has no actions.")
-    if np.ndim(told) or told != count:
-        raise CorruptEpisode(f"{demo.name} has {count} actions, but num_samples is {told!r:.80}.")
-    return count
+def _instruction(data: Any, demo: Any) -> str | None:
+    """Return what the robot was asked to do, from where RoboCasa or LIBERO store it."""
+    words = _json_attribute(demo, "ep_meta").get("lang")
+    words = words or _json_attribute(data, "problem_info").get("language_instruction")
+    return mended_text(str(words)) if words else None
+
+
+def _json_attribute(group: Any, name: str) -> Mapping[str, Any]:
+    text = group.attrs.get(name, "{}")
+    try:
+        return parsed_json(text, name) if isinstance(text, str | bytes) else {}
+    except CorruptEpisode:
+        return {}

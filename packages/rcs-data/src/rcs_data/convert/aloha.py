@@ -1,0 +1,159 @@
+"""Imports HDF5 files of ALOHA and ACT: one per episode, `episode_0.hdf5`, or a folder of them.
+
+`/observations/qpos` becomes `observation/joints`, `qvel` `observation/velocity`, `effort` `observation/effort`, and
+`images/<camera>` `observation/frames/<camera>/rgb` (`images_depth/<camera>` `.../depth`); `/action` becomes
+`action/joints` and `/base_action` `action/base`. So windows and exports find state and action in ALOHA's own order:
+six joints [rad] and a gripper (0 closed, 1 open) of the left arm, then of the right. JPEGs, which are padded with
+zeros, stay as they are.
+
+An episode has a row more than steps, as `steps` says.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import simplejpeg
+
+from rcs_data.codec import decode_jpeg
+from rcs_data.convert.hdf5 import array, camera_feature, is_hdf5, is_numeric, number_feature, reading_hdf5, rows_of
+from rcs_data.convert.observations import kept_info
+from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
+from rcs_data.convert.steps import EpisodeAbout, StepColumn, import_episodes, record_steps
+from rcs_data.errors import CorruptEpisode, InvalidSetup, RcsError
+from rcs_data.feature import Feature
+from rcs_data.info import DatasetInfo
+from rcs_data.reader import Dataset
+from rcs_data.writer import DatasetWriter
+
+_FREQUENCY = 50.0  # DT = 0.02 in the constants.py of ACT and of Mobile ALOHA
+_NUMBERS = {
+    "observations/qpos": "observation/joints",
+    "observations/qvel": "observation/velocity",
+    "observations/effort": "observation/effort",
+    "action": "action/joints",
+    "base_action": "action/base",
+}
+_IMAGES = ("observations/images", "observations/images_depth")
+# The longest compressed image [B].
+_MOST_BYTES = 1 << 26
+
+
+def is_aloha(path: Path) -> bool:
+    """Return whether a file, or the first of a folder, has the arrays of ALOHA; no without h5py."""
+    files = _files(path)
+    if not files or not is_hdf5(files[0]):
+        return False
+    try:
+        with reading_hdf5(files[0]) as file:
+            return "observations/qpos" in file and "action" in file
+    except RcsError:
+        return False
+
+
+def import_aloha(source: str | Path, out: str | Path, options: ImportOptions | None = None) -> Dataset:
+    """Import ALOHA's HDF5 files, whole or not at all.
+
+    Args:
+        source: A file, or the folder with them.
+        out: The folder of the new dataset.
+        options: What to import, how to store images, and what the files do not say; the rate is 50 Hz unless
+            `frequency` is given.
+
+    Raises:
+        MissingDependency: h5py is not installed.
+        InvalidSetup: There are no such files, or they differ in form.
+        CorruptEpisode: A file cannot be read, or its columns differ in length.
+        DatasetError: `out` exists, or the disk fails.
+    """
+    options = options or ImportOptions()
+    files = _files(Path(source))
+    if not files:
+        raise InvalidSetup(f"{source} has no files of ALOHA, such as episode_0.hdf5.")
+    chosen = selected_numbers(options.episodes, range(len(files)))
+    with reading_hdf5(files[chosen[0]]) as file:
+        info, paths = _plan(file, options)
+    info = kept_info(info, options)
+    return import_episodes(out, info, ((i, partial(_record, files[i], i, info, paths)) for i in chosen), options)
+
+
+def _record(path: Path, index: int, info: DatasetInfo, paths: dict[str, str], writer: DatasetWriter) -> Iterator[int]:
+    with reading_hdf5(path) as file:
+        steps = len(array(file, "action"))
+        columns = [_column(file, paths[feature.key], feature, steps) for feature in info.features]
+        imported: dict[str, Any] = {"file": path.name, "sim": bool(np.all(file.attrs.get("sim", False)))}
+        about = EpisodeAbout(id=f"{index:06d}", instruction=info.instruction, imported=imported)
+        yield from record_steps(writer, steps, columns, about)
+
+
+def _files(path: Path) -> list[Path]:
+    """Return the file, or those of a folder, "episode_10" after "episode_9"."""
+    if path.is_file():
+        return [path]
+    files = [file for file in path.glob("episode_*.hdf5") if file.is_file()]
+    return sorted(files, key=lambda file: (int((re.findall(r"\d+$", file.stem) or ["0"])[0]), file.name))
+
+
+def _plan(file: Any, options: ImportOptions) -> tuple[DatasetInfo, dict[str, str]]:
+    """Return the info of the dataset, and the array of each feature by key."""
+    if "observations/qpos" not in file or "action" not in file:
+        raise InvalidSetup(f"{file.filename} is not a file of ALOHA: it lacks /observations/qpos or /action.")
+    found = {path: number_feature(key, array(file, path)) for path, key in _NUMBERS.items() if path in file}
+    left_out: dict[str, str] = {}
+    for group in _IMAGES:
+        for camera, values in getattr(file.get(group), "items", dict)():
+            feature = _camera(camera, values, options)
+            if feature is None:
+                left_out[f"{group}/{camera}"] = "it has no colour images of 8 bits or depth of 16"
+            else:
+                found[f"{group}/{camera}"] = feature
+    info = DatasetInfo(
+        frequency=options.frequency or _FREQUENCY,
+        features=tuple(found.values()),
+        setup={"imported": {"format": "ALOHA", "left_out": left_out}},
+        instruction=options.instruction or "",
+        jpeg_quality=options.jpeg_quality,
+    )
+    return info, {feature.key: path for path, feature in found.items()}
+
+
+def _camera(camera: str, values: Any, options: ImportOptions) -> Feature | None:
+    if not is_numeric(values) or values.ndim != 2 or values.dtype != np.uint8:
+        return camera_feature(camera, values, options) if is_numeric(values) else None
+    try:  # a padded JPEG per row
+        height, width, *_ = simplejpeg.decode_jpeg_header(_jpeg(values, 0))
+    except (ValueError, IndexError) as err:
+        raise CorruptEpisode(f"{values.name} begins with no JPEG: {err}.") from err
+    key, shape = f"observation/frames/{camera}/rgb", (int(height), int(width), 3)
+    return stored_as(Feature(key=key, shape=shape, dtype="uint8", encoding="jpeg"), options)
+
+
+def _column(file: Any, path: str, feature: Feature, steps: int) -> StepColumn:
+    if path not in file:
+        raise InvalidSetup(f"{file.filename} lacks {path!r}, which other episodes have.")
+    values = array(file, path, by_row=path.startswith(_IMAGES))
+    if len(values) != steps or not steps:
+        raise CorruptEpisode(f"{values.name} in {file.filename} has {len(values)} rows; expected {steps}.")
+    if feature.encoding in ("jpeg", "lossless") and values.ndim == 2:
+        return StepColumn(feature=feature, values=_jpegs(values, feature))
+    if values.size != steps * feature.size:
+        raise InvalidSetup(f"{values.name} in {file.filename} is {values.shape}; other episodes have {feature.shape}.")
+    return StepColumn(feature=feature, values=rows_of(values, feature))
+
+
+def _jpegs(values: Any, feature: Feature) -> Iterator[Any]:
+    for row in range(len(values)):
+        data = _jpeg(values, row)
+        image = decode_jpeg(data, feature.shape)
+        yield data if feature.encoding == "jpeg" else image
+
+
+def _jpeg(values: Any, row: int) -> bytes:
+    if values.shape[1] > _MOST_BYTES:
+        raise CorruptEpisode(f"{values.name} claims images of {values.shape[1]} bytes.")
+    return values[row].tobytes().rstrip(b"\0")

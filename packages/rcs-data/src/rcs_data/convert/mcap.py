@@ -1,0 +1,228 @@
+"""Exports to MCAP, a file per episode, which Foxglove and Rerun open.
+
+The topic of a feature is its key: `/observation/frames/wrist/rgb`. Colour is `foxglove.CompressedImage`, in the bytes
+that were recorded; depth `foxglove.RawImage` (mm); intrinsics `foxglove.CameraCalibration`; joints
+`foxglove.JointStates`; all other numbers `rcs.Numbers`; `/instruction` `rcs.Text`.
+
+Times are those of the recording: a message has the time of its row, an image also the time when it was taken. An action
+has the time of the observation before it, since that is when it was commanded.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Callable, Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs_data.codec import decode_frame
+from rcs_data.convert.mcap_messages import (
+    CALIBRATION,
+    COMPRESSED_IMAGE,
+    JOINTS,
+    NUMBERS,
+    RAW_IMAGE,
+    TEXT,
+    description,
+    encode,
+)
+from rcs_data.convert.observations import FrameKey, kept_info
+from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
+from rcs_data.convert.png import as_png
+from rcs_data.convert.provenance import episode_provenance
+from rcs_data.errors import MissingDependency
+from rcs_data.feature import Feature
+from rcs_data.info import DatasetInfo
+from rcs_data.output import new_output, size_on_disk
+from rcs_data.reader import Dataset, EpisodeRecord
+from rcs_data.trajectory import VectorLayout
+
+_SECOND = 1_000_000_000
+_TIME, _FRAME_TIME = "time/monotonic", "time/frames/"
+
+_Message = Callable[[int], bytes]
+"""Encodes the message of a row; given the time of its row [ns]."""
+
+
+def export_mcap(dataset: Dataset, out: str | Path, options: ExportOptions | None = None) -> ExportReport:
+    """Export episodes as MCAP files.
+
+    Args:
+        dataset: The dataset.
+        out: The folder for `<episode>.mcap`.
+        options: Episodes and cameras; `compress` is for the files.
+
+    Raises:
+        MissingDependency: The package mcap is not installed.
+        InvalidSetup: An option does not suit the dataset, or nothing is left to export.
+        CorruptEpisode: An episode is damaged.
+        DatasetError: `out` exists already, or the disk fails.
+    """
+    try:
+        mcap = importlib.import_module("mcap.writer")
+    except ImportError as err:
+        raise MissingDependency("MCAP files need mcap: pip install 'rcs-data[mcap]'.") from err
+    options = options or ExportOptions()
+    episodes = selected_episodes(dataset, options)
+    info = kept_info(dataset.info, options)
+    compression = mcap.CompressionType.ZSTD if options.compress else mcap.CompressionType.NONE
+    digest = dataset.digest()
+    total = sum(episode.length for episode in episodes)
+    done = 0
+    images = 0
+    with new_output(out) as partial:
+        partial.mkdir()
+        for episode in episodes:
+            with (partial / f"{episode.id}.mcap").open("wb") as file:
+                writer: Any = mcap.Writer(file, compression=compression)
+                writer.start(library="rcs-data")
+                about = {"provenance": episode_provenance(episode, digest), "setup": info.setup}
+                writer.add_metadata("rcs", {name: json.dumps(value) for name, value in about.items()})
+                images += _write(writer, episode, info)
+                writer.finish()
+            done += episode.length
+            if options.on_progress is not None:
+                options.on_progress(done, total)
+    return ExportReport(
+        path=Path(out),
+        episodes=len(episodes),
+        steps=total - len(episodes),
+        frames=images,
+        bytes_written=size_on_disk(Path(out)),
+    )
+
+
+def _write(writer: Any, episode: EpisodeRecord, info: DatasetInfo) -> int:
+    """Write all messages of an episode, row by row, and return the number of images."""
+    rows = _row_times(episode, info)
+    features = [feature for feature in info.features if not feature.is_time]
+    channels = {feature.key: _channel(writer, f"/{feature.key}", _schema(feature)) for feature in features}
+    streams = {feature.key: _messages(episode, feature, rows) for feature in features}
+    instruction = _channel(writer, "/instruction", TEXT)
+    start = int(rows[0])
+    words = encode(TEXT, {"timestamp": start, "text": episode.instruction})
+    writer.add_message(instruction, start, words, start)
+    images = 0
+    for row in range(episode.length):
+        for feature in features:
+            data = next(streams[feature.key])
+            # What was done in a step was commanded when the step began.
+            is_command = feature.key.startswith(("action/", "executed/"))
+            if data is None or (row == 0 and feature.is_unknown_at_reset):
+                continue
+            at = int(rows[row - 1 if is_command else row])
+            writer.add_message(channels[feature.key], at, data(at), at)
+            images += feature.is_image
+    return images
+
+
+def _channel(writer: Any, topic: str, schema: str) -> int:
+    number = writer.register_schema(schema, "protobuf", description(schema))
+    return writer.register_channel(topic, "protobuf", number)
+
+
+def _schema(feature: Feature) -> str:
+    if feature.is_image:
+        return COMPRESSED_IMAGE if feature.dtype == "uint8" else RAW_IMAGE
+    word = feature.key.rpartition("/")[2]
+    if word == "intrinsics" and feature.shape == (3, 3):
+        return CALIBRATION
+    return JOINTS if word == "joints" and len(feature.shape) == 1 else NUMBERS
+
+
+def _row_times(episode: EpisodeRecord, info: DatasetInfo) -> NDArray[np.int64]:
+    """Return the time of each row [ns since 1970], as measured where the dataset has that."""
+    started = episode.about.get("started")
+    try:
+        start = datetime.fromisoformat(started).timestamp() if isinstance(started, str) else 0.0
+    except ValueError:
+        start = 0.0
+    since = np.arange(episode.length) / info.frequency
+    if any(feature.key == _TIME for feature in info.features):
+        measured = episode.column(_TIME)
+        if np.isfinite(measured).all() and (np.diff(measured) >= 0).all():
+            since = measured - measured[0]
+    return np.int64(max(start, 0.0) * 1e6) * 1000 + np.round(since * _SECOND).astype(np.int64)
+
+
+def _frame_times(episode: EpisodeRecord, camera: str, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return when the image of each row was taken [ns since 1970]; the time of the row where that is not known."""
+    keys = {feature.key for feature in episode.info.features}
+    if not {_TIME, _FRAME_TIME + camera} <= keys:
+        return rows
+    delay = episode.column(_TIME) - episode.column(_FRAME_TIME + camera)
+    is_known = np.isfinite(delay) & (np.abs(delay) < 60)
+    return np.maximum(rows - np.where(is_known, np.round(delay * _SECOND), 0).astype(np.int64), 0)
+
+
+def _messages(episode: EpisodeRecord, feature: Feature, rows: NDArray[np.int64]) -> Iterator[_Message | None]:
+    """Yield what a feature has to say in each row; None where an image or a held value is that of the row before."""
+    frame = FrameKey.of(feature.key)
+    camera = "" if frame is None else frame.camera
+    if feature.is_image:
+        taken = _frame_times(episode, camera, rows)
+        last = None
+        for row, data in enumerate(episode.encoded_frames(feature.key)):
+            yield None if data is last else _image(feature, data, int(taken[row]), camera)
+            last = data
+        return
+    schema, last = _schema(feature), None
+    names = feature.limits.names if feature.limits is not None else VectorLayout(features=(feature,)).names
+    sizes = {f.key: f.shape for f in episode.info.features if f.is_image}
+    size = next((shape for key, shape in sizes.items() if FrameKey.of(key) == FrameKey(camera, "rgb")), (0, 0))
+    for value in episode.column(feature.key):
+        numbers = np.asarray(value, np.float64).reshape(-1)
+        if feature.encoding == "held" and last is not None and np.array_equal(numbers, last):
+            yield None
+        elif schema == JOINTS:
+            yield _joints(list(zip(names, numbers.tolist(), strict=True)))
+        elif schema == CALIBRATION:
+            yield _calibration(numbers.reshape(3, 3), size, camera)
+        else:
+            yield _numbers(numbers)
+        last = numbers
+
+
+def _image(feature: Feature, data: bytes, taken: int, camera: str) -> _Message:
+    if feature.dtype == "uint8":
+        is_jpeg = feature.encoding == "jpeg"
+        stored = data if is_jpeg else as_png(feature, data)
+        values = {"timestamp": taken, "frame_id": camera, "format": "jpeg" if is_jpeg else "png", "data": stored}
+        return lambda at: encode(COMPRESSED_IMAGE, values)
+    image = decode_frame(feature, data)
+    height, width = image.shape
+    raw = {
+        "timestamp": taken,
+        "frame_id": camera,
+        "width": width,
+        "height": height,
+        "encoding": "16UC1",
+        "step": 2 * width,
+        "data": np.ascontiguousarray(image, "<u2").tobytes(),
+    }
+    return lambda at: encode(RAW_IMAGE, raw)
+
+
+def _joints(joints: list[tuple[str, float]]) -> _Message:
+    return lambda at: encode(JOINTS, {"timestamp": at, "joints": joints})
+
+
+def _numbers(numbers: NDArray[np.float64]) -> _Message:
+    return lambda at: encode(NUMBERS, {"timestamp": at, "values": numbers})
+
+
+def _calibration(matrix: NDArray[np.float64], size: tuple[int, ...], camera: str) -> _Message:
+    values = {
+        "frame_id": camera,
+        "width": size[1],
+        "height": size[0],
+        "K": matrix,
+        "R": np.eye(3),
+        "P": np.hstack([matrix, np.zeros((3, 1))]),
+    }
+    return lambda at: encode(CALIBRATION, {"timestamp": at, **values})

@@ -1,0 +1,432 @@
+"""Imports RLDS: folders of TensorFlow Datasets, such as those of Open X-Embodiment, Bridge and DROID, and our exports.
+
+Of datasets from elsewhere, in each step
+
+- an image `observation/<name>` becomes `observation/frames/<name>/rgb` or, of uint16, `.../depth`; JPEGs stay as they
+  are; other observations become `observation/<name>`;
+- `action` becomes `action/action`, and the parts of a dictionary `action/<name>`; `action_dict/<name>` keeps its name;
+- `reward` stays, `is_terminal` becomes `terminated`, and `is_last` elsewhere `truncated`;
+- the first words of the text named "…language_instruction" are the episode's instruction; all texts are kept per step,
+  as `labels` says, in `imported/<name>`;
+- other numbers, embeddings and tensors of more than 1024 numbers become `imported/<name>`.
+
+The format has no rate. An episode has a row more than steps, as `steps` says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import simplejpeg
+from numpy.typing import NDArray
+
+from rcs_data.about import MOST_ROWS
+from rcs_data.codec import decode_jpeg
+from rcs_data.convert.labels import LABELS, numbered
+from rcs_data.convert.observations import kept_info
+from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
+from rcs_data.convert.png import SIGNATURE, decode_png, png_shape
+from rcs_data.convert.provenance import checked_provenance
+from rcs_data.convert.rlds import RCS_FILE
+from rcs_data.convert.rlds_features import Stored, stored_features
+from rcs_data.convert.steps import (
+    ACTION_DICT,
+    EpisodeAbout,
+    Record,
+    StepColumn,
+    about_of_provenance,
+    import_episodes,
+    leave_out,
+    record_steps,
+)
+from rcs_data.convert.tfrecord import StoredValues, read_examples, shard_name
+from rcs_data.errors import CorruptEpisode, InvalidSetup
+from rcs_data.feature import DTYPES, Feature
+from rcs_data.info import DatasetInfo
+from rcs_data.json_file import parsed_json, read_json
+from rcs_data.reader import Dataset
+from rcs_data.text import mended_text
+from rcs_data.writer import DatasetWriter
+
+# More than any state of a robot; depth images as floats and the like have more.
+_LARGEST_OBSERVATION = 1024
+_INSTRUCTION = "language_instruction"
+_LONGEST_TEXT = 1 << 16
+_LAST, _TERMINAL = "steps/is_last", "steps/is_terminal"
+# Numbers of episodes are held in memory.
+_MOST_EPISODES = 1 << 24
+_JPEG = b"\xff\xd8"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Source:
+    """A column of the files, and the features in it."""
+
+    path: str
+    stored: Stored
+    features: tuple[Feature, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Plan:
+    """How to import a folder."""
+
+    info: DatasetInfo
+    sources: tuple[_Source, ...]
+    texts: dict[str, Feature]
+    """The features of texts, which number them."""
+    has_provenance: bool
+
+
+def is_rlds(path: Path) -> bool:
+    """Return whether a folder has a dataset as TensorFlow Datasets stores it, or a single one in folders below."""
+    return _folder(path) is not None
+
+
+def import_rlds(source: str | Path, out: str | Path, options: ImportOptions | None = None) -> Dataset:
+    """Import a folder of TensorFlow Datasets, whole or not at all.
+
+    Args:
+        source: The folder with `dataset_info.json`, or one above it that has no other.
+        out: The folder of the new dataset.
+        options: What to import, how to store images, and what the format does not say: `frequency`, which it needs.
+
+    Raises:
+        InvalidSetup: There is no such dataset, it is stored in another file format or has no steps, or the rate is not
+            given.
+        CorruptEpisode: A file is damaged, or an episode is not what `features.json` describes.
+        DatasetError: `out` exists, or the disk fails.
+    """
+    options = options or ImportOptions()
+    folder = _folder(Path(source))
+    if folder is None:
+        raise InvalidSetup(f"{source} has no dataset of TensorFlow Datasets: no single folder with dataset_info.json.")
+    shards = _shards(folder)
+    chosen = set(selected_numbers(options.episodes, range(sum(shard.episodes for shard in shards))))
+    needed = [shard for shard in shards if chosen & {*shard.numbers}]
+    found = [shard for shard in needed if shard.path.is_file()]
+    if not found or (len(found) < len(needed) and not options.allow_missing):
+        raise InvalidSetup(
+            f"{folder} has {len(found)} of the {len(needed)} files with these episodes. "
+            "Choose other episodes, or allow missing ones."
+        )
+    plan = _plan(folder, found[0], options)
+    return import_episodes(out, plan.info, _episodes(needed, chosen, plan, options), options)
+
+
+def _folder(path: Path) -> Path | None:
+    """Return the only folder with a dataset: the path, a version in it, or a version of a dataset in it."""
+    for pattern in ("features.json", "*/features.json", "*/*/features.json"):
+        found = [file.parent for file in path.glob(pattern)] if path.is_dir() else []
+        found = [folder for folder in found if (folder / "dataset_info.json").is_file()]
+        if found:
+            return found[0] if len(found) == 1 else None
+    return None
+
+
+@dataclass(frozen=True)
+class _Shard:
+    """A file of episodes."""
+
+    path: Path
+    split: str
+    first: int
+    """The number of its first episode."""
+    episodes: int
+
+    @property
+    def numbers(self) -> range:
+        """The numbers of its episodes."""
+        return range(self.first, self.first + self.episodes)
+
+
+def _shards(folder: Path) -> list[_Shard]:
+    """Return the files of a dataset, split by split, whether they are there or not."""
+    path = folder / "dataset_info.json"
+    about = read_json(path)
+    if about.get("fileFormat", "tfrecord") != "tfrecord":
+        raise InvalidSetup(f"{path} says that the files are {about['fileFormat']!r}; only tfrecord can be imported.")
+    shards: list[_Shard] = []
+    first = 0
+    try:
+        for split in about["splits"]:
+            lengths = [int(length) for length in split.get("shardLengths", ())]
+            for i, episodes in enumerate(lengths):
+                name = shard_name(f"{about['name']}-{split['name']}.tfrecord", i, len(lengths))
+                if "/" in name or "\0" in name or not 0 <= episodes <= _MOST_EPISODES - first:
+                    raise CorruptEpisode(f"{path} is damaged: {name!r:.80} cannot have {episodes} episodes.")
+                shards.append(_Shard(folder / name, str(split["name"]), first, episodes))
+                first += episodes
+    except (KeyError, TypeError, ValueError, AttributeError) as err:
+        if isinstance(err, CorruptEpisode):
+            raise
+        raise CorruptEpisode(f"{path} is damaged: {err!r}.") from err
+    return shards
+
+
+def _episodes(
+    shards: Iterable[_Shard], chosen: set[int], plan: _Plan, options: ImportOptions
+) -> Iterator[tuple[int, Record]]:
+    """Yield what records each episode; what cannot be read of a file is left out, if that is allowed."""
+    for shard in shards:
+        numbers = [number for number in shard.numbers if number in chosen]
+        count = 0
+        try:
+            wanted = {number - shard.first for number in numbers}
+            for number, example in zip(numbers, read_examples(shard.path, wanted), strict=False):
+                count += 1
+                yield number, partial(_record, example=example, plan=plan, index=number, split=shard.split)
+            if count < len(numbers):
+                raise CorruptEpisode(f"{shard.path} has only {count} of {len(numbers)} episodes.")
+        except CorruptEpisode as err:
+            leave_out(f"Episodes {numbers[count]} to {numbers[-1]}", err, options)
+
+
+def _plan(folder: Path, first: _Shard, options: ImportOptions) -> _Plan:
+    described = stored_features(read_json(folder / "features.json"), folder / "features.json")
+    steps = {path: stored for path, stored in described.items() if path.startswith("steps/")}
+    if not steps:
+        raise InvalidSetup(f"{folder} has no steps; episodes of RLDS are a dataset of steps each.")
+    example = next(read_examples(first.path), {})
+    ours = read_json(folder / RCS_FILE) if (folder / RCS_FILE).is_file() else None
+    left_out: dict[str, str] = {}
+    texts: dict[str, Feature] = {}
+    if ours is None:
+        sources = _foreign_sources(steps, example, left_out, options)
+        texts = {path: _text_feature(path) for path, stored in steps.items() if stored.kind == "text"}
+        if not options.frequency:
+            raise InvalidSetup(f"{folder} does not state its control rate, as no dataset of RLDS does; give frequency.")
+        info = DatasetInfo(
+            frequency=options.frequency,
+            features=(*(feature for source in sources for feature in source.features), *texts.values()),
+            setup={"imported": {"format": "RLDS", "name": folder.parent.name, "left_out": left_out}},
+            instruction=options.instruction or "",
+            jpeg_quality=options.jpeg_quality,
+        )
+    else:
+        sources, info = _own_sources(steps, ours, folder / RCS_FILE, options)
+    info = kept_info(info, options)
+    kept = {feature.key for feature in info.features}
+    return _Plan(
+        info=info,
+        sources=tuple(source for source in sources if source.features[0].key in kept),
+        texts=texts,
+        has_provenance=ours is not None and "episode_metadata/provenance" in described,
+    )
+
+
+def _text_feature(path: str) -> Feature:
+    return Feature(key=f"imported/{path.removeprefix('steps/').rpartition('/')[2]}", shape=(), dtype="int32")
+
+
+def _own_sources(
+    steps: Mapping[str, Stored], ours: Mapping[str, Any], path: Path, options: ImportOptions
+) -> tuple[list[_Source], DatasetInfo]:
+    """Return the columns of an export of ours, which lists its features."""
+    try:
+        info = DatasetInfo.from_json(ours["info"])
+        info = replace(info, features=tuple(stored_as(feature, options) for feature in info.features))
+        sources = [
+            _Source(path=name, stored=steps[name], features=(info.feature(key),))
+            for name, key in ours["columns"].items()
+        ]
+        action = tuple(info.feature(part["key"]) for part in ours["action"])
+        sources.append(_Source(path="steps/action", stored=steps["steps/action"], features=action))
+        for key, name in (("terminated", _TERMINAL), ("truncated", _LAST)):
+            if any(feature.key == key for feature in info.features):
+                sources.append(_Source(path=name, stored=steps[name], features=(info.feature(key),)))
+    except (KeyError, TypeError, AttributeError, InvalidSetup) as err:
+        raise CorruptEpisode(f"{path} is damaged: {err}.") from err
+    for source in sources:
+        numbers = sum(feature.size for feature in source.features)
+        is_image = source.stored.kind == "image"
+        if is_image != source.features[0].is_image or (not is_image and numbers != int(np.prod(source.stored.shape))):
+            raise CorruptEpisode(f"{path} is damaged: {source.path} is not {source.features[0].key!r}.")
+    stored = {feature.key for source in sources for feature in source.features}
+    features = tuple(feature for feature in info.features if feature.key in stored)
+    return sources, replace(info, features=features, sim_state_size=None)
+
+
+def _foreign_sources(
+    steps: Mapping[str, Stored],
+    example: Mapping[str, StoredValues],
+    left_out: dict[str, str],
+    options: ImportOptions,
+) -> list[_Source]:
+    sources: list[_Source] = []
+    for path, stored in steps.items():
+        name = path.removeprefix("steps/")
+        if stored.kind == "text" or name == "is_first":
+            continue
+        try:
+            feature = _feature(name, stored, example.get(path))
+        except InvalidSetup as err:
+            left_out[name] = str(err)
+            continue
+        sources.append(_Source(path=path, stored=stored, features=(stored_as(feature, options),)))
+    return sources
+
+
+def _feature(name: str, stored: Stored, values: StoredValues | None) -> Feature:
+    """Return the feature that a column of others becomes.
+
+    Raises:
+        InvalidSetup: It cannot be one; the message says why.
+    """
+    folder, _, rest = name.partition("/")
+    if stored.kind == "image":
+        shape = stored.shape
+        if min(shape, default=-1) < 1 and values is not None:
+            shape = _image_shape(next(values.strings(), memoryview(b"")))
+        camera = rest if folder == "observation" and rest else name
+        if stored.dtype == "uint8" and len(shape) == 3 and shape[2] == 3:
+            return Feature(key=f"observation/frames/{camera}/rgb", shape=shape, dtype="uint8", encoding="jpeg")
+        if stored.dtype == "uint16" and len(shape) in (2, 3) and shape[2:] in ((), (1,)):
+            return Feature(key=f"observation/frames/{camera}/depth", shape=shape[:2], dtype="uint16", encoding="depth")
+        raise InvalidSetup(f"its images are {shape} {stored.dtype}")
+    if stored.kind == "other":
+        raise InvalidSetup(f"it is {stored.about}")
+    dtype = {"float16": "float32", "bfloat16": "float32"}.get(stored.dtype, stored.dtype)
+    if dtype not in DTYPES or min(stored.shape, default=1) < 1:
+        raise InvalidSetup(f"it is {stored.shape} {stored.dtype}")
+    known = {"is_terminal": ("terminated", "bool"), "is_last": ("truncated", "bool"), "reward": ("reward", dtype)}
+    if name in known and stored.shape in ((), (1,)):
+        key, dtype = known[name]
+        return Feature(key=key, shape=(), dtype=dtype)
+    is_small = "embedding" not in rest and int(np.prod(stored.shape)) <= _LARGEST_OBSERVATION
+    key = f"imported/{rest or name}"
+    if folder == "action":
+        key = f"action/{rest or 'action'}"
+    elif f"{folder}/" == ACTION_DICT or (folder == "observation" and rest and is_small):
+        key = name
+    return Feature(key=key, shape=stored.shape, dtype=dtype)
+
+
+def _record(
+    writer: DatasetWriter, example: Mapping[str, StoredValues], plan: _Plan, index: int, split: str
+) -> Iterator[int]:
+    """Record an episode, and yield the number of each written row."""
+    numbers: dict[str, NDArray[Any]] = {}
+    for source in plan.sources:
+        if source.stored.kind == "numbers":
+            numbers[source.path] = _numbers(_column(example, source.path), source.stored)
+    if not numbers:
+        raise CorruptEpisode("An episode has no numbers, so that its steps cannot be counted.")
+    steps = {path: len(values) for path, values in numbers.items()}
+    count = min(steps.values())
+    if not 1 <= count < MOST_ROWS or max(steps.values()) != count:
+        raise CorruptEpisode(f"The columns of an episode have {steps} steps; expected equal numbers of at least 1.")
+    columns: list[StepColumn] = []
+    for source in plan.sources:
+        if source.stored.kind == "image":
+            values = _images(_column(example, source.path), source.features[0])
+            columns.append(StepColumn(feature=source.features[0], values=values))
+            continue
+        given = numbers[source.path].reshape(count, -1)
+        if source.path == _LAST and source.features[0].key == "truncated" and _TERMINAL in example:
+            given = given.astype(bool) & ~_terminal(example, count)
+        start = 0
+        for feature in source.features:
+            columns.append(StepColumn(feature=feature, values=_typed(given[:, start : start + feature.size], feature)))
+            start += feature.size
+    labels: dict[str, list[str]] = {}
+    instruction = plan.info.instruction
+    for path, feature in plan.texts.items():
+        words = list(islice(_words(example, path), count))
+        values, labels[feature.key] = numbered(words)
+        columns.append(StepColumn(feature=feature, values=values))
+        if path.endswith(_INSTRUCTION):
+            instruction = next(filter(None, words), instruction)
+    about = _about(example, plan, index, split)
+    if not plan.has_provenance:
+        about = replace(about, instruction=instruction, outcome={LABELS: labels} if labels else {})
+    yield from record_steps(writer, count, columns, about)
+
+
+def _column(example: Mapping[str, StoredValues], path: str) -> StoredValues:
+    if path not in example:
+        raise CorruptEpisode(f"An episode lacks {path!r}, which features.json lists.")
+    return example[path]
+
+
+def _numbers(values: StoredValues, stored: Stored) -> NDArray[Any]:
+    size = int(np.prod(stored.shape, dtype=np.int64))
+    flat = values.numbers(MOST_ROWS * size)
+    if len(flat) % size:
+        raise CorruptEpisode(f"{values.name!r} has {len(flat)} numbers, no multiple of the {size} of a step.")
+    return flat.reshape(-1, size)
+
+
+def _typed(values: NDArray[Any], feature: Feature) -> NDArray[Any]:
+    # The upper half of uint64 is stored as negative numbers.
+    is_cast = feature.dtype == "uint64" and values.dtype == np.int64
+    values = values.view(np.uint64) if is_cast else values
+    if values.dtype.kind == "i" and feature.numpy_dtype.kind in "iu" and values.size:
+        limits = np.iinfo(feature.dtype)
+        if values.min() < limits.min or values.max() > limits.max:
+            raise CorruptEpisode(f"{feature.key!r} has numbers from {values.min()} to {values.max()}.")
+    return values.astype(feature.dtype)
+
+
+def _terminal(example: Mapping[str, StoredValues], steps: int) -> NDArray[np.bool_]:
+    found = example[_TERMINAL].numbers(MOST_ROWS).astype(bool)
+    if len(found) != steps:
+        raise CorruptEpisode(f"{_TERMINAL!r} has {len(found)} numbers; expected {steps}.")
+    return found[:, None]
+
+
+def _images(values: StoredValues, feature: Feature) -> Iterator[Any]:
+    """Yield the images of an episode, JPEGs as they are where the feature is stored as such."""
+    for stored in values.strings():
+        data = bytes(stored)
+        if data.startswith(SIGNATURE):
+            yield decode_png(data, feature.shape, feature.dtype)
+        elif data.startswith(_JPEG) and len(feature.shape) == 3:
+            # Some end in zeros; and decoding finds damage now, not when somebody trains.
+            data = data.rstrip(b"\0")
+            image = decode_jpeg(data, feature.shape)
+            yield data if feature.encoding == "jpeg" else image
+        elif not data:
+            yield None  # no image here: that of the step before
+        else:
+            raise CorruptEpisode(f"{values.name!r} has an image that is neither JPEG nor PNG: {data[:8]!r}.")
+
+
+def _image_shape(data: memoryview) -> tuple[int, ...]:
+    if bytes(data[:2]) != _JPEG:
+        return png_shape(data)
+    try:
+        height, width, *_ = simplejpeg.decode_jpeg_header(bytes(data))
+    except ValueError as err:
+        raise CorruptEpisode(f"The first image is no JPEG: {err}.") from err
+    return int(height), int(width), 3
+
+
+def _about(example: Mapping[str, StoredValues], plan: _Plan, index: int, split: str) -> EpisodeAbout:
+    imported: dict[str, Any] = {"split": split, "index": index}
+    if plan.has_provenance:
+        text = next(_words(example, "episode_metadata/provenance"), "")
+        came = checked_provenance(parsed_json(text, "the provenance of an episode"), "episode_metadata")
+        return about_of_provenance(came, imported)
+    success = None
+    for name in ("episode_metadata/success", "success"):
+        if name in example:
+            found = example[name].numbers(1)
+            success = bool(found[0]) if len(found) == 1 and found[0] in (0, 1) else None
+    for path, values in example.items():
+        if path.startswith("episode_metadata/") and values.kind == 1:
+            imported[path] = next(_words(example, path), "")
+    return EpisodeAbout(id=f"{index:06d}", success=success, imported=imported)
+
+
+def _words(example: Mapping[str, StoredValues], path: str) -> Iterator[str]:
+    """Yield the texts of a feature; none if the episode lacks it."""
+    if path in example:
+        for data in example[path].strings():
+            yield mended_text(bytes(data[:_LONGEST_TEXT]).decode(errors="replace"))

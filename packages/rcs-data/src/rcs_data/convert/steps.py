@@ -1,0 +1,185 @@
+"""Records imported steps as rows: of n steps of another format, each an observation and what was done then, n + 1 rows.
+
+The row after the last step needs an observation that most formats lack. It is then repeated from the row before, and
+the episode's outcome says so: "repeated" as `imported.last_observation`, and the features as `imported.repeated`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs_data.convert.options import ImportOptions
+from rcs_data.errors import CorruptEpisode
+from rcs_data.feature import Feature
+from rcs_data.info import DatasetInfo
+from rcs_data.output import new_output
+from rcs_data.reader import Dataset
+from rcs_data.rows import Value
+from rcs_data.writer import DatasetWriter
+
+ACTION_DICT = "action_dict/"
+"""Begins the keys of other forms of the action, which are no part of it; zeros in the first row."""
+
+_PROGRESS_ROWS = 32
+_AFTER = ("terminated", "truncated")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepColumn:
+    """The values of a feature in an episode."""
+
+    feature: Feature
+    """The feature."""
+    values: Iterable[Any]
+    """A value per step, or per row if it `is_whole`: of the feature's shape, or an encoded image."""
+    last: Any = None
+    """The observation after the last step; None to repeat the one before."""
+    is_whole: bool = False
+    """Whether there is a value for the reset and one after each step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeAbout:
+    """What is known of an episode beside its rows."""
+
+    id: str
+    """Its id in the dataset."""
+    instruction: str = ""
+    """What the robot was asked to do."""
+    seed: int | None = None
+    """The seed it was reset with."""
+    success: bool | None = None
+    """Whether it succeeded."""
+    outcome: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """What else is known about how it went."""
+    imported: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """Where it is from, as JSON."""
+
+
+Record = Callable[[DatasetWriter], Iterator[int]]
+"""Records one episode, and yields the number of each written row, from 0."""
+
+
+def import_episodes(
+    out: str | Path, info: DatasetInfo, episodes: Iterable[tuple[int, Record]], options: ImportOptions, steps: int = 0
+) -> Dataset:
+    """Make a dataset of episodes, whole or not at all; damaged ones are left out, if that is allowed.
+
+    Args:
+        out: The folder of the new dataset.
+        info: What its episodes share.
+        episodes: The number of each, for notes, and what records it.
+        options: Says whether episodes may be left out.
+        steps: How many there are in all, for the progress; 0 if that is not known.
+
+    Raises:
+        CorruptEpisode: An episode is damaged and may not be left out, or none is left.
+        DatasetError: `out` exists, or the disk fails.
+    """
+    done = imported = 0
+    with new_output(out) as partial:
+        with DatasetWriter.open(partial, info) as writer:
+            for index, record in episodes:
+                row = 0
+                try:
+                    for row in record(writer):
+                        if options.on_progress is not None and row % _PROGRESS_ROWS == 0:
+                            options.on_progress(done + row, steps)
+                    imported += 1
+                except CorruptEpisode as err:
+                    leave_out(f"Episode {index}", err, options)
+                done += row
+                if options.on_progress is not None:
+                    options.on_progress(done, steps)
+        if not imported:
+            raise CorruptEpisode("No episode can be imported: all are missing or damaged.")
+    return Dataset.open(out)
+
+
+def leave_out(what: str, err: CorruptEpisode, options: ImportOptions) -> None:
+    """Note what was left out, or raise the error if that is not allowed."""
+    if not options.allow_missing:
+        raise err
+    if options.on_note is not None:
+        options.on_note(f"{what} was left out: {err}")
+
+
+def is_done(feature: Feature) -> bool:
+    """Return whether a feature describes what a step did, not the observation before it."""
+    return feature.is_unknown_at_reset or feature.key in _AFTER or feature.key.startswith(ACTION_DICT)
+
+
+def about_of_provenance(came: Mapping[str, Any], imported: Mapping[str, Any]) -> EpisodeAbout:
+    """Return what a checked `provenance` stores of an episode."""
+    return EpisodeAbout(
+        id=came["episode"],
+        instruction=came["instruction"],
+        seed=came["seed"],
+        success=came["success"],
+        outcome=came["outcome"],
+        imported={**imported, "provenance": dict(came)},
+    )
+
+
+def record_steps(
+    writer: DatasetWriter,
+    steps: int,
+    columns: Iterable[StepColumn],
+    about: EpisodeAbout,
+    states: NDArray[np.float64] | None = None,
+) -> Iterator[int]:
+    """Record an episode, and yield the number of each written row.
+
+    Args:
+        writer: The dataset.
+        steps: Number of steps.
+        columns: A column for each feature of the dataset.
+        about: What else is known of the episode.
+        states: The simulation's states, shape (steps + 1, size); None without a simulation.
+
+    Raises:
+        CorruptEpisode: A column has fewer values than there are steps.
+    """
+    given = [(column, iter(column.values)) for column in columns]
+    row: dict[str, Value] = {}
+    with ExitStack() as on_error:
+        episode = writer.episode(about.id, seed=about.seed, instruction=about.instruction)
+        on_error.callback(episode.discard)
+        for i in range(steps + 1):
+            row = {column.feature.key: _value(column, values, i, steps, row) for column, values in given}
+            episode.add(row, None if states is None else states[i])
+            yield i
+        repeated = [c.feature.key for c, _ in given if c.last is None and not c.is_whole and not is_done(c.feature)]
+        ended = {"last_observation": "repeated", "repeated": repeated} if repeated else {"last_observation": "kept"}
+        episode.finish(about.success, {**about.outcome, "imported": {**about.imported, **ended}})
+        on_error.pop_all()
+
+
+def _value(column: StepColumn, values: Iterator[Any], row: int, steps: int, before: Mapping[str, Value]) -> Value:
+    feature = column.feature
+    value: Any
+    if row == 0 and not column.is_whole and is_done(feature):
+        return None if feature.is_unknown_at_reset else np.zeros(feature.shape, feature.numpy_dtype)[()]
+    if column.is_whole or is_done(feature) or row < steps:
+        value = next(values, _ENDED)
+        if value is _ENDED:
+            raise CorruptEpisode(f"There are fewer values of {feature.key!r} than rows.")
+    elif column.last is not None:
+        value = column.last
+    else:
+        return None if feature.is_image or feature.is_time else before[feature.key]
+    if isinstance(value, bytes) or value is None:
+        return value
+    value = np.asarray(value, feature.numpy_dtype).reshape(feature.shape)[()]
+    unknown = (row == 0 and feature.is_unknown_at_reset) or (feature.is_time and bool(np.isnan(value)))
+    return None if unknown else value
+
+
+_ENDED = object()
