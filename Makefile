@@ -208,6 +208,13 @@ test-interop: build gl $(foreach r,$(READERS),$(INTEROP)/$(firstword $(subst :, 
 	@$(INTEROP)/tfds/bin/python tests/interop/write_rlds.py $(INTEROP)/data/tfds >$(INTEROP)/data/tfds.log 2>&1 || \
 	  { cat $(INTEROP)/data/tfds.log; exit 1; }
 	@$(BIN)/python tests/interop/import_rlds.py $(INTEROP)/data/tfds
+	@echo "==> Importing what LeRobot writes"
+	@set -e; for name in lerobot-0.4.4 lerobot-0.3.3; do \
+	  data=$(INTEROP)/data/by-$$name; rm -rf $$data; \
+	  $(INTEROP)/$$name/bin/python tests/interop/write_lerobot.py $$data >$$data.log 2>&1 || { cat $$data.log; exit 1; }; \
+	  $(BIN)/python tests/interop/import_lerobot.py $$data; \
+	  $(INTEROP)/$$name/bin/python tests/interop/read_lerobot_again.py $$data-again 2>$$data.log || { cat $$data.log; exit 1; }; \
+	done
 	@echo "==> Serving policies of other projects"
 	@$(BIN)/python -m pytest tests/interop -m interop --durations=5
 

@@ -1,3 +1,4 @@
+from rcs_data.convert.labels import row_texts as row_texts
 from rcs_data.convert.lerobot import export_lerobot as export_lerobot
 from rcs_data.convert.lerobot_import import import_lerobot as import_lerobot
 from rcs_data.convert.options import ExportOptions as ExportOptions

@@ -5,7 +5,11 @@ and no frame refers to a later one, so a reader reaches any frame by decoding tw
 encoding again. Every frame is decoded while it is written and compared with its source, block by block: where a block
 is off (SVT-AV1 now and then leaves one of an earlier frame), the frame is encoded again as a key frame.
 
-@MEASURED@
+Measured on 1 354 frames of 224 x 224 pixels of a simulated lab, one core of a busy machine, comparison included: H.264
+("superfast", CRF 18) 1050 frames/s, 2.3 kB a frame, worst block 31.9 dB; AV1 (preset 12, CRF 30, as LeRobot's own) 380
+frames/s, 1.5 kB, worst block 25.0 dB (20.6 dB, were no frame encoded again). Both halve the resolution of colour
+(4:2:0), which is most of the error.
+
 """
 
 from __future__ import annotations
