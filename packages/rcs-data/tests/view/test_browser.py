@@ -271,7 +271,9 @@ def test_a_damaged_episode_says_so_and_the_others_are_shown(
     browser = show(report.path.as_uri())
     browser.press("j")
     browser.wait("document.body.dataset.damaged === '1'")
-    assert "000001 is damaged: Cannot read steps.parquet" in browser.run("document.getElementById('message').innerText")
+    assert "000001 is damaged: Cannot read 000001/steps.parquet" in browser.run(
+        "document.getElementById('message').innerText"
+    )
     browser.press("j")
     browser.wait("document.body.dataset.episode === '000002'")
 
