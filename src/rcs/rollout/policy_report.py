@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rcs_data.durable import disk_errors, write_file
-from rcs_data.view.html import Html, element, film, header, page, table
+from rcs_data.view.html import Html, element, figure, film, header, page, table
 
 from rcs.policy import ServedPolicy
 from rcs.rollout.evaluate import Evaluation, Summary
@@ -74,7 +74,7 @@ def _page(evaluation: Evaluation, summary: Summary, metadata: Metadata, executio
         "main",
         element("section", result, None if rate is None else _bar(rate, low, high)),
         table(about.items()),
-        element("div", *(element("figure", film(f"{number:06d}.mp4")) for number in films), class_="films"),
+        element("div", *(figure(film(f"{number:06d}.mp4"), f"episode {number}") for number in films), class_="films"),
         table(rows, heads),
         class_="sheet",
     )

@@ -131,7 +131,8 @@ def test_what_the_scripts_of_the_view_hold_are_values(evil: Path) -> None:
     [
         {"success": "yes"}, {"length": 10**18}, {"length": None}, {"outcome": []}, {"outcome": None},
         {"timing": None}, {"timing": {"period": None}}, {"timing": {"period": {"mean": "fast"}}},
-        {"timing": {"period": {}}}, {"quality": None}, {"instruction": None}, {"seed": "7"}, {"seed": -1}, {"started": 7}, {"content_hash": "no"},
+        {"timing": {"period": {}}}, {"quality": None},
+        {"instruction": None}, {"seed": "7"}, {"seed": -1}, {"started": 7}, {"content_hash": "no"},
         {"versions": None}, {"outcome": {"failure": [1, {"a": None}], "aborted": {"deep": [[[[1]]]]}}},
     ],
 )  # fmt: skip

@@ -165,8 +165,8 @@ class EpisodeList {
   // Mark which episodes are open.
   mark(id, other) {
     this.marked = [id, other];
-    const block = this.list.children[Math.floor(this.places.get(id) / BLOCK)];
-    if (block) this.fill(block);
+    const block = Math.floor(this.places.get(id) / BLOCK);
+    for (const near of [block - 1, block, block + 1]) if (this.list.children[near]) this.fill(this.list.children[near]);
     for (const item of this.list.querySelectorAll("li")) this.dress(item);
     this.list.querySelector("li[aria-current]")?.scrollIntoView({ block: "nearest" });
   }
