@@ -136,7 +136,7 @@ def episode_data(episode: EpisodeRecord) -> dict[str, Any]:
 
 def is_faster_than_life(info: DatasetInfo) -> bool:
     """Return whether the episodes were simulated without waiting for the wall clock, so that periods mean nothing."""
-    return info.sim_state_size is not None and info.setup.get("mode") == "async"
+    return info.sim_state_size is not None and info.setup.get("stepping") == "async"
 
 
 def _columns(episode: EpisodeRecord, keys: set[str]) -> dict[str, NDArray[np.float64]]:

@@ -20,7 +20,7 @@ from rcs_data.feature import Feature
 from rcs_data.json_file import parsed_json
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.view.clips import ClipOptions, pictures, write_clip
-from rcs_data.view.episode_data import MOST_STEPS, curves, episode_data
+from rcs_data.view.episode_data import MOST_STEPS, curves, episode_data, is_faster_than_life
 from rcs_data.view.html import json_text
 
 EPISODES, CLIPS = "episodes", "clips"
@@ -113,7 +113,7 @@ class Renderer:
         about: dict[str, Any] = {
             "format": _FORMAT,
             "fps": info.frequency,
-            "mode": [info.setup.get("mode"), info.sim_state_size],
+            "has_periods": not is_faster_than_life(info),
             "features": [feature.to_json() for feature in info.features],
             "curves": [curve.to_json() for curve in curves(info)],
             "options": asdict(self.options),
