@@ -90,8 +90,7 @@ class Renderer:
             if self._pictures:
                 clips.mkdir()
             for feature in self._pictures:
-                clip = write_clip(record, feature, clips / clip_name(feature), self.options)
-                values["limits"].append(clip.limits)
+                values["limits"].append(write_clip(record, feature, clips / clip_name(feature), self.options))
             head = json.dumps({"key": key, "flaws": values["flaws"]})
             put(script, f"// {head}\nrcsEpisode({json_text(values)});\n".encode("ascii"))
             return Rendered(record=record, flaws=values["flaws"], is_new=True)

@@ -132,9 +132,7 @@ class _Part:
         x = range(len(self.names))
         for words, change in (("as recorded", np.asarray), ("normalised", self.normalised)):
             mean, low, high = (change(part).tolist() for part in (told.mean, told.min, told.max))
-            lines = [
-                Series(name="mean and range", x=x, y=mean, low=low, high=high, colour=7, told=self.told(mean))
-            ]
+            lines = [Series(name="mean and range", x=x, y=mean, low=low, high=high, colour=7, told=self.told(mean))]
             for back, row in list(enumerate(change(values)[::-1]))[::-1]:
                 name = _ago(back) if back else "now"
                 lines.append(Series(name=name, x=x, y=row.tolist(), colour=back, is_dotted=True, told=self.told(row)))
