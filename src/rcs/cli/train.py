@@ -11,6 +11,7 @@ import tyro
 from rcs_data.cli.console import plain_console
 from rcs_data.finetune.lerobot import LerobotPolicy
 from rcs_data.verdicts import wilson_interval
+from rcs_data.view.charts import short
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
 from rich.progress import Progress as Bar
@@ -24,7 +25,6 @@ from rcs.envs.setup import Setup
 from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
 from rcs.rl.algorithms import AlgorithmName
-from rcs.rl.charts import short
 from rcs.rl.checkpoint import Score
 from rcs.rl.recipes import recipe_for
 from rcs.rl.report import write_report

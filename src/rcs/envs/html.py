@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from html import escape
 
 from rcs.envs.scenario import Scenario
 from rcs.envs.setup import Setup
@@ -22,25 +21,27 @@ def to_html(text: str, setup: Setup | None, scenario: Scenario | None) -> str:
         setup: What it was made from; the table has the fields that are not at their defaults.
         scenario: What the picture is of; None for an environment without one.
     """
+    from rcs_data.view.html import element, joined, table  # pages are nothing that an environment needs
+
     title, _, stack = text.partition("\n")
     chosen = [] if setup is None else [(one.name, getattr(setup, one.name), one.default) for one in fields(setup)]
-    rows = "".join(
-        f"<tr><th>{name}</th><td>{escape(str(value))}</td></tr>"
+    shown = [
+        (name, value)
         for name, value, default in chosen
         if name in ("task", "robot") or (value != default and value != {})
-    )
-    picture = "" if scenario is None else _picture(scenario)
-    return f"<h4>{escape(title)}</h4>{picture}<table>{rows}</table><pre>{escape(stack)}</pre>"
+    ]
+    picture = None if scenario is None else _picture(scenario)
+    return joined([element("h4", title), picture, table(shown), element("pre", stack)])
 
 
-def _picture(scenario: Scenario) -> str:
+def _picture(scenario: Scenario) -> str | None:
     """Return a picture of the present state; nothing where none can be drawn."""
-    from rcs_data.view import picture_tag  # pages are nothing that an environment needs
+    from rcs_data.view.html import picture_tag
 
     picture = Picture(scenario.world, size=SIZE)
     try:
         return picture_tag(picture.draw(), height=SIZE[1], title="The scene")
     except MissingDependency:  # no OpenGL
-        return ""
+        return None
     finally:
         picture.close()

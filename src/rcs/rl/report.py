@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import base64
-import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rcs_data.durable import disk_errors, write_file
 from rcs_data.verdicts import wilson_interval
-from rcs_data.view.page import WEB as SHARED
+from rcs_data.view.charts import CHARTS_SCRIPT, Series, chart
+from rcs_data.view.html import Html, element, figure, film, header, page, script, table, web
 
 from rcs.errors import CorruptCheckpoint
-from rcs.rl.charts import Series, chart
 from rcs.rl.checkpoint import Checkpoint, best_of, checkpoints_of, open_checkpoint
 from rcs.rl.examiner import VIDEOS
 from rcs.rl.metrics import EPISODES, JUDGED, LENGTH, RATE, REWARD, SPEED, SUCCESSES, Row, read_metrics
@@ -22,7 +20,6 @@ from rcs.rl.run import read_training
 from rcs.rl.training import Training
 
 REPORT = "report.html"
-_WEB = Path(__file__).with_name("web")
 _MOST_VIDEOS = 6
 _TRAINING = {
     "rollout/ep_rew_mean": "Return of training's last 100 episodes, exploring",
@@ -68,44 +65,32 @@ def _page(folder: Path, training: Training, rows: Sequence[Row], checkpoints: Se
     title = f"{setup.task} on {setup.robot}"
     best = best_of(list(checkpoints))
     parts = [_success(rows, training), _videos(folder, checkpoints, best), _curves(rows, training)]
-    parts.append(_tables(training, checkpoints))
-    style = (SHARED / "viewer.css").read_text("utf-8") + (_WEB / "training.css").read_text("utf-8")
-    script = (_WEB / "training.js").read_text("utf-8")
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html.escape(title)}</title><style>\n{style}</style></head><body>"
-        f"{_header(title, training, rows, best)}"
-        f'<main class="training">{"".join(parts)}</main><script>\n{script}</script></body></html>\n'
-    )
+    main = element("main", *parts, _tables(training, checkpoints), class_="sheet")
+    return page(title, _header(title, training, rows, best), main, script(web(CHARTS_SCRIPT)))
 
 
-def _header(title: str, training: Training, rows: Sequence[Row], best: Checkpoint | None) -> str:
-    facts: list[tuple[str, str]] = []
+def _header(title: str, training: Training, rows: Sequence[Row], best: Checkpoint | None) -> Html:
+    facts: dict[str, str] = {}
     if best is not None and best.score is not None and best.score.judged:
         score = best.score
         low, high = (100 * bound for bound in wilson_interval(score.successes, score.judged))
         rate = f"{100 * score.successes / score.judged:.0f} % ({low:.0f} to {high:.0f})"
-        facts.append((f"best checkpoint, {score.successes} of {score.judged}", rate))
+        facts[f"best checkpoint, {score.successes} of {score.judged}"] = rate
     if rows:
-        facts.append((f"of {_grouped(training.steps)} steps", _grouped(rows[-1].steps)))
-        facts.append(("wall time", _time(rows[-1].seconds)))
+        facts[f"of {_grouped(training.steps)} steps"] = _grouped(rows[-1].steps)
+        facts["wall time"] = _time(rows[-1].seconds)
     speeds = [row.figures[SPEED] for row in rows if SPEED in row.figures]
     if speeds:
-        facts.append(("steps/s, learning", f"{speeds[-1]:.0f}"))
-    counts = "".join(f"<div><dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd></div>" for name, value in facts)
+        facts["steps/s, learning"] = f"{speeds[-1]:.0f}"
     sees = f"sees {', '.join(training.setup.cameras)}" if training.setup.cameras else "is told the state"
     what = f"{training.algorithm.name.upper()}, {training.copies} copies, seed {training.seed}; the policy {sees}"
-    return (
-        f'<header><div class="title"><h1>{html.escape(title)}</h1><p id="instruction">{html.escape(what)}</p></div>'
-        f'<dl id="counts">{counts}</dl></header>'
-    )
+    return header(title, what, facts)
 
 
-def _success(rows: Sequence[Row], training: Training) -> str:
+def _success(rows: Sequence[Row], training: Training) -> Html:
     judged = [row for row in rows if RATE in row.figures]
     if not judged:
-        return "<p>No evaluation was judged.</p>"
+        return element("p", "No evaluation was judged.")
     bounds = [wilson_interval(int(row.figures[SUCCESSES]), int(row.figures[JUDGED])) for row in judged]
     evaluated = Series(
         name="evaluation",
@@ -126,36 +111,35 @@ def _success(rows: Sequence[Row], training: Training) -> str:
         told = [f"{y:.0f} %" for y in percent]
         lines.append(replace(explored, y=percent, told=told, colour=1))
     most = _most(rows, training)
-    return f'<section class="wide">{chart(title, lines, most=most, span=(0, 100), width=1000)}</section>'
+    return element("section", chart(title, lines, most=most, span=(0, 100), width=1000), class_="wide")
 
 
-def _videos(folder: Path, checkpoints: Sequence[Checkpoint], best: Checkpoint | None) -> str:
+def _videos(folder: Path, checkpoints: Sequence[Checkpoint], best: Checkpoint | None) -> Html | None:
     filmed = [one for one in checkpoints if (folder / VIDEOS / f"{one.steps:09d}.mp4").exists()]
     if not filmed:
-        return ""
+        return None
     count = min(_MOST_VIDEOS, len(filmed))
     chosen = {round(i * (len(filmed) - 1) / max(count - 1, 1)) for i in range(count)}
     shown = [one for i, one in enumerate(filmed) if i in chosen or (best is not None and one.steps == best.steps)]
-    parts: list[str] = []
+    figures: list[Html] = []
     for one in shown:
-        data = base64.b64encode((folder / VIDEOS / f"{one.steps:09d}.mp4").read_bytes()).decode("ascii")
         score = "" if one.score is None else f"{one.score.successes} of {one.score.judged} succeed"
-        badge = '<span class="badge success">best</span>' if best is not None and one.steps == best.steps else ""
-        parts.append(
-            f'<figure><video controls muted loop playsinline preload="metadata" src="data:video/mp4;base64,{data}">'
-            f'</video><figcaption><b>step {_grouped(one.steps)}</b><span class="dim">{html.escape(score)}</span>{badge}'
-            "</figcaption></figure>"
-        )
-    return f'<section><h2>The same episode at different steps</h2><div class="films">{"".join(parts)}</div></section>'
+        is_best = best is not None and one.steps == best.steps
+        caption = [element("b", f"step {_grouped(one.steps)}"), element("span", score, class_="dim")]
+        caption += [element("span", "best", class_="badge success")] if is_best else []
+        figures.append(figure(film((folder / VIDEOS / f"{one.steps:09d}.mp4").read_bytes()), *caption))
+    title = element("h2", "The same episode at different steps")
+    return element("section", title, element("div", *figures, class_="films"))
 
 
-def _curves(rows: Sequence[Row], training: Training) -> str:
+def _curves(rows: Sequence[Row], training: Training) -> Html | None:
     names = {REWARD: "Return of evaluated episodes", LENGTH: "Steps of evaluated episodes", **_TRAINING}
     most = _most(rows, training)
     charts = [
         chart(title, [series], most=most) for name, title in names.items() if (series := _series(rows, name, title))
     ]
-    return f'<section><h2>Curves over steps</h2><div class="grid">{"".join(charts)}</div></section>' if charts else ""
+    title = element("h2", "Curves over steps")
+    return element("section", title, element("div", *charts, class_="grid")) if charts else None
 
 
 def _series(rows: Sequence[Row], name: str, title: str) -> Series | None:
@@ -169,7 +153,7 @@ def _most(rows: Sequence[Row], training: Training) -> int:
     return max(training.steps, *(row.steps for row in rows), 1)
 
 
-def _tables(training: Training, checkpoints: Sequence[Checkpoint]) -> str:
+def _tables(training: Training, checkpoints: Sequence[Checkpoint]) -> Html:
     own = training.to_json()
     setup, algorithm = own.pop("setup"), own.pop("algorithm")
     tables = {"Training": own, f"Algorithm: {algorithm.pop('name')}": algorithm}
@@ -179,19 +163,11 @@ def _tables(training: Training, checkpoints: Sequence[Checkpoint]) -> str:
     }
     if checkpoints:
         tables["Software"] = dict(checkpoints[-1].versions)
-    parts = [f"<div><h2>{html.escape(name)}</h2>{_table(values)}</div>" for name, values in tables.items()]
-    return f'<section><h2>What was trained</h2><div class="tables">{"".join(parts)}</div></section>'
-
-
-def _table(values: Mapping[str, Any]) -> str:
-    return (
-        "<table>"
-        + "".join(
-            f"<tr><th>{html.escape(name)}</th><td>{html.escape(_words(value))}</td></tr>"
-            for name, value in values.items()
-        )
-        + "</table>"
-    )
+    parts = [
+        element("div", element("h2", name), table((key, _words(value)) for key, value in values.items()))
+        for name, values in tables.items()
+    ]
+    return element("section", element("h2", "What was trained"), element("div", *parts, class_="tables"))
 
 
 def _words(value: Any) -> str:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import html
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rcs_data.durable import disk_errors, write_file
-from rcs_data.view.page import WEB
+from rcs_data.view.html import Html, element, figure, film, header, page, table
 
 from rcs.policy import ServedPolicy
 from rcs.rollout.evaluate import Evaluation, Summary
@@ -17,15 +16,6 @@ if TYPE_CHECKING:
     from vlagents import Metadata
 
 REPORT = "report.html"
-_STYLE = """
-main { max-width: 60rem; margin: 0 auto; padding: 1rem; }
-main table { border-collapse: collapse; margin: 0.5rem 0 1.5rem; table-layout: auto; }
-main td, main th { padding: 0.2rem 0.9rem 0.2rem 0; text-align: left; width: auto; overflow-wrap: normal; }
-main td:first-child, main th:first-child { width: auto; }
-.bar { position: relative; height: 0.9rem; background: #8884; border-radius: 0.45rem; margin: 0.6rem 0 1.2rem; }
-.bar i { position: absolute; top: 0; bottom: 0; background: #2a78d688; border-radius: 0.45rem; }
-.bar b { position: absolute; top: -0.2rem; bottom: -0.2rem; width: 3px; background: #2a78d6; }
-"""
 
 
 def write_policy_report(evaluation: Evaluation, summary: Summary, metadata: Metadata) -> Path:
@@ -54,8 +44,6 @@ def _page(evaluation: Evaluation, summary: Summary, metadata: Metadata, executio
     low, high = (100 * bound for bound in summary.interval)
     rate = 100 * summary.successes / summary.judged if summary.judged else None
     told = "not judged" if rate is None else f"{rate:.1f} %"
-    bar = f'<i style="left:{low:.2f}%;width:{high - low:.2f}%"></i><b style="left:{rate or 0:.2f}%"></b>'
-    bar = "" if rate is None else f'<div class="bar">{bar}</div>'
     about = {
         "Policy": metadata.name,
         "Address": evaluation.agent_name,
@@ -75,25 +63,29 @@ def _page(evaluation: Evaluation, summary: Summary, metadata: Metadata, executio
     ]
     films = [number for number in numbers if (evaluation.out / f"{number:06d}.mp4").is_file()]
     failures = ", ".join(f"{name} {count}" for name, count in summary.failures.most_common()) or "none"
-    style = (WEB / "viewer.css").read_text("utf-8") + _STYLE
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{html.escape(title)}</title><style>\n{style}</style></head><body><main><h1>{html.escape(title)}</h1>"
-        f"<p>Success in {summary.successes} of {summary.judged} judged episodes: <b>{told}</b> "
-        f"(95 % Wilson interval {low:.1f} to {high:.1f} %). Failures: {html.escape(failures)}.</p>{bar}"
-        f"{_table([('', '')], about.items())}"
-        + "".join(f'<video controls width="320" src="{number:06d}.mp4"></video> ' for number in films)
-        + _table([("episode", "seed", "verdict", "failure", "steps", "reward")], rows)
-        + "</main></body></html>\n"
+    heads = ("episode", "seed", "verdict", "failure", "steps", "reward")
+    result = element(
+        "p",
+        f"Success in {summary.successes} of {summary.judged} judged episodes: ",
+        element("b", told),
+        f" (95 % Wilson interval {low:.1f} to {high:.1f} %). Failures: {failures}.",
     )
+    main = element(
+        "main",
+        element("section", result, None if rate is None else _bar(rate, low, high)),
+        table(about.items()),
+        element("div", *(figure(film(f"{number:06d}.mp4"), f"episode {number}") for number in films), class_="films"),
+        table(rows, heads),
+        class_="sheet",
+    )
+    return page(title, header(title), main)
+
+
+def _bar(rate: float, low: float, high: float) -> Html:
+    """Return a rate within its interval [%]."""
+    interval = element("i", style=f"left:{low:.2f}%;width:{high - low:.2f}%")
+    return element("div", interval, element("b", style=f"left:{rate:.2f}%"), class_="bar")
 
 
 def _verdict(success: bool | None) -> str:
     return "not judged" if success is None else "success" if success else "failure"
-
-
-def _table(heads: Any, rows: Any) -> str:
-    head = "".join("<tr>" + "".join(f"<th>{html.escape(str(cell))}</th>" for cell in row) + "</tr>" for row in heads)
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table>{head if any(any(row) for row in heads) else ''}{body}</table>"

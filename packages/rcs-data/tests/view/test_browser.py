@@ -10,8 +10,8 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
-from rcs_data import DatasetInfo, DatasetWriter, Feature
-from rcs_data.view import ClipOptions, write_report, write_view
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, Windows
+from rcs_data.view import ClipOptions, write_report, write_sample, write_view
 
 pytestmark = pytest.mark.browser
 
@@ -206,6 +206,33 @@ def test_filters_leave_what_fits(page: str, show: Callable[[str], Browser]) -> N
     assert state(browser)["shown"] == "0"
 
 
+def test_a_long_list_has_elements_only_where_it_is_looked_at(
+    filmed: Path, tmp_path: Path, show: Callable[[str], Browser]
+) -> None:
+    report = write_view(filmed, tmp_path / "view", episodes=["000000"])
+    script = report.path.with_name("dataset.js")
+    head, line, tail = script.read_text("ascii").split("\n", 2)
+    more = [line.replace('"000000"', f'"{number:06d}"') for number in range(1, 5000)]
+    script.write_text("\n".join([head, ",\n".join([line, *more]), tail]), "ascii")
+    browser = show(report.path.as_uri())
+    assert state(browser)["shown"] == "5000"
+    items = "document.querySelectorAll('#list li').length"
+    assert 100 <= browser.run(items) <= 400
+    assert browser.run("document.getElementById('list').scrollHeight") > 5000 * 30
+    browser.run("document.getElementById('list').scrollTop = 1e9")
+    browser.wait("document.getElementById('list').lastChild.textContent.includes('004999')")
+    assert browser.run(items) <= 400
+    current = "document.querySelector('[aria-current]').getBoundingClientRect()"
+    for name in ("002345", "000700", "004700", "004699"):
+        browser.run(f"list.mark('{name}', null)")
+        time.sleep(0.2)  # what is around it is filled
+        top, bottom, height = browser.run(f"(({{top, bottom}}) => [top, bottom, innerHeight])({current})")
+        assert 0 < top < bottom <= height, "what is marked is in sight"
+        assert browser.run("document.querySelector('[aria-current] .id').textContent") == name
+    browser.run("list.set({text: '4999'})")
+    assert browser.run(items) == 1
+
+
 def test_flaws_are_marked_on_the_time_line(page: str, show: Callable[[str], Browser]) -> None:
     browser = show(page)
     assert browser.run("[...document.querySelectorAll('.lane span')].map((s) => s.textContent)") == [
@@ -271,7 +298,9 @@ def test_a_damaged_episode_says_so_and_the_others_are_shown(
     browser = show(report.path.as_uri())
     browser.press("j")
     browser.wait("document.body.dataset.damaged === '1'")
-    assert "000001 is damaged: Cannot read steps.parquet" in browser.run("document.getElementById('message').innerText")
+    assert "000001 is damaged: Cannot read 000001/steps.parquet" in browser.run(
+        "document.getElementById('message').innerText"
+    )
     browser.press("j")
     browser.wait("document.body.dataset.episode === '000002'")
 
@@ -291,6 +320,19 @@ def test_the_report_is_the_same_page_in_one_file(filmed: Path, tmp_path: Path, s
     assert row_shown(browser, WRIST) == pytest.approx(17, abs=0.45)
     browser.press("k")
     browser.wait("document.body.dataset.episode === '000000'")
+
+
+def test_a_sample_tells_the_numbers_under_the_pointer(filmed: Path, tmp_path: Path, chromium: Browser) -> None:
+    windows = Windows(Dataset.open(filmed), cameras=["side"], horizon=8)
+    chromium.errors.clear()
+    chromium.open(write_sample(windows, tmp_path / "sample.html", count=2).path.as_uri())
+    assert not chromium.errors
+    assert chromium.run("[...document.images].every((image) => image.naturalWidth === 81)")
+    moved = "new PointerEvent('pointermove', {clientX: 700})"
+    chromium.run(f"document.querySelectorAll('svg')[2].dispatchEvent({moved})")
+    told = chromium.run("[...document.querySelectorAll('.readout')].map((one) => one.textContent)")
+    assert told[:2] == ["", ""], "of the state, whose numbers are counted, nothing"
+    assert all(text.startswith("step ") and "joints_2" in text for text in told[2:4])
 
 
 def test_a_page_that_was_interrupted_says_so(filmed: Path, tmp_path: Path, chromium: Browser) -> None:

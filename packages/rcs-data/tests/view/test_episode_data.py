@@ -130,8 +130,8 @@ def test_late_early_and_backward_steps_are_told_apart(tmp_path: Path) -> None:
 
 def test_a_simulation_that_does_not_wait_has_no_late_steps(tmp_path: Path) -> None:
     rows: list[dict[str, object]] = [{TIME.key: time} for time in 50 + np.cumsum([0.001, 0.002, 0.4, 0.001])]
-    for mode, expected in (("async", set()), ("realtime", {("loop", "gap"), ("loop", "jitter")})):
-        episode = record(tmp_path / mode, (TIME,), rows, setup={"mode": mode}, sim_state_size=2)
+    for stepping, expected in (("async", set()), ("realtime", {("loop", "gap"), ("loop", "jitter")})):
+        episode = record(tmp_path / stepping, (TIME,), rows, setup={"stepping": stepping}, sim_state_size=2)
         assert set(marks(episode)) == expected
 
 

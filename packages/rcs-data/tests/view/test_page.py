@@ -15,7 +15,7 @@ from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, check, edit, 
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.view import ClipOptions, ViewReport, write_view
 from rcs_data.view.clips import pictures
-from rcs_data.view.page import clip_name
+from rcs_data.view.rendering import clip_name
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def test_the_page_has_all_that_it_loads_and_loads_nothing_from_elsewhere(copy: P
     values = call(folder / "dataset.js")
     for episode in values["episodes"]:
         for picture in values["pictures"]:
-            assert (folder / "episodes" / episode["id"] / picture["file"]).is_file()
+            assert (folder / "clips" / episode["id"] / picture["file"]).is_file()
 
 
 def test_the_catalogue_says_what_the_dataset_says(copy: Path) -> None:
@@ -84,26 +84,27 @@ def test_the_catalogue_says_what_the_dataset_says(copy: Path) -> None:
         (True, 40, "7"), (False, 25, "8"), (None, 33, "9"),
     ]  # fmt: skip
     assert entries["000001"]["note"] == "slip"
+    assert "instruction" not in entries["000001"], "it is the dataset's"
     assert entries["000000"]["flaws"] == {"stale": 3, "gap": 2}
 
 
 def test_every_clip_has_a_frame_for_each_row(copy: Path) -> None:
     write_view(copy)
     for episode in Dataset.open(copy).episodes:
-        data = call(copy / "view/episodes" / episode.id / "episode.js")
+        data = call(copy / f"view/episodes/{episode.id}.js")
         assert data["id"] == episode.id
         assert data["rows"] == episode.length
         assert all(len(line) == episode.length for lines in data["curves"] for line in lines)
         for feature in pictures(episode.info):
-            with av.open(str(copy / "view/episodes" / episode.id / clip_name(feature))) as container:
+            with av.open(str(copy / "view/clips" / episode.id / clip_name(feature))) as container:
                 assert sum(1 for _ in container.decode(video=0)) == episode.length
 
 
 def test_only_what_changed_is_rendered_again(copy: Path) -> None:
     first = write_view(copy)
-    times = {path: path.stat().st_mtime_ns for path in (copy / "view/episodes").rglob("*.*")}
+    times = {path: path.stat().st_mtime_ns for path in (copy / "view").glob("*/**/*.*")}
     assert counts(write_view(copy)) == (0, 3, 0)
-    assert {path: path.stat().st_mtime_ns for path in (copy / "view/episodes").rglob("*.*")} == times
+    assert {path: path.stat().st_mtime_ns for path in (copy / "view").glob("*/**/*.*")} == times
     assert call(first.path.with_name("dataset.js"))["episodes"][0]["flaws"] == {"stale": 3, "gap": 2}
     rerecord(copy, True, scale=2.0)
     assert counts(write_view(copy)) == (1, 2, 0)
@@ -123,10 +124,11 @@ def test_a_verdict_that_was_changed_is_shown_without_rendering(copy: Path) -> No
 def test_what_is_gone_from_the_dataset_or_half_done_is_gone_from_the_page(copy: Path) -> None:
     write_view(copy)
     edit.delete(copy, ["000001"])
-    (copy / "view/episodes/000002/episode.js").write_bytes(b"// {")  # as if it had been cut short
-    (copy / "view/episodes/.partial-0123").mkdir()
+    (copy / "view/episodes/000002.js").write_bytes(b"// {")  # as if it had been cut short
+    (copy / "view/episodes/.0123.tmp").write_bytes(b"")
     assert counts(write_view(copy)) == (1, 1, 0)
-    assert sorted(path.name for path in (copy / "view/episodes").iterdir()) == ["000000", "000002"]
+    assert sorted(path.name for path in (copy / "view/episodes").iterdir()) == ["000000.js", "000002.js"]
+    assert sorted(path.name for path in (copy / "view/clips").iterdir()) == ["000000", "000002"]
 
 
 def test_the_page_in_the_dataset_does_not_disturb_it(copy: Path) -> None:
@@ -148,7 +150,7 @@ def test_some_episodes_are_chosen_by_id_or_pattern(copy: Path, tmp_path: Path) -
     assert counts(write_view(copy, tmp_path / "a", episodes=["00000[02]"])) == (2, 0, 0)
     assert [entry["id"] for entry in call(tmp_path / "a/dataset.js")["episodes"]] == ["000000", "000002"]
     assert counts(write_view(copy, tmp_path / "a", episodes=["000002", "000001"])) == (1, 1, 0)
-    assert sorted(path.name for path in (tmp_path / "a/episodes").iterdir()) == ["000001", "000002"]
+    assert sorted(path.name for path in (tmp_path / "a/episodes").iterdir()) == ["000001.js", "000002.js"]
     with pytest.raises(InvalidSetup, match="'9\\*'; it has 3 episodes"):
         write_view(copy, tmp_path / "b", episodes=["000001", "9*"])
     assert not (tmp_path / "b").exists()
@@ -197,7 +199,7 @@ def test_numbers_that_json_does_not_have_are_gaps(tmp_path: Path) -> None:
             episode.add({"observation/force": np.array([value])})
         episode.finish(None)
     write_view(tmp_path / "data")
-    assert call(tmp_path / "data/view/episodes/a/episode.js")["curves"] == [[[1, None, None, 2]]]
+    assert call(tmp_path / "data/view/episodes/a.js")["curves"] == [[[1, None, None, 2]]]
 
 
 def test_the_command_says_what_it_did_and_where_the_page_is(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,6 +22,7 @@ VERBS: Table = {
     "merge": "rcs_data.cli.combine:MergeCommand",
     "mix": "rcs_data.cli.combine:MixCommand",
     "view": "rcs_data.cli.view:ViewCommand",
+    "sample": "rcs_data.cli.sample:SampleCommand",
     "export": "rcs_data.cli.export:ExportCommand",
     "import": "rcs_data.cli.import_:ImportCommand",
     "pull": "rcs_data.cli.hub:PullCommand",

@@ -4,49 +4,52 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from datetime import datetime, timezone
-from typing import Any
+from typing import IO, Any
 
 from rcs_data.diversity import diversity_of_ways, ways_of
 from rcs_data.errors import CorruptEpisode
 from rcs_data.feature import Feature
-from rcs_data.info import DatasetInfo
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.verdicts import Verdicts
 from rcs_data.view.clips import pictures
 from rcs_data.view.episode_data import FLAWS, curves, is_faster_than_life
-
-Entry = tuple[EpisodeRecord, dict[str, int], str]
-"""An episode, how many steps each of its flaws has, and why the page does not show it."""
-
-DAMAGED = "is damaged: "
-"""How the reason begins for an episode that does not read."""
+from rcs_data.view.html import json_text
+from rcs_data.view.rendering import Rendered, clip_name
 
 
-def catalogue(
+def write_catalogue(
+    file: IO[str],
     dataset: Dataset,
-    entries: Sequence[Entry],
-    clips: Sequence[str],
+    episodes: Iterable[Rendered],
     *,
     wall_time: float | None = None,
     scripted: float | None = None,
-) -> dict[str, Any]:
-    """Return the facts of a dataset as JSON values.
+) -> None:
+    """Write the call that tells the page all of a dataset but its episodes' data, a line for each episode.
 
     Args:
+        file: Where to.
         dataset: The dataset.
-        entries: The episodes of the page.
-        clips: The file names of the clips, one for each of `pictures`.
+        episodes: The episodes of the page; they are taken one by one, and none is kept in memory.
         wall_time: How long the collection took [s]; None if it is not known.
         scripted: By how much the ways of the task's scripted expert differ [rad]; None if it is not known.
     """
+    summary = _Summary(dataset)
+    file.write('rcsDataset({"episodes":[')
+    for number, episode in enumerate(episodes):
+        file.write(",\n" if number else "\n")
+        file.write(json_text(summary.line(episode)))
+    facts = json_text({**_facts(dataset), **summary.told(wall_time), "diversity": summary.diversity(scripted)})
+    file.write(f"\n],{facts.removeprefix('{')});\n")
+
+
+def _facts(dataset: Dataset) -> dict[str, Any]:
     info = dataset.info
     simple = [
         [key, str(_short(value))] for key, value in info.setup.items() if isinstance(value, str | int | float | bool)
     ]
-    whole = [record for record, _, _ in entries if _about(record)]
-    shown = zip(pictures(info), clips, strict=True)
     return {
         "name": dataset.path.resolve().name,
         "instruction": info.instruction,
@@ -59,86 +62,95 @@ def catalogue(
         "pictures": [
             {
                 "label": _label(feature),
-                "file": name,
+                "file": clip_name(feature),
                 "unit": feature.unit,
                 "aspect": feature.shape[1] / feature.shape[0],
             }
-            for feature, name in shown
+            for feature in pictures(info)
         ],
         "curves": [curve.to_json() for curve in curves(info)],
         "flaws": list(FLAWS),
-        **_summary(dataset, whole, wall_time),
-        "diversity": _diversity(info, whole, scripted),
-        "episodes": [_episode(*entry) for entry in entries],
     }
 
 
-def _about(record: EpisodeRecord) -> dict[str, Any]:
-    try:
-        return record.about
-    except CorruptEpisode:
-        return {}
+class _Summary:
+    """Counts how the episodes went and how well they were recorded, while their lines are made."""
 
+    def __init__(self, dataset: Dataset) -> None:
+        self._dataset = dataset
+        self._whole: list[EpisodeRecord] = []
+        self._verdicts: Counter[bool | None] = Counter()
+        self._failures: Counter[str] = Counter()
+        self._rows = self._recovered = self._measured = self._gaps = self._missed = 0
+        self._mean = self._wanted = self._jitter = self._longest = 0.0
 
-def _summary(dataset: Dataset, whole: Sequence[EpisodeRecord], wall_time: float | None) -> dict[str, Any]:
-    """Return how the episodes went, and how well they were recorded."""
-    verdicts = Verdicts.of(record.success for record in whole)
-    low, high = verdicts.interval
-    rows = sum(record.length for record in whole)
-    failed = Counter(str(r.outcome.get("failure") or "not classified") for r in whole if r.success is False)
-    periods = [period for record in whole if (period := record.timing.get("period"))]
-    recording: list[list[str]] = []
-    if periods:
-        mean = sum(period["mean"] for period in periods) / len(periods)
-        longest = max(period["max"] for period in periods)
-        wanted = periods[0]["expected"]
-        if is_faster_than_life(dataset.info):
-            # A simulation that does not wait has no rate to keep: how fast it was is what there is to say.
-            times = f", {wanted / mean:.1f} times faster than life" if mean > 0 else ""
-            recording.append(["computing time per step", f"{1e3 * mean:.2f} ms{times}"])
-        else:
-            jitter = max(period["jitter_p99"] for period in periods)
-            gaps, missed = sum(p["gaps"] for p in periods), sum(p["missed_steps"] for p in periods)
-            recording.append(["mean period", f"{1e3 * mean:.2f} ms, wanted {1e3 * wanted:.2f} ms"])
-            recording.append(["jitter, worst episode's p99", f"{1e3 * jitter:.2f} ms"])
-            recording.append(["gaps", f"{gaps}, {missed} steps missed"])
-        recording.append(["longest step", f"{1e3 * longest:.2f} ms"])
-    if wall_time:
-        recording.append(["episodes per hour", f"{3600 * len(whole) / wall_time:.0f}"])
-        recording.append(["steps per second", f"{rows / wall_time:.0f}"])
-    recording.append(["recovered after a crash", str(sum(bool(r.outcome.get("recovered")) for r in whole))])
-    counts = {"judged": verdicts.judged, "successes": verdicts.succeeded, "low": low, "high": high, "rows": rows}
-    failures = [[name, f"{n}, {100 * n / verdicts.judged:.1f} %"] for name, n in failed.most_common()]
-    return {"counts": counts, "failures": failures, "recording": recording}
+    def line(self, episode: Rendered) -> dict[str, Any]:
+        """Return what the page says of an episode in its list; what is as usual is left out."""
+        record, why = episode.record, episode.why
+        try:
+            outcome = {name: value for name, value in record.outcome.items() if value is not None}
+            facts = {"started": record.about.get("started"), **outcome, "content": record.content_hash[:16]}
+            self._count(record)
+        except CorruptEpisode:
+            return {"id": record.id, "why": why, "damaged": True, "rows": 0, "success": None}
+        note = str(outcome.get("failure") or outcome.get("aborted") or "")
+        line = {
+            "id": record.id,
+            "success": record.success,
+            "rows": record.length,
+            "seed": None if record.seed is None else str(record.seed),  # it may have more digits than a browser keeps
+            "facts": [[name, v if isinstance(v, str) else json.dumps(_short(v))] for name, v in facts.items()],
+        }
+        is_usual = record.instruction == self._dataset.info.instruction
+        told = {"instruction": "" if is_usual else record.instruction, "note": note, "flaws": episode.flaws, "why": why}
+        return {**line, **{name: value for name, value in told.items() if value}, "damaged": episode.is_damaged}
 
+    def _count(self, record: EpisodeRecord) -> None:
+        self._whole.append(record)
+        self._verdicts[record.success] += 1
+        self._rows += record.length
+        self._recovered += bool(record.outcome.get("recovered"))
+        if record.success is False:
+            self._failures[str(record.outcome.get("failure") or "not classified")] += 1
+        if period := record.timing.get("period"):
+            self._measured += 1
+            self._mean += period["mean"]
+            self._wanted = period["expected"]
+            self._gaps += period["gaps"]
+            self._missed += period["missed_steps"]
+            self._jitter = max(self._jitter, period["jitter_p99"])
+            self._longest = max(self._longest, period["max"])
 
-def _diversity(info: DatasetInfo, whole: Sequence[EpisodeRecord], scripted: float | None) -> dict[str, Any] | None:
-    """Return by how much ways differ [rad], of these episodes and of the scripted expert; None if nobody can say."""
-    ways = ways_of(info, whole)
-    if len(ways) < 2:
-        return None
-    return {"ways": _short(diversity_of_ways(ways)), "scripted": _short(scripted), "episodes": len(ways)}
+    def told(self, wall_time: float | None) -> dict[str, Any]:
+        """Return the counts, the failures by class, and how the recording went."""
+        verdicts = Verdicts(succeeded=self._verdicts[True], failed=self._verdicts[False], not_judged=0)
+        recording: list[list[str]] = []
+        if self._measured:
+            mean = self._mean / self._measured
+            if is_faster_than_life(self._dataset.info):
+                # A simulation that does not wait has no rate to keep: how fast it was is what there is to say.
+                times = f", {self._wanted / mean:.1f} times faster than life" if mean > 0 else ""
+                recording.append(["computing time per step", f"{1e3 * mean:.2f} ms{times}"])
+            else:
+                recording.append(["mean period", f"{1e3 * mean:.2f} ms, wanted {1e3 * self._wanted:.2f} ms"])
+                recording.append(["jitter, worst episode's p99", f"{1e3 * self._jitter:.2f} ms"])
+                recording.append(["gaps", f"{self._gaps}, {self._missed} steps missed"])
+            recording.append(["longest step", f"{1e3 * self._longest:.2f} ms"])
+        if wall_time:
+            recording.append(["episodes per hour", f"{3600 * len(self._whole) / wall_time:.0f}"])
+            recording.append(["steps per second", f"{self._rows / wall_time:.0f}"])
+        recording.append(["recovered after a crash", str(self._recovered)])
+        low, high = verdicts.interval
+        counts = {"judged": verdicts.judged, "successes": verdicts.succeeded, "low": low, "high": high}
+        failures = [[name, f"{n}, {100 * n / verdicts.judged:.1f} %"] for name, n in self._failures.most_common()]
+        return {"counts": {**counts, "rows": self._rows}, "failures": failures, "recording": recording}
 
-
-def _episode(record: EpisodeRecord, flaws: dict[str, int], why: str) -> dict[str, Any]:
-    if not _about(record):
-        empty = {"success": None, "rows": 0, "note": why, "instruction": "", "facts": [], "flaws": {}}
-        return {"id": record.id, "why": why, "damaged": True, **empty}
-    outcome = {name: value for name, value in record.outcome.items() if value is not None}
-    note = outcome.get("failure") or outcome.get("aborted") or ""
-    facts = {"started": record.about.get("started"), **outcome, "content": record.content_hash[:16]}
-    return {
-        "id": record.id,
-        "success": record.success,
-        "rows": record.length,
-        "seed": None if record.seed is None else str(record.seed),  # it may have more digits than a browser keeps
-        "instruction": record.instruction,
-        "note": str(note),
-        "facts": [[name, v if isinstance(v, str) else json.dumps(_short(v))] for name, v in facts.items()],
-        "flaws": flaws,
-        "why": why,
-        "damaged": why.startswith(DAMAGED),
-    }
+    def diversity(self, scripted: float | None) -> dict[str, Any] | None:
+        """Return by how much ways differ [rad], of these episodes and of the scripted expert; None if unknown."""
+        ways = ways_of(self._dataset.info, self._whole)
+        if len(ways) < 2:
+            return None
+        return {"ways": _short(diversity_of_ways(ways)), "scripted": _short(scripted), "episodes": len(ways)}
 
 
 def _short(value: Any) -> Any:

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.codec import decode_frame, decode_small_jpeg
+from rcs_data.codec import decode_small_jpeg
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
@@ -61,30 +61,23 @@ class ClipOptions:
             raise InvalidSetup(f"codec is {self.codec!r}; valid are {', '.join(get_args(Codec))}.")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Clip:
-    """What was written."""
-
-    frames: int
-    """Frames in the clip: as many as the episode has rows."""
-    limits: list[list[float]] | None
-    """The values that the darkest and the lightest colour stand for, for each frame, or once where they stay; None for
-    a picture in its own colours."""
-
-
 def pictures(info: DatasetInfo) -> list[Feature]:
     """Return the features that a clip can show: images, and maps from pixels to numbers that stand beside them."""
     return [feature for feature in info.features if feature.is_image or _is_map(feature)]
 
 
-def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: ClipOptions) -> Clip:
-    """Write the images of one feature as an MP4 file; row i is shown from i / fps on.
+def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: ClipOptions) -> list[list[float]] | None:
+    """Write the images of one feature as an MP4 file with a frame for each row; row i is shown from i / fps on.
 
     Args:
         episode: The episode.
         feature: One of `pictures`.
         path: The file to write.
         options: Size and codec.
+
+    Returns:
+        The values that the darkest and the lightest colour stand for, for each frame, or once where they stay; None
+        for a picture in its own colours.
 
     Raises:
         CorruptEpisode: The images do not read.
@@ -99,24 +92,20 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
     settings = {**fixed, "crf": str(options.quality), "g": str(options.whole_frame_every)}
     rate = Fraction(episode.info.frequency).limit_denominator(1000)
     rows, columns = _size(feature, options.height)
-    frames = 0
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream: Any = container.add_stream(encoder, rate=rate, options=settings)
         stream.width, stream.height, stream.pix_fmt = columns, rows, "yuv420p"
         stream.thread_count = 1  # several clips are made at the same time
         reformatter: Any = VideoReformatter()
-        for image in _images(episode, feature, limits, rows):
+        for row, image in enumerate(_images(episode, feature, limits, rows)):
             frame = av.VideoFrame.from_ndarray(image, format="rgb24")
             frame = reformatter.reformat(
                 frame, columns, rows, "yuv420p", interpolation="AREA", dst_colorspace="ITU601", threads=1
             )
-            frame.pts, frame.time_base = frames, 1 / rate
+            frame.pts, frame.time_base = row, 1 / rate
             container.mux(stream.encode(frame))
-            frames += 1
         container.mux(stream.encode())
-    return Clip(
-        frames=frames, limits=None if limits is None else [[float(f"{v:.4g}") for v in pair] for pair in limits]
-    )
+    return None if limits is None else [[float(f"{v:.4g}") for v in pair] for pair in limits]
 
 
 def _is_map(feature: Feature) -> bool:
@@ -175,17 +164,10 @@ def _limits(episode: EpisodeRecord, feature: Feature) -> _Limits:
     A camera in the hand sees half a metre and then a few centimetres: colours for both would show neither.
     """
     if feature.encoding == "depth":
-        spans = [(np.nan, np.nan)]
-        last: bytes | None = None
-        for data in episode.encoded_frames(feature.key):
-            if data is not last:
-                values = decode_frame(feature, data)[::3, ::3]
-                spans.append(_span(values[values > 0]))  # 0 is no reading
-                last = data
-            else:
-                spans.append(spans[-1])
+        fine = (values[::3, ::3] for values in episode.frames(feature.key))
+        spans = np.array([_span(values[values > 0]) for values in fine], np.float64)  # 0 is no reading
         reach = max(1, round(_WINDOW * episode.info.frequency))
-        return _apart(_smooth(np.array(spans[1:], np.float64).reshape(-1, 2), reach))
+        return _apart(_smooth(spans.reshape(-1, 2), reach))
     shown = np.unique(np.linspace(0, episode.length - 1, _SAMPLES).astype(int))
     samples = episode.column(feature.key)[shown].astype(np.float64)
     return _apart(np.nan_to_num(np.array([_span(samples[np.isfinite(samples)])])))

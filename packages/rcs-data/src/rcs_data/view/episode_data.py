@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
-from rcs_data.flags import FrameFlag, camera_of, time_key
+from rcs_data.feature import Feature
+from rcs_data.flags import FrameFlag, camera_of, flags_key, time_key
 from rcs_data.info import DatasetInfo
 from rcs_data.reader import EpisodeRecord
 
@@ -75,7 +77,8 @@ def curves(info: DatasetInfo) -> list[Curves]:
     """Return the plots of a dataset's episodes: state, action, what was executed, reward, periods."""
     found: list[Curves] = []
     for feature in info.features:
-        is_drawn = not (feature.is_image or feature.is_circumstance) and feature.size <= _MOST_LINES
+        is_number = not feature.is_image and feature.numpy_dtype.kind in "fiub"
+        is_drawn = is_number and not feature.is_circumstance and feature.size <= _MOST_LINES
         if not is_drawn or camera_of(feature.key) is not None or feature.key == "simulated_time":
             continue
         words = feature.key.split("/")
@@ -114,12 +117,13 @@ def episode_data(episode: EpisodeRecord) -> dict[str, Any]:
     """
     lines: list[list[list[float | None]]] = []
     drawn = curves(episode.info)
+    columns = _columns(episode, {curve.key for curve in drawn})
+    periods = _periods(columns, episode.length)
     stride = -(-episode.length * sum(curve.size for curve in drawn) // _MOST_NUMBERS) or 1
     for curve in drawn:
-        values = 1e3 * _periods(episode) if curve.key == _PERIOD else episode.column(curve.key)
-        table = values.reshape(episode.length, -1)[::stride].astype(np.float64).T
-        lines.append([rounded(line) for line in table])
-    marks = list(_marks(episode))
+        values = 1e3 * periods[:, None] if curve.key == _PERIOD else columns[curve.key]
+        lines.append([rounded(line) for line in values[::stride].T])
+    marks = list(_marks(episode, columns, periods))
     flaws = {flaw: sum(len(rows) for _, kind, rows in marks if kind == flaw) for flaw in FLAWS}
     return {
         "rows": episode.length,
@@ -132,16 +136,48 @@ def episode_data(episode: EpisodeRecord) -> dict[str, Any]:
 
 def is_faster_than_life(info: DatasetInfo) -> bool:
     """Return whether the episodes were simulated without waiting for the wall clock, so that periods mean nothing."""
-    return info.sim_state_size is not None and info.setup.get("mode") == "async"
+    return info.sim_state_size is not None and info.setup.get("stepping") == "async"
 
 
-def _marks(episode: EpisodeRecord) -> Iterator[tuple[str, str, NDArray[np.intp]]]:
+def _columns(episode: EpisodeRecord, keys: set[str]) -> dict[str, NDArray[np.float64]]:
+    """Return the columns of some curves, of flags and of times, shape (length, size) each, NaN where there is nothing.
+
+    They are read together: a file is opened as long as twenty rows take to read.
+    """
+    features = {
+        feature.key: feature
+        for feature in episode.info.features
+        if feature.key in keys or feature.key.startswith(("time/", "flags/"))
+    }
+    if not features:
+        return {}
+    table = episode.steps(list(features))
+    return {key: _numbers(table.column(key), feature) for key, feature in features.items()}
+
+
+def _numbers(column: pa.ChunkedArray, feature: Feature) -> NDArray[np.float64]:
+    array = column.combine_chunks()
+    is_known = array.is_valid().to_numpy(zero_copy_only=False)
+    flat = array.drop_null().flatten() if pa.types.is_fixed_size_list(array.type) else array.drop_null()
+    numbers = np.full((len(array), feature.size), np.nan)
+    numbers[is_known] = flat.to_numpy(zero_copy_only=False).reshape(-1, feature.size)
+    if feature.can_be_held and len(numbers):
+        numbers = numbers[np.maximum.accumulate(np.where(is_known, np.arange(len(numbers)), 0))]
+    return numbers
+
+
+def _marks(
+    episode: EpisodeRecord, columns: Mapping[str, NDArray[np.float64]], periods: NDArray[np.float64]
+) -> Iterator[tuple[str, str, NDArray[np.intp]]]:
     images = [feature.key for feature in episode.info.features if feature.is_image]
     cameras = dict.fromkeys(camera for key in images if (camera := camera_of(key)) is not None)
     for camera in cameras:
-        flags = episode.flags(camera)
+        flags = np.zeros(episode.length, np.uint8)
+        if flags_key(camera) in columns:
+            flags = np.nan_to_num(columns[flags_key(camera)][:, 0]).astype(np.uint8)
         repeated = (flags & FrameFlag.REPEATED) > 0
-        repeated |= _captured_twice(episode, camera)
+        if time_key(camera) in columns:  # captured at the same time; a NaN equals nothing
+            repeated[1:] |= np.diff(columns[time_key(camera)][:, 0]) == 0
         repeated |= np.all([_seen_twice(episode, key) for key in images if camera_of(key) == camera], axis=0)
         others = {flag: (flags & flag) > 0 for flag in (FrameFlag.STALE, FrameFlag.MISSING, FrameFlag.DROPPED)}
         named = {"repeated": repeated, **{str(flag.name).lower(): rows for flag, rows in others.items()}}
@@ -150,7 +186,6 @@ def _marks(episode: EpisodeRecord) -> Iterator[tuple[str, str, NDArray[np.intp]]
         return
     wanted = 1 / episode.info.frequency
     with np.errstate(invalid="ignore"):  # a period that was not measured is no flaw
-        periods = _periods(episode)
         gap, backwards = periods > _GAP * wanted, periods <= 0
         jitter = (np.abs(periods - wanted) > _JITTER * wanted) & ~gap & ~backwards
     named = {"gap": gap, "jitter": jitter, "backwards": backwards}
@@ -167,22 +202,13 @@ def _seen_twice(episode: EpisodeRecord, key: str) -> NDArray[np.bool_]:
     return rows
 
 
-def _captured_twice(episode: EpisodeRecord, camera: str) -> NDArray[np.bool_]:
-    """Return in which rows the camera's image is of the same time as that of the row before."""
-    rows = np.zeros(episode.length, np.bool_)
-    if any(feature.key == time_key(camera) for feature in episode.info.features):
-        rows[1:] = np.diff(episode.column(time_key(camera))) == 0  # a NaN equals nothing
-    return rows
-
-
-def _periods(episode: EpisodeRecord) -> NDArray[np.float64]:
+def _periods(columns: Mapping[str, NDArray[np.float64]], length: int) -> NDArray[np.float64]:
     """Return how long each step took [s], shape (length,); NaN where it was not measured, as at the reset."""
-    keys = {feature.key for feature in episode.info.features}
-    periods = np.full(episode.length, np.nan)
-    if "time/monotonic" in keys:
-        periods[1:] = np.diff(episode.column("time/monotonic"))
-    elif "time/period" in keys:
-        periods[:] = episode.column("time/period")
+    periods = np.full(length, np.nan)
+    if "time/monotonic" in columns:
+        periods[1:] = np.diff(columns["time/monotonic"][:, 0])
+    elif "time/period" in columns:
+        periods[:] = columns["time/period"][:, 0]
     return periods
 
 

@@ -2,87 +2,61 @@
 
 from __future__ import annotations
 
-import base64
-import html
 from collections.abc import Iterator
-from itertools import islice
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from rcs_data.codec import encode_jpeg
 from rcs_data.errors import CorruptEpisode
-from rcs_data.feature import Feature
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.view.clips import pictures
+from rcs_data.view.html import Html, element, joined, picture_tag, table
 
 _MOST_EPISODES = 12
-_HEIGHT = 96
-
-
-def picture_tag(rgb: NDArray[np.uint8], *, height: int = _HEIGHT, title: str = "") -> str:
-    """Return a picture as an `img` tag that has it inside.
-
-    Args:
-        rgb: Shape (H, W, 3).
-        height: The height on the page [px]; a larger picture is made smaller.
-        title: What it is of.
-    """
-    stride = max(1, rgb.shape[0] // (2 * height))  # twice as fine, for dense displays
-    data = encode_jpeg(np.ascontiguousarray(rgb[::stride, ::stride]), 85, "420")
-    source = base64.b64encode(data).decode("ascii")
-    words = html.escape(title)
-    return f'<img src="data:image/jpeg;base64,{source}" height="{height}" alt="{words}" title="{words}">'
 
 
 def dataset_html(dataset: Dataset) -> str:
     """Return a table of a dataset's first episodes, with the first frame of each camera."""
-    name, task = html.escape(dataset.path.resolve().name), html.escape(dataset.info.instruction)
     shown = dataset.episodes[:_MOST_EPISODES]
-    rows = "".join(f"<tr>{_cells(record)}</tr>" for record in shown)
+    rows = table([_cells(record) for record in shown], ("episode", "outcome", "steps", "first frames"))
     more = len(dataset) - len(shown)
-    rest = f"<p>and {more} more; <code>rcs data view</code> shows all.</p>" if more > 0 else ""
-    head = "<tr><th>episode</th><th>outcome</th><th>steps</th><th>first frames</th></tr>"
+    rest = element("p", f"and {more} more; ", element("code", "rcs data view"), " shows all.") if more > 0 else None
     facts = f"{len(dataset)} episodes at {dataset.info.frequency:g} Hz"
-    return f"<p><b>{name}</b>: {task}<br>{facts}</p><table>{head}{rows}</table>{rest}"
+    name = element("b", dataset.path.resolve().name)
+    return joined([element("p", name, f": {dataset.info.instruction}", element("br"), facts), rows, rest])
 
 
 def episode_html(record: EpisodeRecord) -> str:
     """Return the facts of an episode, with the first, a middle and the last frame of each camera."""
+    name = element("b", record.id)
     try:
         facts = f"{_verdict(record)}, {record.length} steps at {record.info.frequency:g} Hz, seed {record.seed}"
-        steps = sorted({0, record.length // 2, record.length - 1})
-        lines = [f"<div>{''.join(_tags(record, feature, steps))}</div>" for feature in _cameras(record)]
-        text = f"{html.escape(record.instruction)}<br>{facts}"
-        return f"<p><b>{html.escape(record.id)}</b>: {text}</p>{''.join(lines)}"
+        lines = [element("div", *tags) for tags in _frames(record, {0, record.length // 2, record.length - 1})]
+        return joined([element("p", name, f": {record.instruction}", element("br"), facts), *lines])
     except CorruptEpisode as err:
-        return f"<p><b>{html.escape(record.id)}</b>: {html.escape(str(err))}</p>"
+        return element("p", name, f": {err}")
 
 
-def _cells(record: EpisodeRecord) -> str:
+def _cells(record: EpisodeRecord) -> list[object]:
     try:
-        tags = "".join(tag for feature in _cameras(record) for tag in _tags(record, feature, [0]))
-        cells = [_verdict(record), str(record.length), tags]
+        frames = joined(tag for tags in _frames(record, {0}) for tag in tags)
+        return [record.id, _verdict(record), record.length, frames]
     except CorruptEpisode as err:
-        cells = ["damaged", "", html.escape(str(err))]
-    return "".join(f"<td>{cell}</td>" for cell in [html.escape(record.id), *cells])
+        return [record.id, "damaged", "", str(err)]
 
 
 def _verdict(record: EpisodeRecord) -> str:
     failure = record.outcome.get("failure") if record.success is False else None
     words = {True: "success", False: "failure", None: "not judged"}[record.success]
-    return html.escape(f"{words}: {failure}" if failure else words)
+    return f"{words}: {failure}" if failure else words
 
 
-def _cameras(record: EpisodeRecord) -> list[Feature]:
-    return [feature for feature in pictures(record.info) if feature.shape[2:] == (3,) and feature.is_image]
-
-
-def _tags(record: EpisodeRecord, feature: Feature, steps: list[int]) -> Iterator[str]:
-    frames: Any = record.frames(feature.key)
-    at = 0
-    for step in steps:
-        image = next(islice(frames, step - at, None))
-        at = step + 1
-        yield picture_tag(image, title=f"{feature.key}, step {step}")
+def _frames(record: EpisodeRecord, steps: set[int]) -> Iterator[list[Html]]:
+    """Yield some frames of each colour camera."""
+    for feature in pictures(record.info):
+        if not (feature.is_image and feature.shape[2:] == (3,)):
+            continue
+        tags: list[Html] = []
+        for step, image in enumerate(record.frames(feature.key)):
+            if step in steps:
+                tags.append(picture_tag(image, title=f"{feature.key}, step {step}"))
+            if step >= max(steps):
+                break
+        yield tags

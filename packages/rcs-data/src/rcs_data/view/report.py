@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import base64
-import html
 import os
-import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from rcs_data.durable import disk_errors
 from rcs_data.errors import CorruptEpisode
 from rcs_data.reader import Dataset, EpisodeRecord
-from rcs_data.view.catalogue import catalogue
+from rcs_data.view.catalogue import write_catalogue
 from rcs_data.view.clips import ClipOptions, pictures
-from rcs_data.view.page import EPISODE_FILE, WEB, clip_name, render, script
+from rcs_data.view.html import Html, element
+from rcs_data.view.page import shell
+from rcs_data.view.rendering import CLIPS, EPISODES, Rendered, Renderer, clip_name, episode_file
 
 REPORT_FILE = "report.html"
 
@@ -25,6 +25,7 @@ _CLIPS = ClipOptions(height=224, quality=30, whole_frame_every=30)
 _FIRST_IN_DETAIL = 60
 _MOST_IN_DETAIL = 120
 _LEFT_OUT = "was left out, but for its outcome, to keep this file small; `rcs data view` shows all episodes."
+_EPISODES_HERE = Html("<!-- episodes -->")
 
 
 def write_report(dataset_path: str | Path, *, wall_time: float | None = None, scripted: float | None = None) -> Path:
@@ -41,31 +42,32 @@ def write_report(dataset_path: str | Path, *, wall_time: float | None = None, sc
     """
     dataset = Dataset.open(dataset_path)
     path = dataset.path / REPORT_FILE
-    detailed = _in_detail(dataset)
     partial = path.with_name(f".{REPORT_FILE}.tmp")
+    start, end = shell(is_alone=True, more=_EPISODES_HERE).split(_EPISODES_HERE)
     with disk_errors("write the report", path), tempfile.TemporaryDirectory(prefix="rcs-report-") as name:
         folder = Path(name)
-        results = {result.record.id: result for result in render(detailed, folder, _CLIPS)}
-        entries = [
-            (results[record.id].record, results[record.id].flaws, results[record.id].why)
-            if record.id in results
-            else (record, {}, _LEFT_OUT)
-            for record in dataset
-        ]
-        clips = [clip_name(feature) for feature in pictures(dataset.info)]
-        values = catalogue(dataset, entries, clips, wall_time=wall_time, scripted=scripted)
-        shell, tail = _shell().split("</body>")
+        for part in (EPISODES, CLIPS):
+            (folder / part).mkdir()
+        renderer = Renderer(dataset=dataset, folder=folder, options=_CLIPS)
+        results = {result.record.id: result for result in renderer.render(_in_detail(dataset))}
         partial.unlink(missing_ok=True)  # never through a link
-        with partial.open("x", encoding="utf-8") as page:
-            page.write(shell.replace('<script src="dataset.js"></script>', ""))
-            for record in detailed:
-                if not results[record.id].why:
-                    _write_episode(page.write, folder / record.id, record.id, clips)
-            page.write(f"<script>{_inert(script('rcsDataset', values).decode('ascii'))}</script>\n</body>{tail}")
-            page.flush()
-            os.fsync(page.fileno())
+        with partial.open("x", encoding="utf-8") as file:
+            file.write(start)
+            for result in results.values():
+                if not result.why:
+                    _write_episode(file.write, folder, result.record)
+            file.write("<script>")
+            write_catalogue(file, dataset, _all(dataset, results), wall_time=wall_time, scripted=scripted)
+            file.write(f"</script>\n{end}")
+            file.flush()
+            os.fsync(file.fileno())
         partial.replace(path)
     return path
+
+
+def _all(dataset: Dataset, results: dict[str, Rendered]) -> Iterator[Rendered]:
+    for record in dataset:
+        yield results.get(record.id) or Rendered(record=record, flaws={}, why=_LEFT_OUT)
 
 
 def _in_detail(dataset: Dataset) -> list[EpisodeRecord]:
@@ -81,28 +83,12 @@ def _has_failed(record: EpisodeRecord) -> bool:
         return False
 
 
-def _shell() -> str:
-    """Return the page with its style and scripts in it."""
-    text = (WEB / "index.html").read_text("utf-8")
-    text = re.sub(r'<link rel="stylesheet" href="([\w.]+)">', lambda m: f"<style>\n{_web(m[1])}</style>", text)
-    return re.sub(r'<script src="(?!dataset)([\w.]+)"></script>', lambda m: f"<script>\n{_web(m[1])}</script>", text)
-
-
-def _web(name: str) -> str:
-    return (WEB / name).read_text("utf-8")
-
-
-def _inert(text: str) -> str:
-    """Escape what could end a script's tag; inside of JSON's strings, where it stands only, this is the same text."""
-    return text.replace("<", "\\u003c")
-
-
-def _write_episode(write: Callable[[str], object], folder: Path, episode_id: str, clips: list[str]) -> None:
+def _write_episode(write: Callable[[str], object], folder: Path, record: EpisodeRecord) -> None:
     """Write an episode as data that the browser does not look at before it is asked for."""
-    lines = (folder / EPISODE_FILE).read_text("ascii").split("\n", 1)[1]
-    body = lines.strip().removeprefix("rcsEpisode(").removesuffix(");")
-    write(f'<script type="application/json" data-episode="{html.escape(episode_id)}">{_inert(body)}</script>\n')
-    for number, name in enumerate(clips):
-        write(f'<script type="text/plain" data-clip="{number} {html.escape(episode_id)}">data:video/mp4;base64,')
-        write(base64.b64encode((folder / name).read_bytes()).decode("ascii"))
-        write("</script>\n")
+    values = episode_file(folder, record).read_text("ascii").split("\n", 1)[1]
+    body = Html(values.strip().removeprefix("rcsEpisode(").removesuffix(");"))
+    write(element("script", body, type="application/json", data_episode=record.id) + "\n")
+    for number, feature in enumerate(pictures(record.info)):
+        data = base64.b64encode((folder / CLIPS / record.id / clip_name(feature)).read_bytes()).decode("ascii")
+        address = f"data:video/mp4;base64,{data}"
+        write(element("script", address, type="text/plain", data_clip=f"{number} {record.id}") + "\n")

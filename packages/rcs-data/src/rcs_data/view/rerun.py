@@ -14,8 +14,8 @@ from rcs_data.errors import MissingDependency
 from rcs_data.feature import Feature
 from rcs_data.output import new_output
 from rcs_data.reader import Dataset, EpisodeRecord
-from rcs_data.view.choice import chosen_episodes
 from rcs_data.view.clips import pictures
+from rcs_data.view.page import chosen_episodes
 
 # So long between two episodes that the end of one and the start of the next are told apart on the time line [s].
 _PAUSE = 0.5

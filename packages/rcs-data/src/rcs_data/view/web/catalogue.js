@@ -69,13 +69,17 @@ function diversity(found) {
   return [table(rows), element("p", { className: "dim", textContent: "Mean RMS distance of two episodes' joints, each from its own start to its own goal." })];
 }
 
+const BLOCK = 100; // so many episodes become elements together, when they come near to where the list is looked at
+
 class EpisodeList {
   // `choose` takes an id, `compare` takes the id to compare with.
   constructor(dataset, choose, compare) {
+    Object.assign(this, { dataset, choose, compare, marked: [null, null], shown: [], places: new Map() });
     this.list = document.getElementById("list");
     this.filter = { text: "", verdict: "all", flaw: "any", order: "id" };
-    this.shown = [];
-    this.items = new Map(dataset.episodes.map((episode) => [episode.id, this.item(dataset, episode, choose, compare)]));
+    this.known = new Map(dataset.episodes.map((episode) => [episode.id, episode]));
+    const look = ({ target, isIntersecting }) => (isIntersecting ? this.fill(target) : this.empty(target));
+    this.eye = new IntersectionObserver((seen) => seen.forEach(look), { root: this.list, rootMargin: "2000px" });
     const named = dataset.flaws.filter((flaw) => dataset.episodes.some((episode) => episode.flaws[flaw]));
     const options = [["any", "Any quality"], ["none", "Without flaws"], ["some", "With flaws"], ...named.map((flaw) => [flaw, "With " + FLAW_WORDS[flaw]])];
     document.getElementById("flaw").append(...options.map(([value, textContent]) => element("option", { value, textContent })));
@@ -94,7 +98,8 @@ class EpisodeList {
     this.set({});
   }
 
-  item(dataset, episode, choose, compare) {
+  item(episode) {
+    const { dataset, choose, compare } = this;
     const flaws = element("span", { className: "flawmarks", title: Object.entries(episode.flaws).map(([flaw, count]) => `${FLAW_WORDS[flaw]}: ${count}`).join("\n") });
     for (const flaw of Object.keys(episode.flaws)) flaws.append(Object.assign(element("i"), { style: `background: var(--${flaw})` }));
     const button = element("button", { textContent: "⇄", title: "Compare with this one" });
@@ -107,6 +112,25 @@ class EpisodeList {
     const note = episode.note || (episode.instruction !== dataset.instruction && episode.instruction) || "";
     if (note) item.append(element("span", { className: "note", textContent: note }));
     item.addEventListener("click", () => choose(episode.id));
+    item.dataset.id = episode.id;
+    return this.dress(item);
+  }
+
+  fill(block) {
+    if (block.childElementCount) return;
+    block.append(...block.ids.map((id) => this.item(this.known.get(id))));
+    block.style.height = "auto";
+  }
+
+  empty(block) {
+    if (!block.childElementCount || !block.isConnected) return;
+    block.style.height = `${block.offsetHeight}px`;
+    block.replaceChildren();
+  }
+
+  dress(item) {
+    item.toggleAttribute("aria-current", item.dataset.id === this.marked[0]);
+    item.classList.toggle("other", item.dataset.id === this.marked[1]);
     return item;
   }
 
@@ -122,7 +146,15 @@ class EpisodeList {
     const shown = this.episodes.filter((e) => isWanted(e) && fits(e) && words.every((word) => e.text.includes(word)));
     if (orders[order]) shown.sort(orders[order]);
     this.shown = shown.map((episode) => episode.id);
-    this.list.replaceChildren(...this.shown.map((id) => this.items.get(id)));
+    this.places = new Map(this.shown.map((id, place) => [id, place]));
+    this.eye.disconnect();
+    this.list.replaceChildren(...Array.from({ length: Math.ceil(shown.length / BLOCK) }, (_, i) => {
+      const block = element("ol", { ids: this.shown.slice(i * BLOCK, (i + 1) * BLOCK) });
+      block.style.height = `${33 * block.ids.length}px`;
+      this.eye.observe(block);
+      return block;
+    }));
+    if (this.list.firstChild) this.fill(this.list.firstChild);
     for (const button of this.buttons) button.setAttribute("aria-pressed", String(button.dataset.verdict === this.filter.verdict));
     const wins = shown.filter((e) => e.success === true).length;
     const judged = shown.filter((e) => e.success !== null).length;
@@ -132,16 +164,16 @@ class EpisodeList {
 
   // Mark which episodes are open.
   mark(id, other) {
-    for (const [name, item] of this.items) {
-      item.toggleAttribute("aria-current", name === id);
-      item.classList.toggle("other", name === other);
-    }
-    this.items.get(id)?.scrollIntoView({ block: "nearest" });
+    this.marked = [id, other];
+    const block = Math.floor(this.places.get(id) / BLOCK);
+    for (const near of [block - 1, block, block + 1]) if (this.list.children[near]) this.fill(this.list.children[near]);
+    for (const item of this.list.querySelectorAll("li")) this.dress(item);
+    this.list.querySelector("li[aria-current]")?.scrollIntoView({ block: "nearest" });
   }
 
   // Return the id that is `by` places further in the list as it is shown.
   next(id, by) {
-    const place = this.shown.indexOf(id);
+    const place = this.places.get(id) ?? -1;
     return this.shown[place < 0 ? 0 : Math.max(0, Math.min(this.shown.length - 1, place + by))];
   }
 }

@@ -18,6 +18,8 @@ function rcsDataset(values) {
   dataset = values;
   const message = document.getElementById("message");
   if (!dataset) { message.textContent = "This page was not completed; write it again."; return; }
+  const usual = { instruction: dataset.instruction, seed: null, note: "", why: "", facts: [], flaws: {} };
+  dataset.episodes = dataset.episodes.map((episode) => ({ ...usual, ...episode }));
   showFacts(dataset);
   if (!dataset.episodes.length) message.textContent = "No episode is complete yet.";
   chosenCurves = new Set(dataset.curves.flatMap((curve, i) => (curve.shown ? [i] : [])));
@@ -31,13 +33,9 @@ function rcsDataset(values) {
 // Go where the address says.
 function follow() {
   const fields = new URLSearchParams(location.hash.slice(1));
-  const known = (id) => (list.items.has(id) ? id : null);
+  const known = (id) => (list.known.has(id) ? id : null);
   const id = known(fields.get("episode")) ?? list.shown[0] ?? null;
   show({ id, other: known(fields.get("compare")), frame: Number(fields.get("t")) || 0, isPlayed: fields.has("play") });
-}
-
-function addressed(id) {
-  return "episodes/" + encodeURIComponent(id) + "/";
 }
 
 // What a report, which is one file, has inside of it instead of beside it.
@@ -54,7 +52,7 @@ function load(id) {
   }
   if (!waiting.has(id)) {
     waiting.set(id, new Promise((resolve, reject) => {
-      const script = element("script", { src: addressed(id) + "episode.js" });
+      const script = element("script", { src: `episodes/${encodeURIComponent(id)}.js` });
       script.onload = () => resolve(loaded.get(id));
       script.onerror = () => reject(new Error(`The files of ${id} are missing.`));
       document.head.append(script);
@@ -70,7 +68,7 @@ async function show({ id = state.id, other = state.other, frame = null, isPlayed
   Object.assign(state, { id, other });
   list.mark(id, other);
   if (isSame && open.length) { if (frame !== null) player.seek(frame); return; }
-  const entries = [id, other].filter((one) => one !== null).map((one) => dataset.episodes.find((e) => e.id === one));
+  const entries = [id, other].filter((one) => one !== null).map((one) => list.known.get(one));
   const message = document.getElementById("message");
   const stage = document.getElementById("stage");
   const hidden = entries.find((entry) => entry.why);
@@ -142,7 +140,7 @@ function showPictures(entries) {
       if (video.getAttribute("src")) video.replaceWith(element("p", { className: "wrong", textContent: "This browser cannot play the clip. Write the page again with --codec vp9." }));
     });
     video.addEventListener("click", () => player.toggle());
-    video.src = inlined("clip", `${i} ${entry.id}`) ?? addressed(entry.id) + picture.file;
+    video.src = inlined("clip", `${i} ${entry.id}`) ?? `clips/${encodeURIComponent(entry.id)}/${picture.file}`;
     videos.push({ video, rows: entry.rows });
     return figure;
   }))));

@@ -1,12 +1,16 @@
-"""Charts of figures over the steps of a training, as SVG in a page."""
+"""Charts of numbers over steps, as SVG in a page; with `CHARTS_SCRIPT` they tell the numbers under the pointer."""
 
 from __future__ import annotations
 
-import html
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+from rcs_data.view.html import Html, element, figure
+
+CHARTS_SCRIPT = "charts.js"
+"""The file in `WEB` that tells the numbers under the pointer."""
 
 _HEIGHT = 190
 _LEFT, _RIGHT, _TOP, _BOTTOM = 54, 18, 8, 22
@@ -30,63 +34,71 @@ class Series:
     """What is said of each point; its number when not given."""
     colour: int = 0
     """Of the style's lines, from 0."""
+    is_dotted: bool = False
+    """Whether points are shown in the place of a line."""
 
 
 def chart(
-    title: str, series: Sequence[Series], *, most: int, span: tuple[float, float] | None = None, width: int = 460
-) -> str:
+    title: str,
+    series: Sequence[Series],
+    *,
+    most: int,
+    span: tuple[float, float] | None = None,
+    width: int = 460,
+    word: str = "step",
+) -> Html:
     """Return a chart as a `figure`.
 
     Args:
         title: What is shown, with its unit.
         series: Lines, at least one, none without points.
-        most: Steps at the right end.
+        most: Steps at the right end, at least 1.
         span: Lower and upper end of the vertical axis; None for those of the figures.
         width: Of the drawing, in its own units; its height is 190.
+        word: What is counted from left to right.
     """
     low, high = span if span is not None else _span(series)
     inner, tall = width - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM
 
-    def place(x: float, y: float) -> str:
+    def place(x: float, y: float) -> tuple[float, float]:
         shown = min(max(y, low), high)
-        return f"{_LEFT + inner * x / most:.1f},{_TOP + tall * (high - shown) / (high - low):.1f}"
+        return round(_LEFT + inner * x / most, 1), round(_TOP + tall * (high - shown) / (high - low), 1)
 
-    parts: list[str] = []
+    def points(x: Sequence[float], y: Sequence[float]) -> list[str]:
+        return [",".join(map(str, place(*point))) for point in zip(x, y, strict=True)]
+
+    parts: list[Html] = []
     for value in ticks(low, high):
-        y = place(0, value).split(",")[1]
-        parts.append(f'<line class="rule" x1="{_LEFT}" x2="{width - _RIGHT}" y1="{y}" y2="{y}"/>')
-        parts.append(f'<text x="{_LEFT - 6}" y="{float(y) + 4:.1f}" text-anchor="end">{short(value)}</text>')
-    for value in ticks(0, most):
-        x = float(place(value, low).split(",")[0])
-        parts.append(f'<text x="{x:.1f}" y="{_HEIGHT - 6}" text-anchor="middle">{short(value)}</text>')
+        _, y = place(0, value)
+        parts.append(element("line", class_="rule", x1=_LEFT, x2=width - _RIGHT, y1=y, y2=y))
+        parts.append(element("text", short(value), x=_LEFT - 6, y=y + 4, text_anchor="end"))
+    counted = [value for value in ticks(0, most) if value == int(value)]
+    parts += [element("text", short(x), x=place(x, low)[0], y=_HEIGHT - 6, text_anchor="middle") for x in counted]
     for one in series:
-        paint = _paint(one)
+        paint = f"var(--line-{one.colour % _COLOURS})"
         if one.low:
-            there = [place(x, y) for x, y in zip(one.x, one.high, strict=True)]
-            back = [place(x, y) for x, y in zip(one.x, one.low, strict=True)][::-1]
-            parts.append(f'<polygon class="band" style="fill:{paint}" points="{" ".join(there + back)}"/>')
-        points = [place(x, y) for x, y in zip(one.x, one.y, strict=True)]
-        if len(points) == 1:
-            x, y = points[0].split(",")
-            parts.append(f'<circle cx="{x}" cy="{y}" r="3" style="fill:{paint}"/>')
-        parts.append(f'<polyline class="line" style="stroke:{paint}" points="{" ".join(points)}"/>')
-    parts.append(f'<line class="here" x1="0" x2="0" y1="{_TOP}" y2="{_HEIGHT - _BOTTOM}" hidden/>')
+            band = points(one.x, one.high) + points(one.x, one.low)[::-1]
+            parts.append(element("polygon", class_="band", style=f"fill:{paint}", points=" ".join(band)))
+        if one.is_dotted or len(one.x) == 1:
+            dots = [place(*point) for point in zip(one.x, one.y, strict=True)]
+            parts += [element("circle", cx=x, cy=y, r=3, style=f"fill:{paint}") for x, y in dots]
+        else:
+            line = " ".join(points(one.x, one.y))
+            parts.append(element("polyline", class_="line", style=f"stroke:{paint}", points=line))
+    parts.append(element("line", class_="here", x1=0, x2=0, y1=_TOP, y2=_HEIGHT - _BOTTOM, hidden=True))
     about = {
-        "left": _LEFT, "width": inner, "size": width, "most": most,
+        "left": _LEFT, "width": inner, "size": width, "most": most, "word": word,
         "series": [
             {"name": one.name, "x": list(one.x), "told": list(one.told) or [short(y) for y in one.y]} for one in series
         ],
     }  # fmt: skip
     keys = [
-        f'<span class="key"><i style="background:{_paint(one)}"></i>{html.escape(one.name)}</span>'
+        element("span", element("i", style=f"background:var(--line-{one.colour % _COLOURS})"), one.name, class_="key")
         for one in (series if len(series) > 1 else ())
     ]
-    words = html.escape(title)
-    return (
-        f'<figure class="plot" data-about="{html.escape(json.dumps(about))}"><figcaption><b>{words}</b>{"".join(keys)}'
-        f'<span class="readout"></span></figcaption><svg viewBox="0 0 {width} {_HEIGHT}" role="img" '
-        f'aria-label="{words}">{"".join(parts)}</svg></figure>'
-    )
+    drawing = element("svg", *parts, viewBox=f"0 0 {width} {_HEIGHT}", role="img", aria_label=title)
+    caption = (element("b", title), *keys, element("span", class_="readout"))
+    return figure(drawing, *caption, is_below=False, class_="plot", data_about=json.dumps(about))
 
 
 def ticks(low: float, high: float, wanted: int = 4) -> list[float]:
@@ -104,10 +116,6 @@ def short(value: float) -> str:
         if abs(value) >= size:
             return f"{value / (1e3 if letter == 'k' else size):.4g}{letter}".replace("-", "−")
     return f"{value:.3g}".replace("-", "−") if abs(value) < 1000 else f"{value:.0f}".replace("-", "−")
-
-
-def _paint(series: Series) -> str:
-    return f"var(--line-{series.colour % _COLOURS})"
 
 
 def _span(series: Sequence[Series]) -> tuple[float, float]:
