@@ -33,7 +33,7 @@ import tyro
 from numpy.typing import NDArray
 from rcs_data import Dataset, Windows
 from rcs_data.codec import decode_frame
-from rcs_data.torch import TorchDataset, collate
+from rcs_data.torch import TorchDataset
 from rcs_data.trajectory import step_frames
 
 import rcs
@@ -145,7 +145,6 @@ def torch_epoch(windows: Windows, workers: int, options: Options) -> Callable[[]
         shuffle=True,
         num_workers=workers,
         persistent_workers=workers > 0,
-        collate_fn=collate,
     )
     return lambda: sum(len(batch["step"]) for batch in loader)
 
