@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rcs_data.codec import decode_depth, decode_jpeg, encode_depth, encode_jpeg
+from rcs_data.codec import decode_depth, decode_jpeg, decode_lossless, encode_depth, encode_jpeg, encode_lossless
 from rcs_data.errors import CorruptEpisode
 
 
@@ -15,6 +17,29 @@ from rcs_data.errors import CorruptEpisode
 def test_depth_comes_back_bit_for_bit(height: int, width: int, seed: int, largest: int) -> None:
     image = np.random.default_rng(seed).integers(0, largest, (height, width), np.uint16, endpoint=True)
     np.testing.assert_array_equal(decode_depth(encode_depth(image), image.shape), image)
+
+
+@settings(max_examples=50)
+@given(st.integers(1, 20), st.integers(1, 20), st.integers(0, 2**32 - 1), st.sampled_from([1, 3, 255]))
+def test_lossless_colour_comes_back_bit_for_bit(height: int, width: int, seed: int, largest: int) -> None:
+    image = np.random.default_rng(seed).integers(0, largest, (height, width, 3), np.uint8, endpoint=True)
+    np.testing.assert_array_equal(decode_lossless(encode_lossless(image), image.shape), image)
+
+
+def test_pillow_reads_what_is_stored() -> None:
+    open_image = pytest.importorskip("PIL.Image").open
+    rng = np.random.default_rng(0)
+    colour, depth = rng.integers(0, 256, (12, 8, 3), np.uint8), rng.integers(0, 65536, (12, 8), np.uint16)
+    np.testing.assert_array_equal(np.asarray(open_image(io.BytesIO(encode_lossless(colour)))), colour)
+    np.testing.assert_array_equal(np.asarray(open_image(io.BytesIO(encode_depth(depth)))), depth)
+
+
+@pytest.mark.parametrize("place", [20, 45, -20])
+def test_a_changed_byte_of_a_png_is_refused(place: int) -> None:
+    data = bytearray(encode_depth(np.arange(4000, dtype=np.uint16).reshape(40, 100)))
+    data[place] ^= 1
+    with pytest.raises(CorruptEpisode):
+        decode_depth(bytes(data), (40, 100))
 
 
 def test_a_view_of_a_larger_image_comes_back_too() -> None:
@@ -42,6 +67,8 @@ def test_an_image_that_was_cut_short_is_refused(cut: int) -> None:
         decode_jpeg(encode_jpeg(image, 95, "444")[:cut], image.shape)
     with pytest.raises(CorruptEpisode):
         decode_depth(encode_depth(image[..., 0].astype(np.uint16))[:cut], (32, 32))
+    with pytest.raises(CorruptEpisode):
+        decode_lossless(encode_lossless(image)[:cut], image.shape)
 
 
 def test_an_image_of_another_shape_is_refused() -> None:
@@ -49,6 +76,8 @@ def test_an_image_of_another_shape_is_refused() -> None:
         decode_jpeg(encode_jpeg(np.zeros((8, 8, 3), np.uint8), 95, "444"), (8, 16, 3))
     with pytest.raises(CorruptEpisode):
         decode_depth(encode_depth(np.zeros((8, 8), np.uint16)), (8, 16))
+    with pytest.raises(CorruptEpisode, match="expected 8 x 16"):
+        decode_lossless(encode_lossless(np.zeros((8, 8, 3), np.uint8)), (8, 16, 3))
 
 
 @pytest.mark.parametrize("size", [(16, 24), (15, 23), (224, 224), (1, 1)])

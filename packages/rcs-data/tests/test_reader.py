@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rcs_data import SCHEMA_VERSION, Dataset, DatasetInfo, DatasetWriter, Feature
+from rcs_data import SCHEMA_VERSION, Dataset, DatasetInfo, DatasetWriter, EpisodeRecord, Feature
 from rcs_data.durable import sealed, unsealed
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
 from rcs_data.journal import line_of
@@ -45,6 +45,17 @@ def test_what_is_no_image_has_no_frames(dataset: Path) -> None:
         episode.column("speed")
     with pytest.raises(InvalidSetup, match="no episode 'x'"):
         Dataset.open(dataset)["x"]
+
+
+def test_what_an_index_knows_is_not_read_and_replaces_what_was_recorded(dataset: Path) -> None:
+    episode = Dataset.open(dataset).episodes[1]
+    known = {"id": "000001", "length": 7, "seed": 1, "success": True, "instruction": "push"}
+    listed = EpisodeRecord(dataset / "nowhere", episode.info, known)
+    facts = (listed.id, listed.length, listed.seed, listed.success, listed.instruction)
+    assert facts == ("000001", 7, 1, True, "push")
+    relabelled = EpisodeRecord(episode.path, episode.info, known)
+    assert relabelled.about == {**episode.about, **known}
+    assert len(relabelled.column("reward")) == 7
 
 
 def test_a_missing_dataset_is_named(tmp_path: Path) -> None:

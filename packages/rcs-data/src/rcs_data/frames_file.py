@@ -36,7 +36,7 @@ class FramesWriter:
         self.name = path.name
         self._last = dict.fromkeys(keys, -1)
         self._count = 0
-        self._waiting: list[bytes] = []
+        self._waiting: list[pa.Buffer] = []
         self._file = HashedFile(path)
         self._writer: Any = pa.ipc.new_file(self._file, _SCHEMA)
 
@@ -74,14 +74,17 @@ class FramesWriter:
 
     def _write(self) -> None:
         if self._waiting:
-            self._writer.write_batch(pa.record_batch([pa.array(self._waiting, pa.large_binary())], schema=_SCHEMA))
+            ends = np.cumsum([0, *(image.size for image in self._waiting)], dtype=np.int64)
+            data = [None, pa.py_buffer(ends), pa.py_buffer(b"".join(self._waiting))]
+            images = pa.LargeBinaryArray.from_buffers(pa.large_binary(), len(self._waiting), data)
             self._waiting.clear()
+            self._writer.write_batch(pa.record_batch([images], schema=_SCHEMA))
 
 
-def _images(column: pa.ChunkedArray) -> Iterator[bytes]:
+def _images(column: pa.ChunkedArray) -> Iterator[pa.Buffer]:
     for image in column:
         if image.is_valid:
-            yield image.as_py()
+            yield image.as_buffer()
 
 
 class FramesFile:

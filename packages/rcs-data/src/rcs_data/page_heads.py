@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 # Field numbers in `parquet.thrift` of Apache Parquet: of a page header.
-_TYPE, _UNCOMPRESSED, _PAGE_SIZE, _PAGE_CRC = 1, 2, 3, 4
+_TYPE, _UNCOMPRESSED, _PAGE_SIZE = 1, 2, 3
 _TRUE, _FALSE = 1, 2
 # Our headers have no statistics; those of other writers may contain long texts.
 _USUAL_HEAD, _LONGEST_HEAD = 128, 1 << 20
@@ -32,8 +32,6 @@ class PageHead:
     """Their length in the file [B]."""
     uncompressed: int
     """Their length when decompressed [B]."""
-    crc: int | None
-    """Their CRC-32, if it is stored."""
     type: int
     """What kind of page it is."""
 
@@ -51,12 +49,10 @@ def page_head(data: bytes | bytearray, at: int, base: int = 0) -> PageHead:
     """
     try:
         fields, after = thrift_struct(data, at)
-        crc = fields.get(_PAGE_CRC)
         head = PageHead(
             start=base + after,
             size=int(fields[_PAGE_SIZE]),
             uncompressed=int(fields[_UNCOMPRESSED]),
-            crc=None if crc is None else crc & 0xFFFFFFFF,
             type=int(fields[_TYPE]),
         )
     except (IndexError, KeyError, TypeError, AttributeError, RecursionError) as err:

@@ -64,15 +64,12 @@ class ParquetSource:
         """Rows that it claims to have."""
         return self.file.metadata.num_rows
 
-    def require(
-        self, columns: Sequence[str] | None = None, groups: Iterable[int] | None = None, *, is_damaged: bool = False
-    ) -> None:
+    def require(self, columns: Sequence[str] | None = None, groups: Iterable[int] | None = None) -> None:
         """Refuse to read what claims to be larger than any recording.
 
         Args:
             columns: The columns that will be read; None for all.
             groups: The row groups; None for all.
-            is_damaged: Whether to look only at the pages before the first unreadable header.
 
         Raises:
             CorruptEpisode: It is too much, or the file contradicts itself.
@@ -85,7 +82,7 @@ class ParquetSource:
         for group in map(about.row_group, numbers):
             rows += group.num_rows
             for i in chosen:
-                total += self._uncompressed(group.column(i), is_damaged=is_damaged)
+                total += self._uncompressed(group.column(i))
             if total > bound:
                 raise CorruptEpisode(f"{self._name} has {self._size} bytes and claims at least {total} once read.")
         if rows < 0 or (groups is None and rows != about.num_rows):
@@ -145,7 +142,7 @@ class ParquetSource:
             if columns is None or name in columns:
                 yield i
 
-    def _uncompressed(self, chunk: Any, *, is_damaged: bool) -> int:
+    def _uncompressed(self, chunk: Any) -> int:
         """Return the size that a column of a row group has in memory [B], according to its page headers."""
         what = f"Column {chunk.path_in_schema!r} of {self._name}"
         start = chunk.data_page_offset
@@ -164,34 +161,8 @@ class ParquetSource:
         except CorruptEpisode:
             raise
         except ValueError as err:
-            if not is_damaged:
-                raise CorruptEpisode(f"Cannot read {what}: {err}.") from err
+            raise CorruptEpisode(f"Cannot read {what}: {err}.") from err
         return total
-
-
-@contextlib.contextmanager
-def opened(source: Path | pa.Buffer, *, verify: bool = True, mapped: bool = False) -> Generator[ParquetSource]:
-    """Open a Parquet file of an episode. Call `require` before reading.
-
-    Args:
-        source: The file, or what is in it.
-        verify: Whether the checksums of pages are checked.
-        mapped: Whether the file is mapped into memory, which is faster, but an unreadable sector then ends the process.
-
-    Raises:
-        CorruptEpisode: It is not a complete Parquet file.
-        ArrowException, OSError: It cannot be read.
-    """
-    if not isinstance(source, Path):
-        _check_footer(source[-_TAIL:].to_pybytes() if source.size >= _TAIL else b"", source.size, "The mended file")
-        with pq.ParquetFile(pa.BufferReader(source), page_checksum_verification=verify) as file:
-            length = int.from_bytes(source[-_TAIL:].to_pybytes()[:4], "little")
-            _check_levels(source[-_TAIL - length : -_TAIL].to_pybytes(), file, "The mended file")
-            read: Callable[[int, int], bytes] = lambda count, at: source[at : at + count].to_pybytes()  # noqa: E731
-            yield ParquetSource("The mended file", file, source.size, read)
-        return
-    with _opened(source, mapped=mapped, verify=verify) as opened_source:
-        yield opened_source
 
 
 @contextlib.contextmanager
@@ -205,7 +176,7 @@ def opened_of_others(path: Path) -> Generator[ParquetSource]:
         CorruptEpisode: It is not a Parquet file, or cannot be read inside of the block.
     """
     try:
-        with _opened(path, mapped=False, verify=False) as source:
+        with opened(path, verify=False) as source:
             yield source
     except UNREADABLE as err:
         if isinstance(err, DatasetError):
@@ -219,7 +190,18 @@ def bound_of(size: int) -> int:
 
 
 @contextlib.contextmanager
-def _opened(path: Path, *, mapped: bool, verify: bool) -> Generator[ParquetSource]:
+def opened(path: Path, *, mapped: bool = False, verify: bool = True) -> Generator[ParquetSource]:
+    """Open a Parquet file of an episode. Call `require` before reading.
+
+    Args:
+        path: The file.
+        mapped: Whether the file is mapped into memory, which is faster, but an unreadable sector then ends the process.
+        verify: Whether the checksums of pages are checked.
+
+    Raises:
+        CorruptEpisode: It is not a complete Parquet file.
+        ArrowException, OSError: It cannot be read.
+    """
     if not path.is_file():  # reading a pipe would never end
         raise CorruptEpisode(f"Cannot read {path}: it is missing or not a file.")
     fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)

@@ -258,6 +258,7 @@ class Windows(Sequence[Window]):
             "actions": RunningStatistics(self.action_layout.size),
         }
         waiting: list[_Vectors] = []
+        rows = 0
         for number, episode in enumerate(self.episodes):
             vectors = self._episode_vectors(number)
             for values in vectors:
@@ -266,10 +267,11 @@ class Windows(Sequence[Window]):
                 except InvalidSetup as err:
                     raise InvalidSetup(f"Episode {episode.id!r}: {err}") from err
             waiting.append(vectors)
-            if sum(len(states) for states, _ in waiting) > _ROWS_AT_A_TIME or number == len(self.episodes) - 1:
+            rows += len(vectors[0])
+            if rows > _ROWS_AT_A_TIME or number == len(self.episodes) - 1:
                 for statistics, parts in zip(running.values(), zip(*waiting, strict=True), strict=True):
                     statistics.add(np.concatenate(parts))
-                waiting.clear()
+                waiting, rows = [], 0
             if on_progress is not None:
                 on_progress(number + 1, len(self.episodes))
         return {name: statistics.result() for name, statistics in running.items()}
