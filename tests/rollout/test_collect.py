@@ -14,7 +14,6 @@ import pytest
 from rcs_data import Dataset, DatasetWriter, compare_steps, edit, recover
 from rcs_data.compact import publish, seal
 from rcs_data.edit import Part, mix
-from rcs_data.edit.rows import rows_of
 from rcs_data.journal import Journal
 from rcs_data.layout import open_folder
 
@@ -84,13 +83,13 @@ def test_an_interrupted_collection_is_resumed_to_the_same_dataset(dataset: Path,
 def fragment(path: Path, number: int, rows: int, name: str = "") -> None:
     """Leave of an attempt what a kill and a recovery leave: its first rows, without a verdict."""
     whole = Dataset.open(path)[episode_id(number)]
-    table = rows_of(whole).slice(0, rows)
+    pieces = list(whole.rows(0, rows))
     about = {**whole.about, "id": name or whole.id, "success": None, "outcome": {"recovered": True}}
     with DatasetWriter.open(path, whole.info, resume=True) as writer:
         writer.remove_episode(whole.id)
         opened = open_folder(path, about["id"])
         opened.mkdir()
-        seal(opened, whole.info, [table.combine_chunks()], about)
+        seal(opened, whole.info, pieces, about)
         publish(Journal(path), about["id"])
 
 

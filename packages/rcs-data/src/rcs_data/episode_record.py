@@ -258,6 +258,35 @@ class EpisodeRecord:
                 at = until
             first += group.num_rows
 
+    def numbers(self) -> pa.Table:
+        """Return all rows with their simulation states; an image is its number in `frames.arrow`.
+
+        Raises:
+            CorruptEpisode: The file is missing or damaged.
+        """
+        return self._read(self.info.steps_schema.names)
+
+    def inlined(self, numbers: pa.Table) -> Iterator[pa.Table]:
+        """Yield rows with the images themselves instead of their numbers, in pieces as those of `rows`.
+
+        Args:
+            numbers: Some of what `numbers` returned, in order, with the same or other names of columns in their places.
+
+        Raises:
+            CorruptEpisode: The file of the images is missing or damaged.
+        """
+        places = [place for place, feature in enumerate(self.info.features) if feature.is_image]
+        keys = [numbers.schema.names[place] for place in places]
+        frames = FramesFile(self.path / FRAMES_FILE) if keys else None
+        columns = _image_numbers(numbers, keys, self.path)
+        is_new = {key: np.diff(column, prepend=-1) != 0 for key, column in columns.items()}
+        at = 0
+        while at < numbers.num_rows:
+            rows = range(at, min(at + _ROWS_IN_A_PIECE, numbers.num_rows))
+            images, until = _images(frames, columns, is_new, rows)
+            yield _inline(numbers.slice(at, until - at), images)
+            at = until
+
     def sim_state(self) -> NDArray[np.float64]:
         """Return the simulation's state at each step, shape (length, sim_state_size).
 

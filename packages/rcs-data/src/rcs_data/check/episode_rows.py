@@ -124,7 +124,7 @@ class EpisodeRows:
 
         Simulated time, unless the simulation runs in real time: the wall clock only says how fast it computed.
         """
-        is_realtime = self.info.setup.get("mode") == "realtime"
+        is_realtime = self.info.setup.get("stepping") == "realtime"
         for key in ("time/monotonic",) if is_realtime else (SIMULATED_TIME, "time/monotonic"):
             if key in self._parts:
                 return key

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from rcs_data.edit.rows import rows_of, take_rows
+from rcs_data.edit.rows import take_rows
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
 from rcs_data.reader import Dataset
@@ -70,7 +70,7 @@ def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> N
                 f"Expected rows of episode {episode!r} between 0 and {record.length - 1}, the first not after the "
                 f"last; got {first} to {last}."
             )
-        edit.write(record, [take_rows(rows_of(record), record.info, range(first, end + 1))])
+        edit.write(record, record.inlined(take_rows(record.numbers(), record.info, range(first, end + 1))))
 
 
 def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | None = None) -> None:

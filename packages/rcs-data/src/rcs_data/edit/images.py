@@ -14,7 +14,6 @@ from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from rcs_data.codec import decode_frame, encode_frame
-from rcs_data.edit.rows import rows_of
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
@@ -48,8 +47,7 @@ def rename_camera(path: str | Path, name: str, to: str, *, on_progress: OnProgre
     with editing(path, "rename-camera", arguments, new_info=lambda info: renamed(info, {name: to})) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
-            rows = rows_of(episode)
-            edit.write(episode, [with_names(rows, edit.info)])
+            edit.write(episode, (with_names(rows, edit.info) for rows in episode.rows()))
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 
@@ -70,9 +68,10 @@ def renamed(info: DatasetInfo, names: Mapping[str, str]) -> DatasetInfo:
 
 
 def with_names(rows: pa.Table, info: DatasetInfo) -> pa.Table:
-    """Return the rows with renamed columns, in the same order."""
-    fields = [*(feature.arrow_field for feature in info.features), *list(rows.schema)[len(info.features) :]]
-    return pa.Table.from_arrays([column.combine_chunks() for column in rows.columns], schema=pa.schema(fields))
+    """Return the rows, with images or their numbers, with renamed columns in the same order."""
+    more = list(rows.schema)[len(info.features) :]
+    fields = [feature.arrow_field.with_type(rows.schema.field(i).type) for i, feature in enumerate(info.features)]
+    return pa.Table.from_arrays([column.combine_chunks() for column in rows.columns], schema=pa.schema(fields + more))
 
 
 def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress | None = None) -> None:
@@ -94,7 +93,7 @@ def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress |
     with editing(path, "resize", {"size": list(size)}, new_info=lambda info: resized(info, size)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
-            edit.write(episode, [with_size(rows_of(episode), episode.info, edit.info)])
+            edit.write(episode, (with_size(rows, episode.info, edit.info) for rows in episode.rows()))
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 

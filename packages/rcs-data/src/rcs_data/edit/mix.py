@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ import pyarrow as pa
 from rcs_data.edit.combine import own_parts, provenance, source_names
 from rcs_data.edit.images import cameras_of, renamed, resized, with_names, with_size
 from rcs_data.edit.rate import at_rate, resampled
-from rcs_data.edit.rows import rows_of
 from rcs_data.edit.transaction import making
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.info import MERGED, DatasetInfo, feature_differences, shared_setup
@@ -111,8 +110,7 @@ def mix(
                 if _rows_stay(dataset.info, info):
                     made.keep(episode, episode_id=new_id, **about)
                 else:
-                    rows = _mapped(rows_of(episode), dataset.info, info, how.rename.get(name, {}))
-                    made.write(episode, [rows], episode_id=new_id, **about)
+                    made.write(episode, _mapped(episode, info, how.rename.get(name, {})), episode_id=new_id, **about)
                 done += 1
                 if on_progress is not None:
                     on_progress(done, len(ids))
@@ -200,8 +198,9 @@ def _rows_stay(before: DatasetInfo, after: DatasetInfo) -> bool:
     return is_alike and before.frequency == after.frequency
 
 
-def _mapped(rows: pa.Table, before: DatasetInfo, after: DatasetInfo, rename: Mapping[str, str]) -> pa.Table:
-    info = before
+def _mapped(episode: EpisodeRecord, after: DatasetInfo, rename: Mapping[str, str]) -> Iterator[pa.Table]:
+    info = episode.info
+    rows = episode.numbers()
     if rename:
         info = renamed(info, rename)
         rows = with_names(rows, info)
@@ -209,6 +208,6 @@ def _mapped(rows: pa.Table, before: DatasetInfo, after: DatasetInfo, rename: Map
         rows = resampled(rows, info, after.frequency)
     sizes = {feature.key: feature for feature in after.features}
     target = replace(info, features=tuple(sizes.get(f.key, f) if f.is_image else f for f in info.features))
-    if target.features != info.features:
-        rows = with_size(rows, info, target)
-    return rows.select(after.stream_schema.names).cast(after.stream_schema)
+    for piece in episode.inlined(rows):
+        scaled = with_size(piece, info, target) if target.features != info.features else piece
+        yield scaled.select(after.stream_schema.names).cast(after.stream_schema)

@@ -14,7 +14,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from rcs_data.content import flat_numbers
-from rcs_data.edit.rows import last_valid, rows_of, take_rows
+from rcs_data.edit.rows import take_rows
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
@@ -44,7 +44,7 @@ def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | No
     with editing(path, "resample", {"frequency": frequency}, new_info=lambda info: at_rate(info, frequency)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
-            edit.write(episode, [resampled(rows_of(episode), episode.info, frequency)])
+            edit.write(episode, episode.inlined(resampled(episode.numbers(), episode.info, frequency)))
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 
@@ -66,7 +66,7 @@ def resampled(rows: pa.Table, info: DatasetInfo, frequency: float) -> pa.Table:
     """Return the rows of an episode at a lower rate.
 
     Args:
-        rows: All its rows.
+        rows: All its rows, with the numbers of images.
         info: Its features and rate.
         frequency: The new rate [Hz].
     """
@@ -129,8 +129,8 @@ def _flags(column: pa.Array, feature: Feature, rows: pa.Table, info: DatasetInfo
     camera = feature.key.removeprefix("flags/frames/")
     images = [f for f in info.features if f.is_image and camera_of(f.key) == camera]
     if images:
-        origin = last_valid(rows.column(images[0].key).combine_chunks())[kept]
-        flags[1:][np.diff(origin) == 0] |= np.uint8(FrameFlag.REPEATED)
+        shown = rows.column(images[0].key).to_numpy()[kept]
+        flags[1:][np.diff(shown) == 0] |= np.uint8(FrameFlag.REPEATED)
     return pa.array(flags)
 
 

@@ -1,4 +1,7 @@
-"""The rows of an episode as one table, and how to cut pieces out of it."""
+"""Cuts rows out of the numbers of an episode.
+
+These fit into memory also for an episode with many gigabytes of images, which are read when the rows are written.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +12,6 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from rcs_data.info import SIM_STATE, DatasetInfo
-from rcs_data.reader import EpisodeRecord
-
-
-def rows_of(episode: EpisodeRecord) -> pa.Table:
-    """Return all rows with their simulation states, images still encoded, as stored.
-
-    Raises:
-        CorruptEpisode: The episode is damaged.
-    """
-    return pa.concat_tables(episode.rows())
 
 
 def take_rows(table: pa.Table, info: DatasetInfo, rows: Sequence[int] | NDArray[np.intp]) -> pa.Table:
@@ -27,7 +20,7 @@ def take_rows(table: pa.Table, info: DatasetInfo, rows: Sequence[int] | NDArray[
     The new first row loses action and reward, since the step before it is not part of the episode.
 
     Args:
-        table: All rows of an episode.
+        table: All rows of an episode, with the numbers of images.
         info: Its features.
         rows: The rows, ascending.
     """
@@ -36,7 +29,7 @@ def take_rows(table: pa.Table, info: DatasetInfo, rows: Sequence[int] | NDArray[
     for field in table.schema:
         column = table.column(field.name).combine_chunks()
         feature = None if field.name == SIM_STATE else info.feature(field.name)
-        if feature is not None and feature.can_be_held:
+        if feature is not None and feature.encoding == "held":
             columns.append(_take_held(column, chosen))
         elif feature is not None and (feature.is_unknown_at_reset or feature.key == "time/period") and len(chosen):
             columns.append(pa.concat_arrays([pa.nulls(1, field.type), column.take(pa.array(chosen[1:]))]))
