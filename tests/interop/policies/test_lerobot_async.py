@@ -16,9 +16,7 @@ from vlagents.connect import connect
 pytestmark = pytest.mark.interop
 HERE = Path(__file__).parent
 PARTS = (PartSpec("joints", 7, "rad"), PartSpec("gripper", 1))
-METADATA = Metadata(
-    name="act", images=(ImageSpec("wrist", 48, 64),), state=PARTS, action=PARTS, horizon=6, rate=30.0
-)
+METADATA = Metadata(name="act", images=(ImageSpec("wrist", 48, 64),), state=PARTS, action=PARTS, horizon=6, rate=30.0)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +32,12 @@ def address(lerobot: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     command = [lerobot.folder / "bin" / "python", HERE / "serve_lerobot_async.py"]
     with (folder / "served.log").open("w") as log:
         serving = subprocess.Popen(
-            command, cwd=folder, env=os.environ | {"HF_HUB_OFFLINE": "1", "CUDA_VISIBLE_DEVICES": ""}, stdout=subprocess.PIPE, stderr=log, text=True
+            command,
+            cwd=folder,
+            env=os.environ | {"HF_HUB_OFFLINE": "1", "CUDA_VISIBLE_DEVICES": ""},
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
         )
         try:
             assert serving.stdout is not None
@@ -46,9 +49,7 @@ def address(lerobot: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
             serving.wait(30)
 
 
-def test_a_chunk_of_lerobots_server_arrives_in_physical_units(
-    lerobot: Any, address: str, tmp_path: Path
-) -> None:
+def test_a_chunk_of_lerobots_server_arrives_in_physical_units(lerobot: Any, address: str, tmp_path: Path) -> None:
     checkpoint = tmp_path / "model"
     lerobot.run("python", HERE / "make_lerobot.py", "act", checkpoint)
     given: dict[str, Any] = {"policy": "act", "metadata": METADATA, "accepts": "CVE-2026-25874", "timeout": 60.0}

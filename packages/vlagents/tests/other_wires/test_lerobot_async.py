@@ -126,9 +126,13 @@ def test_whoever_does_not_name_the_hole_does_not_ask(accepts: Any) -> None:
         connect("lerobot+grpc://127.0.0.1:8080", **GIVEN | {"accepts": accepts})
 
 
-@pytest.mark.parametrize("wrong", [{"policy": ""}, {"checkpoint": ""}, {"metadata": None, "period": 0.1}, {"token": "x"},
-                                   {"metadata": Metadata(name="a", images=(ImageSpec("w"),), state=(JOINTS,),
-                                                         action=(JOINTS,), rate=1.0)}])  # fmt: skip
+UNSIZED = Metadata(name="a", images=(ImageSpec("w"),), state=(JOINTS,), action=(JOINTS,), rate=1.0)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"policy": ""}, {"checkpoint": ""}, {"metadata": None, "period": 0.1}, {"token": "x"}, {"metadata": UNSIZED}],
+)
 def test_what_the_server_has_to_be_told_is_asked_for(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidInput):
         connect("lerobot+grpc://127.0.0.1:8080", **GIVEN | wrong)
@@ -139,7 +143,9 @@ def test_a_field_is_read_as_it_was_written(size: int) -> None:
     assert only_field(field(1, b"x" * size)) == b"x" * size
 
 
-@pytest.mark.parametrize("message", [b"\x0a", b"\x0a\x02x", b"\x12\x01x", b"\x0a\x01xy", b"\x0a" + b"\xff" * 12, b"\x08\x01"])
+@pytest.mark.parametrize(
+    "message", [b"\x0a", b"\x0a\x02x", b"\x12\x01x", b"\x0a\x01xy", b"\x0a" + b"\xff" * 12, b"\x08\x01"]
+)
 def test_another_message_is_refused(message: bytes) -> None:
     with pytest.raises(BadMessage):
         only_field(message)
@@ -211,9 +217,9 @@ def test_what_goes_wrong_there_is_a_typed_error_here(server: StandIn) -> None:
                 client.infer(OBSERVATION)
             server.answer = server.chunk
             assert client.infer(OBSERVATION).actions.shape == (3, 2)
-    with connect(server.address, **GIVEN | {"checkpoint": "/nowhere"}) as client:
-        with pytest.raises(PolicyFailed, match="no checkpoint"):
-            client.reset()
+    lost = pytest.raises(PolicyFailed, match="no checkpoint")
+    with connect(server.address, **GIVEN | {"checkpoint": "/nowhere"}) as client, lost:
+        client.reset()
 
 
 @pytest.mark.extras

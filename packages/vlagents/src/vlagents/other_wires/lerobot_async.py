@@ -46,7 +46,8 @@ class LerobotClient(Asked):
     Example:
         >>> from vlagents import ImageSpec, Metadata, PartSpec
         >>> joints = PartSpec("joints", 6, "rad")
-        >>> told = Metadata(name="act", images=(ImageSpec("wrist", 48, 64),), state=(joints,), action=(joints,), rate=30)
+        >>> images = (ImageSpec("wrist", 48, 64),)
+        >>> told = Metadata(name="act", images=images, state=(joints,), action=(joints,), rate=30.0)
         >>> client = LerobotClient(
         ...     "lerobot+grpc://127.0.0.1:8080", policy="act", checkpoint="/models/act", metadata=told,
         ...     accepts="CVE-2026-25874",
@@ -158,7 +159,9 @@ class LerobotClient(Asked):
             raise BadMessage(f"The answer of {self.address} has {len(rows)} actions, of different sizes or none.")
         if steps != list(range(self._step, self._step + len(steps))):
             self._lose()  # whatever else it has of before is not asked for
-            raise BadMessage(f"The answer of {self.address} is to another observation; its steps are {steps[:4]!r:.80}.")
+            raise BadMessage(
+                f"The answer of {self.address} is to another observation; its steps are {steps[:4]!r:.80}."
+            )
         return np.stack(rows)
 
     def _features(self) -> dict[str, Any]:
@@ -235,7 +238,7 @@ def _pieces(data: bytes) -> Iterator[bytes]:
         yield bytes([1 << 3, state]) + field(2, data[start : start + PIECE])
 
 
-# --- Protocol Buffers, as much of them as there is ----------------------------------------------------------------------
+# --- Protocol Buffers, as much as is needed ----------------------------------------------------------------------
 
 
 def field(number: int, data: bytes) -> bytes:
