@@ -297,16 +297,41 @@ def test_a_client_that_does_not_read_ends_its_connection_and_nothing_else(observ
         stays.infer(observation)
 
 
-def test_plain_and_tls_do_not_mix_and_both_say_so(tmp_path: Path, observation: Observation) -> None:
-    made = subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=localhost"]
+@pytest.mark.parametrize("kind", ["tcp", "websocket"])
+def test_an_expired_certificate_is_named_and_nobody_gets_in(tmp_path: Path, kind: str) -> None:
+    key, request, certificate = (tmp_path / name for name in ("key.pem", "request.pem", "cert.pem"))
+    openssl(
+        ["req", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=localhost", "-keyout", str(key), "-out", str(request)]
         + ["-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"]
-        + ["-keyout", str(tmp_path / "key.pem"), "-out", str(tmp_path / "cert.pem")],
-        capture_output=True,
-        check=False,
     )
-    if made.returncode:
+    openssl(
+        ["x509", "-req", "-days", "-1", "-in", str(request), "-signkey", str(key), "-out", str(certificate)]
+        + ["-copy_extensions", "copy"]
+    )
+    make: Any = WebsocketServer if kind == "websocket" else Server
+    with make(RandomPolicy(size=8), port=0, certificate=certificate, key=key) as server:
+        with pytest.raises(ConnectionLost, match="certificate has expired") as caught:
+            connect(kind, str(server.address), certificate=certificate, timeout=5.0)
+        assert str(server.address) in str(caught.value)
+        assert server.clients == 0
+
+
+def openssl(words: list[str]) -> None:
+    """Run the program openssl, which makes certificates; without it, skip the test."""
+    try:
+        made = subprocess.run(["openssl", *words], capture_output=True, check=False, text=True)
+    except FileNotFoundError:
         pytest.skip("needs the program openssl, to make a certificate")
+    if made.returncode:
+        pytest.skip(f"this openssl does not make such a certificate: {made.stderr[-400:]}")
+
+
+def test_plain_and_tls_do_not_mix_and_both_say_so(tmp_path: Path, observation: Observation) -> None:
+    openssl(
+        ["req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=localhost"]
+        + ["-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"]
+        + ["-keyout", str(tmp_path / "key.pem"), "-out", str(tmp_path / "cert.pem")]
+    )
     files = {"certificate": tmp_path / "cert.pem", "key": tmp_path / "key.pem"}
     with Server(RandomPolicy(size=8), port=0, **files) as server:
         port = server.address.port

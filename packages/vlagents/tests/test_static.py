@@ -11,11 +11,9 @@ import vlagents
 FILES = sorted(Path(vlagents.__file__).parent.rglob("*.py"))
 MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal", "joblib", "yaml", "rpyc", "jsonpickle"}
 CALLS = {"eval", "exec", "compile", "__import__"}
-ADAPTERS = {"lerobot_async.py"}
-"""Files that may speak of pickle: a client of somebody else's wire, behind an opt-in."""
 
 
-@pytest.mark.parametrize("path", [path for path in FILES if path.name not in ADAPTERS], ids=lambda path: path.name)
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_no_file_imports_or_calls_what_runs_data(path: Path) -> None:
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,6 +19,7 @@ from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.policy import NOTES, Execution, Mode, ServedPolicy
 from rcs.policy.fitting import fitted
+from rcs.rollout.episode import ask
 from rcs.rollout.evaluate import UNSEEN, Evaluation, Summary, evaluate
 from rcs.rollout.policy_report import write_policy_report
 from rcs.setups.make import make
@@ -33,6 +35,9 @@ class RunCommand(SetupOptions):
     Control, cameras and their size are those that the policy names, unless they are given. The episodes are none that
     `rcs collect` or a training ever sees. Without `--real-time`, simulated time stands still while the policy computes,
     and the same seed gives the same episodes. Ctrl-C ends after the episode at work, a second one at once.
+
+    With `--hardware`, the episodes are on real devices, which hold at the end of each, when the policy is late or lost,
+    and when anything fails. Without `--judge`, nobody says how they went.
     """
 
     policy: str
@@ -65,6 +70,11 @@ class RunCommand(SetupOptions):
     """File with the certificate that a server's must be signed by, for `vlas://` and `wss://`."""
     described_in: Path | None = None
     """JSON file with the policy's metadata, for `ws://` servers that do not tell them, such as openpi's."""
+    hardware: str | None = None
+    """What is real: the JSON file of a site, or `driver:address` for all arms with their end effectors. All else is
+    simulated, in real time. A device that fails ends the run."""
+    judge: bool = False
+    """Ask at the terminal after each episode whether the task was done. The next one begins with the answer."""
     real_time: bool = False
     """Step by the wall clock, and ask in a thread."""
     record: Path | None = None
@@ -132,21 +142,23 @@ class RunCommand(SetupOptions):
         return setup if self.max_steps is None else replace(setup, max_episode_steps=self.max_steps)
 
     def _episodes(self, evaluation: Evaluation, summary: Summary, console: Console) -> None:
-        title = f"{evaluation.setup.task} on {evaluation.setup.robot}"
-        if self.record is None:
-            show(evaluate(evaluation, summary), title, self.episodes, console, summary, lambda: len(summary.attempts))
-            return
-        env = make(evaluation.setup)
-        try:
-            info = dataset_info(env, instruction=self.instruction, notes=NOTES)
-            origin: dict[str, Any] = {**info.origin, "policy": evaluation.agent_name}
-            with DatasetWriter.open(self.record, replace(info, origin=origin)) as writer:
-                recorder = Recorder(writer)
+        env = make(evaluation.setup, hardware=self.hardware)
+        with env, ExitStack() as stack:
+            recorder = None
+            if self.record is not None:
+                info = dataset_info(env, instruction=self.instruction, notes=NOTES)
+                origin: dict[str, Any] = {**info.origin, "policy": evaluation.agent_name}
+                recorder = Recorder(stack.enter_context(DatasetWriter.open(self.record, replace(info, origin=origin))))
                 env.add_observer(recorder)
-                attempts = evaluate(evaluation, summary, env=env, recorder=recorder)
-                show(attempts, title, self.episodes, console, summary, lambda: len(summary.attempts))
-        finally:
-            env.close()
+            judge = ask if self.judge else None
+            attempts = evaluate(evaluation, summary, env=env, judge=judge, recorder=recorder)
+            if self.judge:  # a bar would write over the question
+                for attempt in attempts:
+                    told = {True: "done", False: "not done", None: "not known"}[attempt.result.success]
+                    console.print(f"Episode {attempt.number + 1} of {self.episodes}: {told}")
+                return
+            title = f"{evaluation.setup.task} on {evaluation.setup.robot}"
+            show(attempts, title, self.episodes, console, summary, lambda: len(summary.attempts))
 
     def _tell(
         self, evaluation: Evaluation, summary: Summary, metadata: Metadata, seconds: float, console: Console

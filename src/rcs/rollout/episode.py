@@ -51,7 +51,7 @@ def run_episode(
 ) -> EpisodeResult:
     """Run one episode.
 
-    When the agent, or Ctrl-C, breaks it off, all devices hold.
+    When the agent, or Ctrl-C, breaks it off, all devices hold; real ones do at any other end, too.
 
     Args:
         env: The environment.
@@ -95,9 +95,12 @@ def run_episode(
     except BaseException:
         env.hold()  # what was commanded last must not go on without anybody who looks
         raise
+    is_simulated = set(env.platform.values()) == {"simulation"}
+    if not is_simulated and info["end"] != FAULT:
+        env.hold()  # real devices are in motion still, while the episode is judged and the next one prepared
     if info["end"] == FAULT:
         # A device that fails says nothing about the agent; a simulated arm fails because of what the agent did.
-        success = False if set(env.platform.values()) == {"simulation"} else None
+        success = False if is_simulated else None
         return EpisodeResult(seed=seed, steps=steps, success=success, failure=FAULT, reward=total)
     if info["end"] == DIVERGED:
         return EpisodeResult(seed=seed, steps=steps, success=False, failure=DIVERGED, reward=total)

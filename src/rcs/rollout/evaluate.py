@@ -265,8 +265,13 @@ def evaluate(
             for number in numbers:
                 summary.attempts.append(evaluator.attempt(number))
                 yield summary.attempts[-1]
-        finally:
-            evaluator.close()
+        except BaseException as error:
+            try:
+                evaluator.close()
+            except Exception as err:  # noqa: BLE001  the first error is the one to be raised
+                error.add_note(f"While closing: {type(err).__name__}: {err}")
+            raise
+        evaluator.close()
         return
     for attempt in _attempts(evaluation, numbers, summary):
         summary.attempts.append(attempt)

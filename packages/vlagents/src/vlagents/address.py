@@ -13,9 +13,11 @@ from urllib.parse import urlsplit
 
 from vlagents.errors import InvalidInput
 
-Scheme = Literal["vla", "vlas", "unix", "ws", "wss", "gr00t", "openvla+http"]
-PORTS = {"vla": 8090, "vlas": 8090, "ws": 8000, "wss": 8000, "gr00t": 5555, "openvla+http": 8000}
-"""Ports where an address has none; 8000 is openpi's."""
+Scheme = Literal["vla", "vlas", "unix", "ws", "wss", "gr00t", "openvla+http", "lerobot+grpc"]
+PORTS = {
+    "vla": 8090, "vlas": 8090, "ws": 8000, "wss": 8000, "gr00t": 5555, "openvla+http": 8000, "lerobot+grpc": 8080,
+}  # fmt: skip
+"""Ports where an address has none; of others' wires, theirs."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ def parse(text: str) -> Address:
     """
     valid = (
         "valid are vla://host:port, vlas://host:port (TLS), unix:///path, ws://host:port, wss://host:port, "
-        "gr00t://host:port and openvla+http://host:port"
+        "gr00t://host:port, openvla+http://host:port and lerobot+grpc://host:port"
     )
     parts = urlsplit(text)
     if parts.scheme == "unix" and parts.path:

@@ -22,7 +22,8 @@ def connect(
     """Return a client of the class that the address wants.
 
     That is a `Client` for `vla://`, `vlas://` and `unix://`, a `WebsocketClient` for `ws://` and `wss://`, a
-    `GrootClient` for `gr00t://`, and an `OpenvlaClient` for `openvla+http://`.
+    `GrootClient` for `gr00t://`, an `OpenvlaClient` for `openvla+http://`, and a `LerobotClient` for
+    `lerobot+grpc://`, which wants to hear `accepts="CVE-2026-25874"`.
 
     Args:
         address: Where the server is.
@@ -33,12 +34,13 @@ def connect(
         options: Passed on to the client's class.
     """
     scheme = parse(address).scheme
-    if scheme in ("gr00t", "openvla+http"):
+    if scheme in ("gr00t", "openvla+http", "lerobot+grpc"):
         from vlagents.other_wires.groot import GrootClient
+        from vlagents.other_wires.lerobot_async import LerobotClient
         from vlagents.other_wires.openvla import OpenvlaClient
 
-        kind = GrootClient if scheme == "gr00t" else OpenvlaClient
-        return kind(address, token=token, timeout=timeout, offer=offer, **options)
+        kinds = {"gr00t": GrootClient, "openvla+http": OpenvlaClient, "lerobot+grpc": LerobotClient}
+        return kinds[scheme](address, token=token, timeout=timeout, offer=offer, **options)
     if scheme in ("ws", "wss"):
         from vlagents.websocket import WebsocketClient
 
