@@ -111,7 +111,7 @@ class LeRobotWriter(ABC):
         if self._subtasks:
             pq.write_table(_text_table(self._subtasks, "subtask_index"), meta / "subtasks.parquet")
 
-    def abort(self) -> None:
+    def abort(self) -> None:  # noqa: B027  v2.1 leaves no file open
         """Close all files without completing them."""
 
     @abstractmethod
