@@ -6,6 +6,7 @@ lerobot 0.4 and newer read v3.0; openpi, lerobot 0.3 and GR00T read v2.1.
 from __future__ import annotations
 
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,7 +50,7 @@ class EncodedEpisode:
     """Histograms of its images, for the dataset's statistics."""
 
 
-class LeRobotWriter:
+class LeRobotWriter(ABC):
     """Writes encoded episodes one after the other; each version says where."""
 
     codebase_version: str
@@ -89,7 +90,6 @@ class LeRobotWriter:
         Raises:
             DatasetError: A video has wrong frames.
         """
-        self._close()
         meta = self.root / "meta"
         info = {
             "codebase_version": self.codebase_version,
@@ -101,31 +101,26 @@ class LeRobotWriter:
             "fps": self.layout.fps,
             "splits": {"train": f"0:{self.episodes}"},
             "features": self.layout.features(),
-            **self._more_info(),
+            **self._finish(meta, self._tasks),
             "data_path": self.data_path,
             "video_path": self.video_path if self.layout.cameras else None,
         }
         write_json(meta / "info.json", info)
         # Of v2.0; some readers of v2.1 still need it.
         write_json(meta / "stats.json", self._total.to_json())
-        self._write_tasks(meta, self._tasks)
         if self._subtasks:
             pq.write_table(_text_table(self._subtasks, "subtask_index"), meta / "subtasks.parquet")
 
-    def abort(self) -> None:
+    def abort(self) -> None:  # noqa: B027  v2.1 leaves no file open
         """Close all files without completing them."""
 
+    @abstractmethod
     def _place(self, episode: EncodedEpisode, about: dict[str, Any]) -> None:
-        raise NotImplementedError
+        """Write an episode's rows, videos and description."""
 
-    def _close(self) -> None:
-        raise NotImplementedError
-
-    def _more_info(self) -> dict[str, Any]:
-        raise NotImplementedError
-
-    def _write_tasks(self, meta: Path, tasks: list[str]) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _finish(self, meta: Path, tasks: list[str]) -> dict[str, Any]:
+        """Close all files, write the tasks, and return what else `info.json` has."""
 
 
 class V21Writer(LeRobotWriter):
@@ -149,18 +144,11 @@ class V21Writer(LeRobotWriter):
         self._about.append(about)
         self._stats.append({"episode_index": episode.index, "stats": episode.stats})
 
-    def _close(self) -> None:
-        write_json_lines(self.root / "meta" / "episodes.jsonl", self._about)
-        write_json_lines(self.root / "meta" / "episodes_stats.jsonl", self._stats)
-
-    def _more_info(self) -> dict[str, Any]:
-        return {
-            "total_videos": self.episodes * len(self.layout.cameras),
-            "total_chunks": -(-self.episodes // CHUNK),
-        }
-
-    def _write_tasks(self, meta: Path, tasks: list[str]) -> None:
+    def _finish(self, meta: Path, tasks: list[str]) -> dict[str, Any]:
+        write_json_lines(meta / "episodes.jsonl", self._about)
+        write_json_lines(meta / "episodes_stats.jsonl", self._stats)
         write_json_lines(meta / "tasks.jsonl", ({"task_index": i, "task": t} for i, t in enumerate(tasks)))
+        return {"total_videos": self.episodes * len(self.layout.cameras), "total_chunks": -(-self.episodes // CHUNK)}
 
 
 class V3Writer(LeRobotWriter):
@@ -226,18 +214,14 @@ class V3Writer(LeRobotWriter):
         self._about.write(table)
         self._waiting.clear()
 
-    def _close(self) -> None:
+    def _finish(self, meta: Path, tasks: list[str]) -> dict[str, Any]:
         self._flush()
         self._data.close()
         self._about.close()
         for video in self._videos.values():
             video.close()
-
-    def _more_info(self) -> dict[str, Any]:
-        return {"data_files_size_in_mb": _DATA_MB, "video_files_size_in_mb": _VIDEO_MB}
-
-    def _write_tasks(self, meta: Path, tasks: list[str]) -> None:
         pq.write_table(_text_table(tasks, "task_index"), meta / "tasks.parquet")
+        return {"data_files_size_in_mb": _DATA_MB, "video_files_size_in_mb": _VIDEO_MB}
 
 
 class _GrowingParquet:
