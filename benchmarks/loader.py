@@ -5,11 +5,13 @@ observation with both images and of 16 actions; a batch has 64. Every image of a
 that is read in order. The reference decodes the same JPEGs, held in memory, in random order and in as many processes,
 in rounds that alternate with the loader's; so the rest is what finding, reading and batching cost.
 
-Prints one JSON object: `samples_per_second`, `decode_efficiency` (the share of the reference's rate) and
-`cpu_efficiency` (the share of the processor time that decoding takes, which other programs disturb less), by the number
-of workers of a `torch.utils.data.DataLoader`, 0 for none; without torch, of batches as NumPy arrays alone. Also
-`npy_samples_per_second`: the same samples from memory-mapped `.npy` files of pixels, without decoding, and
-`npy_size_ratio`, how many times as large those are.
+The first batch is timed on its own, in a new process and with the files out of the page cache.
+
+Prints one JSON object: `first_batch_s` (opening the dataset and reading 32 windows [s]), `samples_per_second`,
+`decode_efficiency` (the share of the reference's rate) and `cpu_efficiency` (the share of the processor time that
+decoding takes, which other programs disturb less), by the number of workers of a `torch.utils.data.DataLoader`, 0 for
+none; without torch, of batches as NumPy arrays alone. Also `npy_samples_per_second`: the same samples from
+memory-mapped `.npy` files of pixels, without decoding, and `npy_size_ratio`, how many times as large those are.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ import tyro
 from numpy.typing import NDArray
 from rcs_data import Dataset, Windows
 from rcs_data.codec import decode_frame
-from rcs_data.torch import TorchDataset, collate
+from rcs_data.torch import TorchDataset
 from rcs_data.trajectory import step_frames
 
 import rcs
@@ -62,9 +64,11 @@ def main(options: Options) -> None:
     """Measure and print."""
     with tempfile.TemporaryDirectory() as folder:
         path = options.dataset or collected(Path(folder) / "dataset", options)
+        first = first_batch(path)
         windows = Windows(Dataset.open(path), horizon=16)
         check(windows)
         result: dict[str, Any] = {"benchmark": "loader", "windows": len(windows), "cameras": len(windows.cameras)}
+        result["first_batch_s"] = round(first, 3)
         result |= measure(windows, options)
         result |= npy(windows, Path(folder), options)
     print(json.dumps(result))
@@ -78,6 +82,24 @@ def collected(path: Path, options: Options) -> Path:
     for _ in collect(Collection(setup=setup, out=path, episodes=options.episodes, seed=1), Progress()):
         pass
     return path
+
+
+def first_batch(path: Path) -> float:
+    """Return how long a new process takes to open a dataset and read a batch of 32 from the disk [s]."""
+    for file in filter(Path.is_file, path.rglob("*")):
+        with file.open("rb") as opened:
+            os.fsync(opened.fileno())
+            os.posix_fadvise(opened.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(read_first_batch, (path,))
+
+
+def read_first_batch(path: Path) -> float:
+    """Open a dataset, read 32 random windows, and return how long that took [s]."""
+    begin = time.perf_counter()
+    windows = Windows(Dataset.open(path), horizon=16)
+    windows.batch(np.random.default_rng(0).permutation(len(windows))[:32].tolist())
+    return time.perf_counter() - begin
 
 
 def check(windows: Windows) -> None:
@@ -145,7 +167,6 @@ def torch_epoch(windows: Windows, workers: int, options: Options) -> Callable[[]
         shuffle=True,
         num_workers=workers,
         persistent_workers=workers > 0,
-        collate_fn=collate,
     )
     return lambda: sum(len(batch["step"]) for batch in loader)
 

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from rcs_data import Dataset, check
 from rcs_data.about import read_about
-from rcs_data.check.repair import repair
 from rcs_data.cli.info import InfoCommand
 from rcs_data.cli.program import run
 from rcs_data.cli.view import ViewCommand
@@ -41,16 +40,6 @@ def test_what_cannot_be_is_named_by_check_and_refused_by_all_else(dataset: Path,
     assert field in found[0].message
     assert run(InfoCommand(path=dataset)) == 1
     assert run(ViewCommand(path=dataset)) == 0, "the page lists it as damaged"
-
-
-def test_a_repair_keeps_the_rows_of_such_an_episode(dataset: Path) -> None:
-    rows = Dataset.open(dataset)["000001"].steps()
-    say(dataset, success="yes")
-    repair(dataset)
-    episode = Dataset.open(dataset)["000001"]
-    assert episode.success is None
-    assert episode.steps().equals(rows)
-    assert check(dataset).is_ok
 
 
 @pytest.mark.parametrize(

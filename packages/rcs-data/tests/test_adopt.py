@@ -24,26 +24,26 @@ def files_of(path: Path) -> dict[str, bytes]:
 
 @pytest.fixture
 def files(tmp_path: Path, make_info: MakeInfo, record: Record) -> Files:
-    with DatasetWriter.open(tmp_path / "away", make_info()) as writer:
+    with DatasetWriter.open(tmp_path / "away", make_info(images=True)) as writer:
         return files_of(record(writer, "a").path)
 
 
 def test_an_adopted_episode_has_the_bytes_of_the_recorded_one(
     tmp_path: Path, make_info: MakeInfo, files: Files
 ) -> None:
-    with DatasetWriter.open(tmp_path / "home", make_info()) as writer:
+    with DatasetWriter.open(tmp_path / "home", make_info(images=True)) as writer:
         writer.adopt("a", {name: memoryview(data) for name, data in files.items()})
     assert files_of(Dataset.open(tmp_path / "home")["a"].path) == files
     assert check(tmp_path / "home").is_ok
 
 
-@pytest.mark.parametrize("name", ["steps.parquet", "sim_state.parquet", "episode.json"])
+@pytest.mark.parametrize("name", ["steps.parquet", "frames.arrow", "episode.json"])
 def test_an_episode_that_changed_on_the_way_is_refused(
     tmp_path: Path, make_info: MakeInfo, files: Files, name: str
 ) -> None:
     data = bytearray(files[name])
     data[len(data) // 2] ^= 1
-    with DatasetWriter.open(tmp_path / "home", make_info()) as writer:
+    with DatasetWriter.open(tmp_path / "home", make_info(images=True)) as writer:
         with pytest.raises(CorruptEpisode):
             writer.adopt("a", {**files, name: bytes(data)})
         writer.adopt("a", files)
@@ -51,9 +51,9 @@ def test_an_episode_that_changed_on_the_way_is_refused(
 
 
 def test_files_that_are_missing_or_too_many_are_refused(tmp_path: Path, make_info: MakeInfo, files: Files) -> None:
-    with DatasetWriter.open(tmp_path / "home", make_info()) as writer:
-        with pytest.raises(CorruptEpisode, match=r"an episode of this dataset has .*sim_state"):
-            writer.adopt("a", {name: data for name, data in files.items() if name != "sim_state.parquet"})
+    with DatasetWriter.open(tmp_path / "home", make_info(images=True)) as writer:
+        with pytest.raises(CorruptEpisode, match=r"an episode of this dataset has .*frames\.arrow"):
+            writer.adopt("a", {name: data for name, data in files.items() if name != "frames.arrow"})
         with pytest.raises(CorruptEpisode, match=r"\.\./more"):
             writer.adopt("a", {**files, "../more": b""})
         with pytest.raises(CorruptEpisode, match="an id or a hash"):
@@ -64,7 +64,7 @@ def test_files_that_are_missing_or_too_many_are_refused(tmp_path: Path, make_inf
 
 
 def test_an_episode_is_not_replaced_by_another_of_its_name(tmp_path: Path, make_info: MakeInfo, files: Files) -> None:
-    with DatasetWriter.open(tmp_path / "home", make_info()) as writer:
+    with DatasetWriter.open(tmp_path / "home", make_info(images=True)) as writer:
         writer.adopt("a", files)
         with pytest.raises(DatasetError, match="already is an episode 'a'"):
             writer.adopt("a", files)
@@ -73,7 +73,7 @@ def test_an_episode_is_not_replaced_by_another_of_its_name(tmp_path: Path, make_
 
 
 def test_what_a_dead_worker_left_of_the_episode_is_replaced(tmp_path: Path, make_info: MakeInfo, files: Files) -> None:
-    with DatasetWriter.open(tmp_path / "home", make_info()) as writer:
+    with DatasetWriter.open(tmp_path / "home", make_info(images=True)) as writer:
         left = tmp_path / "home" / "episodes" / ".open-a"
         left.mkdir()
         (left / "rows.arrows").write_bytes(b"half")
@@ -98,7 +98,7 @@ def test_a_disk_that_fails_at_any_call_leaves_a_dataset_that_can_be_resumed(
 
             return called
 
-        with DatasetWriter.open(home, make_info()) as writer, monkeypatch.context() as patch:
+        with DatasetWriter.open(home, make_info(images=True)) as writer, monkeypatch.context() as patch:
             for name in CALLS:
                 patch.setattr(os, name, failing(getattr(os, name)))
             try:
@@ -106,7 +106,7 @@ def test_a_disk_that_fails_at_any_call_leaves_a_dataset_that_can_be_resumed(
                 is_done = True
             except DatasetError:
                 pass
-        with DatasetWriter.open(home, make_info(), resume=True, leftovers="discard") as writer:
+        with DatasetWriter.open(home, make_info(images=True), resume=True, leftovers="discard") as writer:
             if not len(Dataset.open(home)):
                 writer.adopt("a", files)
         assert files_of(Dataset.open(home)["a"].path) == files

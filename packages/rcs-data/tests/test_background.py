@@ -83,7 +83,7 @@ def test_threads_write_what_would_be_written_without_any(
             here.add(taken)
             there.add(taken)
         first, second = here.finish(True), there.finish(True)
-    assert steps_equal(first.steps(), second.steps())
+    assert steps_equal(first, second)
     assert second.timing["writer"]["dropped_images"] == second.timing["writer"]["dropped_rows"] == 0
     assert first.content_hash == second.content_hash
 

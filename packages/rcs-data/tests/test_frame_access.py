@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import pickle
+import shutil
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, FrameAccess
-from rcs_data import frame_access as module
-from rcs_data.compact import _GROUP_OF_IMAGES
 from rcs_data.errors import CorruptEpisode, InvalidSetup
-from rcs_data.frame_access import FrameIndex
 
 RGB, LOSSLESS, DEPTH = (f"observation/frames/wrist/{kind}" for kind in ("rgb", "exact", "depth"))
 KEYS = (RGB, LOSSLESS, DEPTH)
@@ -55,51 +55,47 @@ def test_any_order_gives_what_reading_in_order_gives(tmp_path: Path, key: str, h
     assert access.encoded(found.episodes[0], key, rows) == [encoded[row] for row in rows]
 
 
-@pytest.mark.parametrize("key", KEYS)
-def test_images_are_found_in_every_row_group(tmp_path: Path, key: str) -> None:
-    found = make(tmp_path / "dataset", _GROUP_OF_IMAGES + 20, held=(0, 3, _GROUP_OF_IMAGES, _GROUP_OF_IMAGES + 1))
-    episode = found.episodes[1]
-    index = FrameIndex.of(episode, key)
-    assert len(index.loose) == 1  # black, before the first one; all others are in the file
-    assert index.places[_GROUP_OF_IMAGES].tolist() == index.places[_GROUP_OF_IMAGES - 1].tolist()
-    assert index.read(range(episode.length)) == list(episode.encoded_frames(key))
+@pytest.mark.parametrize("held", [(), (0, 1, 32, 33, 90)])
+def test_rows_with_images_are_the_same_from_any_row_on(tmp_path: Path, held: tuple[int, ...]) -> None:
+    episode = make(tmp_path / "dataset", 100, held).episodes[1]
+    whole = pa.concat_tables(episode.rows()).combine_chunks()
+    assert whole.num_rows == 100
+    for key in KEYS:
+        assert [image is None for image in whole.column(key).to_pylist()] == [row in held for row in range(100)]
+    for start, stop in ((0, 0), (0, 7), (31, 64), (33, 34), (90, None), (100, None)):
+        part = pa.concat_tables([whole.schema.empty_table(), *episode.rows(start, stop)])
+        assert part.equals(whole.slice(start, (100 if stop is None else stop) - start))
+    pieces = [piece.num_rows for piece in episode.rows(mapped=False)]
+    assert sum(pieces) == 100
+
+
+def test_pieces_of_rows_are_bounded_by_their_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    episode = make(tmp_path / "dataset", 20).episodes[0]
+    whole = pa.concat_tables(episode.rows())
+    monkeypatch.setattr("rcs_data.episode_record._BYTES_IN_A_PIECE", 2000)
+    pieces = list(episode.rows())
+    assert len(pieces) > 5
+    assert pa.concat_tables(pieces).equals(whole)
 
 
 def test_equal_images_are_one_image(tmp_path: Path) -> None:
     episode = make(tmp_path / "dataset", 8, held=(4, 5)).episodes[0]
-    images = FrameIndex.of(episode, RGB).read([3, 4, 5, 6])
+    images = FrameAccess().encoded(episode, RGB, [3, 4, 5, 6])
     assert images[0] is images[1]
     assert images[1] is images[2]
     assert images[2] is not images[3]
 
 
-@pytest.mark.parametrize("compression", ["zstd", "none"])
-def test_files_of_other_writers_are_read_too(tmp_path: Path, compression: str) -> None:
-    found = make(tmp_path / "dataset", 12)
-    episode = found.episodes[0]
-    expected = {key: list(episode.encoded_frames(key)) for key in KEYS}
-    path = episode.path / "steps.parquet"
-    table = pq.ParquetFile(path).read()
-    options = {"use_dictionary": compression == "zstd", "data_page_version": "2.0", "row_group_size": 5}
-    pq.write_table(table, path, compression=compression, data_page_size=300, **options)
-    for key in KEYS:
-        assert FrameIndex.of(episode, key).read(range(12)) == expected[key]
-
-
-def test_it_looks_no_further_than_it_has_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Not found is not wrong, so it would not be noticed if all images were kept in memory.
-    episode = make(tmp_path / "dataset", 300).episodes[0]
-    monkeypatch.setattr(module, "_SEARCHED", 256)
-    assert not FrameIndex.of(episode, RGB).loose
-
-
-def test_places_beyond_the_budget_are_found_again(tmp_path: Path) -> None:
+def test_few_files_stay_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = make(tmp_path / "dataset", 5)
+    monkeypatch.setattr("rcs_data.frame_access._MOST_OPEN", 1)
     access = FrameAccess(cache_bytes=0)
     for row in (0, 4):
         for episode in found.episodes:
             np.testing.assert_array_equal(access.frame(episode, RGB, row), episode.column(RGB)[row])
-    assert len(access._indexes) == 1
+    assert len(access._files) == len(access._numbers) == 1
+    copy = pickle.loads(pickle.dumps(access))
+    np.testing.assert_array_equal(copy.frame(found.episodes[0], RGB, 1), found.episodes[0].column(RGB)[1])
 
 
 def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
@@ -112,26 +108,52 @@ def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
         access.encoded(episode, "observation/joints", [0])
 
 
-def test_damage_is_noticed_before_and_after_the_places_are_known(tmp_path: Path) -> None:
-    found = make(tmp_path / "dataset", 5)
-    before, after = found.episodes
-    access = FrameAccess()
-    access.frame(after, RGB, 0)
-    path = after.path / "steps.parquet"
-    data = bytearray(path.read_bytes())
-    start, size = FrameIndex.of(after, RGB).places[4].tolist()
-    data[start : start + 2] = b"\0\0"
-    path.write_bytes(data)
-    with pytest.raises(CorruptEpisode, match=rf"steps\.parquet, '{RGB}', row 4: .* not a whole JPEG"):
-        access.frame(after, RGB, 4)
-    np.testing.assert_array_equal(access.frame(after, RGB, 3).shape, (16, 24, 3))
-    path.write_bytes(data[: start + size - 1])
-    with pytest.raises(CorruptEpisode, match="is truncated before the image of row 4"):
-        access.frame(after, RGB, 4)
+def test_a_damaged_image_is_named_by_its_row_and_others_are_read(tmp_path: Path) -> None:
+    episode = make(tmp_path / "dataset", 40).episodes[1]
+    path = episode.path / "frames.arrow"
+    image = list(episode.encoded_frames(RGB))[35]
+    data = path.read_bytes()
+    path.write_bytes(data.replace(image, b"\0\0" + image[2:]))
+    with pytest.raises(CorruptEpisode, match=rf"frames\.arrow, '{RGB}', row 35: .* not a whole JPEG"):
+        FrameAccess().frame(episode, RGB, 35)
+    with pytest.raises(CorruptEpisode, match="row 35"):
+        list(episode.frames(RGB))
+    assert FrameAccess().frame(episode, RGB, 34).shape == (16, 24, 3)
+
+
+@pytest.mark.parametrize("name", ["frames.arrow", "steps.parquet"])
+def test_a_file_that_is_cut_or_missing_is_named(tmp_path: Path, name: str) -> None:
+    episode = make(tmp_path / "dataset", 40).episodes[0]
+    path = episode.path / name
+    data = path.read_bytes()
+    for size in (*range(0, 40, 8), len(data) // 2, len(data) - 100, len(data) - 1):
+        path.write_bytes(data[:size])
+        for use in (lambda: FrameAccess().frame(episode, RGB, 0), lambda: list(episode.rows(mapped=False))):
+            with pytest.raises(CorruptEpisode, match=f"Cannot read .*{name}"):
+                use()
     path.unlink()
-    with pytest.raises(CorruptEpisode, match="No such file"):
-        access.frame(after, RGB, 4)
-    path = before.path / "steps.parquet"
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(CorruptEpisode, match="Cannot read"):
-        access.frame(before, RGB, 0)
+    with pytest.raises(CorruptEpisode, match=f"Cannot read .*{name}: it is missing"):
+        FrameAccess().frame(episode, RGB, 0)
+
+
+def test_images_of_another_episode_are_refused(tmp_path: Path) -> None:
+    long, short = make(tmp_path / "long", 40).episodes[0], make(tmp_path / "short", 5).episodes[0]
+    shutil.copy(short.path / "frames.arrow", long.path)
+    for row in (5, 39):
+        with pytest.raises(CorruptEpisode, match="not the file that was written"):
+            FrameAccess().frame(long, RGB, row)
+
+
+def test_the_files_are_read_without_this_library(tmp_path: Path) -> None:
+    episode = make(tmp_path / "dataset", 40, held=(0, 7)).episodes[0]
+    images = pa.ipc.open_file(str(episode.path / "frames.arrow")).read_all().column("image").to_pylist()
+    rows = pq.read_table(episode.path / "steps.parquet")
+    for key in KEYS:
+        numbers = rows.column(key).to_pylist()
+        assert numbers[0] == -1
+        assert numbers[7] == numbers[6]
+        encoded = list(episode.encoded_frames(key))[1:]
+        assert [images[number] for number in numbers[1:]] == encoded
+    order = [rows.column(key).to_pylist() for key in KEYS]
+    new = [number for row in zip(*order, strict=True) for number in row]
+    assert list(dict.fromkeys(number for number in new if number >= 0)) == list(range(38 * 3))

@@ -60,7 +60,7 @@ def test_rows_without_values_take_memory_too(tmp_path: Path) -> None:
 
 def test_check_and_readers_refuse_an_episode_that_is_a_bomb(dataset: Path) -> None:
     folder = dataset / "episodes/000001"
-    schema = Dataset.open(dataset)["000001"].steps().schema
+    schema = Dataset.open(dataset).info.steps_schema
     columns = {
         field.name: pa.nulls(ROWS, field.type) if field.name != "observation/joints" else zeros(ROWS, 3)
         for field in schema

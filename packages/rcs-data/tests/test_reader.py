@@ -80,7 +80,7 @@ def test_a_newer_layout_is_refused(dataset: Path) -> None:
 def test_the_files_are_plain_json(dataset: Path) -> None:
     about = json.loads((dataset / "episodes/000001/episode.json").read_text())
     assert about["seed"] == 1
-    assert set(about["sha256"]) == {"steps.parquet", "sim_state.parquet"}
+    assert set(about["sha256"]) == {"steps.parquet", "frames.arrow"}
 
 
 def test_a_table_of_all_episodes_has_every_value_at_its_place(dataset: Path) -> None:

@@ -86,9 +86,8 @@ def test_a_window_becomes_tensors(windows: Windows) -> None:
 
 @pytest.mark.extras
 @pytest.mark.parametrize("workers", [0, 2])
-@pytest.mark.parametrize("collate_fn", [collate, None])
-def test_a_loader_gives_every_window_once(windows: Windows, workers: int, collate_fn: Any) -> None:
-    found = loader(TorchDataset(windows), shuffle=True, num_workers=workers, collate_fn=collate_fn)
+def test_a_loader_gives_every_window_once(windows: Windows, workers: int) -> None:
+    found = loader(TorchDataset(windows), shuffle=True, num_workers=workers)
     for _ in range(2):
         assert sum(check(batch, windows) for batch in found) == len(windows)
 
@@ -97,7 +96,7 @@ def test_a_loader_gives_every_window_once(windows: Windows, workers: int, collat
 @pytest.mark.slow
 def test_spawned_workers_give_the_same(windows: Windows) -> None:
     windows[0]  # what this process has read does not go along
-    found = loader(TorchDataset(windows), num_workers=1, collate_fn=collate, multiprocessing_context="spawn")
+    found = loader(TorchDataset(windows), num_workers=1, multiprocessing_context="spawn")
     assert sum(check(batch, windows) for batch in found) == len(windows)
 
 
@@ -105,7 +104,7 @@ def test_spawned_workers_give_the_same(windows: Windows) -> None:
 @pytest.mark.parametrize("workers", [0, 2])
 def test_batches_that_are_kept_are_not_overwritten(windows: Windows, workers: int) -> None:
     options = {"persistent_workers": True, "prefetch_factor": 2} if workers else {}
-    found = loader(TorchDataset(windows), shuffle=True, num_workers=workers, collate_fn=collate, **options)
+    found = loader(TorchDataset(windows), shuffle=True, num_workers=workers, **options)
     kept = [batch for _ in range(4) for batch in found]
     # Of some only a part is held, by torch or by numpy.
     parts = [batch["images"]["wrist"][1:2, :, 0] for batch in kept]
@@ -140,8 +139,41 @@ class Counting(TorchDataset):
 
 
 @pytest.mark.extras
+@pytest.mark.parametrize("part", ["whole", "subset"])
+def test_a_loader_reads_a_batch_at_once_without_being_told(windows: Windows, part: str) -> None:
+    whole = Counted(windows)
+    data: Any = importlib.import_module("torch.utils.data")
+    found = loader(whole if part == "whole" else data.Subset(whole, list(range(len(whole)))), shuffle=True)
+    assert sum(check(batch, windows) for batch in found) == len(windows)
+    assert (whole.singles, whole.batches) == (0, len(found))
+
+
+@pytest.mark.extras
+def test_an_own_collate_function_gets_windows(windows: Windows) -> None:
+    torch: Any = importlib.import_module("torch")
+    own = lambda items: {key: torch.stack([item[key] for item in items]) for key in ("state", "actions")}  # noqa: E731
+    (batch, *_) = loader(TorchDataset(windows), collate_fn=own)
+    expected = windows.batch(range(8))
+    np.testing.assert_array_equal(batch["state"], expected["state"].astype(np.float32))
+
+
+class Counted(TorchDataset):
+    """Counts what is read."""
+
+    singles = batches = 0
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        self.singles += 1
+        return super().__getitem__(index)
+
+    def batch(self, indices: Any) -> dict[str, Any]:
+        self.batches += 1
+        return super().batch(indices)
+
+
+@pytest.mark.extras
 def test_workers_use_memory_again(windows: Windows) -> None:
-    found = loader(Counting(windows), num_workers=1, collate_fn=collate, persistent_workers=True)
+    found = loader(Counting(windows), num_workers=1, persistent_workers=True)
     blocks = [int(batch["step"][0]) for _ in range(10) for batch in found]
     cameras, at_once = 2, 5  # two batches ahead, one here, one on its way, one being written
     assert max(blocks) <= cameras * at_once
@@ -188,7 +220,7 @@ def test_torchs_own_tools_take_it(windows: Windows) -> None:
         data.ConcatDataset([whole, whole]),
         data.random_split(whole, [0.5, 0.5])[0],
     ):
-        assert sum(check(batch, windows) for batch in loader(part, collate_fn=collate)) == len(part)
+        assert sum(check(batch, windows) for batch in loader(part)) == len(part)
 
 
 @pytest.mark.extras
@@ -201,7 +233,7 @@ def test_damage_comes_out_of_a_worker_with_its_name(tmp_path: Path, dataset: Dat
     damaged = Dataset.open(tmp_path / "dataset")
     (damaged.episodes[0].path / "steps.parquet").write_bytes(b"no")
     with pytest.raises(CorruptEpisode, match=r"Cannot read .*steps\.parquet"):
-        list(loader(TorchDataset(Windows(damaged)), num_workers=1, collate_fn=collate))
+        list(loader(TorchDataset(Windows(damaged)), num_workers=1))
 
 
 def test_without_torch_the_message_says_what_to_install(windows: Windows, monkeypatch: pytest.MonkeyPatch) -> None:

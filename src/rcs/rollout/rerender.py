@@ -140,11 +140,11 @@ class _FreshFrames:
 
 def _column(episode: EpisodeRecord, feature: Feature) -> list[Any]:
     """Return a column by row, images as stored, with None for no new value."""
-    if feature.encoding != "plain" and not feature.is_image:
+    if feature.is_image:
+        return [image for rows in episode.rows() for image in rows.column(feature.key).to_pylist()]
+    if feature.encoding != "plain":
         return list(episode.column(feature.key))
     stored = episode.steps([feature.key]).column(feature.key)
-    if feature.is_image:
-        return stored.to_pylist()
     is_null = stored.is_null().to_numpy()
     return [None if null else value for value, null in zip(episode.column(feature.key), is_null, strict=True)]
 

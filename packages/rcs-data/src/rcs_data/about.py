@@ -11,7 +11,7 @@ from rcs_data.durable import unsealed
 from rcs_data.errors import CorruptEpisode
 from rcs_data.info import refuse_newer_schema
 from rcs_data.json_file import read_bytes
-from rcs_data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE, is_name
+from rcs_data.layout import EPISODE_FILE, FRAMES_FILE, STEPS_FILE, is_name
 
 MOST_ROWS = 1 << 32
 """Rows of an episode; 30 Hz for four years."""
@@ -96,7 +96,7 @@ def _of(value: Any, is_right: Callable[[Any], bool]) -> bool:
 
 def _are_hashes(value: Any) -> bool:
     # The keys are file names: only those of an episode's own files.
-    return _of(value, _is_hash) and STEPS_FILE in value and not set(value) - {STEPS_FILE, SIM_STATE_FILE}
+    return _of(value, _is_hash) and STEPS_FILE in value and not set(value) - {STEPS_FILE, FRAMES_FILE}
 
 
 PERIOD = (
@@ -140,7 +140,7 @@ _FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "ended": (_is_time, "text or null"),
     "versions": (lambda value: _of(value, _is_text), "an object of texts"),
     "content_hash": (_is_hash, "a SHA-256 in hexadecimal"),
-    "sha256": (_are_hashes, f"the SHA-256 of {STEPS_FILE}, and of {SIM_STATE_FILE} if it is there"),
+    "sha256": (_are_hashes, f"the SHA-256 of {STEPS_FILE}, and of {FRAMES_FILE} if it is there"),
     "timing": (_is_timing, "an object with period, cameras and writer, each an object of numbers or null"),
     "source": (_is_source, "null, or an object with names as dataset and episode, and the source of that"),
 }

@@ -13,7 +13,7 @@ from rcs_data.errors import CorruptEpisode, DatasetError
 from rcs_data.info import DatasetInfo
 from rcs_data.layout import (
     EPISODE_FILE,
-    SIM_STATE_FILE,
+    FRAMES_FILE,
     STEPS_FILE,
     check_episode_id,
     episode_folder,
@@ -42,7 +42,7 @@ def adopt(base: Path, info: DatasetInfo, episode_id: str, files: Files) -> Path:
         DatasetError: There is such an episode already, or the disk fails.
     """
     check_episode_id(episode_id)
-    expected = {EPISODE_FILE, STEPS_FILE, *([] if info.sim_state_size is None else [SIM_STATE_FILE])}
+    expected = {EPISODE_FILE, STEPS_FILE, *([FRAMES_FILE] if info.has_images else [])}
     if set(files) != expected:
         raise CorruptEpisode(
             f"Episode {episode_id!r} came with the files {', '.join(sorted(files)) or '(none)'}; "

@@ -1,23 +1,28 @@
-"""Images as bytes: colour as JPEG or without loss, depth without loss."""
+"""Images as the bytes of files: colour as JPEG or QOI, depth and labels as PNG.
+
+Any viewer reads them. Of 640 x 480 pixels of a simulated lab, with the noise of a real camera and without, on one core:
+QOI takes 4.6 and 2.3 ms to encode, 3.2 and 2.3 ms to decode, and 597 and 33 kB; PNG of the same image 11 to 13 and 2.6,
+5 and 2.5 ms, and 507 and 29 kB. Depth as PNG takes 6.3 and 1.9, 2.7 and 1.1 ms, and 253 and 41 kB.
+"""
 
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from typing import Any
 
+import av
 import numpy as np
-import pyarrow as pa
 import simplejpeg
+from av.error import FFmpegError
 from numpy.typing import NDArray
 
 from rcs_data.errors import CorruptEpisode
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo, Subsampling
 
-_DEPTH_MAGIC = b"RCSd"
-_COLOUR_MAGIC = b"RCSc"
-# Level 1 is 1.4 times as fast as level 3 on noisy depth images and, after the shuffle, not larger.
-_ZSTD = pa.Codec("zstd", compression_level=1)
+# The lowest level: the highest takes four times as long and saves a tenth.
+_FAST_PNG = {"compression_level": "1", "pred": "sub"}
 
 
 def encode_frame(feature: Feature, image: NDArray[Any], info: DatasetInfo) -> bytes:
@@ -136,71 +141,75 @@ def decode_small_jpeg(data: bytes, shape: tuple[int, ...], least_height: int) ->
 
 
 def encode_lossless(image: NDArray[np.uint8]) -> bytes:
-    """Return the image compressed without loss; 7 to 20 times as fast as PNG at its lowest level, and smaller.
-
-    Each channel is stored as differences between neighbours, compressed by Zstandard.
+    """Return the image as a QOI file (https://qoiformat.org), which Pillow and FFmpeg read.
 
     Args:
         image: RGB, shape (H, W, 3).
     """
-    difference = np.diff(image, axis=1, prepend=np.uint8(0))  # wraps around, and so does the way back
-    planes = np.ascontiguousarray(np.moveaxis(difference, 2, 0))
-    return _COLOUR_MAGIC + _ZSTD.compress(planes, asbytes=True)
+    return _encode("qoi", "rgb24", image, {})
 
 
 def decode_lossless(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Return the image that `encode_lossless` encoded.
+    """Return the image in a QOI file.
 
     Args:
-        data: The bytes.
+        data: The bytes of the file.
         shape: The expected shape, (H, W, 3).
 
     Raises:
-        CorruptEpisode: The bytes are not such an image of this shape.
+        CorruptEpisode: The bytes are not a whole QOI file of this shape.
     """
-    if data[:4] != _COLOUR_MAGIC:
-        raise CorruptEpisode(f"The {len(data)} bytes are not a losslessly stored image.")
-    try:
-        raw: Any = _ZSTD.decompress(data[4:], decompressed_size=shape[0] * shape[1] * 3, asbytes=True)
-        planes = np.frombuffer(raw, np.uint8).reshape(3, shape[0], shape[1])
-    except (pa.ArrowException, OSError, ValueError) as err:
-        raise CorruptEpisode(f"The image does not decompress to {shape}: {err}.") from err
-    return np.ascontiguousarray(np.moveaxis(np.cumsum(planes, axis=2, dtype=np.uint8), 0, 2))
+    if data[:4] != b"qoif" or data[-8:] != b"\0\0\0\0\0\0\0\1":
+        raise CorruptEpisode(f"The {len(data)} bytes are not a whole QOI file.")
+    return _decode("qoi", "rgb24", data, data[4:12], shape)
 
 
 def encode_depth(image: NDArray[np.uint16]) -> bytes:
-    """Return the depth image compressed without loss.
-
-    Each row is stored as differences between neighbours, zigzag-coded, high and low bytes apart; this halves the size
-    that Zstandard reaches on the plain numbers.
+    """Return the image as a PNG file of 16 bits.
 
     Args:
-        image: Shape (H, W), millimetres.
+        image: Shape (H, W), millimetres or labels.
     """
-    difference = np.diff(image, axis=1, prepend=np.uint16(0))  # wraps around, and so does the way back
-    signed = difference.view(np.int16)
-    folded = ((signed << 1) ^ (signed >> 15)).view(np.uint16)
-    shuffled = np.ascontiguousarray(folded.reshape(-1).view(np.uint8).reshape(-1, 2).T)
-    return _DEPTH_MAGIC + _ZSTD.compress(shuffled, asbytes=True)
+    return _encode("png", "gray16be", image, _FAST_PNG)
 
 
 def decode_depth(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint16]:
-    """Return the depth image that `encode_depth` encoded.
+    """Return the image in a PNG file of 16 bits.
 
     Args:
-        data: The bytes.
+        data: The bytes of the file.
         shape: The expected shape, (H, W).
 
     Raises:
-        CorruptEpisode: The bytes are not a depth image of this shape.
+        CorruptEpisode: The bytes are not a whole PNG file of 16 bits and this shape.
     """
-    if data[:4] != _DEPTH_MAGIC:
-        raise CorruptEpisode(f"The {len(data)} bytes are not a depth image.")
+    if data[:8] != b"\x89PNG\r\n\x1a\n" or data[-8:-4] != b"IEND":
+        raise CorruptEpisode(f"The {len(data)} bytes are not a whole PNG file.")
+    return _decode("png", "gray16be", data, data[16:24], shape)
+
+
+def _encode(codec: str, pixels: str, image: NDArray[Any], options: dict[str, str]) -> bytes:
+    context: Any = av.CodecContext.create(codec, "w")
+    context.height, context.width = image.shape[:2]
+    context.pix_fmt, context.time_base, context.thread_count, context.options = pixels, Fraction(1), 1, options
+    (packet,) = context.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format=pixels))
+    return bytes(packet)
+
+
+def _decode(codec: str, pixels: str, data: bytes, size: bytes, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Decode a file whose header has width and height in the eight bytes `size`."""
+    # Before decoding: a file of a few kilobytes can claim gigabytes of pixels.
+    width, height = int.from_bytes(size[:4], "big"), int.from_bytes(size[4:], "big")
+    if (height, width) != shape[:2]:
+        raise CorruptEpisode(f"The image is {height} x {width}; expected {shape[0]} x {shape[1]}.")
+    # A new context for each image: one that decodes a second PNG returns wrong pixels.
+    context: Any = av.CodecContext.create(codec, "r")
+    context.thread_count, context.options = 1, {"err_detect": "crccheck+explode"}
     try:
-        raw: Any = _ZSTD.decompress(data[4:], decompressed_size=2 * shape[0] * shape[1], asbytes=True)
-        shuffled = np.frombuffer(raw, np.uint8).reshape(2, -1)
-        folded = np.ascontiguousarray(shuffled.T).view(np.uint16).reshape(shape)
-    except (pa.ArrowException, OSError, ValueError) as err:
-        raise CorruptEpisode(f"The depth image does not decompress to {shape}: {err}.") from err
-    difference = (folded >> 1) ^ (-(folded & 1).astype(np.int16)).view(np.uint16)
-    return np.cumsum(difference, axis=1, dtype=np.uint16)
+        (frame,) = context.decode(av.Packet(data))
+        image: NDArray[Any] = frame.to_ndarray()
+    except (FFmpegError, ValueError) as err:
+        raise CorruptEpisode(f"The {len(data)} bytes do not decode to {shape}: {err}.") from err
+    if frame.format.name != pixels or image.shape != shape:
+        raise CorruptEpisode(f"The image is {image.shape} {frame.format.name}; expected {shape} {pixels}.")
+    return image

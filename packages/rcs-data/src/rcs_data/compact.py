@@ -1,13 +1,13 @@
-"""Completes an open episode: its stream becomes Parquet files, and `episode.json` seals it.
+"""Completes an open episode: its stream becomes `steps.parquet` and `frames.arrow`, and `episode.json` seals it.
 
 A kill at any point leaves an open episode, which can be compacted again from its stream, or a complete one:
 
-1. `steps.parquet` and `sim_state.parquet` are written and synced inside the open folder. Without `episode.json` they
-are ignored, so they need no temporary names.
+1. `steps.parquet` and `frames.arrow` are written and synced inside the open folder. Without `episode.json` they are
+ignored, so they need no temporary names.
 2. `episode.json` is put in place in one step and the folder synced. From here on the episode is finished.
 3. The stream is removed and the folder gets its final name.
 
-That is five syncs with a simulation and four without; each makes sure that no step reaches the disk before the one it
+That is five syncs with images and four without; each makes sure that no step reaches the disk before the one it
 builds on, in case the power fails.
 """
 
@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import itertools
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,24 +27,23 @@ import pyarrow.parquet as pq
 from rcs_data.content import ContentHash
 from rcs_data.durable import HashedFile, disk_errors, sealed, sync_folder, write_file
 from rcs_data.errors import CorruptEpisode, DatasetError
+from rcs_data.frames_file import FramesWriter
 from rcs_data.info import SCHEMA_VERSION, DatasetInfo
 from rcs_data.layout import (
     ABORTED_FILE,
     EPISODE_FILE,
+    FRAMES_FILE,
     ROWS_FILE,
-    SIM_STATE_FILE,
     STEPS_FILE,
     episode_folder,
     open_folder,
 )
-from rcs_data.rows import SIM_STATE, sim_state_schema, steps_schema, stream_schema
 from rcs_data.stream import StreamReader
 from rcs_data.timing import TimingMeter
 
-# Rows per Parquet row group. It is fixed, so that the bytes do not depend on how the stream was flushed, and small with
-# images, so that compacting needs little memory and a reader can stop after some frames.
-_GROUP_OF_NUMBERS = 16384
-_GROUP_OF_IMAGES = 256
+# Most rows per Parquet row group, and most memory that one takes [B]; fixed by the columns, so that the bytes do not
+# depend on how the rows came.
+_MOST_ROWS, _MOST_BYTES = 16384, 1 << 25
 
 
 def compact(
@@ -79,10 +79,10 @@ def compact(
         header = stream.header
         if header is None or stream.schema is None:
             return None
-        if not stream.schema.equals(stream_schema(info)):
+        if not stream.schema.equals(info.stream_schema):
             raise CorruptEpisode(f"The open episode in {folder} has other columns than the dataset; it is left alone.")
-        groups = _groups(stream, info)
-        first = next(groups, None)
+        batches = stream.batches()
+        first = next(batches, None)
         if first is None:
             return None
         about = {
@@ -95,7 +95,7 @@ def compact(
             "ended": ended,
             "versions": header.versions,
         }
-        rows = _chain(first, groups)
+        rows = (pa.Table.from_batches([batch]) for batch in itertools.chain([first], batches))
         seal(folder, info, rows, about, timing=lambda: {**(timing or {}), "is_torn": stream.is_torn})
     return publish(base, episode_id)
 
@@ -103,37 +103,33 @@ def compact(
 def seal(
     folder: Path,
     info: DatasetInfo,
-    groups: Iterable[pa.Table],
+    pieces: Iterable[pa.Table],
     about: Mapping[str, Any],
     *,
     timing: Callable[[], Mapping[str, Any]] = dict,
 ) -> None:
-    """Write a complete episode into a folder: its rows as Parquet, and last the `episode.json` that makes it complete.
+    """Write a complete episode into a folder: its rows, its images, and last the `episode.json` that makes it complete.
 
     Args:
         folder: Its folder, which is ignored until it has an `episode.json`.
         info: What the dataset's episodes share.
-        groups: The rows, with the columns of `stream_schema`, one table per row group.
+        pieces: The rows, with the columns of `stream_schema`, in pieces of any size; how they are cut changes no byte.
         about: Fields of `episode.json` other than those found here: length, hashes, timing, schema version.
-        timing: Returns additions to the timing report; called after the last group.
+        timing: Returns additions to the timing report; called after the last piece.
 
     Raises:
         OSError: The disk is full or fails.
     """
     content, meter = ContentHash(info), TimingMeter(info)
+    images = [feature.key for feature in info.features if feature.is_image]
     with contextlib.ExitStack() as files:
-        steps = files.enter_context(_ParquetFile(folder / STEPS_FILE, steps_schema(info)))
-        states = None
-        if info.sim_state_size is not None:
-            states = files.enter_context(_ParquetFile(folder / SIM_STATE_FILE, sim_state_schema(info.sim_state_size)))
-        for group in groups:
-            rows = group.select(steps.schema.names)
-            steps.write(rows)
+        steps = files.enter_context(_StepsWriter(folder / STEPS_FILE, info.steps_schema))
+        frames = files.enter_context(FramesWriter(folder / FRAMES_FILE, images)) if images else None
+        for rows in pieces:
             content.add(rows)
             meter.add(rows)
-            if states is not None:
-                states.write(group.select([SIM_STATE]))
-        hashes = {file.name: file.complete() for file in (steps, states) if file is not None}
+            steps.write(rows if frames is None else frames.numbered(rows))
+        hashes = {file.name: file.complete() for file in (steps, frames) if file is not None}
     whole = {
         "schema_version": SCHEMA_VERSION,
         **about,
@@ -144,13 +140,6 @@ def seal(
     }
     write_file(folder / EPISODE_FILE, sealed(whole))
     sync_folder(folder)
-
-
-def cut(table: pa.Table, info: DatasetInfo) -> Iterator[pa.Table]:
-    """Yield a table in row groups of the size used by recordings, so that equal rows make equal files."""
-    size = _group_size(info)
-    for start in range(0, table.num_rows, size):
-        yield table.slice(start, size).combine_chunks()
 
 
 def publish(base: Path, episode_id: str) -> Path:
@@ -176,28 +165,27 @@ def library_versions() -> dict[str, str]:
     return {name: version(name) for name in ("numpy", "pyarrow", "simplejpeg")}
 
 
-class _ParquetFile:
+class _StepsWriter:
     """A Parquet file that is written group by group and hashed on the way."""
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         self.name = path.name
-        self.schema = schema
         self.rows = 0
+        self._waiting: list[pa.Table] = []
+        self._held = 0
+        self._group = max(1, min(_MOST_ROWS, _MOST_BYTES // max(1, sum(map(_width, schema.types)))))
         self._file = HashedFile(path)
-        leaves = {field.name: _leaf(field) for field in schema}
-        # JPEG and depth are compressed already.
-        compression: Any = {leaf: "none" if _is_image(schema.field(key)) else "zstd" for key, leaf in leaves.items()}
         self._writer = pq.ParquetWriter(
             self._file,
             schema,
             use_dictionary=False,
             write_statistics=False,
             write_page_checksum=True,
-            compression=compression,
-            compression_level={leaf: 1 for key, leaf in leaves.items() if not _is_image(schema.field(key))},
+            compression="zstd",
+            compression_level=1,
         )
 
-    def __enter__(self) -> _ParquetFile:
+    def __enter__(self) -> _StepsWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -205,45 +193,29 @@ class _ParquetFile:
         self._file.close()
         self._writer.close()
 
-    def write(self, group: pa.Table) -> None:
-        """Append a row group."""
-        self._writer.write_table(group, row_group_size=max(group.num_rows, 1))
-        self.rows += group.num_rows
+    def write(self, rows: pa.Table) -> None:
+        """Append rows."""
+        self.rows += rows.num_rows
+        while self._held + rows.num_rows >= self._group:
+            head = self._group - self._held
+            self._write_group(rows.slice(0, head))
+            rows = rows.slice(head)
+        if rows.num_rows:
+            self._waiting.append(rows)
+            self._held += rows.num_rows
 
     def complete(self) -> str:
-        """Write the footer, bring the file to the disk and return its SHA-256."""
+        """Write what is left and the footer, bring the file to the disk and return its SHA-256."""
+        if self._waiting:
+            self._write_group()
         self._writer.close()
         return self._file.complete()
 
-
-def _group_size(info: DatasetInfo) -> int:
-    return _GROUP_OF_IMAGES if any(feature.is_image for feature in info.features) else _GROUP_OF_NUMBERS
-
-
-def _groups(stream: StreamReader, info: DatasetInfo) -> Iterator[pa.Table]:
-    size = _group_size(info)
-    waiting: list[pa.RecordBatch] = []
-    rows = 0
-    for batch in stream.batches():
-        while rows + batch.num_rows >= size:
-            head = size - rows
-            yield pa.Table.from_batches([*waiting, batch.slice(0, head)]).combine_chunks()
-            waiting, rows, batch = [], 0, batch.slice(head)
-        if batch.num_rows:
-            waiting.append(batch)
-            rows += batch.num_rows
-    if waiting:
-        yield pa.Table.from_batches(waiting).combine_chunks()
+    def _write_group(self, *last: pa.Table) -> None:
+        group = pa.concat_tables([*self._waiting, *last]).combine_chunks()
+        self._writer.write_table(group, row_group_size=group.num_rows)
+        self._waiting, self._held = [], 0
 
 
-def _chain(first: pa.Table, rest: Iterator[pa.Table]) -> Iterator[pa.Table]:
-    yield first
-    yield from rest
-
-
-def _leaf(field: pa.Field) -> str:
-    return f"{field.name}.list.element" if pa.types.is_fixed_size_list(field.type) else field.name
-
-
-def _is_image(field: pa.Field) -> bool:
-    return pa.types.is_binary(field.type)
+def _width(kind: pa.DataType) -> int:
+    return kind.list_size * _width(kind.value_type) if pa.types.is_fixed_size_list(kind) else -(-kind.bit_width // 8)

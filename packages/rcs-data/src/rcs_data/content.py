@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -11,6 +12,9 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from rcs_data.info import DatasetInfo
+
+if TYPE_CHECKING:
+    from rcs_data.episode_record import EpisodeRecord
 
 _NOTHING = pa.py_buffer(b"")
 
@@ -64,38 +68,37 @@ class ContentHash:
         return total.hexdigest()
 
 
-def compare_steps(a: pa.Table, b: pa.Table) -> list[str]:
-    """Describe how two tables of steps differ, one line per column; times and flags are not compared.
+def compare_steps(a: EpisodeRecord, b: EpisodeRecord, keys: Sequence[str] | None = None) -> list[str]:
+    """Describe how the rows of two episodes differ, one line per column; times and flags are not compared.
 
     Args:
-        a: Steps, as `EpisodeRecord.steps` returns them.
-        b: Other steps.
+        a: An episode.
+        b: Another one.
+        keys: The columns to compare; None for all.
     """
     lines: list[str] = []
-    keys = [[name for name in table.column_names if not name.startswith(("time/", "flags/"))] for table in (a, b)]
-    if keys[0] != keys[1]:
-        lines.append(f"columns: {keys[0]} and {keys[1]}")
-    if a.num_rows != b.num_rows:
-        lines.append(f"rows: {a.num_rows} and {b.num_rows}")
-    rows = min(a.num_rows, b.num_rows)
-    for key in (key for key in keys[0] if key in keys[1]):
-        left, right = (table.column(key).slice(0, rows).combine_chunks() for table in (a, b))
-        if left.type != right.type:
-            lines.append(f"{key}: {left.type} and {right.type}")
-            continue
-        row = _first_difference(left, right)
-        if row is not None:
-            lines.append(f"{key}: first difference in row {row}")
+    known = [[f.key for f in episode.info.features if not f.is_circumstance] for episode in (a, b)]
+    if keys is None and known[0] != known[1]:
+        lines.append(f"columns: {known[0]} and {known[1]}")
+    if a.length != b.length:
+        lines.append(f"rows: {a.length} and {b.length}")
+    first = 0
+    different: set[str] = set()
+    for left in a.rows(stop=min(a.length, b.length)):
+        right = pa.concat_tables(b.rows(first, first + left.num_rows))
+        for key in (key for key in known[0] if key in known[1] and (keys is None or key in keys)):
+            pair = left.column(key).combine_chunks(), right.column(key).combine_chunks()
+            row = _first_difference(*pair) if pair[0].type == pair[1].type else None
+            if key not in different and (row is not None or pair[0].type != pair[1].type):
+                types = f"{pair[0].type} and {pair[1].type}"
+                lines.append(f"{key}: {types if row is None else f'first difference in row {first + row}'}")
+                different.add(key)
+        first += left.num_rows
     return lines
 
 
-def steps_equal(a: pa.Table, b: pa.Table) -> bool:
-    """Return whether two tables of steps are equal bit for bit, except for times and flags.
-
-    Args:
-        a: Steps, as `EpisodeRecord.steps` returns them.
-        b: Other steps.
-    """
+def steps_equal(a: EpisodeRecord, b: EpisodeRecord) -> bool:
+    """Return whether the rows of two episodes are equal bit for bit, except for times and flags."""
     return not compare_steps(a, b)
 
 

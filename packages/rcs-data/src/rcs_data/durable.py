@@ -146,6 +146,11 @@ class HashedFile:
         """Append bytes, buffered in large pieces. After `close` they are dropped."""
         if self.closed:
             return len(data)
+        if len(data) >= _CHUNK:  # not copied
+            self._write_pending()
+            self._hash.update(data)
+            write_all(self._fd, data)
+            return len(data)
         self._pending += data
         if len(self._pending) >= _CHUNK:
             self._write_pending()

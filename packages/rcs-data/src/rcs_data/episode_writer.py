@@ -16,11 +16,11 @@ from typing_extensions import Self
 from rcs_data.about import MOST_SEED
 from rcs_data.compact import compact, library_versions
 from rcs_data.durable import as_json, disk_errors, remove_folder, sealed, write_file
+from rcs_data.episode_record import EpisodeRecord
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.info import DatasetInfo
 from rcs_data.layout import ABORTED_FILE, ROWS_FILE, check_episode_id, episode_folder, new_trash_folder, open_folder
-from rcs_data.reader import EpisodeRecord
-from rcs_data.rows import RowBuffer, Value, stream_schema
+from rcs_data.rows import RowBuffer, Value
 from rcs_data.stream import EpisodeHeader, StreamWriter
 from rcs_data.text import check_text, mended_text
 
@@ -86,7 +86,7 @@ class EpisodeWriter:
             if episode_folder(base, episode_id).exists():
                 self._folder.rmdir()
                 raise DatasetError(f"There already is an episode {episode_id!r} in {base}; choose another id.")
-            self._stream = StreamWriter(self._folder / ROWS_FILE, stream_schema(info), header)
+            self._stream = StreamWriter(self._folder / ROWS_FILE, info.stream_schema, header)
         self._flushed_at = time.monotonic()
 
     @property

@@ -6,9 +6,11 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
+import pyarrow as pa
 
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.feature import Feature
@@ -22,6 +24,9 @@ SCHEMA_VERSION = 2
 1. no flags, no held values, no history, and an image in every row;
 2. the current one.
 """
+
+SIM_STATE = "sim_state"
+"""The column of the simulation's state, after the features."""
 
 MERGED = "merged"
 """Key of an origin: for each source, what its episodes shared that those of the merged dataset do not."""
@@ -93,6 +98,28 @@ class DatasetInfo:
                 )
             check_texts(values, f"the {name}")
         _check_origin(self.origin)
+
+    @property
+    def has_images(self) -> bool:
+        """Whether a feature is an image."""
+        return any(feature.is_image for feature in self.features)
+
+    @cached_property
+    def stream_schema(self) -> pa.Schema:
+        """The columns of rows with their images, null where an image is that of the row before.
+
+        Step and simulation state share a row, so a kill loses both or neither.
+        """
+        fields = [feature.arrow_field for feature in self.features]
+        if self.sim_state_size is not None:
+            fields.append(pa.field(SIM_STATE, pa.list_(pa.float64(), self.sim_state_size)))
+        return pa.schema(fields)
+
+    @cached_property
+    def steps_schema(self) -> pa.Schema:
+        """The columns of `steps.parquet`: those of `stream_schema`, but an image is its number in `frames.arrow`."""
+        is_image = pa.types.is_binary
+        return pa.schema([f.with_type(pa.int32()) if is_image(f.type) else f for f in self.stream_schema])
 
     def feature(self, key: str) -> Feature:
         """Return the feature with this key.

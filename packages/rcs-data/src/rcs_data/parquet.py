@@ -54,6 +54,7 @@ class ParquetSource:
             read: Returns a number of bytes from a place in it.
         """
         self.file = file
+        self.schema: pa.Schema = file.schema_arrow
         self._name = name
         self._size = size
         self._read = read
@@ -89,7 +90,7 @@ class ParquetSource:
                 raise CorruptEpisode(f"{self._name} has {self._size} bytes and claims at least {total} once read.")
         if rows < 0 or (groups is None and rows != about.num_rows):
             raise CorruptEpisode(f"{self._name} claims {about.num_rows} rows in all, but {rows} in its groups.")
-        kept = [field for field in self.file.schema_arrow if columns is None or field.name in columns]
+        kept = [field for field in self.schema if columns is None or field.name in columns]
         if rows * sum(_width(field.type) for field in kept) > bound:
             raise CorruptEpisode(f"{self._name} has {self._size} bytes and claims {rows} rows, more than fit.")
 
@@ -107,7 +108,7 @@ class ParquetSource:
         self.require(columns, groups)
         names = None if columns is None else list(columns)
         numbers = list(range(self.file.num_row_groups) if groups is None else groups)
-        kept = [field for field in self.file.schema_arrow if names is None or field.name in names]
+        kept = [field for field in self.schema if names is None or field.name in names]
         if all(_is_fixed(field.type) for field in kept):
             return self.file.read_row_groups(numbers, columns=names, use_threads=False)
         return pa.Table.from_batches(self.batches(names, numbers), schema=pa.schema(kept))
@@ -137,7 +138,7 @@ class ParquetSource:
 
     def _chosen(self, columns: Sequence[str] | None) -> Iterator[int]:
         """Yield the numbers of columns; names may contain dots, as paths of nested columns do."""
-        schema, names = self.file.metadata.schema, self.file.schema_arrow.names
+        schema, names = self.file.metadata.schema, self.schema.names
         for i in range(self.file.metadata.num_columns):
             path: str = schema.column(i).path
             name = path if path in names else next((name for name in names if path.startswith(f"{name}.")), path)

@@ -2,245 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
-from rcs_data import parquet
-from rcs_data.about import read_about
-from rcs_data.codec import blank_frame, decode_frame
-from rcs_data.content import flat_numbers
-from rcs_data.errors import CorruptEpisode, InvalidSetup
-from rcs_data.flags import FrameFlag, flags_key
+from rcs_data.episode_record import EpisodeRecord as EpisodeRecord
+from rcs_data.episode_record import last_valid
+from rcs_data.errors import InvalidSetup
 from rcs_data.head import Head, read_head
-from rcs_data.info import DatasetInfo
-from rcs_data.layout import (
-    EPISODE_FILE,
-    SIM_STATE_FILE,
-    STEPS_FILE,
-    complete_ids,
-    episode_folder,
-    generation_folder,
-)
-from rcs_data.parquet import UNREADABLE, ParquetSource
-from rcs_data.rows import SIM_STATE, sim_state_schema, steps_schema
-
-
-class EpisodeRecord:
-    """One complete episode; files are read when they are needed.
-
-    Every property raises `CorruptEpisode` when the file it needs is missing or damaged.
-    """
-
-    def __init__(self, path: Path, info: DatasetInfo) -> None:
-        """Name an episode.
-
-        Args:
-            path: Its folder.
-            info: What the dataset's episodes share.
-        """
-        self.path = path
-        self.info = info
-
-    def __repr__(self) -> str:
-        """Name the episode."""
-        return f"EpisodeRecord({self.id!r})"
-
-    def _repr_html_(self) -> str:
-        from rcs_data.view.notebook import episode_html  # which reads episodes itself
-
-        return episode_html(self)
-
-    @property
-    def id(self) -> str:
-        """The name, unique in the dataset."""
-        return self.path.name
-
-    @cached_property
-    def about(self) -> dict[str, Any]:
-        """The contents of `episode.json`."""
-        return read_about(self.path)
-
-    @property
-    def seed(self) -> int | None:
-        """The seed of the reset."""
-        return self.about["seed"]
-
-    @property
-    def success(self) -> bool | None:
-        """Whether the task was done; None if that is not known."""
-        return self.about["success"]
-
-    @property
-    def length(self) -> int:
-        """Rows, the reset observation included."""
-        return self.about["length"]
-
-    @property
-    def outcome(self) -> dict[str, Any]:
-        """What else is known about how it went."""
-        return self.about["outcome"]
-
-    @property
-    def instruction(self) -> str:
-        """What the robot was asked to do."""
-        return self.about["instruction"]
-
-    @property
-    def timing(self) -> dict[str, Any]:
-        """The timing report: periods, gaps, repeated and dropped images."""
-        return self.about["timing"]
-
-    @property
-    def content_hash(self) -> str:
-        """A hash of all columns except times and flags: equal for runs that are equal bit for bit."""
-        return self.about["content_hash"]
-
-    @property
-    def source(self) -> dict[str, Any] | None:
-        """The episode that this one was made from, if any: dataset, episode, content hash, and so on."""
-        return self.about.get("source")
-
-    def flags(self, camera: str) -> NDArray[np.uint8]:
-        """Return the flags of a camera's frames, a `FrameFlag` per row, shape (length,); 0 where nothing was wrong.
-
-        Args:
-            camera: The camera's name.
-
-        Raises:
-            CorruptEpisode: The file is missing or damaged.
-        """
-        key = flags_key(camera)
-        if any(feature.key == key for feature in self.info.features):
-            return self.column(key)
-        return np.full(self.length, FrameFlag(0), np.uint8)
-
-    def steps(self, keys: list[str] | None = None) -> pa.Table:
-        """Return the rows as stored, images still encoded.
-
-        Args:
-            keys: The columns to read; None for all.
-
-        Raises:
-            CorruptEpisode: The file is missing or damaged.
-        """
-        if keys is not None:
-            keys = [self.info.feature(key).key for key in keys]
-        return self._read(STEPS_FILE, keys)
-
-    def column(self, key: str) -> NDArray[Any]:
-        """Return one column, images decoded, shape (length, *feature.shape).
-
-        A missing value, such as the first row's action, is NaN, 0 for integers, or False for booleans.
-
-        Args:
-            key: The feature.
-
-        Raises:
-            InvalidSetup: There is no such feature.
-            CorruptEpisode: The file is missing or damaged.
-        """
-        feature = self.info.feature(key)
-        if feature.is_image:
-            images = list(self.frames(key))
-            return np.stack(images) if images else np.empty((0, *feature.shape), feature.numpy_dtype)
-        column = self.steps([key]).column(key)
-        numbers = flat_numbers(column).reshape(-1, *feature.shape)
-        if feature.can_be_held:
-            return numbers[_last_valid(column)]
-        if column.null_count and numbers.dtype.kind == "f":
-            numbers = numbers.copy()
-            numbers[column.is_null().to_numpy()] = np.nan
-        return numbers
-
-    def frames(self, key: str) -> Iterator[NDArray[Any]]:
-        """Yield the images of one camera in order: (H, W, 3) uint8, or (H, W) uint16 millimetres for depth.
-
-        Args:
-            key: The feature.
-
-        Raises:
-            InvalidSetup: There is no such feature, or it is not an image.
-            CorruptEpisode: The file is missing or damaged; the message has the row.
-        """
-        feature = self.info.feature(key)
-        last, image = None, None
-        for row, data in enumerate(self.encoded_frames(key)):
-            if data is not last or image is None:
-                try:
-                    image = decode_frame(feature, data)
-                except CorruptEpisode as err:
-                    raise CorruptEpisode(f"{self.path / STEPS_FILE}, {key!r}, row {row}: {err}") from err
-                last = data
-            yield image.copy()
-
-    def encoded_frames(self, key: str) -> Iterator[bytes]:
-        """Yield the images of one camera in order, as stored: JPEG files, or losslessly compressed ones.
-
-        A row without a new image has the same bytes object as the row before; rows before the first image are black.
-
-        Args:
-            key: The feature.
-
-        Raises:
-            InvalidSetup: There is no such feature, or it is not an image.
-            CorruptEpisode: The file is missing or damaged.
-        """
-        feature = self.info.feature(key)
-        if not feature.is_image:
-            raise InvalidSetup(f"{key!r} is not an image; read it with column({key!r}).")
-        last: bytes | None = None
-        path = self.path / STEPS_FILE
-        try:
-            with self._opened(path) as source:
-                source.require([key])
-                for batch in source.batches([key]):
-                    for image in batch.column(0).to_pylist():
-                        shown: bytes = image or last or blank_frame(feature, self.info)
-                        last = shown
-                        yield shown
-        except UNREADABLE as err:
-            raise CorruptEpisode(f"Cannot read {path}: {err}.") from err
-
-    def sim_state(self) -> NDArray[np.float64]:
-        """Return the simulation's state at each step, shape (length, sim_state_size).
-
-        Raises:
-            InvalidSetup: The dataset has no simulation state.
-            CorruptEpisode: The file is missing or damaged.
-        """
-        if self.info.sim_state_size is None:
-            raise InvalidSetup(f"The dataset of {self.path} has no simulation states.")
-        column = self._read(SIM_STATE_FILE, None).column(SIM_STATE)
-        return flat_numbers(column).reshape(-1, self.info.sim_state_size)
-
-    def _read(self, name: str, columns: list[str] | None) -> pa.Table:
-        path = self.path / name
-        try:
-            with self._opened(path) as source:
-                return source.table(columns)
-        except UNREADABLE as err:
-            raise CorruptEpisode(f"Cannot read {path}: {err}.") from err
-
-    @contextlib.contextmanager
-    def _opened(self, path: Path) -> Generator[ParquetSource]:
-        """Open a file of this episode and check its rows and columns."""
-        schema = steps_schema(self.info)
-        if path.name == SIM_STATE_FILE:
-            schema = sim_state_schema(self.info.sim_state_size or 1)
-        with parquet.opened(path, mapped=True) as source:
-            if source.rows != self.length:
-                raise CorruptEpisode(f"{path} has {source.rows} rows, but {EPISODE_FILE} says {self.length}.")
-            if not source.file.schema_arrow.equals(schema):
-                raise CorruptEpisode(f"The columns of {path} differ from the dataset's.")
-            yield source
+from rcs_data.layout import complete_ids, episode_folder, generation_folder
 
 
 class Dataset:
@@ -308,7 +81,7 @@ class Dataset:
             rows = episode.steps(list(chosen))
             columns = [rows.column(key) for key in chosen]
             whole = [
-                c.take(pa.array(_last_valid(c))) if chosen[k].can_be_held else c
+                c.take(pa.array(last_valid(c))) if chosen[k].can_be_held else c
                 for k, c in zip(chosen, columns, strict=True)
             ]
             place = [pa.array([episode.id] * len(rows), pa.string()), pa.array(range(len(rows)), pa.int64())]
@@ -353,9 +126,3 @@ class Dataset:
     @cached_property
     def _by_id(self) -> dict[str, EpisodeRecord]:
         return {episode.id: episode for episode in self.episodes}
-
-
-def _last_valid(column: pa.ChunkedArray) -> NDArray[np.intp]:
-    """Return for each row the last row up to it that has a value; row 0 where there is none yet."""
-    rows = np.where(column.is_valid().to_numpy(), np.arange(len(column)), 0)
-    return np.maximum.accumulate(rows) if len(rows) else rows

@@ -16,30 +16,11 @@ from rcs_data.feature import Feature
 from rcs_data.flags import FrameFlag, companion
 from rcs_data.info import DatasetInfo
 
-SIM_STATE = "sim_state"
-"""The column of the simulation's state, beside the features while an episode is open."""
-
 Value = NDArray[Any] | np.generic | float | bool | bytes | None
 """A value in a row; None where nothing was measured or no image is new. An image may also be given as bytes, as stored
 in another recording with the same feature."""
 
 _CAPACITY = 64
-
-
-def steps_schema(info: DatasetInfo) -> pa.Schema:
-    """Return the schema of `steps.parquet`."""
-    return pa.schema([feature.arrow_field for feature in info.features])
-
-
-def sim_state_schema(size: int) -> pa.Schema:
-    """Return the schema of `sim_state.parquet`."""
-    return pa.schema([pa.field(SIM_STATE, pa.list_(pa.float64(), size))])
-
-
-def stream_schema(info: DatasetInfo) -> pa.Schema:
-    """Return the schema of an open episode: step and simulation state share a row, so a kill loses both or neither."""
-    schema = steps_schema(info)
-    return schema if info.sim_state_size is None else schema.append(sim_state_schema(info.sim_state_size).field(0))
 
 
 class RowBuffer:
@@ -52,7 +33,7 @@ class RowBuffer:
             info: The features of a row.
         """
         self._info = info
-        self._schema = stream_schema(info)
+        self._schema = info.stream_schema
         self._keys = frozenset(feature.key for feature in info.features)
         self._needed = frozenset(f.key for f in info.features if not f.is_flags)
         self._needed_at_reset = frozenset(

@@ -140,9 +140,7 @@ class RunningStatistics:
         numbers = np.asarray(values, np.float64)
         if numbers.ndim != 2 or numbers.shape[1] != len(self._mean):
             raise InvalidSetup(f"Vectors have shape {numbers.shape}; expected (rows, {len(self._mean)}).")
-        if not np.isfinite(numbers).all():
-            row, column = np.argwhere(~np.isfinite(numbers))[0]
-            raise InvalidSetup(f"Number {column} of vector {row} is {numbers[row, column]}; all must be finite.")
+        check_finite(numbers)
         if not len(numbers):
             return
         mean = numbers.mean(axis=0)
@@ -183,6 +181,18 @@ class RunningStatistics:
         """
         found = [[bins.quantile(share) for bins in self._bins] for share in shares]
         return np.clip(found, self._low, self._high)
+
+
+def check_finite(vectors: NDArray[np.float64]) -> None:
+    """Refuse vectors, shape (rows, size), with a number that is NaN or infinite.
+
+    Raises:
+        InvalidSetup: There is one; the message has its place.
+    """
+    is_finite = np.isfinite(vectors)
+    if not is_finite.all():
+        row, column = np.argwhere(~is_finite)[0]
+        raise InvalidSetup(f"Number {column} of vector {row} is {vectors[row, column]}; all must be finite.")
 
 
 class _Bins:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, overload
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,10 +32,11 @@ else:
 class TorchDataset(_Dataset):  # pyright: ignore[reportUntypedBaseClass]  where torch is not installed
     """Windows as tensors, for a `DataLoader` with any number of workers, forked or spawned.
 
-        loader = DataLoader(TorchDataset(windows), batch_size=64, shuffle=True, num_workers=4, collate_fn=collate)
+        loader = DataLoader(TorchDataset(windows), batch_size=64, shuffle=True, num_workers=4)
 
-    With `collate`, images are decoded straight into the memory of the batch; torch's own `collate_fn` works too, but is
-    slower. `Subset`, `random_split` and `ConcatDataset` accept this dataset.
+    Images are decoded straight into the memory of the batch, since torch's own `default_collate` is told how to make a
+    batch of these windows. `Subset` and `random_split` accept this dataset too; through `ConcatDataset`, windows are
+    read one by one, which is slower.
     """
 
     def __init__(self, windows: Windows) -> None:
@@ -66,9 +68,10 @@ class TorchDataset(_Dataset):  # pyright: ignore[reportUntypedBaseClass]  where 
         images = {name: tensor[0] for name, tensor in batch["images"].items()}
         return {**{key: value[0] for key, value in batch.items() if key != "images"}, "images": images}
 
-    def __getitems__(self, indices: Sequence[int]) -> ChosenWindows:
+    def __getitems__(self, indices: Sequence[int]) -> list[ChosenWindow]:
         """Choose windows; torch calls this for each batch and passes the result to the `collate_fn`."""
-        return ChosenWindows(self, indices)
+        _torch().utils.data._utils.collate.default_collate_fn_map[ChosenWindow] = collate
+        return [ChosenWindow(self, index) for index in indices]
 
     def batch(self, indices: Sequence[int]) -> Tensors:
         """Read several windows into one tensor each.
@@ -90,47 +93,48 @@ class TorchDataset(_Dataset):  # pyright: ignore[reportUntypedBaseClass]  where 
         return {**batch, "images": {name: block.lend(batch["images"][name]) for name, block in blocks.items()}}
 
 
-class ChosenWindows(Sequence[Tensors]):
-    """Windows of one batch, read one by one when accessed, or all together by `collate`."""
+class ChosenWindow(Mapping[str, Any]):
+    """A window of a batch: read together with the others by `collate`, or alone when it is accessed."""
 
-    def __init__(self, dataset: TorchDataset, indices: Sequence[int]) -> None:
-        """Choose windows.
+    def __init__(self, dataset: TorchDataset, index: int) -> None:
+        """Choose a window.
 
         Args:
             dataset: All windows.
-            indices: The numbers of those chosen.
+            index: The number of the chosen one.
         """
         self.dataset = dataset
-        self.indices = indices
+        self.index = index
+
+    @functools.cached_property
+    def tensors(self) -> Tensors:
+        """The window, read when it is first accessed."""
+        return self.dataset[self.index]
+
+    def __getitem__(self, key: str) -> Any:
+        """Return a part of the window."""
+        return self.tensors[key]
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the names of its parts."""
+        return iter(self.tensors)
 
     def __len__(self) -> int:
-        """Return the number of windows."""
-        return len(self.indices)
-
-    @overload
-    def __getitem__(self, index: int) -> Tensors: ...
-    @overload
-    def __getitem__(self, index: slice) -> ChosenWindows: ...
-    def __getitem__(self, index: int | slice) -> Tensors | ChosenWindows:
-        """Read one window, or choose a slice."""
-        if isinstance(index, slice):
-            return ChosenWindows(self.dataset, self.indices[index])
-        return self.dataset[self.indices[index]]
+        """Return the number of its parts."""
+        return len(self.tensors)
 
 
-def collate(items: Sequence[Tensors]) -> Tensors:
-    """Make a batch of windows: the `collate_fn` of a `DataLoader`.
+def collate(items: Sequence[ChosenWindow], *, collate_fn_map: object = None) -> Tensors:
+    """Make a batch of windows, as torch's `default_collate` does with this function; of use in an own `collate_fn`.
 
     Args:
-        items: The windows.
+        items: The windows, all of one dataset.
+        collate_fn_map: Given by torch; not used.
 
     Raises:
-        MissingDependency: torch is not installed.
         CorruptEpisode: An episode is damaged.
     """
-    if isinstance(items, ChosenWindows):
-        return items.dataset.batch(items.indices)
-    return _torch().utils.data.default_collate(list(items))
+    return items[0].dataset.batch([item.index for item in items])
 
 
 def _as_tensors(torch: Any, read: WindowBatch, images: dict[str, Any]) -> Tensors:

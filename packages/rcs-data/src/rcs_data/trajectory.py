@@ -6,8 +6,9 @@ result. Step i of a trajectory therefore has the observation of row i, and actio
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,10 +62,17 @@ class VectorLayout:
         Raises:
             CorruptEpisode: The episode is damaged.
         """
-        parts = [
-            episode.column(feature.key).reshape(episode.length, -1).astype(np.float64) for feature in self.features
-        ]
-        return np.concatenate(parts, axis=1) if parts else np.empty((episode.length, 0))
+        return self.joined(episode.columns(feature.key for feature in self.features), episode.length)
+
+    def joined(self, columns: Mapping[str, NDArray[Any]], length: int) -> NDArray[np.float64]:
+        """Return the vectors of columns, shape (length, size).
+
+        Args:
+            columns: Those of `EpisodeRecord.columns`, by key.
+            length: Their rows.
+        """
+        parts = [columns[feature.key].reshape(length, -1).astype(np.float64) for feature in self.features]
+        return np.concatenate(parts, axis=1) if parts else np.empty((length, 0))
 
 
 def state_layout(info: DatasetInfo, keys: Sequence[str] | None = None) -> VectorLayout:
@@ -137,12 +145,15 @@ def trajectory(episode: EpisodeRecord, state: VectorLayout, action: VectorLayout
     known = {feature.key for feature in episode.info.features}
     steps = max(episode.length - 1, 0)
 
+    keys = dict.fromkeys(f.key for f in (*state.features, *action.features))
+    columns = episode.columns([*keys, *(known & {"reward", "terminated", "truncated"})])
+
     def after(key: str, dtype: str) -> NDArray[np.generic]:
-        return episode.column(key)[1:].astype(dtype) if key in known else np.zeros(steps, dtype)
+        return columns[key][1:].astype(dtype) if key in columns else np.zeros(steps, dtype)
 
     return Trajectory(
-        states=state.rows(episode)[:-1],
-        actions=action.rows(episode)[1:],
+        states=state.joined(columns, episode.length)[:-1],
+        actions=action.joined(columns, episode.length)[1:],
         rewards=after("reward", "float64").astype(np.float64),
         terminated=after("terminated", "bool").astype(np.bool_),
         truncated=after("truncated", "bool").astype(np.bool_),

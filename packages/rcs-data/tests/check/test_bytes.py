@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 STATE = 5  # the sim_state_size of make_info
 
-FILES = ("steps.parquet", "sim_state.parquet", "episode.json")
+FILES = ("steps.parquet", "frames.arrow", "episode.json")
 
 
 def test_a_whole_dataset_has_no_findings(dataset: Path) -> None:
@@ -56,13 +56,12 @@ def test_a_file_that_was_cut_or_removed_is_found(dataset: Path, file: str) -> No
 def test_a_group_without_rows_is_no_error_of_the_check(dataset: Path) -> None:
     about = dataset / "episodes/000001/episode.json"
     values = unsealed(about.read_bytes(), about)
-    for file in ("steps.parquet", "sim_state.parquet"):
-        path = about.with_name(file)
-        table = pq.read_table(path)
-        with pq.ParquetWriter(path, table.schema) as writer:
-            for part in (table.slice(0, 0), table):
-                writer.write_table(part)
-        values["sha256"][file] = hashlib.sha256(path.read_bytes()).hexdigest()
+    path = about.with_name("steps.parquet")
+    table = pq.read_table(path)
+    with pq.ParquetWriter(path, table.schema) as writer:
+        for part in (table.slice(0, 0), table):
+            writer.write_table(part)
+    values["sha256"][path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
     about.write_bytes(sealed(values))
     assert {finding.episode for finding in check(dataset).damage} <= {"000001"}
 
@@ -70,20 +69,18 @@ def test_a_group_without_rows_is_no_error_of_the_check(dataset: Path) -> None:
 def test_a_broken_image_is_located_by_row(dataset: Path) -> None:
     episode = Dataset.open(dataset)["000001"]
     jpeg = list(episode.encoded_frames("observation/frames/wrist/rgb"))[4]
-    path = episode.path / "steps.parquet"
+    path = episode.path / "frames.arrow"
     data = path.read_bytes()
     start = data.index(jpeg)
     path.write_bytes(data[:start] + b"\0\0" + data[start + 2 :])
-    (finding,) = check(dataset).findings
-    assert finding.rows == (4, 4)
-    assert "observation/frames/wrist/rgb" in finding.message
-    assert str(finding).startswith("damage: episodes/000001/steps.parquet, row 4: ")
+    altered, broken = check(dataset).findings
+    assert (altered.kind, broken.kind, broken.rows) == ("altered", "image", (4, 4))
+    assert "observation/frames/wrist/rgb" in broken.message
+    assert str(broken).startswith("damage: episodes/000001/frames.arrow, row 4: ")
 
 
 def test_files_of_another_episode_are_found(dataset: Path) -> None:
     shutil.copy(dataset / "episodes/000000/steps.parquet", dataset / "episodes/000002/steps.parquet")
-    messages = [finding.message for finding in check(dataset).findings]
-    assert messages[0] == "has 6 rows, but episode.json says 8"
     assert {finding.episode for finding in check(dataset).findings} == {"000002"}
 
 

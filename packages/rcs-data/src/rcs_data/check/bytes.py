@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import errno
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from rcs_data import parquet
 from rcs_data.about import read_about
 from rcs_data.check.descriptions import is_as_written
 from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
 from rcs_data.check.report import Finding, counted
 from rcs_data.codec import decode_frame
 from rcs_data.content import ContentHash, flat_numbers
+from rcs_data.episode_record import EpisodeRecord
 from rcs_data.errors import CorruptEpisode, DatasetError
+from rcs_data.frames_file import FramesFile
 from rcs_data.info import DatasetInfo
 from rcs_data.json_file import read_bytes
-from rcs_data.layout import EPISODE_FILE, SIM_STATE_FILE, STEPS_FILE
-from rcs_data.parquet import UNREADABLE, ParquetSource
-from rcs_data.rows import sim_state_schema, steps_schema
+from rcs_data.layout import EPISODE_FILE, FRAMES_FILE, STEPS_FILE
 from rcs_data.timing import TimingMeter
 
 # An image without a value above this is black; JPEG turns 0 into up to 2.
@@ -67,85 +66,54 @@ class EpisodeBytes:
         if not is_as_written(read_bytes(path), about):
             yield self._damage("altered", "is readable, but its bytes are not those that were written", EPISODE_FILE)
         self.rows.about = about
-        for name, schema in schemas_of(self._info).items():
-            yield from self._check_file(name, schema)
+        altered = yield from self._altered_files()
+        if STEPS_FILE not in altered:
+            yield from self._locate(altered) if altered else self._check_rows()
 
-    def _check_file(self, name: str, schema: pa.Schema) -> Iterator[Finding]:
-        path = self._place.folder / name
-        if not path.is_file():
-            yield self._damage("missing", "no file" if path.exists() else "missing", name)
-            return
-        try:
-            is_altered = sha256_of(path) != self.rows.about["sha256"].get(name)
-        except OSError as err:
-            yield self._damage("unreadable", f"cannot be read: {err.strerror or err}", name)
-            return
-        if not is_altered:
-            yield from self._check_parquet(name, schema)
-            return
-        try:
-            found = list(self._check_parquet(name, schema))
-        except (ValueError, IndexError) as err:  # a contradictory footer
-            found = [self._damage("unreadable", f"cannot be read: {err}", name)]
-        if not any(finding.severity == "damage" for finding in found):
-            found.append(self._damage("altered", "its SHA-256 differs from the one that was written", name))
-        yield from found
-
-    def _check_parquet(self, name: str, schema: pa.Schema) -> Iterator[Finding]:
-        path = self._place.folder / name
-        try:
-            with parquet.opened(path) as source:
-                if not source.file.schema_arrow.equals(schema):
-                    yield self._damage("schema", "its columns differ from those in dataset.json", name)
-                    return
-                length = self.rows.about["length"]
-                if source.rows != length:
-                    yield self._damage("row_count", f"has {source.rows} rows, but episode.json says {length}", name)
-                source.require(is_damaged=True)  # of all columns, since the checks need them
-                yield from self._check_groups(source, name, schema)
-        except (*UNREADABLE, CorruptEpisode) as err:
-            yield self._damage("unreadable", f"its footer cannot be read: {err}", name)
-
-    def _check_groups(self, source: ParquetSource, name: str, schema: pa.Schema) -> Iterator[Finding]:
-        file = source.file
-        content, meter = (ContentHash(self._info), TimingMeter(self._info)) if name == STEPS_FILE else (None, None)
-        not_finite = _NotFinite()
-        is_whole = True
-        first = 0
-        for group in range(file.num_row_groups):
-            rows = file.metadata.row_group(group).num_rows
-            columns: list[pa.ChunkedArray] = []
-            for key in schema.names:
-                try:
-                    column = source.table([key], [group]).column(0)
-                except (*UNREADABLE, CorruptEpisode) as err:
-                    is_whole = False
-                    start, end = self._locate(name, key, group) or (0, rows - 1)
-                    place = (first + start, first + end)
-                    yield self._damage("unreadable", f"{key!r} cannot be read: {err}", name, place)
+    def _altered_files(self) -> Generator[Finding, None, set[str]]:
+        """Compare the files with their hashes; return the names of those that differ."""
+        altered: set[str] = set()
+        for name in (STEPS_FILE, FRAMES_FILE) if self._info.has_images else (STEPS_FILE,):
+            path = self._place.folder / name
+            try:
+                if sha256_of(path) == self.rows.about["sha256"].get(name):
                     continue
-                columns.append(column)
-                if pa.types.is_binary(column.type):
-                    yield from self._check_images(key, column, first)
-                else:
-                    not_finite.add(key, column, first)
-            if is_whole and content is not None and meter is not None:
-                table = pa.Table.from_arrays(columns, schema=schema)
-                content.add(table)
-                meter.add(table)
-                self.rows.add(table)
-            first += rows
+                yield self._damage("altered", "its SHA-256 differs from the one that was written", name)
+            except FileNotFoundError:
+                yield self._damage("missing", "no file" if path.exists() else "missing", name)
+            except OSError as err:
+                yield self._damage("unreadable", f"cannot be read: {err.strerror or err}", name)
+            altered.add(name)
+        return altered
+
+    def _check_rows(self) -> Iterator[Finding]:
+        content, meter, not_finite = ContentHash(self._info), TimingMeter(self._info), _NotFinite()
+        first = 0
+        try:
+            for rows in EpisodeRecord(self._place.folder, self._info).rows(mapped=False):
+                for key in rows.column_names:
+                    column = rows.column(key)
+                    if pa.types.is_binary(column.type):
+                        yield from self._check_images(key, column, first)
+                    else:
+                        not_finite.add(key, column, first)
+                content.add(rows)
+                meter.add(rows)
+                self.rows.add(rows)
+                first += rows.num_rows
+        except CorruptEpisode as err:
+            yield self._damage("unreadable", str(err), STEPS_FILE)
+            return
         for key, (number, start, end) in not_finite.found.items():
             message = f"{key!r} is not finite in {counted(number, 'row')}"
-            yield self._place.finding("warning", "not_finite", message, file=name, rows=(start, end))
-        if is_whole and content is not None and meter is not None:
-            self.timing = meter.report()
-            if content.hexdigest() != self.rows.about["content_hash"]:
-                yield self._damage("content", "its values are not those that were written", name)
+            yield self._place.finding("warning", "not_finite", message, rows=(start, end))
+        self.timing = meter.report()
+        if content.hexdigest() != self.rows.about["content_hash"]:
+            yield self._damage("content", "its values are not those that were written", STEPS_FILE)
 
     def _check_images(self, key: str, column: pa.ChunkedArray, first: int) -> Iterator[Finding]:
         feature, log = self._info.feature(key), self.rows.frames[key]
-        for row, image in enumerate(column):
+        for row, image in enumerate(column, first):
             data: bytes | None = image.as_py()
             is_black = False
             if data is not None and self._decode_frames:
@@ -154,32 +122,35 @@ class EpisodeBytes:
                     is_black = int(decode_frame(feature, data).max()) <= darkest
                     self.frames += 1
                 except CorruptEpisode as err:
-                    place = (first + row, first + row)
-                    yield self._damage("image", f"{key!r}: {err}", STEPS_FILE, place)
+                    yield self._damage("image", f"{key!r}: {err}", FRAMES_FILE, (row, row))
             log.is_new.append(data is not None)
             log.is_same.append(data is not None and data == log.last)
             log.is_black.append(is_black)
             log.last = data or log.last
 
-    def _locate(self, name: str, key: str, group: int) -> tuple[int, int] | None:
-        """Return the first and last row of a group with a broken image, if they can be read despite the checksum."""
+    def _locate(self, altered: set[str]) -> Iterator[Finding]:
+        """Name the rows whose images can no longer be read, of a file that is not what was written."""
+        record = EpisodeRecord(self._place.folder, self._info)
+        features = [feature for feature in self._info.features if feature.is_image]
         try:
-            with parquet.opened(self._place.folder / name, verify=False) as source:
-                column = source.table([key], [group]).column(0)
-        except (*UNREADABLE, CorruptEpisode):
-            return None
-        if not pa.types.is_binary(column.type):
-            return None
-        images = (image.as_py() for image in column)
-        broken = [row for row, image in enumerate(images) if image is not None and not self._decodes(key, image)]
-        return (broken[0], broken[-1]) if broken else None
-
-    def _decodes(self, key: str, image: bytes) -> bool:
-        try:
-            decode_frame(self._info.feature(key), image)
-        except CorruptEpisode:
-            return False
-        return True
+            numbers = record.image_numbers(feature.key for feature in features)
+            images = FramesFile(record.path / FRAMES_FILE, mapped=False)
+        except CorruptEpisode as err:
+            if not (altered and (record.path / FRAMES_FILE).is_file()):
+                return
+            yield self._damage("unreadable", str(err), FRAMES_FILE)
+            return
+        for feature in features:
+            broken: list[int] = []
+            column = numbers[feature.key]
+            for row in np.flatnonzero(np.diff(column, prepend=-1)).tolist():
+                try:
+                    decode_frame(feature, images.image(int(column[row])))
+                except CorruptEpisode:
+                    broken.append(row)
+            if broken:
+                message = f"{feature.key!r} cannot be read in {counted(len(broken), 'row')} with a new image"
+                yield self._damage("image", message, FRAMES_FILE, (broken[0], broken[-1]))
 
     def _damage(self, kind: str, message: str, file: str, rows: tuple[int, int] | None = None) -> Finding:
         return self._place.finding("damage", kind, message, file=file, rows=rows)
@@ -202,14 +173,6 @@ class _NotFinite:
         if len(bad):
             number, start, _ = self.found.get(key, (0, first + int(bad[0]), 0))
             self.found[key] = (number + len(bad), start, first + int(bad[-1]))
-
-
-def schemas_of(info: DatasetInfo) -> dict[str, pa.Schema]:
-    """Return the schema of each Parquet file of an episode by its name."""
-    schemas = {STEPS_FILE: steps_schema(info)}
-    if info.sim_state_size is not None:
-        schemas[SIM_STATE_FILE] = sim_state_schema(info.sim_state_size)
-    return schemas
 
 
 def sha256_of(path: Path) -> str:

@@ -1,8 +1,7 @@
 """Repairs what can be repaired in a dataset. Damaged files are kept in `quarantine/`, and undo is possible.
 
 First the rest of the folder: `dataset.json` and its copy are restored from each other, and leftovers of a killed writer
-or edit are recovered. Then the episodes, all in one edit: a single changed byte is restored; of larger damage the rows
-before it are kept, without a verdict; a missing `episode.json` is restored from the rows.
+or edit are recovered. Then the episodes, all in one edit: damaged ones are put into quarantine.
 """
 
 from __future__ import annotations
@@ -17,22 +16,19 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from rcs_data.check.bitrot import mended_json
 from rcs_data.check.dataset import check
 from rcs_data.check.descriptions import check_head
 from rcs_data.check.episode_rows import EpisodeRows
-from rcs_data.check.generations import DAMAGED, REPAIR, damaged_former, former_folders
+from rcs_data.check.generations import DAMAGED, REPAIR, damaged_former
 from rcs_data.check.images import right_flags
 from rcs_data.check.report import Finding, counted
-from rcs_data.check.salvage import salvage
 from rcs_data.durable import disk_errors, link_file, sync_folder, write_file
 from rcs_data.edit.rows import rows_of
 from rcs_data.edit.transaction import Transaction, editing
-from rcs_data.errors import CorruptEpisode, InvalidSetup
+from rcs_data.errors import CorruptEpisode
 from rcs_data.flags import companion
-from rcs_data.head import Head, read_head, write_head
+from rcs_data.head import read_head, write_head
 from rcs_data.info import DatasetInfo
-from rcs_data.json_file import read_bytes
 from rcs_data.layout import (
     COPY_FILE,
     DATASET_FILE,
@@ -127,8 +123,6 @@ def _mend_head(root: Path) -> list[Mending]:
     try:
         head, findings = check_head(root)
         how = f"from what {COPY_FILE if any(f.file == DATASET_FILE for f in findings) else DATASET_FILE} says"
-        if head is None:
-            head, how = _healed_head(root), "by putting back the one bit that had changed"
         if head is None or not findings:
             return []
         with disk_errors("restore the dataset's description", root):
@@ -140,18 +134,6 @@ def _mend_head(root: Path) -> list[Mending]:
         return [Mending(what="restored", episode=None, message=message)]
     finally:
         lock.release()
-
-
-def _healed_head(root: Path) -> Head | None:
-    for name in (DATASET_FILE, COPY_FILE):
-        if (root / name).exists():
-            try:
-                values = mended_json(read_bytes(root / name), root / name)
-                if values is not None:
-                    return Head.from_json(values)
-            except (CorruptEpisode, InvalidSetup):
-                continue
-    return None
 
 
 def _settle(root: Path) -> list[Mending]:
@@ -198,12 +180,12 @@ def _mend_episodes(
                     mendings.append(_rewrite(edit, episode))
                 elif episode.id not in damaged:
                     edit.keep(episode)
-            contents = {e.content_hash: e.id for e in edit.dataset.episodes if e.id not in damaged}
             for name in damaged:
                 found = [finding for finding in findings if finding.episode == name]
                 place = _quarantine(root, episode_folder(base, name), found)
                 made.append(place)
-                mendings.append(_mend(edit, episode_folder(base, name), place.relative_to(root), contents))
+                message = f"its files are in {place.relative_to(root)}."
+                mendings.append(Mending(what="quarantined", episode=name, message=message))
     except BaseException:
         for place in made:  # links to files that stay in place
             shutil.rmtree(place, ignore_errors=True)
@@ -234,23 +216,6 @@ def _with_right_flags(table: pa.Table, info: DatasetInfo) -> pa.Table:
             column = pa.array(np.asarray(right_flags(rows, keys)))
             table = table.set_column(place, table.schema.field(place), column)
     return table
-
-
-def _mend(edit: Transaction, folder: Path, quarantine: Path, contents: dict[str, str]) -> Mending:
-    """Write the salvaged part of an episode into the new generation."""
-    former = former_folders(edit.dataset.path, edit.dataset.head)
-    others = [other for other in reversed(former) if other.name == folder.name]  # the newest first
-    found = salvage(folder, edit.info, others=others)
-    episode = EpisodeRecord(folder, edit.info)
-    vars(episode)["about"] = {"timing": {}, **found.about}  # instead of the file
-    where = f"The former files are in {quarantine}."
-    twin = None if found.is_exact else contents.get(found.content_hash)
-    if found.rows.num_rows == 0 or twin is not None:
-        why = "no row can be read" if twin is None else f"its rows are those of episode {twin}"
-        return Mending(what="quarantined", episode=folder.name, message=f"{why}. {where}")
-    edit.write(episode, found.rows)
-    what: What = "restored" if found.is_whole else "rewritten"
-    return Mending(what=what, episode=folder.name, message=f"{found.said}. {where}")
 
 
 def _quarantine(root: Path, folder: Path, findings: Iterable[Finding]) -> Path:

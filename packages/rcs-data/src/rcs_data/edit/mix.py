@@ -20,7 +20,6 @@ from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.info import MERGED, DatasetInfo, feature_differences, shared_setup
 from rcs_data.output import OnProgress
 from rcs_data.reader import Dataset, EpisodeRecord
-from rcs_data.rows import stream_schema
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,7 +196,8 @@ def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Ha
 
 
 def _rows_stay(before: DatasetInfo, after: DatasetInfo) -> bool:
-    return before.features == after.features and before.frequency == after.frequency
+    is_alike = before.features == after.features and before.sim_state_size == after.sim_state_size
+    return is_alike and before.frequency == after.frequency
 
 
 def _mapped(rows: pa.Table, before: DatasetInfo, after: DatasetInfo, rename: Mapping[str, str]) -> pa.Table:
@@ -211,4 +211,4 @@ def _mapped(rows: pa.Table, before: DatasetInfo, after: DatasetInfo, rename: Map
     target = replace(info, features=tuple(sizes.get(f.key, f) if f.is_image else f for f in info.features))
     if target.features != info.features:
         rows = with_size(rows, info, target)
-    return rows.select(stream_schema(after).names).cast(stream_schema(after))
+    return rows.select(after.stream_schema.names).cast(after.stream_schema)

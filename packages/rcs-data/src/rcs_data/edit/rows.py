@@ -8,9 +8,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from rcs_data.info import DatasetInfo
+from rcs_data.info import SIM_STATE, DatasetInfo
 from rcs_data.reader import EpisodeRecord
-from rcs_data.rows import SIM_STATE, sim_state_schema, stream_schema
 
 
 def rows_of(episode: EpisodeRecord) -> pa.Table:
@@ -19,13 +18,7 @@ def rows_of(episode: EpisodeRecord) -> pa.Table:
     Raises:
         CorruptEpisode: The episode is damaged.
     """
-    table = episode.steps()
-    size = episode.info.sim_state_size
-    if size is None:
-        return table.select(stream_schema(episode.info).names)
-    field = sim_state_schema(size).field(0)
-    flat = pa.array(episode.sim_state().reshape(-1))
-    return table.append_column(field, pa.FixedSizeListArray.from_arrays(flat, size))
+    return pa.concat_tables(episode.rows())
 
 
 def take_rows(table: pa.Table, info: DatasetInfo, rows: Sequence[int] | NDArray[np.intp]) -> pa.Table:

@@ -16,14 +16,14 @@ from typing import Any
 
 import pyarrow as pa
 
-from rcs_data.compact import cut, seal
+from rcs_data.compact import seal
 from rcs_data.durable import copy_file, disk_errors, link_file, remove_tree, sealed, sync_folder, write_file
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.head import Edit, Head, read_head, write_head
 from rcs_data.info import DatasetInfo
 from rcs_data.layout import (
     EPISODE_FILE,
-    SIM_STATE_FILE,
+    FRAMES_FILE,
     STEPS_FILE,
     check_episode_id,
     complete_ids,
@@ -67,7 +67,7 @@ class EpisodeFolder:
         """
         name = episode_id or episode.id
         folder = self._new(name)
-        files = [STEPS_FILE] if self.info.sim_state_size is None else [STEPS_FILE, SIM_STATE_FILE]
+        files = [STEPS_FILE, FRAMES_FILE] if self.info.has_images else [STEPS_FILE]
         values = episode.about
         for file in files:
             self._place(episode.path / file, folder / file)
@@ -93,7 +93,7 @@ class EpisodeFolder:
         seal(
             self._new(name),
             self.info,
-            cut(rows, self.info),
+            [rows],
             {**kept, "id": name, **about},
             timing=_same_writer(episode),
         )
