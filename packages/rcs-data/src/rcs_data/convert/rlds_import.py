@@ -2,8 +2,8 @@
 
 Of datasets from elsewhere, in each step
 
-- an image `observation/<name>` becomes `observation/frames/<name>/rgb` or, of uint16, `.../depth`; JPEGs stay as they
-  are; other observations become `observation/<name>`;
+- an image `observation/<name>` becomes `observation/frames/<name>/rgb` or, of uint16, `.../depth`; JPEGs and depth stay
+  as they are; other observations become `observation/<name>`;
 - `action` becomes `action/action`, and the parts of a dictionary `action/<name>`; `action_dict/<name>` keeps its name;
 - `reward` stays, `is_terminal` becomes `terminated`, and `is_last` elsewhere `truncated`;
 - the first words of the text named "…language_instruction" are the episode's instruction; all texts are kept per step,
@@ -27,7 +27,7 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from rcs_data.about import MOST_ROWS
-from rcs_data.codec import decode_jpeg
+from rcs_data.codec import decode_frame, decode_jpeg
 from rcs_data.convert.labels import LABELS, numbered
 from rcs_data.convert.observations import kept_info
 from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
@@ -382,14 +382,16 @@ def _terminal(example: Mapping[str, StoredValues], steps: int) -> NDArray[np.boo
 
 
 def _images(values: StoredValues, feature: Feature) -> Iterator[Any]:
-    """Yield the images of an episode, JPEGs as they are where the feature is stored as such."""
+    """Yield the images of an episode: JPEGs and depth as they are, where the feature is stored as such."""
     for stored in values.strings():
         data = bytes(stored)
-        if data.startswith(SIGNATURE):
+        if data.startswith(SIGNATURE) and feature.encoding == "depth":
+            decode_frame(feature, data)  # finds damage now, not when somebody trains
+            yield data
+        elif data.startswith(SIGNATURE):
             yield decode_png(data, feature.shape, feature.dtype)
         elif data.startswith(_JPEG) and len(feature.shape) == 3:
-            # Some end in zeros; and decoding finds damage now, not when somebody trains.
-            data = data.rstrip(b"\0")
+            data = data.rstrip(b"\0")  # some end in zeros
             image = decode_jpeg(data, feature.shape)
             yield data if feature.encoding == "jpeg" else image
         elif not data:
