@@ -8,6 +8,7 @@ from rcs.agents.experts import LiftExpert as LiftExpert
 from rcs.agents.experts import PickExpert as PickExpert
 from rcs.agents.experts import ToyExpert as ToyExpert
 from rcs.agents.pick_teacher import PickTeacher as PickTeacher
+from rcs.agents.place_teacher import PlaceTeacher as PlaceTeacher
 from rcs.agents.planner import PickPlanner as PickPlanner
 from rcs.agents.push import PushExpert as PushExpert
 from rcs.agents.replay import Replay as Replay

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from rcs.errors import InvalidSetup
 from rcs.kinematics import freedom_of, kinematics_of
 from rcs.spatial import distance, interpolate, tquat_to_matrix
 from rcs.tasks.pick_cuboid import CUBOID, PickCuboid
+from rcs.tasks.place import Place
 
 SPEED, TURN_SPEED = 0.35, 2.0
 """Highest speeds of the TCP [m/s, rad/s]."""
@@ -39,6 +40,9 @@ ABOVE_GOAL = 0.03
 TURN_RANGE = np.deg2rad(115.0)
 """Largest turn of the tool from where it is at home [rad]: of the two ways to grasp, the nearer one within it."""
 
+Goal = tuple[NDArray[np.float64], NDArray[np.bool_]]
+"""Where the TCP shall go, (*leading, 7), and whether the gripper shall be open, (*leading,)."""
+
 
 class PickTeacher(Agent):
     """Picks the cuboid with one step of feedback per action, from any state, in one environment or in many copies.
@@ -50,6 +54,9 @@ class PickTeacher(Agent):
     in them, plans its grasp and keeps away from joint limits.
     """
 
+    task: ClassVar[type[PickCuboid | Place]] = PickCuboid
+    """What it does."""
+
     def __init__(self, env: Env | VecEnv) -> None:
         """Prepare for an environment.
 
@@ -59,57 +66,52 @@ class PickTeacher(Agent):
         """
         setup = env.setup
         task = None if env.scenario is None else env.scenario.task
-        if not isinstance(task, PickCuboid) or len(env.robots) != 1:
-            raise InvalidSetup(f"PickTeacher is for PickCuboid with one arm; the setup has {setup.task!r}.")
+        name = type(self).__name__
+        if not isinstance(task, self.task) or len(env.robots) != 1:
+            raise InvalidSetup(f"{name} is for {self.task.__name__} with one arm; the setup has {setup.task!r}.")
         if (setup.control, setup.relative) != (JOINTS, "last_step"):
             raise InvalidSetup(
-                f"PickTeacher gives joints relative to the last step; the setup has control={setup.control!r} and "
+                f"{name} gives joints relative to the last step; the setup has control={setup.control!r} and "
                 f"relative={setup.relative!r}."
             )
         space: Any = getattr(env, "single_observation_space", env.observation_space)
         if TARGET not in space.spaces:
-            raise InvalidSetup("PickTeacher counts from the last target; give layers=('ObserveTarget',).")
+            raise InvalidSetup(f"{name} counts from the last target; give layers=('ObserveTarget',).")
         if missing := sorted({"privileged", "contacts"} - set(setup.observe)):
-            raise InvalidSetup(f"PickTeacher sees {missing} too; give observe=('privileged', 'contacts').")
+            raise InvalidSetup(f"{name} sees {missing} too; give observe=('privileged', 'contacts').")
         (robot,) = env.robots.values()
         if robot.gripper is None:
-            raise InvalidSetup(f"PickTeacher needs a gripper; {robot.name!r} has none.")
+            raise InvalidSetup(f"{name} needs a gripper; {robot.name!r} has none.")
         self._period = 1.0 / setup.frequency
         self._kinematics = kinematics_of(robot.arm, robot.gripper)
         home = np.array(robot.arm.home)
         self._options = freedom_of(self._kinematics, best_effort=True, preferred=home)
         self._home_yaw = float(_yaw(self._kinematics.forward(home).tquat))
         self._bound = np.array(robot.arm.velocity_limit) * self._period
-        self._edges = task.edges
-        base_height = float(robot.base_in_scene.translation[2])
-        self._lifted = task.options.lift_height + 0.5 * self._edges[2] + ABOVE_GOAL - base_height
+        self._edges: tuple[float, ...] = task.edges
+        if isinstance(task, PickCuboid):
+            base_height = float(robot.base_in_scene.translation[2])
+            self._lifted = task.options.lift_height + 0.5 * self._edges[2] + ABOVE_GOAL - base_height
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
         """Do nothing: there is nothing to remember."""
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
         """Return the action for a state, or an array of them for the states of all copies."""
-        cuboid, opening = observation[PRIVILEGED][CUBOID][TQUAT], observation[GRIPPER][..., 0]
         # Actions count from the last target, which the arm is behind: counting from the arm, it would swing.
         joints = observation[TARGET][JOINTS]
         start = self._kinematics.forward_batch(_rows(joints)).reshape(*joints.shape[:-1], 7)
-        is_grasped = observation[IS_GRASPED][..., 0] > 0
-        goal, opens = self._goal(cuboid, observation[TQUAT], start, opening, is_grasped)
+        goal, opens = self._goal(observation, start)
         target = self._towards(goal, start)
         solved, *_ = self._kinematics.inverse_batch(_rows(target), _rows(joints), self._options)
         step = solved.reshape(joints.shape) - joints
         step = step / np.maximum(1.0, np.max(np.abs(step) / self._bound, axis=-1, keepdims=True))
         return {JOINTS: step, GRIPPER: opens.astype(np.float32)[..., None]}
 
-    def _goal(
-        self,
-        cuboid: NDArray[np.float64],
-        tcp: NDArray[np.float64],
-        start: NDArray[np.float64],
-        opening: NDArray[Any],
-        is_grasped: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def _goal(self, observation: Observation, start: NDArray[np.float64]) -> Goal:
         """Return where the TCP shall go from its last target, (*leading, 7), and whether the gripper shall be open."""
+        cuboid, tcp = observation[PRIVILEGED][CUBOID][TQUAT], observation[TQUAT]
+        opening, is_grasped = observation[GRIPPER][..., 0], observation[IS_GRASPED][..., 0] > 0
         offset = cuboid[..., :3] - tcp[..., :3]
         aside, above = np.hypot(offset[..., 0], offset[..., 1]), -offset[..., 2]
         yaw = _nearest(closing_yaw(cuboid, self._edges), _yaw(tcp), self._home_yaw)
@@ -127,12 +129,22 @@ class PickTeacher(Agent):
         goal = np.zeros(tcp.shape)
         goal[..., :2] = start[..., :2] + free[..., None] * (cuboid[..., :2] - start[..., :2])
         goal[..., 2] = cuboid[..., 2] + keeps
-        is_held = is_there & is_grasped
-        goal[..., :2] = np.where(is_held[..., None], start[..., :2], goal[..., :2])
-        goal[..., 2] = np.where(is_held, self._lifted, goal[..., 2])
         # A half turn about x points the tool down: Rz(yaw) Rx(pi).
         goal[..., 3], goal[..., 4] = np.cos(yaw / 2), np.sin(yaw / 2)
-        return goal, ~is_there
+        return self._go_on(observation, start, goal, is_there & is_grasped, ~is_there)
+
+    def _go_on(
+        self,
+        observation: Observation,
+        start: NDArray[np.float64],
+        goal: NDArray[np.float64],
+        is_held: NDArray[np.bool_],
+        opens: NDArray[np.bool_],
+    ) -> Goal:
+        """Return the goal, with what to do where the cuboid is held: here, lift it."""
+        goal[..., :2] = np.where(is_held[..., None], start[..., :2], goal[..., :2])
+        goal[..., 2] = np.where(is_held, self._lifted, goal[..., 2])
+        return goal, opens
 
     def _towards(self, goal: NDArray[np.float64], start: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the next target of the TCP, (*leading, 7)."""

@@ -122,6 +122,12 @@ RECIPES: dict[tuple[str, AlgorithmName], Recipe] = {
         algorithm=Rlpd(gradient_steps=8, buffer_size=100_000),
     ),
     ("PickCuboid", "dagger"): Recipe(setup=_SEEN, copies=32, steps=20_480, algorithm=Dagger()),
+    ("Place", "dagger"): Recipe(
+        setup=replace(_SEEN, task="Place", cameras=(), observe=("privileged", "contacts"), max_episode_steps=90),
+        copies=32,
+        steps=20_480,
+        algorithm=Dagger(teacher="PlaceTeacher", gradient_steps=300),
+    ),
     ("PickCuboid", "bc"): Recipe(setup=_SEEN, copies=32, steps=20_480, algorithm=Bc()),
 }
 """Recipes by task and algorithm. Nothing in them depends on the robot; cameras are those of the FR3's lab."""
@@ -146,7 +152,7 @@ def recipe_for(task: str, algorithm: AlgorithmName = "ppo", *, cameras: tuple[st
     recipe = RECIPES.get((task, algorithm), RECIPES["PickCuboid", algorithm])
     setup = replace(recipe.setup, task=task)
     if cameras and isinstance(recipe.algorithm, Dagger):
-        setup = replace(setup, cameras=cameras)
+        setup = replace(setup, cameras=cameras, observe=())
     elif cameras:
         setup = replace(setup, cameras=cameras, image_size=(84, 84), pixels=Pixels(), observe=())
         setup = replace(setup, control="joints", layers=())

@@ -57,13 +57,17 @@ class Place(Task):
     Options = PlaceOptions
     options: PlaceOptions
 
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """Edges of the cuboid along its x, y, z [m]; they may vary between episodes."""
+        return tuple(self.area.object_scale * edge for edge in SIZE)
+
     def furnish(self, scene: Scene) -> None:
         """Add a table, the mark and the cuboid."""
         scene.add_table()
         scale = self.area.object_scale
         add_mark(scene, MARK, self.area.center, radius=scale * RADIUS)
-        edges = [scale * edge for edge in SIZE]
-        add_box(scene, CUBOID, self.area.center, edges=edges, mass=MASS * scale**3, rgb=(0.10, 0.55, 0.20))
+        add_box(scene, CUBOID, self.area.center, edges=self.edges, mass=MASS * scale**3, rgb=(0.10, 0.55, 0.20))
 
     def objects(self) -> list[str]:
         """Return the cuboid."""
