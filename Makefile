@@ -170,6 +170,11 @@ test-wheel: build
 	@$(BIN)/python -m venv $(WHEEL)/venv
 	@$(WHEEL)/venv/bin/python -m pip -qq --disable-pip-version-check install -c constraints.txt $(WHEEL)/*.whl
 	@$(WHEEL)/venv/bin/python -I tools/smoke.py
+	@echo "==> Running the wheel of rcs-data by itself, with the oldest Python at hand and an old NumPy"
+	@python=$$(for one in python3.10 python3.11 $(BIN)/python; do $$one -c '' 2>/dev/null && echo $$one && break; done) && \
+	  $$python -m venv $(WHEEL)/data && \
+	  $(WHEEL)/data/bin/python -m pip -qq --disable-pip-version-check install $(WHEEL)/rcs_data-*.whl 'numpy<2' && \
+	  $(WHEEL)/data/bin/python -I tools/smoke_data.py
 
 # A line per reader: its environment, the program that reads, what it reads. Left where they are: environments, data.
 INTEROP := build/interop

@@ -58,6 +58,19 @@ def test_rows_without_values_take_memory_too(tmp_path: Path) -> None:
         source.table()
 
 
+def test_older_versions_of_arrow_read_the_same_rows(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise pa.ArrowInvalid("Expected all lists to be of size=3 but index 1 had size=0")
+
+    for episode in Dataset.open(dataset):
+        before = episode.numbers()
+        with monkeypatch.context() as patch:
+            patch.setattr(pq.ParquetFile, "read_row_groups", fails)
+            after = episode.numbers()
+        assert after.schema.equals(before.schema)
+        assert after.equals(before)
+
+
 def test_check_and_readers_refuse_an_episode_that_is_a_bomb(dataset: Path) -> None:
     folder = dataset / "episodes/000001"
     schema = Dataset.open(dataset).info.steps_schema

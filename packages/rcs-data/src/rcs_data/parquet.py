@@ -12,6 +12,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -107,7 +108,12 @@ class ParquetSource:
         numbers = list(range(self.file.num_row_groups) if groups is None else groups)
         kept = [field for field in self.schema if names is None or field.name in names]
         if all(_is_fixed(field.type) for field in kept):
-            return self.file.read_row_groups(numbers, columns=names, use_threads=False)
+            try:
+                return self.file.read_row_groups(numbers, columns=names, use_threads=False)
+            except pa.ArrowInvalid as err:
+                if "lists to be of size" not in str(err):
+                    raise
+                return self._read_as_lists(names, numbers, pa.schema(kept))
         return pa.Table.from_batches(self.batches(names, numbers), schema=pa.schema(kept))
 
     def batches(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Iterator[Any]:
@@ -132,6 +138,23 @@ class ParquetSource:
             if total > bound_of(self._size):
                 raise CorruptEpisode(f"{self._name} has {self._size} bytes and becomes at least {total} once read.")
             yield batch
+
+    def _read_as_lists(self, names: list[str] | None, groups: list[int], schema: pa.Schema) -> pa.Table:
+        """Read lists of fixed length that may be null, which Arrow before version 26 writes and cannot read.
+
+        Without Arrow's own description of the columns in its footer, the file has lists of any length.
+        """
+        data = bytearray(self._read(self._size, 0))
+        begin = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
+        data[begin:] = data[begin:].replace(b"ARROW:schema", b"arrow:schema")
+        source = ParquetSource(self._name, pq.ParquetFile(pa.BufferReader(data)), self._size, self._read)
+        parts = [
+            pa.Table.from_arrays(
+                [_fixed(column, kind) for column, kind in zip(batch.columns, schema.types, strict=True)], schema=schema
+            )
+            for batch in source.batches(names, groups)
+        ]
+        return pa.concat_tables([schema.empty_table(), *parts]).combine_chunks()
 
     def _chosen(self, columns: Sequence[str] | None) -> Iterator[int]:
         """Yield the numbers of columns; names may contain dots, as paths of nested columns do."""
@@ -254,6 +277,27 @@ def _check_levels(footer: bytes, file: pq.ParquetFile, name: str) -> None:
                         raise ValueError(f"column {column.path!r} counts levels that it does not have")
     except (IndexError, KeyError, TypeError, AttributeError, ValueError) as err:
         raise CorruptEpisode(f"Cannot read {name}: its footer contradicts itself: {err!r}.") from err
+
+
+def _fixed(column: pa.Array, kind: pa.DataType) -> pa.Array:
+    """Return lists as lists of fixed length; other columns stay.
+
+    Raises:
+        ArrowInvalid: A list has another length.
+    """
+    if not pa.types.is_fixed_size_list(kind):
+        return column.cast(kind)
+    size, mask = kind.list_size, column.is_null()
+    given = column.flatten()
+    if len(given) != size * (len(column) - column.null_count) or any(
+        n not in (None, size) for n in column.value_lengths().to_pylist()
+    ):
+        raise pa.ArrowInvalid(f"Expected all lists to be of size {size}.")
+    # A null takes place in a list of fixed length; what is there does not matter.
+    rows = np.cumsum(~mask.to_numpy(zero_copy_only=False)) - 1
+    places = (np.maximum(rows, 0)[:, None] * size + np.arange(size)).reshape(-1)
+    values = given.take(pa.array(places)) if len(given) else pa.nulls(len(places), kind.value_type)
+    return pa.FixedSizeListArray.from_arrays(values, type=kind, mask=mask)
 
 
 def _is_fixed(kind: pa.DataType) -> bool:
