@@ -52,8 +52,9 @@ def wheel_python(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathF
     _run(*pip, "wheel", "--no-build-isolation", "--no-deps", "--wheel-dir", folder, pytestconfig.rootpath)
     _run(sys.executable, "-m", "venv", "--without-pip", folder / "venv")
     (packages,) = (folder / "venv").glob("lib/python*/site-packages")
-    # A path in a .pth file: that of this environment, without what makes an editable installation.
-    (packages / "others.pth").write_text(sysconfig.get_path("purelib"))
+    # Paths in a .pth file: that of this environment, without what makes an editable installation, and of rcs-data.
+    others = (sysconfig.get_path("purelib"), str(pytestconfig.rootpath / "packages/rcs-data/src"))
+    (packages / "others.pth").write_text("\n".join(others))
     (packages / "mujoco").symlink_to(Path(mujoco.__file__).parent)  # where the extension looks for it
     (wheel,) = folder.glob("*.whl")
     _run(*pip, "install", "--no-deps", "--target", packages, wheel)

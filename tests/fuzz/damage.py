@@ -7,6 +7,7 @@ import json
 import os
 import random
 import shutil
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -104,10 +105,10 @@ def _make_bombs(folder: Path) -> None:
     with pq.ParquetWriter(folder / "zeros.parquet", schema, compression="zstd", use_dictionary=False) as writer:
         for _ in range(16):
             writer.write_table(group)
-    schema = Dataset.open(folder / IMAGES)["000000"].steps().schema
-    columns: dict[str, Any] = {f.name: _zeros(f.type, 1000) for f in schema}
-    columns["observation/frames/wrist/rgb"] = pa.array([bytes(4_000_000)] * 200 + [None] * 800, pa.binary())
-    pq.write_table(pa.table(columns, schema), folder / "dictionary.parquet", compression="zstd", use_dictionary=True)
+    images = pa.schema([pa.field("image", pa.large_binary())])
+    with pa.ipc.new_file(folder / "frames.arrow", images, options=pa.ipc.IpcWriteOptions(compression="zstd")) as writer:
+        for _ in range(8):
+            writer.write_batch(pa.record_batch([pa.array([bytes(4_000_000)] * 32, pa.large_binary())], schema=images))
 
 
 def _zeros(kind: pa.DataType, rows: int) -> pa.Array:
@@ -135,8 +136,9 @@ def _json(path: Path, templates: Path, rng: random.Random) -> str:
         file.read_text(errors="replace").split("\n") if file.suffix == ".jsonl" else [file.read_text(errors="replace")]
     )
     number = rng.randrange(len(lines))
+    is_index = file.name == "episodes.jsonl"
     try:
-        values = json.loads(lines[number])
+        values = json.loads(lines[number].rpartition("\t")[0] if is_index else lines[number])
     except ValueError:
         return f"{file.name} is damaged already"
     how = _mutate(values, rng)
@@ -145,12 +147,8 @@ def _json(path: Path, templates: Path, rng: random.Random) -> str:
         depth = rng.choice(DEEP)
         text = text.replace("1", "[" * depth + "]" * depth, 1)
         how += f", nested {depth} deep"
-    lines[number] = text
-    others = [file]
-    if file.name == "dataset.json" and rng.random() < 0.8:
-        others.append(file.with_name("dataset.copy.json"))
-    for other in others:
-        _replace(other, "\n".join(lines).encode())
+    lines[number] = f"{text}\t{zlib.crc32(text.encode()):08x}" if is_index else text
+    _replace(file, "\n".join(lines).encode())
     return f"{file.name}: {how}"
 
 
@@ -253,15 +251,16 @@ def _folder(path: Path, templates: Path, rng: random.Random) -> str:
 
 
 def _parquet(path: Path, templates: Path, rng: random.Random) -> str:
-    """Scribble over a Parquet file, and have its `episode.json` say that this is how it was written."""
-    files = _files(path, "*.parquet")
+    """Scribble over a file of rows or images, and have its `episode.json` say that this is how it was written."""
+    files = [file for file in _files(path) if file.suffix in (".parquet", ".arrow")]
     if not files:
-        return "no Parquet file"
+        return "no file of rows"
     file = rng.choice(files)
     data = file.read_bytes()
     # The footer and the heads of pages are what Arrow believes.
     place = rng.choice(("anywhere", "footer", "footer"))
-    start = max(len(data) - int.from_bytes(data[-8:-4], "little") - 8, 0) if place == "footer" else 0
+    tail = 8 if file.suffix == ".parquet" else 10
+    start = max(len(data) - int.from_bytes(data[-tail:][:4], "little") - tail, 0) if place == "footer" else 0
     changed = bytearray(data)
     for _ in range(rng.choice((1, 1, 2, 8))):
         if len(changed) > start:
@@ -272,14 +271,14 @@ def _parquet(path: Path, templates: Path, rng: random.Random) -> str:
 
 
 def _bomb(path: Path, templates: Path, rng: random.Random) -> str:
-    files = _files(path, "*.parquet")
+    bombs = {".parquet": "zeros.parquet", ".arrow": "frames.arrow"}
+    files = [file for file in _files(path) if file.suffix in bombs]
     if not files:
-        return "no Parquet file"
-    file, name = rng.choice(files), rng.choice(("zeros", "dictionary"))
-    bomb = (templates / f"{name}.parquet").read_bytes()
-    _replace(file, bomb)
-    _rehash(file, rng.choice((None, 8_000_000, 1000)))
-    return f"{file.name}: a bomb of {name}"
+        return "no file for a bomb"
+    file = rng.choice(files)
+    _replace(file, (templates / bombs[file.suffix]).read_bytes())
+    _rehash(file, rng.choice((None, 8_000_000, 1000)) if file.suffix == ".parquet" else None)
+    return f"{file.name}: a bomb"
 
 
 def _rehash(file: Path, length: int | None) -> None:

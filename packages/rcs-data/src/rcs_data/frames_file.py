@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from rcs_data.arrow_heads import BatchHeads
 from rcs_data.durable import HashedFile
 from rcs_data.errors import CorruptEpisode
 
@@ -105,6 +106,7 @@ class FramesFile:
         try:
             if not path.is_file():  # reading a pipe would never end
                 raise CorruptEpisode(f"Cannot read {path}: it is missing or not a file.")
+            self._heads = BatchHeads(path)
             self._reader: Any = pa.ipc.open_file(_mapped(path) if mapped else pa.OSFile(str(path)))
             if self._reader.schema != _SCHEMA:
                 raise CorruptEpisode(f"Cannot read {path}: it has the columns {self._reader.schema.names}.")
@@ -137,6 +139,7 @@ class FramesFile:
         if not 0 <= place < self._reader.num_record_batches:
             raise CorruptEpisode(f"{self.path} has no batch {place} of images; it is not the file that was written.")
         try:
+            self._heads.refuse_compressed(place)
             batch = self._reader.get_batch(place)
             batch.validate(full=True)
         except (pa.ArrowException, OSError, ValueError) as err:
