@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,12 +50,12 @@ def test_what_is_no_image_has_no_frames(dataset: Path) -> None:
 
 def test_what_an_index_knows_is_not_read_and_replaces_what_was_recorded(dataset: Path) -> None:
     episode = Dataset.open(dataset).episodes[1]
-    known = {"id": "000001", "length": 7, "seed": 1, "success": True, "instruction": "push"}
+    known = replace(episode.entry, success=True, instruction="push")
     listed = EpisodeRecord(dataset / "nowhere", episode.info, known)
     facts = (listed.id, listed.length, listed.seed, listed.success, listed.instruction)
     assert facts == ("000001", 7, 1, True, "push")
     relabelled = EpisodeRecord(episode.path, episode.info, known)
-    assert relabelled.about == {**episode.about, **known}
+    assert relabelled.about == {**episode.about, "instruction": "push"}
     assert len(relabelled.column("reward")) == 7
 
 

@@ -60,9 +60,9 @@ class EpisodeRecord:
         """What the index has of it."""
         return self._given or Entry.of(read_about(self.path), self.path.name, self.info)
 
-    @cached_property
+    @property
     def about(self) -> dict[str, Any]:
-        """The contents of `episode.json`, with the instruction of today."""
+        """The contents of `episode.json`, with the instruction of today; read anew each time, and kept nowhere."""
         return {**read_about(self.path), "instruction": self.instruction}
 
     @property

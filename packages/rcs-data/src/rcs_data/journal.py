@@ -162,9 +162,14 @@ class Journal:
     def _lines(self, most: int | None = None) -> Iterator[tuple[int, bytes]]:
         """Yield the number and the text of each whole line from where the last reading ended."""
         try:
+            if self.path.exists() and not self.path.is_file():  # reading a pipe would never end
+                raise self._damaged(1, "it is not a file")
             with self.path.open("rb") as file:
+                size = os.fstat(file.fileno()).st_size
+                if size > _LONGEST_FILE:
+                    raise self._damaged(1, f"the file has {size} bytes, more than any index")
                 file.seek(self._end)
-                data = file.readline() if most else file.read(_LONGEST_FILE)
+                data = file.readline() if most else file.read(max(size - self._end, 0))
         except FileNotFoundError:
             raise DatasetError(f"There is no dataset in {self.root}: {JOURNAL_FILE} is missing.") from None
         except OSError as err:
