@@ -210,15 +210,6 @@ def unsealed(data: bytes, path: Path) -> dict[str, Any]:
     return values
 
 
-def is_sealed(data: bytes) -> bool:
-    """Return whether the checksum in JSON matches its values; nothing else is checked."""
-    try:
-        values = json.loads(data)
-        return values.pop("checksum") == _checksum(values)
-    except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
-        return False
-
-
 def as_json(value: Any) -> Any:
     """Return plain JSON values for values that may hold numpy numbers and arrays.
 
