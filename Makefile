@@ -97,7 +97,7 @@ docs: $(VENV)/.stamp-docs
 
 test: test-cpp gl
 	@echo "==> Testing Python"
-	@$(BIN)/python -m pytest --cov --cov-report=term:skip-covered --cov-fail-under=90 --durations=10
+	@$(BIN)/python -m pytest --cov --cov-report=html:build/coverage --cov-fail-under=90 --durations=10
 
 test-cpp: build
 	@echo "==> Compiling and testing C++"
@@ -173,7 +173,7 @@ test-wheel: build
 	@echo "==> Running the wheel of rcs-data by itself, with the oldest Python at hand and an old NumPy"
 	@python=$$(for one in python3.10 python3.11 $(BIN)/python; do $$one -c '' 2>/dev/null && echo $$one && break; done) && \
 	  $$python -m venv $(WHEEL)/data && \
-	  $(WHEEL)/data/bin/python -m pip -qq --disable-pip-version-check install $(WHEEL)/rcs_data-*.whl 'numpy<2' && \
+	  $(WHEEL)/data/bin/python -m pip -qq --disable-pip-version-check install $(WHEEL)/rcs_data-*.whl 'numpy<2' 'pyarrow<26' && \
 	  $(WHEEL)/data/bin/python -I tools/smoke_data.py
 
 # A line per reader: its environment, the program that reads, what it reads. Left where they are: environments, data.

@@ -49,6 +49,8 @@ OPERATIONS = {
     "import": "convert.import_lerobot(other + '-lerobot', other + '-imported')",
     "view": "from rcs_data.view import write_view; write_view(path)",
 }
+# The most memory of this process alone; what `wait4` tells begins with that of its parent.
+MEMORY = "\nprint(next(line for line in open('/proc/self/status') if line.startswith('VmHWM')).split()[1])\n"
 FEATURES = (
     Feature(key="observation/joints", shape=(7,), dtype="float64"),
     Feature(key="action/joints", shape=(7,), dtype="float64"),
@@ -89,9 +91,8 @@ def main(options: Options) -> None:
                 print(f"{size} {name}: {seconds - start:.2f} s, {megabytes} MB", file=sys.stderr)
         if options.gigabytes:
             path, other = Path(folder) / "long", Path(folder) / "long-made"
-            record_long(path, options.gigabytes)
-            for name in ("check", *LONG):
-                seconds, megabytes = run(LONG.get(name, "assert check(path, workers=1).is_ok"), path, other)
+            for name, program in LONG.items():
+                seconds, megabytes = run(program.format(gigabytes=options.gigabytes), path, other)
                 told[f"long {name}"] = {"s": round(seconds - start, 1), "mb": megabytes}
                 print(f"long {name}: {seconds - start:.1f} s, {megabytes} MB", file=sys.stderr)
     if len(options.sizes) > 1:
@@ -104,6 +105,8 @@ def main(options: Options) -> None:
 
 
 LONG = {
+    "record": "from scale import *; record_long(Path(path), {gigabytes})",
+    "check": "assert check(path, workers=1).is_ok",
     "trim": "edit.trim(path, 'long', first=10, last=-10)",
     "rename": "edit.rename_camera(path, 'side', 'front')",
     "resample": "edit.resample(path, 15)",
@@ -113,13 +116,16 @@ LONG = {
 
 def run(program: str, path: Path, other: Path) -> tuple[float, int]:
     """Run an operation as a process on one core; return its processor seconds and its most memory [MB]."""
-    command = ["taskset", "-c", str(min(os.sched_getaffinity(0))), sys.executable, "-c", PREPARE + program]
-    child = subprocess.Popen([*command, str(path), str(other)], stdout=subprocess.DEVNULL)
-    _, status, used = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
+    command = ["taskset", "-c", str(min(os.sched_getaffinity(0))), sys.executable, "-c", PREPARE + program + MEMORY]
+    here = Path(__file__).parent  # where `record_long` is found
+    with subprocess.Popen([*command, str(path), str(other)], stdout=subprocess.PIPE, text=True, cwd=here) as child:
+        assert child.stdout is not None
+        told = child.stdout.read()
+        _, status, used = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode:
         raise SystemExit(f"{program} ended with {child.returncode}")
-    return used.ru_utime + used.ru_stime, used.ru_maxrss // 1024
+    return used.ru_utime + used.ru_stime, int(told.split()[-1]) // 1024
 
 
 def record(path: Path, episodes: int) -> None:

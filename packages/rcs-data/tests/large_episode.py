@@ -1,4 +1,4 @@
-"""Records, checks and reads an episode of many images with little memory: python large_episode.py MEGABYTES FOLDER."""
+"""Records, checks, edits and reads a long episode with little memory: python large_episode.py MEGABYTES FOLDER."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, FrameAccess, check, compare_steps
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, FrameAccess, check, compare_steps, edit
 from rcs_data.codec import encode_jpeg
 
 KEY = "observation/frames/wrist/rgb"
 SHAPE = (480, 640, 3)
-FREE = 400 << 20
+FREE = 500 << 20
 """Memory beside what the libraries take [B]."""
 
 
@@ -20,7 +20,8 @@ def main(megabytes: int, path: Path) -> None:
     """Do all of it."""
     joints = Feature(key="observation/joints", shape=(7,), dtype="float64")
     camera = Feature(key=KEY, shape=SHAPE, dtype="uint8", encoding="jpeg")
-    info = DatasetInfo(frequency=30.0, setup={}, instruction="", features=(joints, camera))
+    time = Feature(key="time/monotonic", shape=(), dtype="float64", unit="s")
+    info = DatasetInfo(frequency=30.0, setup={}, instruction="", features=(joints, time, camera))
     rng = np.random.default_rng(0)
     images = [encode_jpeg(rng.integers(0, 256, SHAPE, np.uint8), 95, "444") for _ in range(3)]
     rows = megabytes * 1_000_000 // len(images[0]) + 1
@@ -30,8 +31,10 @@ def main(megabytes: int, path: Path) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     with DatasetWriter.open(path, info) as writer, writer.episode("a", seed=0) as recording:
         for row in range(rows):
-            recording.add({joints.key: np.full(7, 0.001 * row), KEY: images[row % 3]})
+            recording.add({joints.key: np.full(7, 0.001 * row), time.key: row / 30, KEY: images[row % 3]})
         recording.finish(True)
+    edit.rename_camera(path, "wrist", "side")
+    edit.rename_camera(path, "side", "wrist")
     episode = Dataset.open(path)["a"]
     assert (episode.path / "frames.arrow").stat().st_size > 990_000 * megabytes
     assert check(path, workers=1, depth="frames" if megabytes < 1000 else "rows").is_ok

@@ -16,8 +16,8 @@ def run(megabytes: int, folder: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_450_megabytes_are_recorded_checked_and_read_with_less_memory(tmp_path: Path) -> None:
-    run(450, tmp_path / "set")
+def test_700_megabytes_are_recorded_checked_edited_and_read_with_less_memory(tmp_path: Path) -> None:
+    run(700, tmp_path / "set")
 
 
 @pytest.mark.slow

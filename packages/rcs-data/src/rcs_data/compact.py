@@ -21,6 +21,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -201,7 +202,8 @@ class _StepsWriter:
         self._writer.close()
 
     def write(self, rows: pa.Table) -> None:
-        """Append rows."""
+        """Append rows; what they were read from, images and all, is not kept."""
+        rows = rows.take(pa.array(np.arange(rows.num_rows)))
         self.rows += rows.num_rows
         while self._held + rows.num_rows >= self._group:
             head = self._group - self._held

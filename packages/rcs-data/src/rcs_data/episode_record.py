@@ -25,7 +25,7 @@ from rcs_data.info import SIM_STATE, DatasetInfo
 from rcs_data.layout import EPISODE_FILE, FRAMES_FILE, STEPS_FILE
 from rcs_data.parquet import UNREADABLE, ParquetSource
 
-_ROWS_IN_A_PIECE, _BYTES_IN_A_PIECE = 256, 1 << 24
+_ROWS_IN_A_PIECE, _BYTES_IN_A_PIECE = 256, 1 << 23
 
 
 class EpisodeRecord:
@@ -208,7 +208,7 @@ class EpisodeRecord:
             CorruptEpisode: A file is missing or damaged.
         """
         numbers = self.image_numbers([key])[key]
-        images = FramesFile(self.path / FRAMES_FILE)
+        images = FramesFile(self.path / FRAMES_FILE, mapped=False)
         black = blank_frame(self.info.feature(key), self.info)
         yield from (black if image is None else image for image in images.shown(numbers))
 
@@ -228,8 +228,8 @@ class EpisodeRecord:
                 raise InvalidSetup(f"{key!r} is not an image; read it with column({key!r}).")
         return _image_numbers(self.steps(chosen), chosen, self.path)
 
-    def rows(self, start: int = 0, stop: int | None = None, *, mapped: bool = True) -> Iterator[pa.Table]:
-        """Yield the rows with their images, as recorded, in pieces of at most 256 rows and about 16 MB of images.
+    def rows(self, start: int = 0, stop: int | None = None) -> Iterator[pa.Table]:
+        """Yield the rows with their images, as recorded, in pieces of at most 256 rows and about 8 MB of images.
 
         The columns are those of `DatasetInfo.stream_schema`: an image is null where it is that of the row before,
         also in row `start`.
@@ -237,17 +237,15 @@ class EpisodeRecord:
         Args:
             start: The first row.
             stop: The row after the last; None for all.
-            mapped: Whether files are mapped into memory, which is faster, but an unreadable sector then ends the
-                process.
 
         Raises:
             CorruptEpisode: A file is missing or damaged.
         """
         end = self.length if stop is None else min(stop, self.length)
         keys = [feature.key for feature in self.info.features if feature.is_image]
-        frames = FramesFile(self.path / FRAMES_FILE, mapped=mapped) if keys else None
+        frames = FramesFile(self.path / FRAMES_FILE, mapped=False) if keys else None
         last, first = dict.fromkeys(keys, -1), 0
-        for group in filter(len, self._groups(mapped=mapped)):
+        for group in filter(len, self._groups()):
             numbers = _image_numbers(group, keys, self.path)
             is_new = {key: np.diff(column, prepend=last[key]) != 0 for key, column in numbers.items()}
             last = {key: int(column[-1]) for key, column in numbers.items()}
@@ -277,7 +275,7 @@ class EpisodeRecord:
         """
         places = [place for place, feature in enumerate(self.info.features) if feature.is_image]
         keys = [numbers.schema.names[place] for place in places]
-        frames = FramesFile(self.path / FRAMES_FILE) if keys else None
+        frames = FramesFile(self.path / FRAMES_FILE, mapped=False) if keys else None
         columns = _image_numbers(numbers, keys, self.path)
         is_new = {key: np.diff(column, prepend=-1) != 0 for key, column in columns.items()}
         at = 0
@@ -308,8 +306,8 @@ class EpisodeRecord:
         with self._opened(mapped=True) as source:
             return source.table(columns)
 
-    def _groups(self, *, mapped: bool) -> Iterator[pa.Table]:
-        with self._opened(mapped=mapped) as source:
+    def _groups(self) -> Iterator[pa.Table]:
+        with self._opened(mapped=False) as source:
             source.require()
             for group in range(source.file.num_row_groups):
                 yield source.table(None, [group])

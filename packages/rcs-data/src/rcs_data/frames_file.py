@@ -121,6 +121,7 @@ class FramesFile:
         """
         place, row = divmod(number, IMAGES_IN_A_BATCH)
         if place != self._batch[0]:
+            self._batch = (-1, None)  # so that two batches are not held at a time
             self._batch = (place, self._read(place))
         images = self._batch[1]
         if row >= len(images):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -47,12 +48,12 @@ def read_bytes(path: Path) -> bytes:
         if not path.is_file():
             raise CorruptEpisode(f"{path} is missing or not a file.")
         with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
+            size = os.fstat(file.fileno()).st_size
+            if size > MOST_BYTES:
+                raise CorruptEpisode(f"{path} has more than {MOST_BYTES >> 20} MB, too much for a description.")
+            return file.read(size)
     except OSError as err:
         raise CorruptEpisode(f"Cannot read {path}: {err.strerror or err}.") from err
-    if len(data) > MOST_BYTES:
-        raise CorruptEpisode(f"{path} has more than {MOST_BYTES >> 20} MB, too much for a description; it is not read.")
-    return data
 
 
 def parsed_json(data: bytes | str, path: Path | str) -> dict[str, Any]:

@@ -134,7 +134,7 @@ class StreamReader:
                 return
             if not path.is_file():
                 raise CorruptEpisode(f"{path} is not a file.")
-            source = pa.memory_map(str(path), "r")
+            source = pa.OSFile(str(path))  # not mapped: what was read would count as memory
         try:
             self._reader = pa.ipc.open_stream(source)
             schema = self._reader.schema

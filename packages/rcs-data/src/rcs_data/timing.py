@@ -31,10 +31,9 @@ class TimingMeter:
     def add(self, table: pa.Table) -> None:
         """Take the next rows."""
         self._rows += table.num_rows
-        for key, parts in self._times.items():
-            parts.append(table.column(key).to_numpy())  # times that were not measured are NaN
-        for key, parts in self._flags.items():
-            parts.append(table.column(key).to_numpy())
+        # Copies: a view would keep all that was read with it, images and all. Times that were not measured are NaN.
+        for key, parts in [*self._times.items(), *self._flags.items()]:
+            parts.append(table.column(key).to_numpy().copy())
         for key, repeats in self._images.items():
             repeats.add(table.column(key))
 

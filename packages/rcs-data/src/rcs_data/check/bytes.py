@@ -91,7 +91,7 @@ class EpisodeBytes:
         content, meter, not_finite = ContentHash(self._info), TimingMeter(self._info), _NotFinite()
         first = 0
         try:
-            for rows in EpisodeRecord(self._place.folder, self._info).rows(mapped=False):
+            for rows in EpisodeRecord(self._place.folder, self._info).rows():
                 for key in rows.column_names:
                     column = rows.column(key)
                     if pa.types.is_binary(column.type):
