@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.output import OnProgress
 from rcs_data.reader import Dataset, EpisodeRecord
-
-VideoCodec = Literal["h264", "av1"]
+from rcs_data.video_format import VideoCodec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +111,7 @@ class ExportReport:
 
 def stored_as(feature: Feature, options: ImportOptions) -> Feature:
     """Return a feature of an imported dataset, its images encoded according to the options."""
-    return replace(feature, encoding="lossless") if options.lossless and feature.encoding == "jpeg" else feature
+    return replace(feature, encoding="lossless") if options.lossless and feature.is_colour else feature
 
 
 def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[EpisodeRecord, ...]:
