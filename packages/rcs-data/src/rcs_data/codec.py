@@ -1,8 +1,10 @@
 """Images as the bytes of files: colour as JPEG or QOI, depth and labels as PNG.
 
-Any viewer reads them. Those of a video are JPEG until the episode is complete, and QOI when they are read from it. Of 640 x 480 pixels of a simulated lab, with the noise of a real camera and without, on one core:
-QOI takes 4.6 and 2.3 ms to encode, 3.2 and 2.3 ms to decode, and 597 and 33 kB; PNG of the same image 11 to 13 and 2.6,
-5 and 2.5 ms, and 507 and 29 kB. Depth as PNG takes 6.3 and 1.9, 2.7 and 1.1 ms, and 253 and 41 kB.
+Any viewer reads them. Those of a video are JPEG until the episode is complete, and QOI when they are read from it.
+
+Of 640 x 480 pixels of a simulated lab, with the noise of a real camera and without, on one core: QOI takes 4.6 and 2.3
+ms to encode, 3.2 and 2.3 ms to decode, and 597 and 33 kB; PNG of the same image 11 to 13 and 2.6, 5 and 2.5 ms, and 507
+and 29 kB. Depth as PNG takes 6.3 and 1.9, 2.7 and 1.1 ms, and 253 and 41 kB.
 """
 
 from __future__ import annotations

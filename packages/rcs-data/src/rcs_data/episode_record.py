@@ -195,7 +195,8 @@ class EpisodeRecord:
     def encoded_frames(self, key: str) -> Iterator[bytes]:
         """Yield the images of one camera in order, as stored: the bytes of JPEG, QOI or PNG files.
 
-        Those of a video are QOI. A row without a new image has the same bytes object as the row before; rows before the first image are black.
+        Those of a video are QOI. A row without a new image has the same bytes object as the row before; rows before the
+        first image are black.
 
         Args:
             key: The feature.

@@ -27,7 +27,7 @@ from av.video.reformatter import Interpolation, VideoReformatter
 from numpy.typing import NDArray
 
 from rcs_data.errors import CorruptEpisode, DatasetError
-from rcs_data.video_format import VideoCodec, pixel_format
+from rcs_data.video_format import VideoCodec, stored_pixel_format
 
 ENCODERS: dict[VideoCodec, str] = {"h264": "libx264", "av1": "libsvtav1"}
 """FFmpeg's names of the encoders."""
@@ -78,21 +78,19 @@ def encode_clip(
     encoder: Any = av.CodecContext.create(ENCODERS[codec], "w")
     encoder.options = OPTIONS[codec]
     encoder.time_base, encoder.framerate = Fraction(1, _RATE), Fraction(_RATE)
-    prepare_encoder(encoder, shape, codec)
+    format_ = stored_pixel_format(shape[0], shape[1], codec)
+    prepare_encoder(encoder, shape, format_)
     clip: list[tuple[bytes, bool] | None] = []
     try:
-        for packets, wrong in encoded_in_parts(encoder, codec, yuv_frames(images, shape, codec, _RATE)):
+        for packets, wrong in encoded_in_parts(encoder, codec, yuv_frames(images, format_, _RATE)):
             clip += [None if n in wrong else (bytes(p), p.is_keyframe) for n, p in enumerate(packets)]
     except FFmpegError as err:
         raise DatasetError(f"Cannot encode {shape[1]} x {shape[0]} pixels as {codec}: {err}.") from err
     return clip
 
 
-def yuv_frames(
-    images: Iterable[NDArray[Any]], shape: tuple[int, ...], codec: VideoCodec, fps: int
-) -> Iterator[av.VideoFrame]:
-    """Yield images as a codec takes them, numbered from 0 in units of 1 / fps."""
-    format_ = pixel_format(shape[0], shape[1], codec)
+def yuv_frames(images: Iterable[NDArray[Any]], format_: str, fps: int) -> Iterator[av.VideoFrame]:
+    """Yield images in a pixel format, numbered from 0 in units of 1 / fps."""
     reformatter = VideoReformatter()  # one for all frames, and one thread: each frame's own would start several
     for number, image in enumerate(images):
         rgb = av.VideoFrame.from_numpy_buffer(np.ascontiguousarray(image), format="rgb24")
@@ -157,8 +155,9 @@ def decode_packet(decoder: Any, packet: bytes, shape: tuple[int, ...], codec: Vi
         (frame,) = decoder.decode(av.Packet(packet))
     except (FFmpegError, ValueError) as err:
         raise CorruptEpisode(f"The {len(packet)} bytes of {codec} do not decode to an image: {err}.") from err
-    if (frame.height, frame.width) != shape[:2] or frame.format.name != pixel_format(shape[0], shape[1], codec):
-        raise CorruptEpisode(f"The image is {frame.height} x {frame.width} {frame.format.name}; expected {shape}.")
+    form = frame.height, frame.width, frame.format.name
+    if form != (*shape[:2], stored_pixel_format(shape[0], shape[1], codec)):
+        raise CorruptEpisode(f"The image is {form}; expected {shape}.")
     return frame
 
 
@@ -194,7 +193,7 @@ def _mended(
     encoder.options = {**OPTIONS[codec], **options}
     encoder.time_base, encoder.framerate = first.time_base, first.framerate
     encoder.flags |= first.flags & int(Flags.global_header)
-    prepare_encoder(encoder, (first.height, first.width), codec)
+    prepare_encoder(encoder, (first.height, first.width), first.pix_fmt)
     if bytes(encoder.extradata or b"") != bytes(first.extradata or b""):
         return dict(wrong)
     for frame in wrong.values():
@@ -207,10 +206,9 @@ def _mended(
     return left
 
 
-def prepare_encoder(encoder: Any, shape: tuple[int, ...], codec: VideoCodec) -> None:
-    """Open an encoder for images of a shape, (H, W, …)."""
-    encoder.height, encoder.width = shape[:2]
-    encoder.pix_fmt = pixel_format(shape[0], shape[1], codec)
+def prepare_encoder(encoder: Any, shape: tuple[int, ...], format_: str) -> None:
+    """Open an encoder for images of a shape, (H, W, …), and a pixel format."""
+    encoder.height, encoder.width, encoder.pix_fmt = *shape[:2], format_
     encoder.thread_count = 1
     encoder.colorspace, encoder.color_range = _BT601, _LIMITED
     os.environ.setdefault("SVT_LOG", "1")  # otherwise it prints thirty lines per video
@@ -223,12 +221,9 @@ def _largest_error(one: av.VideoFrame, other: av.VideoFrame) -> float:
 
 
 def block_error(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
-    """Return the largest mean squared difference of a block of 16 x 16 values; 0 if it is at most `LARGEST_ERROR`
-    everywhere.
+    """Return the largest mean squared difference of a block of 16 x 16 values, shape (rows, columns).
 
-    Args:
-        one: Shape (rows, columns).
-        other: As `one`.
+    It is 0 where no value differs by more than the square root of `LARGEST_ERROR`.
     """
     difference = np.maximum(one, other) - np.minimum(one, other)
     if int(difference.max(initial=0)) ** 2 <= LARGEST_ERROR:

