@@ -305,6 +305,9 @@ def test_export_to_lerobot_and_back(tmp_path: Path) -> None:
     assert all(psnr(image, picture(row)) > 33 for row, image in enumerate(list(back.frames(SIDE))[:-1]))
     exact = import_lerobot(tmp_path / "out", tmp_path / "exact", ImportOptions(lossless=True))
     assert exact.info.feature(SIDE).encoding == "lossless"
+    small = import_lerobot(tmp_path / "out", tmp_path / "small", ImportOptions(video="av1"))
+    assert small.info.feature(SIDE).encoding == small.info.feature(WRIST).encoding == "av1"
+    assert small.info.feature(DEPTH).encoding == "depth"
 
 
 def test_rows_may_be_given_as_files_of_another_dataset(tmp_path: Path) -> None:

@@ -141,10 +141,10 @@ class Stage:
             recorded: The info of the other.
             physics: The setup that its states are from; None for this stage.
         """
-        is_lossless = any(feature.encoding == "lossless" for feature in recorded.features)
+        colours = [feature.colour for feature in recorded.features if feature.colour is not None]
         info = dataset_info(
             env,
-            colour="lossless" if is_lossless else "jpeg",
+            colour="lossless" if "lossless" in colours else next(iter(colours), "jpeg"),
             jpeg_quality=self.looks.jpeg_quality or recorded.jpeg_quality,
         )
         setup, origin = self.setup.to_json(), self.scene if physics is None else physics

@@ -56,7 +56,7 @@ def decode_frame(feature: Feature, data: bytes, out: NDArray[Any] | None = None)
         CorruptEpisode: The bytes are not an image of the feature's shape.
     """
     is_lossless = feature.encoding == "lossless" or (feature.video is not None and data[:4] == _QOI)
-    if feature.is_colour and not is_lossless:
+    if feature.colour is not None and not is_lossless:
         return decode_jpeg(data, feature.shape, out)
     decode = decode_lossless if is_lossless else decode_depth
     image = decode(data, feature.shape)

@@ -79,7 +79,7 @@ class Feature:
                 f"Feature {self.key!r} has encoding {self.encoding!r}; valid are {', '.join(get_args(Encoding))}."
             )
         is_colour = self.dtype == "uint8" and len(self.shape) == 3 and self.shape[2] == 3
-        if self.is_colour and not is_colour:
+        if self.colour is not None and not is_colour:
             raise InvalidSetup(f"Feature {self.key!r} is a colour image and must be (H, W, 3) uint8, not {self._form}.")
         if self.video is not None:
             pixel_format(self.shape[0], self.shape[1], self.video)
@@ -138,9 +138,9 @@ class Feature:
         return self.encoding in _IMAGES
 
     @property
-    def is_colour(self) -> bool:
-        """Whether this is a colour image."""
-        return self.encoding in _COLOURS
+    def colour(self) -> Colour | None:
+        """The encoding, if this is a colour image."""
+        return next((encoding for encoding in _COLOURS if encoding == self.encoding), None)
 
     @property
     def video(self) -> VideoCodec | None:

@@ -124,7 +124,7 @@ class EpisodeBytes:
             is_black = False
             if data is not None and self._decode_frames:
                 try:
-                    darkest = _BLACK if feature.is_colour else 0
+                    darkest = 0 if feature.colour is None else _BLACK
                     video = self._videos.get(key)
                     shown = decode_frame(feature, data) if video is None else video.decode(data)
                     is_black = int(shown.max()) <= darkest

@@ -75,6 +75,8 @@ class ImportOptions:
     """1 to 100; images are compressed again, so a value below the default is visible."""
     lossless: bool = False
     """Whether to store colour images without loss instead."""
+    video: VideoCodec | None = None
+    """Codec of the videos as which to store colour images instead."""
     instruction: str | None = None
     """What the robot was asked to do, if the source does not say."""
     frequency: float | None = None
@@ -110,8 +112,14 @@ class ExportReport:
 
 
 def stored_as(feature: Feature, options: ImportOptions) -> Feature:
-    """Return a feature of an imported dataset, its images encoded according to the options."""
-    return replace(feature, encoding="lossless") if options.lossless and feature.is_colour else feature
+    """Return a feature of an imported dataset, its images encoded according to the options.
+
+    Raises:
+        InvalidSetup: The codec does not support their size.
+    """
+    if feature.colour is None:
+        return feature
+    return replace(feature, encoding="lossless" if options.lossless else options.video or feature.encoding)
 
 
 def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[EpisodeRecord, ...]:
