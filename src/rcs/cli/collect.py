@@ -35,8 +35,8 @@ class CollectCommand(RunOptions):
     most_attempts: int | None = None
     """Attempts after which `--only-success` gives up; by default 100 without a single success, else 20 per episode."""
     colour: Colour = "jpeg"
-    """Encoding of colour frames. Of the space of `jpeg`, the video `h264` takes a quarter to two fifths and `av1` a sixth
-    or less, at some loss of quality and speed; `lossless` takes as much, with sensor noise six times as much."""
+    """Encoding of colour frames. Of the space of `jpeg`, the video `h264` takes a quarter to two fifths and `av1` a
+    sixth or less, at some loss of quality and speed; `lossless` takes as much, with sensor noise six times as much."""
     jpeg_quality: int = 95
     """JPEG quality of colour frames."""
     report: bool = True

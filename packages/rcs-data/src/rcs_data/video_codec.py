@@ -101,7 +101,8 @@ def yuv_frames(images: Iterable[NDArray[Any]], format_: str, fps: int) -> Iterat
 
 def rgb_image(frame: av.VideoFrame, reformatter: VideoReformatter) -> NDArray[np.uint8]:
     """Return a decoded frame as RGB, (H, W, 3) uint8."""
-    return np.asarray(reformatter.reformat(frame, format="rgb24", interpolation=_ACCURATE, threads=1).to_ndarray())
+    rgb = reformatter.reformat(frame, format="rgb24", interpolation=_ACCURATE, threads=1)
+    return np.asarray(rgb.to_ndarray(), np.uint8)
 
 
 def encoded_in_parts(
