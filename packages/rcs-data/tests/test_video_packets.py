@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -317,3 +318,21 @@ def test_rows_may_be_given_as_files_of_another_dataset(tmp_path: Path) -> None:
             episode.add({**row, SIDE: files})
         made = episode.finish(True)
     assert all(psnr(a, b) > 38 for a, b in zip(made.frames(SIDE), one.frames(SIDE), strict=True))
+
+
+def test_rows_wait_for_the_end_of_their_clip_and_no_longer(tmp_path: Path) -> None:
+    episode = record(tmp_path / "set", 100)
+    taken = 0
+
+    def pieces() -> Iterator[pa.Table]:
+        nonlocal taken
+        for row in range(100):
+            taken += 1
+            yield from episode.rows(row, row + 1)
+
+    made = 0
+    for rows in video_packets.packed(episode.info, pieces()):
+        made += rows.num_rows
+        assert taken == made
+        assert rows.num_rows <= 32
+    assert made == 100

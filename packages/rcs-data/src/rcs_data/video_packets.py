@@ -27,7 +27,7 @@ _KEY, _NEXT = b"\x01", b"\x00"
 _HEAD = 5
 # Rows are held until their images are encoded. Each such part begins with key frames, so that its bytes do not depend
 # on how the rows came.
-_ROWS_IN_A_CLIP = 64
+_ROWS_IN_A_CLIP = 32
 
 
 def packed(info: DatasetInfo, pieces: Iterable[pa.Table]) -> Iterator[pa.Table]:
