@@ -173,7 +173,7 @@ def publish(journal: Journal, episode_id: str) -> Path:
 @functools.cache
 def library_versions() -> dict[str, str]:
     """Return the versions of the libraries that determine the written bytes."""
-    return {name: version(name) for name in ("numpy", "pyarrow", "simplejpeg", "av")}
+    return {name: version(name) for name in ("numpy", "pyarrow", "simplejpeg", "av", "isal")}
 
 
 class _StepsWriter:
