@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -28,9 +29,11 @@ from rcs_data import (
     video_codec,
     video_packets,
 )
+from rcs_data.about import read_about
 from rcs_data.convert.lerobot import export_lerobot
 from rcs_data.convert.lerobot_import import import_lerobot
 from rcs_data.convert.options import ExportOptions, ImportOptions
+from rcs_data.durable import sealed, write_file
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.flags import FrameFlag
 
@@ -336,3 +339,18 @@ def test_rows_wait_for_the_end_of_their_clip_and_no_longer(tmp_path: Path) -> No
         assert taken == made
         assert rows.num_rows <= 32
     assert made == 100
+
+
+def test_images_of_another_video_are_found_though_every_file_has_its_hash(tmp_path: Path) -> None:
+    episode = record(tmp_path / "set", 20)
+    with DatasetWriter.open(tmp_path / "other", info_of()) as writer, writer.episode("a", seed=0) as other:
+        for row in rows_of(20):
+            other.add({**row, SIDE: row[SIDE][::-1].copy()})
+        flipped = other.finish(True)
+    frames = (flipped.path / "frames.arrow").read_bytes()
+    (episode.path / "frames.arrow").write_bytes(frames)
+    about = read_about(episode.path)
+    hashes = {**about["sha256"], "frames.arrow": hashlib.sha256(frames).hexdigest()}
+    write_file(episode.path / "episode.json", sealed({**about, "sha256": hashes}))
+    kinds = {finding.kind for finding in check(tmp_path / "set", depth="rows", workers=1).findings}
+    assert "content" in kinds
