@@ -139,7 +139,7 @@ def _column(file: Any, path: str, feature: Feature, steps: int) -> StepColumn:
     values = array(file, path, by_row=path.startswith(_IMAGES))
     if len(values) != steps or not steps:
         raise CorruptEpisode(f"{values.name} in {file.filename} has {len(values)} rows; expected {steps}.")
-    if feature.encoding in ("jpeg", "lossless") and values.ndim == 2:
+    if feature.colour is not None and values.ndim == 2:
         return StepColumn(feature=feature, values=_jpegs(values, feature))
     if values.size != steps * feature.size:
         raise InvalidSetup(f"{values.name} in {file.filename} is {values.shape}; other episodes have {feature.shape}.")

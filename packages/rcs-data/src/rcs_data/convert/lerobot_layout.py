@@ -21,13 +21,13 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from rcs_data.convert.labels import labels, row_texts
-from rcs_data.convert.options import ExportOptions, VideoCodec, selected_cameras
-from rcs_data.convert.video import pixel_format
+from rcs_data.convert.options import ExportOptions, selected_cameras
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
 from rcs_data.reader import EpisodeRecord
 from rcs_data.trajectory import VectorLayout, action_layout, camera_features, state_layout
+from rcs_data.video_format import VideoCodec, pixel_format
 
 STATE, ACTION, IMAGES = "observation.state", "action", "observation.images."
 REWARD, DONE, SUCCESS = "next.reward", "next.done", "next.success"
