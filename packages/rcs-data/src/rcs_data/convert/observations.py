@@ -16,6 +16,9 @@ from rcs_data.info import DatasetInfo
 from rcs_data.reader import EpisodeRecord
 from rcs_data.trajectory import FRAMES, OBSERVATION, VectorLayout
 
+ACTION_DICT = "action_dict/"
+"""Begins the keys of other forms of the action, which are no part of it; zeros in the first row."""
+
 
 @dataclass(frozen=True)
 class FrameKey:
@@ -83,15 +86,20 @@ def named(features: Sequence[Feature], name: Callable[[Feature], str], taken: Se
     return found
 
 
+def is_done(feature: Feature) -> bool:
+    """Return whether a feature describes what a step did, not the observation before it."""
+    is_end = feature.key in ("terminated", "truncated")
+    return is_end or feature.is_unknown_at_reset or feature.key.startswith(ACTION_DICT)
+
+
 def step_values(episode: EpisodeRecord, feature: Feature) -> NDArray[Any]:
     """Return a column of numbers by step: the observation before it, or what it did; shape (steps, *shape).
 
     Raises:
         CorruptEpisode: The episode is damaged.
     """
-    is_after = feature.is_unknown_at_reset or feature.key in ("terminated", "truncated")
     column = episode.column(feature.key)
-    return column[1:] if is_after else column[:-1]
+    return column[1:] if is_done(feature) else column[:-1]
 
 
 def describe_layout(layout: VectorLayout) -> list[dict[str, Any]]:

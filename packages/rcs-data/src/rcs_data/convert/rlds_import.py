@@ -29,14 +29,13 @@ from numpy.typing import NDArray
 from rcs_data.about import MOST_ROWS
 from rcs_data.codec import decode_frame, decode_jpeg
 from rcs_data.convert.labels import LABELS, numbered
-from rcs_data.convert.observations import kept_info
+from rcs_data.convert.observations import ACTION_DICT, kept_info
 from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
 from rcs_data.convert.png import SIGNATURE, decode_png, png_shape
 from rcs_data.convert.provenance import checked_provenance
 from rcs_data.convert.rlds import RCS_FILE
 from rcs_data.convert.rlds_features import Stored, stored_features
 from rcs_data.convert.steps import (
-    ACTION_DICT,
     EpisodeAbout,
     Record,
     StepColumn,

@@ -21,17 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs_data.convert.hdf5 import array, camera_feature, is_numeric, number_feature, reading_hdf5, rows_of
-from rcs_data.convert.observations import kept_info
+from rcs_data.convert.observations import ACTION_DICT, is_done, kept_info
 from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
 from rcs_data.convert.provenance import checked_provenance
 from rcs_data.convert.robomimic import LAST_STATE, PROVENANCE, RCS, VERDICTS
 from rcs_data.convert.steps import (
-    ACTION_DICT,
     EpisodeAbout,
     StepColumn,
     about_of_provenance,
     import_episodes,
-    is_done,
     record_steps,
 )
 from rcs_data.errors import CorruptEpisode, InvalidSetup
