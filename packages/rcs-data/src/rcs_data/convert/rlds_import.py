@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from rcs_data.about import MOST_ROWS
 from rcs_data.codec import decode_frame, decode_jpeg
 from rcs_data.convert.labels import LABELS, numbered
-from rcs_data.convert.observations import ACTION_DICT, kept_info
+from rcs_data.convert.observations import ACTION_DICT, camera_feature, kept_info
 from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
 from rcs_data.convert.png import SIGNATURE, decode_png, png_shape
 from rcs_data.convert.provenance import checked_provenance
@@ -107,7 +107,7 @@ def import_rlds(source: str | Path, out: str | Path, options: ImportOptions | No
     if folder is None:
         raise InvalidSetup(f"{source} has no dataset of TensorFlow Datasets: no single folder with dataset_info.json.")
     shards = _shards(folder)
-    chosen = set(selected_numbers(options.episodes, range(sum(shard.episodes for shard in shards))))
+    chosen = set(selected_numbers(options.episodes, range(sum(len(shard.numbers) for shard in shards))))
     needed = [shard for shard in shards if chosen & {*shard.numbers}]
     found = [shard for shard in needed if shard.path.is_file()]
     if not found or (len(found) < len(needed) and not options.allow_missing):
@@ -135,14 +135,8 @@ class _Shard:
 
     path: Path
     split: str
-    first: int
-    """The number of its first episode."""
-    episodes: int
-
-    @property
-    def numbers(self) -> range:
-        """The numbers of its episodes."""
-        return range(self.first, self.first + self.episodes)
+    numbers: range
+    """The numbers of its episodes."""
 
 
 def _shards(folder: Path) -> list[_Shard]:
@@ -160,7 +154,7 @@ def _shards(folder: Path) -> list[_Shard]:
                 name = shard_name(f"{about['name']}-{split['name']}.tfrecord", i, len(lengths))
                 if "/" in name or "\0" in name or not 0 <= episodes <= _MOST_EPISODES - first:
                     raise CorruptEpisode(f"{path} is damaged: {name!r:.80} cannot have {episodes} episodes.")
-                shards.append(_Shard(folder / name, str(split["name"]), first, episodes))
+                shards.append(_Shard(folder / name, str(split["name"]), range(first, first + episodes)))
                 first += episodes
     except (KeyError, TypeError, ValueError, AttributeError) as err:
         if isinstance(err, CorruptEpisode):
@@ -177,7 +171,7 @@ def _episodes(
         numbers = [number for number in shard.numbers if number in chosen]
         count = 0
         try:
-            wanted = {number - shard.first for number in numbers}
+            wanted = {number - shard.numbers.start for number in numbers}
             for number, example in zip(numbers, read_examples(shard.path, wanted), strict=False):
                 count += 1
                 yield number, partial(_record, example=example, plan=plan, index=number, split=shard.split)
@@ -194,11 +188,20 @@ def _plan(folder: Path, first: _Shard, options: ImportOptions) -> _Plan:
         raise InvalidSetup(f"{folder} has no steps; episodes of RLDS are a dataset of steps each.")
     example = next(read_examples(first.path), {})
     ours = read_json(folder / RCS_FILE) if (folder / RCS_FILE).is_file() else None
+    sources: list[_Source] = []
     left_out: dict[str, str] = {}
     texts: dict[str, Feature] = {}
     if ours is None:
-        sources = _foreign_sources(steps, example, left_out, options)
-        texts = {path: _text_feature(path) for path, stored in steps.items() if stored.kind == "text"}
+        for path, stored in steps.items():
+            name = path.removeprefix("steps/")
+            try:
+                if stored.kind == "text":
+                    texts[path] = Feature(key=f"imported/{name.rpartition('/')[2]}", shape=(), dtype="int32")
+                elif name != "is_first":
+                    feature = _feature(name, stored, example.get(path), options)
+                    sources.append(_Source(path=path, stored=stored, features=(feature,)))
+            except InvalidSetup as err:
+                left_out[name] = str(err)
         if not options.frequency:
             raise InvalidSetup(f"{folder} does not state its control rate, as no dataset of RLDS does; give frequency.")
         info = DatasetInfo(
@@ -218,10 +221,6 @@ def _plan(folder: Path, first: _Shard, options: ImportOptions) -> _Plan:
         texts=texts,
         has_provenance=ours is not None and "episode_metadata/provenance" in described,
     )
-
-
-def _text_feature(path: str) -> Feature:
-    return Feature(key=f"imported/{path.removeprefix('steps/').rpartition('/')[2]}", shape=(), dtype="int32")
 
 
 def _own_sources(
@@ -252,27 +251,7 @@ def _own_sources(
     return sources, replace(info, features=features, sim_state_size=None)
 
 
-def _foreign_sources(
-    steps: Mapping[str, Stored],
-    example: Mapping[str, StoredValues],
-    left_out: dict[str, str],
-    options: ImportOptions,
-) -> list[_Source]:
-    sources: list[_Source] = []
-    for path, stored in steps.items():
-        name = path.removeprefix("steps/")
-        if stored.kind == "text" or name == "is_first":
-            continue
-        try:
-            feature = _feature(name, stored, example.get(path))
-        except InvalidSetup as err:
-            left_out[name] = str(err)
-            continue
-        sources.append(_Source(path=path, stored=stored, features=(stored_as(feature, options),)))
-    return sources
-
-
-def _feature(name: str, stored: Stored, values: StoredValues | None) -> Feature:
+def _feature(name: str, stored: Stored, values: StoredValues | None, options: ImportOptions) -> Feature:
     """Return the feature that a column of others becomes.
 
     Raises:
@@ -284,10 +263,9 @@ def _feature(name: str, stored: Stored, values: StoredValues | None) -> Feature:
         if min(shape, default=-1) < 1 and values is not None:
             shape = _image_shape(next(values.strings(), memoryview(b"")))
         camera = rest if folder == "observation" and rest else name
-        if stored.dtype == "uint8" and len(shape) == 3 and shape[2] == 3:
-            return Feature(key=f"observation/frames/{camera}/rgb", shape=shape, dtype="uint8", encoding="jpeg")
-        if stored.dtype == "uint16" and len(shape) in (2, 3) and shape[2:] in ((), (1,)):
-            return Feature(key=f"observation/frames/{camera}/depth", shape=shape[:2], dtype="uint16", encoding="depth")
+        feature = camera_feature(camera, shape, stored.dtype, options)
+        if feature is not None:
+            return feature
         raise InvalidSetup(f"its images are {shape} {stored.dtype}")
     if stored.kind == "other":
         raise InvalidSetup(f"it is {stored.about}")
