@@ -21,7 +21,7 @@ from rcs_data.convert.lerobot_layout import PROVENANCE_FILE, RCS_FILE, SUCCESS
 from rcs_data.convert.lerobot_mapping import FeatureMapping, feature_mapping
 from rcs_data.convert.lerobot_source import LeRobotSource, SourceEpisode, refuse_pointer
 from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
-from rcs_data.convert.provenance import by_episode, checked_provenance
+from rcs_data.convert.provenance import checked_provenance
 from rcs_data.convert.steps import (
     EpisodeAbout,
     Record,
@@ -144,7 +144,11 @@ def _provenance(source: LeRobotSource, ours: Mapping[str, Any] | None) -> dict[i
     if ours is None or not path.is_file():
         return {}
     refuse_pointer(path)
-    found = by_episode([checked_provenance(row, path) for row in read_json_lines(path)], path)
+    found: dict[int, dict[str, Any]] = {}
+    for row in read_json_lines(path):
+        if type(index := checked_provenance(row, path).get("episode_index")) is not int:
+            raise CorruptEpisode(f"{path} is damaged: {row!r:.80} has no whole number episode_index.")
+        found[index] = row
     if {index: row["rows"] - 1 for index, row in found.items()} == source.lengths:
         return found
     if ours.get("depths"):
