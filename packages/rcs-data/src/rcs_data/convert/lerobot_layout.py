@@ -21,6 +21,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from rcs_data.convert.labels import labels, row_texts
+from rcs_data.convert.observations import is_done
 from rcs_data.convert.options import ExportOptions, selected_cameras
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
@@ -64,9 +65,7 @@ class Column:
     @property
     def is_after(self) -> bool:
         """Whether it describes what a step did, not the observation before."""
-        return all(
-            feature.is_unknown_at_reset or feature.key in ("terminated", "truncated") for feature in self.parts.features
-        )
+        return all(is_done(feature) for feature in self.parts.features)
 
     def to_json(self) -> dict[str, Any]:
         """Return what an import needs, as JSON values."""

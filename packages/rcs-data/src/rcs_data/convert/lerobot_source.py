@@ -70,13 +70,12 @@ class SourceEpisode:
         kind = column.type.value_type if pa.types.is_fixed_size_list(column.type) else column.type
         if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
             raise CorruptEpisode(f"Column {name!r} of episode {self.index} has {column.type} instead of numbers.")
-        numbers = flat_numbers(column)
-        if numbers.size != len(self.table) * int(np.prod(shape)):
-            rows = len(self.table)
+        numbers, rows = flat_numbers(column), len(self.table)
+        if numbers.size != rows * int(np.prod(shape)):
             raise CorruptEpisode(
                 f"Column {name!r} of episode {self.index} has {numbers.size} numbers in {rows} rows of {shape}."
             )
-        return numbers.reshape(len(self.table), *shape)
+        return numbers.reshape(rows, *shape)
 
     def images(
         self, name: str, feature: Feature, readers: dict[str, VideoReader], fps: float
@@ -159,7 +158,7 @@ class LeRobotSource:
             raise CorruptEpisode(f"{path} is damaged: total_frames is {frames!r:.80} and chunks_size {chunks!r:.80}.")
         self.frames, self._chunks_size = frames, chunks
         try:
-            self._lengths, self._about = self._read_episodes()
+            self._about = self._read_episodes()
             self.tasks = self._read_tasks()
             path = root / "meta" / "subtasks.parquet"
             self.subtasks = self._read_texts(path, "subtask_index") if path.is_file() else {}
@@ -167,13 +166,9 @@ class LeRobotSource:
             raise
         except (KeyError, TypeError, OSError, pa.ArrowException) as err:
             raise CorruptEpisode(f"The description of the LeRobot dataset in {root} is damaged: {err!r}.") from err
-        if not self._lengths:
+        if not self._about:
             raise InvalidSetup(f"The LeRobot dataset in {root} has no episodes.")
-
-    @property
-    def lengths(self) -> dict[int, int]:
-        """The number of frames of each episode."""
-        return dict(self._lengths)
+        self.lengths = {index: int(row["length"]) for index, row in self._about.items()}
 
     def files(self, episodes: Sequence[int]) -> dict[Path, list[int]]:
         """Return the episodes in each Parquet file, relative to the folder."""
@@ -226,8 +221,7 @@ class LeRobotSource:
             for index, group in groupby(parts, itemgetter(0)):
                 if index in left:
                     rows = pa.concat_tables([part for _, part in group])
-                    if len(rows) != self._lengths[index]:
-                        told = self._lengths[index]
+                    if len(rows) != (told := self.lengths[index]):
                         raise CorruptEpisode(f"Episode {index} of {self.root} has {len(rows)} rows; expected {told}.")
                     left.remove(index)
                     yield index, rows
@@ -267,7 +261,7 @@ class LeRobotSource:
                 )
         return features
 
-    def _read_episodes(self) -> tuple[dict[int, int], dict[int, dict[str, Any]]]:
+    def _read_episodes(self) -> dict[int, dict[str, Any]]:
         if self.version != "v3.0":
             rows = read_json_lines(self.root / "meta" / "episodes.jsonl")
         else:
@@ -283,7 +277,7 @@ class LeRobotSource:
             if type(index) is not int or type(length) is not int or index < 0 or length < 0:
                 raise CorruptEpisode(f"{self.root} describes an episode {index!r} of length {length!r}.")
             about[index] = row
-        return {index: row["length"] for index, row in about.items()}, about
+        return about
 
     def _read_tasks(self) -> dict[int, str]:
         if self.version != "v3.0":

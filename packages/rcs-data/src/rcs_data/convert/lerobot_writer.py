@@ -58,23 +58,11 @@ class LeRobotWriter(ABC):
     video_path: str
 
     def __init__(self, root: Path, layout: LeRobotLayout, robot: str, tasks: list[str], subtasks: list[str]) -> None:
-        """Start a dataset.
-
-        Args:
-            root: Its folder.
-            layout: The columns and videos.
-            robot: Name of the robot.
-            tasks: All instructions.
-            subtasks: All subtasks.
-        """
-        self.root = root
-        self.layout = layout
-        self._robot = robot
-        self._tasks = tasks
-        self._subtasks = subtasks
+        """Start a dataset of a robot with all its instructions and subtasks, in the folder `root`."""
+        self.root, self.layout, self._robot = root, layout, robot
+        self._tasks, self._subtasks = tasks, subtasks
         self._total = DatasetStats()
-        self.episodes = 0
-        self._frames = 0
+        self.episodes = self._frames = 0
 
     def add(self, episode: EncodedEpisode) -> None:
         """Write the next episode."""
@@ -101,7 +89,7 @@ class LeRobotWriter(ABC):
             "fps": self.layout.fps,
             "splits": {"train": f"0:{self.episodes}"},
             "features": self.layout.features(),
-            **self._finish(meta, self._tasks),
+            **self._finish(meta),
             "data_path": self.data_path,
             "video_path": self.video_path if self.layout.cameras else None,
         }
@@ -119,7 +107,7 @@ class LeRobotWriter(ABC):
         """Write an episode's rows, videos and description."""
 
     @abstractmethod
-    def _finish(self, meta: Path, tasks: list[str]) -> dict[str, Any]:
+    def _finish(self, meta: Path) -> dict[str, Any]:
         """Close all files, write the tasks, and return what else `info.json` has."""
 
 
@@ -144,10 +132,10 @@ class V21Writer(LeRobotWriter):
         self._about.append(about)
         self._stats.append({"episode_index": episode.index, "stats": episode.stats})
 
-    def _finish(self, meta: Path, tasks: list[str]) -> dict[str, Any]:
+    def _finish(self, meta: Path) -> dict[str, Any]:
         write_json_lines(meta / "episodes.jsonl", self._about)
         write_json_lines(meta / "episodes_stats.jsonl", self._stats)
-        write_json_lines(meta / "tasks.jsonl", ({"task_index": i, "task": t} for i, t in enumerate(tasks)))
+        write_json_lines(meta / "tasks.jsonl", ({"task_index": i, "task": t} for i, t in enumerate(self._tasks)))
         return {"total_videos": self.episodes * len(self.layout.cameras), "total_chunks": -(-self.episodes // CHUNK)}
 
 
@@ -180,7 +168,7 @@ class V3Writer(LeRobotWriter):
         self._data.close()
         self._about.close()
         for video in self._videos.values():
-            video.abort()
+            video.close(is_whole=False)
 
     def _place(self, episode: EncodedEpisode, about: dict[str, Any]) -> None:
         length = episode.table.num_rows
@@ -214,13 +202,13 @@ class V3Writer(LeRobotWriter):
         self._about.write(table)
         self._waiting.clear()
 
-    def _finish(self, meta: Path, tasks: list[str]) -> dict[str, Any]:
+    def _finish(self, meta: Path) -> dict[str, Any]:
         self._flush()
         self._data.close()
         self._about.close()
         for video in self._videos.values():
             video.close()
-        pq.write_table(_text_table(tasks, "task_index"), meta / "tasks.parquet")
+        pq.write_table(_text_table(self._tasks, "task_index"), meta / "tasks.parquet")
         return {"data_files_size_in_mb": _DATA_MB, "video_files_size_in_mb": _VIDEO_MB}
 
 
@@ -228,10 +216,7 @@ class _GrowingParquet:
     """Tables in files of limited size, `chunk-000/file-000.parquet` and so on."""
 
     def __init__(self, root: Path, limit: int) -> None:
-        self._root = root
-        self._limit = limit
-        self._files = 0
-        self._path = root
+        self._root, self._limit, self._files, self._path = root, limit, 0, root
         self._writer: pq.ParquetWriter | None = None
 
     def place(self, size: int) -> tuple[int, int]:
@@ -259,35 +244,25 @@ class _GrowingVideo:
     """Joins videos of episodes to files of limited size."""
 
     def __init__(self, root: Path, fps: int, limit: int) -> None:
-        self._root = root
-        self._fps = fps
-        self._limit = limit
-        self._files = 0
+        self._root, self._fps, self._limit, self._files = root, fps, limit, 0
         self._joiner: VideoJoiner | None = None
 
     def add(self, path: Path) -> tuple[int, int, int]:
         """Append a video and return its chunk number, file number and first frame."""
-        if self._joiner is not None:
-            is_full = self._joiner.size + path.stat().st_size > self._limit
-            if is_full or not self._joiner.takes(path):
-                self.close()
+        open_ = self._joiner
+        if open_ is not None and (open_.size + path.stat().st_size > self._limit or not open_.takes(path)):
+            self.close()
         if self._joiner is None:
             self._joiner = VideoJoiner(_parent_made(self._root / _shared(self._files, "mp4")), self._fps)
             self._files += 1
         first = self._joiner.append(path)
         return *divmod(self._files - 1, CHUNK), first
 
-    def close(self) -> None:
-        """Complete the open file."""
-        if self._joiner is not None:
-            self._joiner.close()
-            self._joiner = None
-
-    def abort(self) -> None:
-        """Close the open file without completing it."""
-        if self._joiner is not None:
-            self._joiner.abort()
-            self._joiner = None
+    def close(self, *, is_whole: bool = True) -> None:
+        """Complete the open file, or close it without that."""
+        joiner, self._joiner = self._joiner, None
+        if joiner is not None:
+            (joiner.close if is_whole else joiner.abort)()
 
 
 def write_json(path: Path, values: Any) -> None:

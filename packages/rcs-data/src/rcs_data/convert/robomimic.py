@@ -28,10 +28,9 @@ from numpy.typing import NDArray
 
 from rcs_data.codec import decode_frame
 from rcs_data.convert.hdf5 import load_h5py
-from rcs_data.convert.observations import FrameKey, describe_layout, kept_info, named, observed
+from rcs_data.convert.observations import ACTION_DICT, FrameKey, describe_layout, kept_info, named, observed
 from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
-from rcs_data.convert.steps import ACTION_DICT
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
 from rcs_data.output import new_output, size_on_disk

@@ -15,20 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs_data.convert.observations import is_done
 from rcs_data.convert.options import ImportOptions
 from rcs_data.errors import CorruptEpisode
 from rcs_data.feature import Feature
+from rcs_data.flags import FrameFlag
 from rcs_data.info import DatasetInfo
 from rcs_data.output import new_output
 from rcs_data.reader import Dataset
 from rcs_data.rows import Value
 from rcs_data.writer import DatasetWriter
 
-ACTION_DICT = "action_dict/"
-"""Begins the keys of other forms of the action, which are no part of it; zeros in the first row."""
-
 _PROGRESS_ROWS = 32
-_AFTER = ("terminated", "truncated")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,11 +109,6 @@ def leave_out(what: str, err: CorruptEpisode, options: ImportOptions) -> None:
         options.on_note(f"{what} was left out: {err}")
 
 
-def is_done(feature: Feature) -> bool:
-    """Return whether a feature describes what a step did, not the observation before it."""
-    return feature.is_unknown_at_reset or feature.key in _AFTER or feature.key.startswith(ACTION_DICT)
-
-
 def about_of_provenance(came: Mapping[str, Any], imported: Mapping[str, Any]) -> EpisodeAbout:
     """Return what a checked `provenance` stores of an episode."""
     return EpisodeAbout(
@@ -173,12 +166,14 @@ def _value(column: StepColumn, values: Iterator[Any], row: int, steps: int, befo
             raise CorruptEpisode(f"There are fewer values of {feature.key!r} than rows.")
     elif column.last is not None:
         value = column.last
+    elif feature.is_flags:
+        value = np.asarray(before[feature.key]) | FrameFlag.REPEATED
     else:
         return None if feature.is_image or feature.is_time else before[feature.key]
     if isinstance(value, bytes) or value is None:
         return value
     value = np.asarray(value, feature.numpy_dtype).reshape(feature.shape)[()]
-    unknown = (row == 0 and feature.is_unknown_at_reset) or (feature.is_time and bool(np.isnan(value)))
+    unknown = (row == 0 and feature.is_unknown_at_reset) or (feature.is_time and not np.isfinite(value))
     return None if unknown else value
 
 
