@@ -23,11 +23,7 @@ _MOST_CHUNK = 1 << 28
 
 
 def load_h5py() -> Any:
-    """Return the package h5py.
-
-    Raises:
-        MissingDependency: It is not installed.
-    """
+    """Return the package h5py; MissingDependency if it is not installed."""
     try:
         return importlib.import_module("h5py")
     except ImportError as err:
@@ -121,10 +117,6 @@ def rows_of(values: Any, feature: Feature) -> Iterator[NDArray[Any]]:
 
 
 def number_feature(key: str, values: Any) -> Feature:
-    """Return the feature of an array of numbers, a row per step.
-
-    Raises:
-        InvalidSetup: Its shape or dtype cannot be stored.
-    """
+    """Return the feature of an array of numbers, a row per step; InvalidSetup if it cannot be stored."""
     dtype = "float32" if values.dtype == np.float16 else values.dtype.newbyteorder("=").name
     return Feature(key=key, shape=values.shape[1:], dtype=dtype)

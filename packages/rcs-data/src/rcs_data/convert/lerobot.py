@@ -133,11 +133,7 @@ class _Job:
     """The number of each subtask."""
 
     def encode(self, given: tuple[int, int, EpisodeRecord]) -> EncodedEpisode:
-        """Return an episode with its videos in the temporary folder.
-
-        Args:
-            given: Its number, the number of its first frame, and the episode.
-        """
+        """Return an episode, given its number, its first frame's and itself; its videos are in the temporary folder."""
         index, first, episode = given
         tasks = _texts(episode, self.layout, TASK)
         texts = {"task_index": np.array([self.tasks[text] for text in tasks])}

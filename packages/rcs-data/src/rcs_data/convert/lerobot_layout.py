@@ -146,13 +146,10 @@ class LeRobotLayout:
         """Return the columns of an episode, each of shape (steps, size).
 
         Args:
-            episode: The episode.
+            episode: The episode; CorruptEpisode if it is damaged.
             index: Its number among the exported ones.
             first: The number of its first frame in the dataset.
             texts: `task_index` and, if there are any, `subtask_index`, shape (steps,).
-
-        Raises:
-            CorruptEpisode: The episode is damaged.
         """
         steps = episode.length - 1
         arrays = {c.name: _values(c, episode) for c in self.columns}
@@ -185,12 +182,7 @@ class LeRobotLayout:
 
 
 def lerobot_layout(info: DatasetInfo, episodes: Sequence[EpisodeRecord], options: ExportOptions) -> LeRobotLayout:
-    """Choose the columns and videos.
-
-    Args:
-        info: What the dataset's episodes share.
-        episodes: Those to export.
-        options: Features and cameras to export.
+    """Choose the columns and videos of an export of these episodes.
 
     Raises:
         InvalidSetup: The rate is not a whole number, a feature or camera is unknown, or the codec does not support its

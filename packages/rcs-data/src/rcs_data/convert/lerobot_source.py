@@ -59,11 +59,7 @@ class SourceEpisode:
     """Its videos by column."""
 
     def numbers(self, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-        """Return a column of numbers, shape (frames, *shape).
-
-        Raises:
-            CorruptEpisode: There are too few or too many numbers.
-        """
+        """Return a column of numbers, shape (frames, *shape); CorruptEpisode if there are too few or too many."""
         column = self._column(name).combine_chunks()
         while pa.types.is_list(column.type) or pa.types.is_large_list(column.type):
             column = column.flatten()
@@ -135,9 +131,6 @@ class LeRobotSource:
     def __init__(self, root: Path) -> None:
         """Read its description.
 
-        Args:
-            root: The folder.
-
         Raises:
             DatasetError: There is no such dataset, or its version is not supported.
             CorruptEpisode: Its description is damaged.
@@ -183,11 +176,7 @@ class LeRobotSource:
         return self.features[name]["dtype"] == "video"
 
     def video(self, name: str, index: int) -> VideoPlace:
-        """Return the place of an episode's video.
-
-        Raises:
-            CorruptEpisode: The description of the episode has none.
-        """
+        """Return the place of an episode's video; CorruptEpisode if its description has none."""
         start = self._about[index].get(f"videos/{name}/from_timestamp") if self.version == "v3.0" else 0.0
         if not isinstance(start, int | float) or not 0 <= start < math.inf:
             raise CorruptEpisode(f"The video {name!r} of episode {index} in {self.root} begins at {start!r} s.")
@@ -197,12 +186,7 @@ class LeRobotSource:
     def rows(
         self, path: Path, episodes: Sequence[int], columns: Sequence[str] | None = None
     ) -> Iterator[tuple[int, pa.Table]]:
-        """Yield episodes of one file with their rows, one at a time in memory.
-
-        Args:
-            path: The file, relative to the folder.
-            episodes: Those to read.
-            columns: The columns to read, besides `episode_index`; None for all.
+        """Yield the rows of a file's `episodes`, one episode at a time in memory; of all `columns` if they are None.
 
         Raises:
             CorruptEpisode: Rows are missing or damaged.
@@ -298,11 +282,7 @@ class LeRobotSource:
 
 
 def refuse_pointer(path: Path) -> None:
-    """Raise if Git has left a pointer in place of a large file.
-
-    Raises:
-        CorruptEpisode: It has; the message says what to do.
-    """
+    """Raise CorruptEpisode, which says what to do, if Git has left a pointer in place of a large file."""
     if not path.is_file():  # opening a pipe would never end
         return
     try:
@@ -317,13 +297,9 @@ def refuse_pointer(path: Path) -> None:
 
 
 def filled(pattern: object, values: Mapping[str, object]) -> Path:
-    """Return the path of a pattern such as "videos/{video_key}/episode_{episode_index:06d}.mp4".
+    """Return the path of a pattern such as "videos/{video_key}/episode_{episode_index:06d}.mp4", given its values.
 
     Not with `str.format`, since an untrusted pattern could access attributes and make texts of any length.
-
-    Args:
-        pattern: The pattern, from a file.
-        values: Values of its names.
 
     Raises:
         CorruptEpisode: It is not a pattern, or leads out of its folder.

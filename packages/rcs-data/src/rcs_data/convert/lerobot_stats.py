@@ -44,11 +44,7 @@ def weighted(values: NDArray[np.float64], counts: NDArray[np.int64]) -> dict[str
 
 
 def episode_stats(columns: dict[str, NDArray[Any]]) -> dict[str, Stats]:
-    """Return the statistics of columns of numbers; a column with a number that was never measured has none.
-
-    Args:
-        columns: Rows by name, each of shape (rows, size); NaN is left out.
-    """
+    """Return the statistics of columns of shape (rows, size) but for NaN; one with a number never measured has none."""
     rows = np.concatenate([values.astype(np.float64) for values in columns.values()], axis=1)
     ordered = np.sort(np.where(np.isfinite(rows), rows, np.nan), axis=0)
     counts = np.isfinite(ordered).astype(np.int64)
@@ -69,11 +65,7 @@ class ImageHistogram:
     """A histogram of each channel's 256 values, over a sample of frames and pixels."""
 
     def __init__(self, frames: int = 0) -> None:
-        """Start empty.
-
-        Args:
-            frames: Number of frames that will be given to `add`; 100 of them, evenly spaced, are counted.
-        """
+        """Start empty; of the `frames` that will be given to `add`, 100 are counted, evenly spaced."""
         self.sampled = 0
         self.counts = np.zeros((256, 3), np.int64)
         self._stride = max(1, math.ceil(frames / _SAMPLED_FRAMES))

@@ -73,11 +73,7 @@ class LeRobotWriter(ABC):
         self._frames += length
 
     def finish(self) -> None:
-        """Close all files and write those that need all episodes.
-
-        Raises:
-            DatasetError: A video has wrong frames.
-        """
+        """Close all files and write those that need all episodes; DatasetError if a video has wrong frames."""
         meta = self.root / "meta"
         info = {
             "codebase_version": self.codebase_version,
@@ -147,13 +143,7 @@ class V3Writer(LeRobotWriter):
     video_path = "videos/{video_key}/" + _SHARED + ".mp4"
 
     def __init__(self, *given: Any, data_limit: int = _DATA_MB << 20, video_limit: int = _VIDEO_MB << 20) -> None:
-        """Start a dataset; see `LeRobotWriter`.
-
-        Args:
-            given: What that takes.
-            data_limit: Size at which a new Parquet file begins [B].
-            video_limit: Size at which a new video begins [B].
-        """
+        """Start a dataset; see `LeRobotWriter`. A new Parquet file or video begins at these sizes [B]."""
         super().__init__(*given)
         self._data = _GrowingParquet(self.root / "data", data_limit)
         self._about = _GrowingParquet(self.root / "meta" / "episodes", data_limit)

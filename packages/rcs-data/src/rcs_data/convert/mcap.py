@@ -156,10 +156,7 @@ def _frame_times(episode: EpisodeRecord, camera: str, rows: NDArray[np.int64]) -
 
 
 def _messages(episode: EpisodeRecord, feature: Feature, rows: NDArray[np.int64]) -> Iterator[dict[str, Any] | None]:
-    """Yield the values of a feature's message in each row, those of an image with its time; None for no message.
-
-    There is none where an image or a held value is that of the row before.
-    """
+    """Yield the values of a feature's message by row; None where an image or a held value is that of the row before."""
     frame = FrameKey.of(feature.key)
     camera = "" if frame is None else frame.camera
     last: Any = None

@@ -39,15 +39,7 @@ class FrameKey:
 
 
 def kept_info(info: DatasetInfo, options: ExportOptions | ImportOptions) -> DatasetInfo:
-    """Return the info without the features of cameras that are not chosen.
-
-    Args:
-        info: What the dataset's episodes share.
-        options: The cameras.
-
-    Raises:
-        InvalidSetup: A camera is unknown.
-    """
+    """Return the info without the features of cameras that are not chosen; InvalidSetup if one is unknown."""
     frame_keys = {feature.key: FrameKey.of(feature.key) for feature in info.features}
     known = list(dict.fromkeys(key.camera for key in frame_keys.values() if key is not None))
     dropped = set(known) - set(selected_cameras(known, options))
@@ -88,11 +80,7 @@ def is_done(feature: Feature) -> bool:
 
 
 def camera_feature(camera: str, shape: tuple[int, ...], dtype: str, options: ImportOptions) -> Feature | None:
-    """Return the feature of imported images, colour of 8 bits or depth of 16; None if they are neither.
-
-    Raises:
-        InvalidSetup: The shape cannot be stored.
-    """
+    """Return the feature of imported images, colour of 8 bits or depth of 16; None if they are neither."""
     key = f"{OBSERVATION}/{FRAMES}/{camera}"
     if dtype == "uint8" and len(shape) == 3 and shape[2] == 3:
         return stored_as(Feature(key=f"{key}/rgb", shape=shape, dtype=dtype, encoding="jpeg"), options)
@@ -102,11 +90,7 @@ def camera_feature(camera: str, shape: tuple[int, ...], dtype: str, options: Imp
 
 
 def step_values(episode: EpisodeRecord, feature: Feature) -> NDArray[Any]:
-    """Return a column of numbers by step: the observation before it, or what it did; shape (steps, *shape).
-
-    Raises:
-        CorruptEpisode: The episode is damaged.
-    """
+    """Return a column of numbers by step: the observation before it, or what it did; shape (steps, *shape)."""
     column = episode.column(feature.key)
     return column[1:] if is_done(feature) else column[:-1]
 

@@ -19,7 +19,7 @@ def episode_provenance(episode: EpisodeRecord, digest: str) -> dict[str, Any]:
 
     Args:
         episode: The episode.
-        digest: The digest of its dataset, as `Dataset.digest` returns it.
+        digest: That of its dataset, as `Dataset.digest` returns it.
 
     Raises:
         CorruptEpisode: The episode's description is damaged.
@@ -41,11 +41,7 @@ def episode_provenance(episode: EpisodeRecord, digest: str) -> dict[str, Any]:
 
 
 def checked_provenance(values: Any, path: Path | str) -> dict[str, Any]:
-    """Return checked values of `episode_provenance` that a format stored.
-
-    Args:
-        values: The stored values.
-        path: The file, for the message.
+    """Return checked values of `episode_provenance` that a file stored.
 
     Raises:
         CorruptEpisode: A field is missing or not valid.

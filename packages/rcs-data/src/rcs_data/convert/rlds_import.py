@@ -214,11 +214,7 @@ def _foreign_sources(
 
 
 def _feature(name: str, stored: Stored, values: StoredValues | None, options: ImportOptions) -> Feature:
-    """Return the feature that a column of others becomes.
-
-    Raises:
-        InvalidSetup: It cannot be one; the message says why.
-    """
+    """Return the feature that a column of others becomes; InvalidSetup, with the reason, if it cannot be one."""
     folder, _, rest = name.partition("/")
     if stored.kind == "image":
         shape = stored.shape

@@ -78,11 +78,7 @@ class Contents:
 
     @property
     def scene_camera(self) -> str:
-        """The camera that shows the scene: the first that is not called after a wrist.
-
-        Raises:
-            InvalidSetup: There is no camera.
-        """
+        """The first camera that is not called after a wrist, which shows the scene; InvalidSetup if there is none."""
         if not self.cameras:
             raise InvalidSetup("The dataset has no camera, and these policies look at pictures.")
         return next((name for name in self.cameras if not is_wrist(name)), next(iter(self.cameras)))
