@@ -31,6 +31,7 @@ from rcs_data.convert.observations import (
     FrameKey,
     as_float32,
     describe_layout,
+    export_report,
     kept_info,
     named,
     observed,
@@ -44,7 +45,7 @@ from rcs_data.convert.tfrecord import ShardWriter, Values
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
-from rcs_data.output import new_output, size_on_disk
+from rcs_data.output import new_output
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.trajectory import Trajectory, VectorLayout, action_layout, state_layout, trajectory
 
@@ -121,15 +122,9 @@ def export_rlds(dataset: Dataset, out: str | Path, options: ExportOptions | None
         }
         _write_json(folder / RCS_FILE, about)
     images = sum(1 for column in columns.values() if "image" in column.spec)
-    narrowed = sorted({f.key for f in observed(info) if f.dtype == "float64"})
-    return ExportReport(
-        path=target / VERSION,
-        episodes=len(episodes),
-        steps=total,
-        frames=images * total,
-        bytes_written=size_on_disk(target),
-        notes=("64-bit numbers became float32, the only float type of the format.",) if narrowed else (),
-    )
+    narrowed = any(feature.dtype == "float64" for feature in observed(info))
+    notes = ("64-bit numbers became float32, the only float type of the format.",) if narrowed else ()
+    return export_report(target / VERSION, episodes, images * total, notes)
 
 
 def _columns(
