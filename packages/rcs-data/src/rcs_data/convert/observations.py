@@ -7,9 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rcs_data.convert.options import ExportOptions, ExportReport, ImportOptions, selected_cameras, stored_as
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
@@ -91,12 +88,6 @@ def camera_feature(camera: str, shape: tuple[int, ...], dtype: str, options: Imp
     return None
 
 
-def step_values(episode: EpisodeRecord, feature: Feature) -> NDArray[Any]:
-    """Return a column of numbers by step: the observation before it, or what it did; shape (steps, *shape)."""
-    column = episode.column(feature.key)
-    return column[1:] if is_done(feature) else column[:-1]
-
-
 def export_report(
     path: Path, episodes: Sequence[EpisodeRecord], frames: int, notes: Iterable[str] = ()
 ) -> ExportReport:
@@ -114,8 +105,3 @@ def describe_layout(layout: VectorLayout) -> list[dict[str, Any]]:
         {"key": feature.key, "start": place.start, "end": place.stop, "unit": feature.unit}
         for feature, place in zip(layout.features, layout.slices.values(), strict=True)
     ]
-
-
-def as_float32(values: NDArray[Any]) -> NDArray[np.float32]:
-    """Return numbers as float32, as most trainers keep them."""
-    return np.ascontiguousarray(values, np.float32)

@@ -165,15 +165,10 @@ def _write_demo(
 def _write_images(demo: Any, name: str, episode: EpisodeRecord, feature: Feature, compress: bool) -> None:
     """Write an image per step to `obs` and the one after it to `next_obs`, each decoded and compressed once."""
     shape = feature.shape if len(feature.shape) == 3 else (*feature.shape, 1)
-    filters: dict[str, Any] = {}
+    form: dict[str, Any] = {"shape": (episode.length - 1, *shape), "dtype": feature.dtype, "chunks": (1, *shape)}
     if compress:
-        filters = {"compression": "gzip", "compression_opts": _ZLIB_LEVEL, "shuffle": feature.numpy_dtype.itemsize > 1}
-    now, after = (
-        demo.create_dataset(
-            f"{group}/{name}", (episode.length - 1, *shape), feature.dtype, chunks=(1, *shape), **filters
-        ).id
-        for group in ("obs", "next_obs")
-    )
+        form |= {"compression": "gzip", "compression_opts": _ZLIB_LEVEL, "shuffle": feature.numpy_dtype.itemsize > 1}
+    now, after = (demo.create_dataset(f"{group}/{name}", **form).id for group in ("obs", "next_obs"))
     last, chunk = None, b""
     for row, data in enumerate(episode.encoded_frames(feature.key)):
         if data is not last:
@@ -243,11 +238,7 @@ def _masks(episodes: tuple[EpisodeRecord, ...]) -> dict[str, list[int]]:
         }
     # Every tenth, or the last of fewer; a single episode is for training.
     valid = list(everyone[_VALIDATION - 1 :: _VALIDATION]) or list(everyone[1:][-1:])
-    masks = {
-        "train": [i for i in everyone if i not in valid],
-        "valid": valid,
-        **verdicts,
-    }
+    masks = {"train": [i for i in everyone if i not in valid], "valid": valid, **verdicts}
     return {name: members for name, members in masks.items() if members}
 
 
