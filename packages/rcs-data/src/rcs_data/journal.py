@@ -32,8 +32,12 @@ _LONGEST_FILE = 1 << 31
 class Journal:
     """The journal of a dataset on disk; `state` is brought up to date by `refresh` and by every addition."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, *, is_whole: bool = True) -> None:
         """Read it.
+
+        Args:
+            root: The dataset's folder.
+            is_whole: Whether all lines are read; otherwise the first, which tells that there is a dataset.
 
         Raises:
             DatasetError: There is no dataset, or its layout is of another version.
@@ -44,7 +48,8 @@ class Journal:
         self._end = 0
         self._count = 0
         self.state = self._first()
-        self.refresh()
+        if is_whole:
+            self.refresh()
 
     @classmethod
     def create(cls, root: Path, info: DatasetInfo) -> Journal:

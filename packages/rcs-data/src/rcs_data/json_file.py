@@ -68,12 +68,12 @@ def parsed_json(data: bytes | str, path: Path | str) -> dict[str, Any]:
     """
     try:
         text = data if isinstance(data, str) else data.decode()
-        values = json.loads(text, parse_constant=_refused, parse_float=_number, parse_int=_whole_number)
+        values = _DECODER.decode(text)
     except (ValueError, RecursionError) as err:
         raise CorruptEpisode(f"{path} is damaged: {err}.") from err
     if not isinstance(values, dict):
         raise CorruptEpisode(f"{path} is damaged: it is not a JSON object.")
-    if depth_of(values) > MOST_DEPTH:
+    if text.count("{") + text.count("[") > MOST_DEPTH and depth_of(values) > MOST_DEPTH:
         raise CorruptEpisode(f"{path} is damaged: its values are nested more than {MOST_DEPTH} levels deep.")
     # Half surrogate pairs are written as escapes, so only text with such escapes is searched.
     if "\\ud" in text.lower() and not is_storable(json.dumps(values, ensure_ascii=False)):
@@ -107,3 +107,6 @@ def _whole_number(text: str) -> int:
     if len(text) > _MOST_DIGITS:
         raise ValueError(f"a number has {len(text)} digits")
     return int(text)
+
+
+_DECODER = json.JSONDecoder(parse_constant=_refused, parse_float=_number, parse_int=_whole_number)

@@ -14,7 +14,7 @@ from rcs_data.episode_record import last_valid
 from rcs_data.errors import InvalidSetup
 from rcs_data.index import Edit, State
 from rcs_data.journal import Journal
-from rcs_data.layout import episode_folder
+from rcs_data.layout import episodes_folder
 
 
 class Dataset:
@@ -31,9 +31,9 @@ class Dataset:
         self.info = state.info
         self.history: tuple[Edit, ...] = tuple(state.history)
         """The edits, oldest first."""
+        folder = episodes_folder(path)
         self.episodes = tuple(
-            EpisodeRecord(episode_folder(path, entry.folder), state.info, entry)
-            for _, entry in sorted(state.episodes.items())
+            EpisodeRecord(folder / entry.folder, state.info, entry) for _, entry in sorted(state.episodes.items())
         )
         """The complete episodes, sorted by id."""
 

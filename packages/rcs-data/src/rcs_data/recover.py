@@ -67,7 +67,7 @@ def recover(path: str | Path) -> RecoverReport:
         CorruptEpisode: The index is damaged.
     """
     root = Path(path)
-    Journal(root)  # before anything is created
+    Journal(root, is_whole=False)  # before anything is created
     with DatasetLock.writer(root):
         return settle_leftovers(Journal(root), "recover")
 

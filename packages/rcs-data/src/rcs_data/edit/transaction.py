@@ -143,7 +143,7 @@ def locked(root: Path) -> Generator[Journal]:
         DatasetError: There is no dataset, or another process writes to it.
         CorruptEpisode: The index is damaged.
     """
-    Journal(root)  # before a lock is created
+    Journal(root, is_whole=False)  # before a lock is created
     with DatasetLock.writer(root):
         yield Journal(root)
 
