@@ -35,13 +35,7 @@ class Entry:
 
     @classmethod
     def of(cls, about: Mapping[str, Any], folder: str, info: DatasetInfo) -> Entry:
-        """Return the entry of an episode.
-
-        Args:
-            about: The contents of its `episode.json`.
-            folder: The name of its folder.
-            info: What the dataset's episodes share.
-        """
+        """Return the entry of an episode, given the contents of its `episode.json`."""
         failure = about["outcome"].get("failure")
         return cls(
             id=about["id"],

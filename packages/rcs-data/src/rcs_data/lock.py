@@ -85,11 +85,9 @@ class DatasetLock:
         return cls(fd)
 
     def __enter__(self) -> Self:
-        """Return the lock itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give the lock back."""
         self.release()
 
     def release(self) -> None:
@@ -112,12 +110,7 @@ def is_locked(root: Path) -> bool:
 
 
 def try_lock(fd: int, kind: int) -> bool:
-    """Try to lock an open file; return whether it succeeded.
-
-    Args:
-        fd: The open file.
-        kind: `fcntl.LOCK_EX` or `fcntl.LOCK_SH`.
-    """
+    """Try to lock an open file by `fcntl.LOCK_EX` or `fcntl.LOCK_SH`; return whether it succeeded."""
     # `is_locked` holds the lock for some microseconds, so one refusal proves nothing.
     for attempt in range(_ATTEMPTS):
         if attempt:

@@ -43,17 +43,9 @@ _IMAGES_AT_A_TIME = 16
 
 
 class ParquetSource:
-    """An open Parquet file that limits how much is read of it."""
+    """An open Parquet file that limits how much is read of it; `opened` yields one."""
 
     def __init__(self, name: str, file: pq.ParquetFile, size: int, read: Callable[[int, int], bytes]) -> None:
-        """Hold a file; use `opened` to get one.
-
-        Args:
-            name: Name of the file, for messages.
-            file: The file as Arrow has it.
-            size: Its size [B].
-            read: Returns a number of bytes from a place in it.
-        """
         self.file = file
         self.schema: pa.Schema = file.schema_arrow
         self._name = name
@@ -66,11 +58,7 @@ class ParquetSource:
         return self.file.metadata.num_rows
 
     def require(self, columns: Sequence[str] | None = None, groups: Iterable[int] | None = None) -> None:
-        """Refuse to read what claims to be larger than any recording.
-
-        Args:
-            columns: The columns that will be read; None for all.
-            groups: The row groups; None for all.
+        """Refuse to read columns of row groups, None for all, that claim to be larger than any recording.
 
         Raises:
             CorruptEpisode: It is too much, or the file contradicts itself.
@@ -93,11 +81,7 @@ class ParquetSource:
             raise CorruptEpisode(f"{self._name} has {self._size} bytes and claims {rows} rows, more than fit.")
 
     def table(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> pa.Table:
-        """Read columns of some row groups.
-
-        Args:
-            columns: The columns; None for all.
-            groups: The row groups; None for all.
+        """Read columns of some row groups, None for all.
 
         Raises:
             CorruptEpisode: They are larger than any recording, or the file contradicts itself.
@@ -117,11 +101,7 @@ class ParquetSource:
         return pa.Table.from_batches(self.batches(names, numbers), schema=pa.schema(kept))
 
     def batches(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Iterator[Any]:
-        """Yield columns of some row groups, a few rows at a time, up to the size limit.
-
-        Args:
-            columns: The columns; None for all.
-            groups: The row groups; None for all.
+        """Yield columns of some row groups, None for all, a few rows at a time, up to the size limit.
 
         Raises:
             CorruptEpisode: They are larger than that.
@@ -191,9 +171,6 @@ class ParquetSource:
 @contextlib.contextmanager
 def opened_of_others(path: Path) -> Generator[ParquetSource]:
     """Open a Parquet file of another writer. Call `require` before reading.
-
-    Args:
-        path: The file.
 
     Raises:
         CorruptEpisode: It is not a Parquet file, or cannot be read inside of the block.

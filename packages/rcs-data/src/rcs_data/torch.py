@@ -52,7 +52,6 @@ class TorchDataset(_Dataset):  # pyright: ignore[reportUntypedBaseClass]  where 
         self.windows = windows
 
     def __len__(self) -> int:
-        """Return the number of windows."""
         return len(self.windows)
 
     def __getitem__(self, index: int) -> Tensors:
@@ -116,11 +115,9 @@ class ChosenWindow(Mapping[str, Any]):
         return self.tensors[key]
 
     def __iter__(self) -> Iterator[str]:
-        """Yield the names of its parts."""
         return iter(self.tensors)
 
     def __len__(self) -> int:
-        """Return the number of its parts."""
         return len(self.tensors)
 
 

@@ -152,7 +152,6 @@ class Windows(Sequence[Window]):
         self._forget()
 
     def __len__(self) -> int:
-        """Return the number of windows."""
         return self._ends[-1] if self._ends else 0
 
     def place(self, index: SupportsIndex) -> tuple[EpisodeRecord, int]:

@@ -68,7 +68,6 @@ class EpisodeRows:
     """The columns of times, joints and motion, and the state of each camera per row."""
 
     def __init__(self, info: DatasetInfo) -> None:
-        """Start with no rows."""
         self.info = info
         self.length = 0
         self.about: dict[str, Any] = {}

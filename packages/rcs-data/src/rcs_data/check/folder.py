@@ -45,9 +45,6 @@ def is_as_written(data: bytes, values: dict[str, Any]) -> bool:
 def check_index(root: Path) -> tuple[State | None, list[Finding]]:
     """Check the index and `dataset.json`; return what the index says, as far as it can be read.
 
-    Args:
-        root: The dataset's folder.
-
     Raises:
         DatasetError: There is no dataset, or its layout is of another version.
     """
@@ -115,12 +112,7 @@ def _check_description(root: Path, state: State | None) -> Iterator[Finding]:
 
 
 def check_leftovers(root: Path, state: State) -> Iterator[Finding]:
-    """Yield what a killed writer or edit left, and whole folders that are missing.
-
-    Args:
-        root: The dataset's folder.
-        state: What the index says.
-    """
+    """Yield what a killed writer or edit left, and whole folders that are missing."""
     folder = episodes_folder(root)
     names = set(folder_names(root))
     if not folder.is_dir():

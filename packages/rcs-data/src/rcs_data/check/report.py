@@ -37,7 +37,6 @@ class Finding:
         return f"row {first}" if first == last else f"rows {first} to {last}"
 
     def __str__(self) -> str:
-        """Return the finding on one line."""
         return f"{self.severity}: {self.file}{', ' if self.rows else ''}{self.place}: {self.message}"
 
     def to_json(self) -> dict[str, Any]:
@@ -92,7 +91,6 @@ class CheckReport:
         return f"{checked}: {verdict}{warnings}"
 
     def __str__(self) -> str:
-        """Return one line per finding and per note, and the summary."""
         return "\n".join([*map(str, self.findings), *(f"note: {note}" for note in self.notes), self.summary])
 
     def to_json(self) -> dict[str, Any]:

@@ -15,11 +15,6 @@ def check_timing(place: EpisodePlace, about: dict[str, Any], found: dict[str, An
     """Yield a warning if the stored report disagrees with the rows.
 
     Entries that only one of them has are ignored, since versions report different things.
-
-    Args:
-        place: Where the episode is.
-        about: The contents of its `episode.json`.
-        found: The report computed from its rows.
     """
     wrong = list(_differences("", about.get("timing"), found))
     if wrong:

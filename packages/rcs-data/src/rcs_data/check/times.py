@@ -29,13 +29,7 @@ _FLAGS = {
 
 
 def check_times(place: EpisodePlace, rows: EpisodeRows, *, is_resampled: bool) -> Iterator[Finding]:
-    """Yield findings about the times of an episode.
-
-    Args:
-        place: The episode.
-        rows: Its rows.
-        is_resampled: Whether it was resampled to another rate.
-    """
+    """Yield findings about the times of an episode, which was resampled to another rate or not."""
     yield from _backwards(place, rows)
     yield from _periods(place, rows, is_resampled)
     yield from _camera_flags(place, rows)

@@ -21,11 +21,6 @@ class PlainConsole(Console):
 
 
 def plain_console(*, stderr: bool = False, **options: Any) -> Console:
-    """Return a console for text of users and datasets.
-
-    Args:
-        stderr: Whether to print to stderr.
-        options: Of `rich.console.Console`.
-    """
+    """Return a console for text of users and datasets, with options of `rich.console.Console`."""
     how: dict[str, Any] = {"soft_wrap": True, **options}
     return PlainConsole(stderr=stderr, markup=False, emoji=False, highlight=False, **how)

@@ -14,9 +14,6 @@ def modality(layout: LeRobotLayout) -> dict[str, Any]:
     """Return `modality.json`: parts of state and action by name, cameras, and the instruction.
 
     Layout: the "Robot Data Preparation Guide" of NVIDIA's Isaac-GR00T.
-
-    Args:
-        layout: The columns and videos.
     """
     state, action = layout.columns[0].parts, layout.columns[1].parts
     return {

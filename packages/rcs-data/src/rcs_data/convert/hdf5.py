@@ -46,9 +46,6 @@ def is_hdf5(path: Path) -> bool:
 def reading_hdf5(path: Path) -> Generator[Any]:
     """Open a file for reading; h5py's errors about damage become one error.
 
-    Args:
-        path: The file.
-
     Raises:
         MissingDependency: h5py is not installed.
         CorruptEpisode: It is not an HDF5 file, or is damaged.

@@ -141,11 +141,7 @@ class _Job:
                 known.setdefault(text, len(known))
 
     def encode(self, given: tuple[int, int, EpisodeRecord]) -> EncodedEpisode:
-        """Return an episode with its videos in the temporary folder.
-
-        Args:
-            given: Its number, the number of its first frame, and the episode.
-        """
+        """Return an episode, given with its number and its first frame's; its videos are in a temporary folder."""
         index, first, episode = given
         tasks = self._tasks(episode)
         texts = {"task_index": np.array([self.tasks[text] for text in tasks])}

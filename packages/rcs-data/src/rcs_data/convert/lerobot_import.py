@@ -48,11 +48,6 @@ def import_lerobot(source: str | Path, out: str | Path, options: ImportOptions |
     Numbers keep the source's dtype, which is float32 for vectors of our exports. JPEG files in its tables stay as they
     are; other images are compressed again. Success is known only if the source has `next.success` or is our export.
 
-    Args:
-        source: The folder of the LeRobotDataset.
-        out: The folder to make.
-        options: What to import, and how images are stored.
-
     Raises:
         DatasetError: There is no such dataset, `out` exists, or the disk fails.
         CorruptEpisode: The source is damaged or incomplete, and `allow_missing` is not set.

@@ -146,11 +146,8 @@ class LeRobotLayout:
     ) -> dict[str, NDArray[Any]]:
         """Return the columns of an episode, each of shape (steps, size).
 
-        Args:
-            episode: The episode.
-            index: Its number among the exported ones.
-            first: The number of its first frame in the dataset.
-            texts: `task_index` and, if there are any, `subtask_index`, shape (steps,).
+        `first` is the number of its first frame in the dataset; `texts` has `task_index` and, if there are any,
+        `subtask_index`, shape (steps,).
 
         Raises:
             CorruptEpisode: The episode is damaged.
@@ -187,11 +184,6 @@ class LeRobotLayout:
 
 def lerobot_layout(info: DatasetInfo, episodes: Sequence[EpisodeRecord], options: ExportOptions) -> LeRobotLayout:
     """Choose the columns and videos.
-
-    Args:
-        info: What the dataset's episodes share.
-        episodes: Those to export.
-        options: Features and cameras to export.
 
     Raises:
         InvalidSetup: The rate is not a whole number, a feature or camera is unknown, or the codec does not support its

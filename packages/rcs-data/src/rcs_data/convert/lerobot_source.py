@@ -83,11 +83,7 @@ class SourceEpisode:
     ) -> Iterator[NDArray[np.uint8] | bytes]:
         """Yield the images of a column one by one: JPEG files as they are where the feature keeps such, else arrays.
 
-        Args:
-            name: The column.
-            feature: What they become.
-            readers: Open videos by column, kept between calls, since the next episode may continue in the same one.
-            fps: Frames per second.
+        Open videos, by column, are kept in `readers`, since the next episode may continue in the same one.
 
         Raises:
             CorruptEpisode: An image is missing, damaged, or of another shape.
@@ -135,9 +131,6 @@ class LeRobotSource:
 
     def __init__(self, root: Path) -> None:
         """Read its description.
-
-        Args:
-            root: The folder.
 
         Raises:
             DatasetError: There is no such dataset, or its version is not supported.
@@ -202,12 +195,7 @@ class LeRobotSource:
     def rows(
         self, path: Path, episodes: Sequence[int], columns: Sequence[str] | None = None
     ) -> Iterator[tuple[int, pa.Table]]:
-        """Yield episodes of one file with their rows, one at a time in memory.
-
-        Args:
-            path: The file, relative to the folder.
-            episodes: Those to read.
-            columns: The columns to read, besides `episode_index`; None for all.
+        """Yield episodes of one file with their rows, one at a time in memory; columns are added to `episode_index`.
 
         Raises:
             CorruptEpisode: Rows are missing or damaged.
@@ -326,10 +314,6 @@ def filled(pattern: object, values: Mapping[str, object]) -> Path:
     """Return the path of a pattern such as "videos/{video_key}/episode_{episode_index:06d}.mp4".
 
     Not with `str.format`, since an untrusted pattern could access attributes and make texts of any length.
-
-    Args:
-        pattern: The pattern, from a file.
-        values: Values of its names.
 
     Raises:
         CorruptEpisode: It is not a pattern, or leads out of its folder.

@@ -25,9 +25,7 @@ _ROWS_AT_A_TIME = 4096
 def weighted(values: NDArray[np.float64], counts: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
     """Return statistics of numbers that occur several times, by name, each of shape (size,); exact.
 
-    Args:
-        values: Sorted along the first axis, shape (n, size).
-        counts: How often each occurs, shape (n, size); of every column, at least one does.
+    Values are sorted along the first axis, shape (n, size); of the counts, as many, every column has one that is not 0.
     """
     total = counts.sum(axis=0)
     mean = (counts * values).sum(axis=0) / total
@@ -44,11 +42,7 @@ def weighted(values: NDArray[np.float64], counts: NDArray[np.int64]) -> dict[str
 
 
 def episode_stats(columns: dict[str, NDArray[Any]]) -> dict[str, Stats]:
-    """Return the statistics of columns of numbers; a column with a number that was never measured has none.
-
-    Args:
-        columns: Rows by name, each of shape (rows, size); NaN is left out.
-    """
+    """Return the statistics of columns of numbers, (rows, size) each; NaN is left out, and a column of it has none."""
     rows = np.concatenate([values.astype(np.float64) for values in columns.values()], axis=1)
     ordered = np.sort(np.where(np.isfinite(rows), rows, np.nan), axis=0)
     counts = np.isfinite(ordered).astype(np.int64)

@@ -38,10 +38,6 @@ class FrameKey:
 def kept_info(info: DatasetInfo, options: ExportOptions | ImportOptions) -> DatasetInfo:
     """Return the info without the features of cameras that are not chosen.
 
-    Args:
-        info: What the dataset's episodes share.
-        options: The cameras.
-
     Raises:
         InvalidSetup: A camera is unknown.
     """
@@ -63,12 +59,7 @@ def observed(info: DatasetInfo) -> tuple[Feature, ...]:
 
 
 def named(features: Sequence[Feature], name: Callable[[Feature], str], taken: Sequence[str] = ()) -> dict[str, Feature]:
-    """Return the features by their name in a format.
-
-    Args:
-        features: The features.
-        name: Returns the name of a feature.
-        taken: Names reserved by the format.
+    """Return the features by their name in a format, which has reserved some.
 
     Raises:
         InvalidSetup: Two would share a name.

@@ -18,11 +18,7 @@ _LONGEST_VARINT = 10
 
 
 def varint(value: int) -> bytes:
-    """Return a whole number as a varint: seven bits per byte, the lowest first; the highest bit means that more follow.
-
-    Args:
-        value: From 0 to 2 ** 64 - 1; negative numbers are stored as their two's complement.
-    """
+    """Return a number from 0 to 2 ** 64 - 1 as a varint: seven bits per byte, the lowest first; a high bit: more."""
     parts = bytearray()
     while value > 127:
         parts.append(value & 127 | 128)
@@ -49,9 +45,6 @@ def field(number: int, value: bytes | str | int, wire: int | None = None) -> byt
 
 def fields(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     """Yield the number and the value of each field of a message, in order; a value is a part of the data.
-
-    Args:
-        data: The message.
 
     Raises:
         CorruptEpisode: It is not a message.

@@ -17,10 +17,6 @@ FIELDS = ("episode", "seed", "success", "outcome", "instruction", "rows")
 def episode_provenance(episode: EpisodeRecord, digest: str) -> dict[str, Any]:
     """Return the origin of an exported episode, and what its format has no place for, as JSON values.
 
-    Args:
-        episode: The episode.
-        digest: The digest of its dataset, as `Dataset.digest` returns it.
-
     Raises:
         CorruptEpisode: The episode's description is damaged.
     """
@@ -42,10 +38,6 @@ def episode_provenance(episode: EpisodeRecord, digest: str) -> dict[str, Any]:
 
 def checked_provenance(values: Any, path: Path | str) -> dict[str, Any]:
     """Return checked values of `episode_provenance` that a format stored.
-
-    Args:
-        values: The stored values.
-        path: The file, for the message.
 
     Raises:
         CorruptEpisode: A field is missing or not valid.

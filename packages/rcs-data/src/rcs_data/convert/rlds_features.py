@@ -54,11 +54,7 @@ def numbers(feature: Feature) -> Spec:
 
 
 def features_json(specs: Mapping[str, Spec]) -> Spec:
-    """Return the contents of `features.json`.
-
-    Args:
-        specs: Each feature by its path, such as "steps/observation/state"; those under "steps" are per step.
-    """
+    """Return the contents of `features.json`, given each feature by its path; those under "steps" are per step."""
     tree: dict[str, Any] = {}
     for path, spec in specs.items():
         *folders, name = path.split("/")
@@ -86,10 +82,6 @@ def _shape(shape: tuple[int, ...]) -> Spec:
 
 def stored_features(values: Mapping[str, Any], path: object) -> dict[str, Stored]:
     """Return what `features.json` describes, by path, such as "steps/observation/state".
-
-    Args:
-        values: The contents of the file.
-        path: The file, for the message.
 
     Raises:
         CorruptEpisode: It is damaged, or of another version of TensorFlow Datasets.

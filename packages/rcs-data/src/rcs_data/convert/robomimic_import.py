@@ -61,11 +61,6 @@ class _Plan:
 def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions | None = None) -> Dataset:
     """Import an HDF5 file for robomimic, whole or not at all.
 
-    Args:
-        source: The file.
-        out: The folder of the new dataset.
-        options: What to import, how to store images, and what the file does not say.
-
     Raises:
         MissingDependency: h5py is not installed.
         InvalidSetup: It is not such a file, its episodes differ in form, or its rate is neither in it nor in the

@@ -41,23 +41,13 @@ class ShardWriter:
     """Records in files of limited size, "name-train.tfrecord-00001-of-00004"; `close` gives them these names."""
 
     def __init__(self, folder: Path, stem: str, shard_bytes: int) -> None:
-        """Start without a file.
-
-        Args:
-            folder: Where the files go.
-            stem: The file name before the number.
-            shard_bytes: Largest size of a file of several records [B].
-        """
         self._folder, self._stem, self._shard_bytes = folder, stem, shard_bytes
         self._file: BinaryIO | None = None
         self.shard_lengths: list[int] = []
         self.data_bytes = 0
 
     def write(self, features: Mapping[str, Values]) -> None:
-        """Add an Example with these names, sorted.
-
-        Args:
-            features: Byte strings, float32 numbers or int64 numbers by name; arrays are taken row by row.
+        """Add an Example of byte strings, float32 or int64 numbers by name, sorted; arrays are taken row by row.
 
         Raises:
             InvalidSetup: It is larger than TensorFlow can read.
@@ -159,10 +149,7 @@ class StoredValues:
                 read = 0
 
     def numbers(self, most: int) -> NDArray[np.float32] | NDArray[np.int64]:
-        """Return the numbers.
-
-        Args:
-            most: How many there may be; more are not read.
+        """Return the numbers, up to as many as there may be.
 
         Raises:
             CorruptEpisode: The list has something else, or too many.
@@ -183,11 +170,7 @@ class StoredValues:
 
 
 def read_examples(path: Path, wanted: Container[int] | None = None) -> Iterator[dict[str, StoredValues]]:
-    """Yield the Examples in a file; their values are parts of the file, read when they are used.
-
-    Args:
-        path: The file.
-        wanted: Which of them, by number; None for all.
+    """Yield the Examples in a file, or some by number; their values are parts of the file, read when they are used.
 
     Raises:
         CorruptEpisode: The file is missing or damaged.

@@ -27,11 +27,6 @@ def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProg
     Each episode records its origin (`EpisodeRecord.source`). Ids stay the same unless two sources share one; then every
     id is prefixed with its source's name.
 
-    Args:
-        sources: The datasets.
-        out: The new one.
-        on_progress: Called with the number of episodes done and of all.
-
     Raises:
         InvalidSetup: No sources are given.
         DatasetError: The sources do not fit each other (the message lists how), or `out` is not empty.
@@ -102,13 +97,7 @@ def split(
 
 
 def provenance(name: str, digest: str, episode: EpisodeRecord) -> dict[str, Any]:
-    """Return the source to store with a copy of an episode.
-
-    Args:
-        name: The name of its dataset.
-        digest: The hash of its dataset.
-        episode: The episode.
-    """
+    """Return the source to store with a copy of an episode."""
     return {
         "dataset": name,
         "digest": digest,

@@ -33,7 +33,6 @@ class Part:
     """Weight relative to the other parts; requires a total."""
 
     def __post_init__(self) -> None:
-        """Check the values."""
         if self.episodes is not None and self.share is not None:
             raise InvalidSetup(f"{self.path}: give a number of episodes or a share, not both.")
         if (self.episodes is not None and self.episodes < 0) or (self.share is not None and not self.share > 0):

@@ -95,10 +95,7 @@ class Contents:
     def settings(self, *, images: dict[str, str], has_state: bool, **options: Any) -> str:
         """Return `vlagents.json`, with which the trained checkpoint is served.
 
-        Args:
-            images: Camera by the model's name of a picture.
-            has_state: Whether the model was told the state.
-            options: What the family asks for besides.
+        Images are cameras by the model's names of pictures; options are what the family asks for besides.
         """
         values: dict[str, Any] = {"dataset": self.name, "images": images}
         if has_state:

@@ -27,11 +27,7 @@ _MODELS: dict[str, str] = {
 
 
 def openpi(contents: Contents, base: Base = "pi05") -> Written:
-    """Return openpi's configuration.
-
-    Args:
-        contents: What the dataset has.
-        base: The published model to begin with.
+    """Return openpi's configuration, to begin with one of the published models.
 
     Raises:
         InvalidSetup: There are no cameras or more than three, or there is no such model.

@@ -54,7 +54,6 @@ class ClipOptions:
     the encoder's own choice of 250, and a third of those in which every frame is whole."""
 
     def __post_init__(self) -> None:
-        """Refuse what no encoder takes."""
         if self.height < 16:
             raise InvalidSetup(f"height is {self.height} pixels; it must be at least 16.")
         if self.codec not in get_args(Codec):

@@ -104,9 +104,6 @@ def _source(word: str) -> int:
 def episode_data(episode: EpisodeRecord) -> dict[str, Any]:
     """Return the curves and marks of an episode as JSON values.
 
-    Args:
-        episode: The episode.
-
     Returns:
         `rows`; `stride`: a curve has a number for every so many rows; `curves`: for each of `curves`, for each line,
         its numbers or None; `marks`: where, what, and the first and last row of each run; `flaws`: how many rows each

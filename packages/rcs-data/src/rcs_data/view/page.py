@@ -96,23 +96,14 @@ def write_view(
 
 
 def shell(*, is_alone: bool, more: Html | None = None) -> Html:
-    """Return the page without its dataset.
-
-    Args:
-        is_alone: Whether style and scripts are in it instead of beside it.
-        more: What comes after its scripts; None for the script beside it that has the dataset.
-    """
+    """Return the page without its dataset; alone, style and scripts are in it. `more` replaces the dataset's script."""
     assets = style() if is_alone else element("link", rel="stylesheet", href=_STYLE)
     scripts = [script(web(name)) if is_alone else element("script", src=name) for name in _SCRIPTS]
     return page("Dataset", Html(web("body.html")), *scripts, more or element("script", src=_CATALOGUE), assets=assets)
 
 
 def chosen_episodes(dataset: Dataset, patterns: Sequence[str] | None) -> tuple[EpisodeRecord, ...]:
-    """Return the episodes that are meant, in the dataset's order.
-
-    Args:
-        dataset: The dataset.
-        patterns: Ids, or patterns such as "0001*"; None for all episodes.
+    """Return the episodes that are meant by ids, or patterns such as "0001*", in the dataset's order; None for all.
 
     Raises:
         InvalidSetup: No episode fits one of them.
