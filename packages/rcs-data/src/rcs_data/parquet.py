@@ -157,10 +157,10 @@ class ParquetSource:
         total = 0
         try:
             most = max(_FREE_DICTIONARY, _MOST_DICTIONARY_GROWTH * self._size)
-            for head in page_heads(self._read, start, end):
-                total += head.uncompressed
-                if head.type == DICTIONARY_PAGE and head.uncompressed > most:
-                    raise CorruptEpisode(f"{what} has a dictionary of {head.uncompressed} bytes.")
+            for kind, uncompressed in page_heads(self._read, start, end):
+                total += uncompressed
+                if kind == DICTIONARY_PAGE and uncompressed > most:
+                    raise CorruptEpisode(f"{what} has a dictionary of {uncompressed} bytes.")
         except CorruptEpisode:
             raise
         except ValueError as err:

@@ -28,13 +28,10 @@ class Statistics:
     count: int
     """Vectors seen."""
     mean: NDArray[np.float64]
-    """The mean."""
     std: NDArray[np.float64]
     """The population standard deviation (divided by the count)."""
     min: NDArray[np.float64]
-    """The smallest."""
     max: NDArray[np.float64]
-    """The largest."""
     q01: NDArray[np.float64]
     """The 1 % quantile."""
     q99: NDArray[np.float64]

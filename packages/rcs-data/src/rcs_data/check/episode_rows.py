@@ -22,14 +22,11 @@ SIMULATED_TIME = "simulated_time"
 
 @dataclass(frozen=True)
 class EpisodePlace:
-    """The place of an episode, for findings."""
+    """The place of an episode, for findings: the dataset's folder, its own folder, and its id."""
 
     root: Path
-    """The dataset's folder."""
     folder: Path
-    """The episode's folder."""
     id: str
-    """The episode's id."""
 
     def finding(
         self,

@@ -36,7 +36,6 @@ class Mending:
     episode: str | None
     """The episode's id; None for the dataset as a whole."""
     message: str
-    """What was done, in words."""
 
     def __str__(self) -> str:
         name = "" if self.episode is None else f" episode {self.episode}"

@@ -16,7 +16,6 @@ class Finding:
     """One thing that is wrong."""
 
     severity: Severity
-    """Its severity."""
     kind: str
     """Its kind, a word that is stable across versions: `altered`, `frozen`, `joint_jump` and so on."""
     episode: str | None
@@ -53,7 +52,6 @@ class CheckReport:
     episodes: int
     """Number of complete episodes checked."""
     rows: int
-    """Number of rows in them."""
     frames: int
     """Number of decoded images."""
     findings: tuple[Finding, ...]

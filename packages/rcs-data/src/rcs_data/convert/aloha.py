@@ -136,7 +136,7 @@ def _camera(camera: str, values: Any, options: ImportOptions) -> Feature | None:
 def _column(file: Any, path: str, feature: Feature, steps: int) -> StepColumn:
     if path not in file:
         raise InvalidSetup(f"{file.filename} lacks {path!r}, which other episodes have.")
-    values = array(file, path, by_row=path.startswith(_IMAGES))
+    values = array(file, path)
     if len(values) != steps or not steps:
         raise CorruptEpisode(f"{values.name} in {file.filename} has {len(values)} rows; expected {steps}.")
     if feature.encoding in ("jpeg", "lossless") and values.ndim == 2:

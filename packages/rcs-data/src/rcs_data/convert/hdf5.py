@@ -68,13 +68,8 @@ def is_numeric(values: Any) -> bool:
     return getattr(values, "shape", None) is not None and values.ndim > 0 and values.dtype.kind in "fiub"
 
 
-def array(group: Any, path: str, *, by_row: bool = False) -> Any:
+def array(group: Any, path: str) -> Any:
     """Return an array of numbers that can be read row by row, and at once if it has fewer than three axes.
-
-    Args:
-        group: Where it is.
-        path: Its name.
-        by_row: Whether it is read row by row whatever its axes.
 
     Raises:
         CorruptEpisode: There is none, or it claims more than its file can hold.

@@ -57,7 +57,6 @@ class Column:
     name: str
     """Its name in LeRobot."""
     dtype: str
-    """Its dtype."""
     parts: VectorLayout
     """The features, joined in this order."""
 
@@ -80,7 +79,6 @@ class LeRobotLayout:
     fps: int
     """Frames per second."""
     codec: VideoCodec
-    """How videos are compressed."""
     columns: tuple[Column, ...]
     """Columns made of features, the state first and the action second."""
     cameras: dict[str, Feature]

@@ -42,7 +42,6 @@ class VideoPlace:
     """The place of an episode's frames."""
 
     path: Path
-    """The video."""
     start: float
     """The time of the first frame [s]."""
 
@@ -52,7 +51,6 @@ class SourceEpisode:
     """One episode as stored."""
 
     index: int
-    """Its number."""
     table: pa.Table
     """Its frames without videos."""
     videos: dict[str, VideoPlace]

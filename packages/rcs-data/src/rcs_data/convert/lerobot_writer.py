@@ -39,7 +39,6 @@ class EncodedEpisode:
     tasks: list[str]
     """What the robot was asked to do, in order of appearance."""
     table: pa.Table
-    """Its columns."""
     videos: dict[str, Path]
     """Its videos by column; each must be moved, or joined and removed."""
     stats: dict[str, Stats]

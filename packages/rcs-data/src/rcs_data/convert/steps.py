@@ -36,7 +36,6 @@ class StepColumn:
     """The values of a feature in an episode."""
 
     feature: Feature
-    """The feature."""
     values: Iterable[Any]
     """A value per step, or per row if it `is_whole`: of the feature's shape, or an encoded image."""
     last: Any = None
@@ -50,13 +49,11 @@ class EpisodeAbout:
     """What is known of an episode beside its rows."""
 
     id: str
-    """Its id in the dataset."""
     instruction: str = ""
     """What the robot was asked to do."""
     seed: int | None = None
     """The seed it was reset with."""
     success: bool | None = None
-    """Whether it succeeded."""
     outcome: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """What else is known about how it went."""
     imported: Mapping[str, Any] = field(default_factory=dict[str, Any])

@@ -125,7 +125,6 @@ class StoredValues:
     kind: int
     """The number of the list's type in a `tf.train.Feature`."""
     data: memoryview
-    """The list."""
     file: mmap.mmap
     """The file that it is a part of."""
 

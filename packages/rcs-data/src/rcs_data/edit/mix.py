@@ -26,7 +26,6 @@ class Part:
     """The part that a mix takes from one dataset."""
 
     path: Path
-    """The dataset."""
     episodes: int | None = None
     """Number of episodes, drawn by the seed; None for all, or for the share."""
     share: float | None = None

@@ -53,7 +53,6 @@ class Curves:
     unit: str
     """In words."""
     size: int
-    """How many lines there are."""
     is_shown: bool
     """Whether the page shows it without being asked."""
 
