@@ -1,21 +1,19 @@
 """Imports a LeRobotDataset, v2.0, v2.1 or v3.0, whether exported by RCS or not.
 
-T frames become T + 1 rows: row i has the observation of frame i, row i + 1 its action. LeRobot does not keep the
-observation after the last frame, so row T repeats that of row T - 1, and `imported.last_observation` in the episode's
-outcome is "repeated".
+T frames become T + 1 rows, as `steps` says; LeRobot does not keep the observation after the last frame.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from typing_extensions import Self
 
 from rcs_data.convert.labels import LABELS, numbered
 from rcs_data.convert.lerobot import depth_path
@@ -24,12 +22,11 @@ from rcs_data.convert.lerobot_mapping import FeatureMapping, feature_mapping
 from rcs_data.convert.lerobot_source import LeRobotSource, SourceEpisode, refuse_pointer
 from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
 from rcs_data.convert.provenance import by_episode, checked_provenance
+from rcs_data.convert.steps import EpisodeAbout, StepColumn, import_episodes, is_done, leave_out, record_steps
 from rcs_data.convert.video import VideoReader, decode_depth_video
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.info import DatasetInfo
 from rcs_data.json_file import read_json, read_json_lines
-from rcs_data.layout import check_episode_id
-from rcs_data.output import new_output
 from rcs_data.reader import Dataset
 from rcs_data.writer import DatasetWriter
 
@@ -58,22 +55,10 @@ def import_lerobot(source: str | Path, out: str | Path, options: ImportOptions |
     chosen = selected_numbers(options.episodes, given.lengths)
     ours = read_json(given.root / RCS_FILE) if (given.root / RCS_FILE).is_file() else None
     mapping = feature_mapping(given, ours, options, _carrying(given, chosen, options))
-    reading = _Reading(given, mapping, options, _provenance(given, ours))
-    total, done, imported = sum(given.lengths[index] for index in chosen), 0, 0
-    with new_output(out) as folder, reading:
-        with DatasetWriter.open(folder, _info(given, ours, mapping, options)) as writer:
-            for index, table in _rows(given, chosen, options):
-                try:
-                    reading.take(index, table, writer)
-                    imported += 1
-                except CorruptEpisode as err:
-                    _leave_out(index, err, options)
-                done += len(table)
-                if options.on_progress:
-                    options.on_progress(done, total)
-        if not imported:
-            raise CorruptEpisode(f"No episode of {given.root} can be imported: all are missing or damaged.")
-    return Dataset.open(out)
+    total = sum(given.lengths[index] for index in chosen)
+    with _Reading(given, mapping, options, _provenance(given, ours)) as reading:
+        episodes = ((index, partial(reading.record, index, table)) for index, table in _rows(given, chosen, options))
+        return import_episodes(out, _info(given, ours, mapping, options), episodes, options, total)
 
 
 @dataclass
@@ -85,54 +70,42 @@ class _Reading:
     options: ImportOptions
     provenance: Mapping[int, dict[str, Any]]
 
-    def __enter__(self) -> None:
+    def __enter__(self) -> Self:
         self._readers: dict[str, VideoReader] = {}
+        return self
 
     def __exit__(self, *_: object) -> None:
         for reader in self._readers.values():
             reader.close()
 
-    def take(self, index: int, table: pa.Table, writer: DatasetWriter) -> None:
-        """Write an episode, or nothing if it is damaged."""
+    def record(self, index: int, table: pa.Table, writer: DatasetWriter) -> Iterator[int]:
+        """Record an episode, and yield the number of each written row."""
         source, mapping = self.source, self.mapping
         videos = {name: source.video(name, index) for name in mapping.cameras if source.is_video(name)}
         episode = SourceEpisode(index=index, table=table, videos=videos)
         came = self.provenance.get(index, {})
-        seen, done = _numbers(episode, mapping)
+        columns = [*_numbers(episode, mapping)]
         texts: dict[str, list[str]] = {}
         for name, feature in mapping.labels.items():
-            seen[feature.key], texts[feature.key] = numbered(source.texts(name, table))
-        images: dict[str, Iterator[Any]] = {
-            feature.key: episode.images(name, stored_as(feature, self.options), self._readers, source.fps)
-            for name, feature in mapping.cameras.items()
-        }
+            values, texts[feature.key] = numbered(source.texts(name, table))
+            columns.append(StepColumn(feature=feature, values=values))
+        for name, feature in mapping.cameras.items():
+            images = episode.images(name, stored_as(feature, self.options), self._readers, source.fps)
+            columns.append(StepColumn(feature=feature, values=images))
         for camera, feature in mapping.depths.items():
-            images[feature.key] = decode_depth_video(source.root / depth_path(camera, index))
+            images = decode_depth_video(source.root / depth_path(camera, index))
+            columns.append(StepColumn(feature=feature, values=images))
         tasks = list(dict.fromkeys(source.texts("task_index", table) if "task_index" in table.column_names else []))
-        about = {
-            "episode": index,
-            "tasks": tasks,
-            "last_observation": "repeated",
-            **({"provenance": came} if came else {}),
-        }
-        outcome = {**came.get("outcome", {}), "imported": about, **({LABELS: texts} if texts else {})}
-        name = str(came.get("episode", f"{index:06d}"))
-        check_episode_id(name)
-        instruction = came.get("instruction") or " ".join(tasks[:1]) or self.options.instruction
-        with ExitStack() as on_error:
-            taken = writer.episode(name, seed=came.get("seed"), instruction=instruction)
-            on_error.callback(taken.discard)
-            current: dict[str, Any] = {}
-            for row in range(len(table) + 1):
-                values = {key: column[row - 1] for key, column in done.items()} if row else {}
-                if row < len(table):
-                    current = {key: column[row] for key, column in seen.items()}
-                    current |= {key: _next(frames, key, index) for key, frames in images.items()}
-                    taken.add(_timed(values | current))
-                else:  # unmeasured times are not set
-                    taken.add(values | {k: None if k.startswith("time/") else value for k, value in current.items()})
-            taken.finish(_success(episode, came), outcome)
-            on_error.pop_all()
+        words = (came.get("instruction"), *tasks[:1], self.options.instruction, writer.info.instruction)
+        about = EpisodeAbout(
+            id=str(came.get("episode", f"{index:06d}")),
+            instruction=next(filter(None, words), ""),
+            seed=came.get("seed"),
+            success=_success(episode, came),
+            outcome={**came.get("outcome", {}), **({LABELS: texts} if texts else {})},
+            imported={"episode": index, "tasks": tasks, **({"provenance": came} if came else {})},
+        )
+        yield from record_steps(writer, len(table), columns, about)
 
 
 def _rows(source: LeRobotSource, chosen: Iterable[int], options: ImportOptions) -> Iterator[tuple[int, pa.Table]]:
@@ -145,40 +118,17 @@ def _rows(source: LeRobotSource, chosen: Iterable[int], options: ImportOptions) 
                 yield index, table
         except CorruptEpisode as err:
             for index in left:
-                _leave_out(index, err, options)
+                leave_out(f"Episode {index}", err, options)
 
 
-def _leave_out(index: int, err: CorruptEpisode, options: ImportOptions) -> None:
-    if not options.allow_missing:
-        raise err
-    if options.on_note:
-        options.on_note(f"Episode {index} was left out: {err}")
-
-
-def _numbers(episode: SourceEpisode, mapping: FeatureMapping) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the columns of numbers by feature: of observations, and of what each step did."""
-    seen: dict[str, Any] = {}
-    done: dict[str, Any] = {}
+def _numbers(episode: SourceEpisode, mapping: FeatureMapping) -> Iterator[StepColumn]:
     for column in mapping.columns:
         numbers = episode.numbers(column.name, (column.parts.size,))
         for feature in column.parts.features:
-            part = numbers[:, column.parts.slices[feature.key]].reshape(-1, *feature.shape)
-            (done if column.is_after else seen)[feature.key] = part.astype(feature.dtype, copy=False)
-    return seen, done
-
-
-def _timed(row: dict[str, Any]) -> dict[str, Any]:
-    return {
-        key: None if key.startswith("time/") and value is not None and not math.isfinite(value) else value
-        for key, value in row.items()
-    }
-
-
-def _next(frames: Iterator[Any], key: str, index: int) -> Any:
-    frame = next(frames, None)
-    if frame is None:
-        raise CorruptEpisode(f"Episode {index} has fewer images of {key!r} than rows.")
-    return frame
+            part = numbers[:, column.parts.slices[feature.key]].astype(feature.dtype, copy=False)
+            if is_done(feature) and not column.is_after:  # beside observations, it is stored a row later
+                part = np.concatenate([part[1:], part[-1:]])
+            yield StepColumn(feature=feature, values=part)
 
 
 def _success(episode: SourceEpisode, came: Mapping[str, Any]) -> bool | None:

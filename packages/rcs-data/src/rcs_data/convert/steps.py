@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rcs_data.convert.options import ImportOptions
 from rcs_data.errors import CorruptEpisode
 from rcs_data.feature import Feature
+from rcs_data.flags import FrameFlag
 from rcs_data.info import DatasetInfo
 from rcs_data.output import new_output
 from rcs_data.reader import Dataset
@@ -171,11 +172,13 @@ def _value(column: StepColumn, values: Iterator[Any], row: int, steps: int, befo
     elif column.last is not None:
         value = column.last
     else:
+        if feature.is_flags:
+            return np.asarray(FrameFlag.REPEATED, feature.numpy_dtype)[()]
         return None if feature.is_image or feature.is_time else before[feature.key]
     if isinstance(value, bytes) or value is None:
         return value
     value = np.asarray(value, feature.numpy_dtype).reshape(feature.shape)[()]
-    unknown = (row == 0 and feature.is_unknown_at_reset) or (feature.is_time and bool(np.isnan(value)))
+    unknown = (row == 0 and feature.is_unknown_at_reset) or (feature.is_time and not np.isfinite(value))
     return None if unknown else value
 
 
