@@ -11,7 +11,6 @@ import fcntl
 import os
 import time
 import weakref
-from collections.abc import Callable
 from pathlib import Path
 
 from typing_extensions import Self
@@ -35,7 +34,8 @@ class DatasetLock:
         """Hold the lock on an open file; use `writer` or `worker` to get one."""
         self._fd: int | None = fd
         # A forked child shares the open file and would keep the lock after its parent's end.
-        os.register_at_fork(after_in_child=_releasing(weakref.ref(self)))
+        release = weakref.WeakMethod(self.release)
+        os.register_at_fork(after_in_child=lambda: (held := release()) and held())
 
     @classmethod
     def writer(cls, root: Path) -> DatasetLock:
@@ -137,12 +137,3 @@ def _holder(root: Path) -> str:
     with (root / _WRITER_FILE).open("rb") as file:
         text = file.read(32).decode(errors="replace").strip()
     return text if text.isdecimal() else "with an unknown id"
-
-
-def _releasing(lock: weakref.ref[DatasetLock]) -> Callable[[], None]:
-    def release_in_child() -> None:
-        held = lock()
-        if held is not None:
-            held.release()
-
-    return release_in_child

@@ -12,7 +12,7 @@ import operator
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate
-from typing import Any, Literal, SupportsIndex, TypedDict, get_args, overload
+from typing import Any, Literal, SupportsIndex, TypedDict, cast, get_args, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,17 +176,10 @@ class Windows(Sequence[Window]):
         """
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
-        batch = self.batch([index])
-        return {
-            "state": batch["state"][0],
-            "images": {name: images[0] for name, images in batch["images"].items()},
-            "actions": batch["actions"][0],
-            "is_pad": batch["is_pad"][0],
-            "is_history_pad": batch["is_history_pad"][0],
-            "instruction": batch["instruction"][0],
-            "episode": batch["episode"][0],
-            "step": int(batch["step"][0]),
-        }
+        batch: dict[str, Any] = {**self.batch([index])}
+        images = {name: images[0] for name, images in batch.pop("images").items()}
+        step = int(batch.pop("step")[0])
+        return cast(Window, {**{name: values[0] for name, values in batch.items()}, "images": images, "step": step})
 
     def image_shape(self, camera: str) -> tuple[int, ...]:
         """Return the shape of one image in a window: (H, W, 3), or (H, W) for depth."""

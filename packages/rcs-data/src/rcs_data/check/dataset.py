@@ -16,8 +16,7 @@ from rcs_data.check.images import check_images
 from rcs_data.check.labels import check_labels, check_verdicts
 from rcs_data.check.motion import check_motion
 from rcs_data.check.report import CheckReport, Finding
-from rcs_data.check.stored_timing import check_timing
-from rcs_data.check.times import check_times
+from rcs_data.check.times import check_times, check_timing
 from rcs_data.index import Entry, State
 from rcs_data.info import MERGED, DatasetInfo
 from rcs_data.layout import EPISODE_FILE, episode_folder, has_dataset

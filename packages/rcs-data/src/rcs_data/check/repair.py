@@ -131,10 +131,9 @@ def _settle(journal: Journal) -> list[Mending]:
         folder = episode_folder(journal.root, name)
         if folder in unreadable:
             _move(journal.root, folder)
-            mendings.append(Mending(what="quarantined", episode=name, message=why))
         else:  # it would be in the way of every edit
             _move(journal.root, open_folder(journal.root, name), f"open-{name}")
-            mendings.append(Mending(what="quarantined", episode=name, message=why))
+        mendings.append(Mending(what="quarantined", episode=name, message=why))
     return mendings
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -44,9 +44,6 @@ from rcs_data.trajectory import VectorLayout
 
 _SECOND = 1_000_000_000
 _TIME, _FRAME_TIME = "time/monotonic", "time/frames/"
-
-_Message = Callable[[int], bytes]
-"""Encodes the message of a row; given the time of its row [ns]."""
 
 
 def export_mcap(dataset: Dataset, out: str | Path, options: ExportOptions | None = None) -> ExportReport:
@@ -116,7 +113,7 @@ def _write(writer: Any, episode: EpisodeRecord, info: DatasetInfo) -> int:
             if data is None or (row == 0 and feature.is_unknown_at_reset):
                 continue
             at = int(rows[row - 1 if is_command else row])
-            writer.add_message(channels[feature.key], at, data(at), at)
+            writer.add_message(channels[feature.key], at, encode(_schema(feature), {"timestamp": at, **data}), at)
             images += feature.is_image
     return images
 
@@ -160,8 +157,8 @@ def _frame_times(episode: EpisodeRecord, camera: str, rows: NDArray[np.int64]) -
     return np.maximum(rows - np.where(is_known, np.round(delay * _SECOND), 0).astype(np.int64), 0)
 
 
-def _messages(episode: EpisodeRecord, feature: Feature, rows: NDArray[np.int64]) -> Iterator[_Message | None]:
-    """Yield what a feature has to say in each row; None where an image or a held value is that of the row before."""
+def _messages(episode: EpisodeRecord, feature: Feature, rows: NDArray[np.int64]) -> Iterator[dict[str, Any] | None]:
+    """Yield the message of each row, its time left out; None where an image or held value is that of the row before."""
     frame = FrameKey.of(feature.key)
     camera = "" if frame is None else frame.camera
     if feature.is_image:
@@ -180,49 +177,27 @@ def _messages(episode: EpisodeRecord, feature: Feature, rows: NDArray[np.int64])
         if feature.encoding == "held" and last is not None and np.array_equal(numbers, last):
             yield None
         elif schema == JOINTS:
-            yield _joints(list(zip(names, numbers.tolist(), strict=True)))
+            yield {"joints": list(zip(names, numbers.tolist(), strict=True))}
         elif schema == CALIBRATION:
             yield _calibration(numbers.reshape(3, 3), size, camera)
         else:
-            yield _numbers(numbers)
+            yield {"values": numbers}
         last = numbers
 
 
-def _image(feature: Feature, data: bytes, taken: int, camera: str) -> _Message:
+def _image(feature: Feature, data: bytes, taken: int, camera: str) -> dict[str, Any]:
+    about = {"timestamp": taken, "frame_id": camera}
     if feature.dtype == "uint8":
         is_jpeg = feature.encoding == "jpeg"
-        stored = data if is_jpeg else as_png(feature, data)
-        values = {"timestamp": taken, "frame_id": camera, "format": "jpeg" if is_jpeg else "png", "data": stored}
-        return lambda at: encode(COMPRESSED_IMAGE, values)
+        return {**about, "format": "jpeg" if is_jpeg else "png", "data": data if is_jpeg else as_png(feature, data)}
     image = decode_frame(feature, data)
     height, width = image.shape
-    raw = {
-        "timestamp": taken,
-        "frame_id": camera,
-        "width": width,
-        "height": height,
-        "encoding": "16UC1",
-        "step": 2 * width,
-        "data": np.ascontiguousarray(image, "<u2").tobytes(),
-    }
-    return lambda at: encode(RAW_IMAGE, raw)
+    pixels = np.ascontiguousarray(image, "<u2").tobytes()
+    return {**about, "width": width, "height": height, "encoding": "16UC1", "step": 2 * width, "data": pixels}
 
 
-def _joints(joints: list[tuple[str, float]]) -> _Message:
-    return lambda at: encode(JOINTS, {"timestamp": at, "joints": joints})
-
-
-def _numbers(numbers: NDArray[np.float64]) -> _Message:
-    return lambda at: encode(NUMBERS, {"timestamp": at, "values": numbers})
-
-
-def _calibration(matrix: NDArray[np.float64], size: tuple[int, ...], camera: str) -> _Message:
-    values = {
-        "frame_id": camera,
-        "width": size[1],
-        "height": size[0],
-        "K": matrix,
-        "R": np.eye(3),
-        "P": np.hstack([matrix, np.zeros((3, 1))]),
-    }
-    return lambda at: encode(CALIBRATION, {"timestamp": at, **values})
+def _calibration(matrix: NDArray[np.float64], size: tuple[int, ...], camera: str) -> dict[str, Any]:
+    projection = np.hstack([matrix, np.zeros((3, 1))])
+    return {
+        "frame_id": camera, "width": size[1], "height": size[0], "K": matrix, "R": np.eye(3), "P": projection
+    }  # fmt: skip

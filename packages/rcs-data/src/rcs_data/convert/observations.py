@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,7 +14,7 @@ from rcs_data.convert.options import ExportOptions, ImportOptions, selected_came
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
-from rcs_data.reader import EpisodeRecord
+from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.trajectory import FRAMES, OBSERVATION, VectorLayout
 
 
@@ -33,6 +34,12 @@ class FrameKey:
         if words[:2] != [OBSERVATION, FRAMES] or len(words) < 4:
             return None
         return cls("/".join(words[2:-1]), words[-1])
+
+
+def export_name(dataset: Dataset) -> str:
+    """Return the name of a dataset's folder, as far as letters, digits and "_" go."""
+    name = re.sub(r"\W+", "_", dataset.path.resolve().name, flags=re.ASCII).strip("_").lower()
+    return name if name[:1].isalpha() else f"rcs_{name}".rstrip("_")
 
 
 def kept_info(info: DatasetInfo, options: ExportOptions | ImportOptions) -> DatasetInfo:

@@ -31,6 +31,7 @@ from rcs_data.convert.observations import (
     FrameKey,
     as_float32,
     describe_layout,
+    export_name,
     kept_info,
     named,
     observed,
@@ -227,8 +228,7 @@ def _integer(value: int | None) -> NDArray[np.int64]:
 def _name(dataset: Dataset, options: ExportOptions) -> str:
     given = options.name
     if given is None:
-        name = re.sub(r"\W+", "_", dataset.path.resolve().name, flags=re.ASCII).strip("_").lower()
-        return name if name[:1].isalpha() else f"rcs_{name}".rstrip("_")
+        return export_name(dataset)
     if not re.fullmatch(r"[A-Za-z]\w*", given, re.ASCII):
         raise InvalidSetup(f"{given!r} cannot name an RLDS dataset; use letters, digits and '_', first a letter.")
     return given

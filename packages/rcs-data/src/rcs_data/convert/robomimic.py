@@ -89,7 +89,9 @@ def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions |
     digest = dataset.digest()
     total = sum(episode.length - 1 for episode in episodes)
     low, high = _limits(episodes, action)
-    offset, scale = _normalisation(low, high) if options.normalise else (np.zeros_like(low), np.ones_like(low))
+    offset, scale = np.zeros_like(low), np.ones_like(low)
+    if options.normalise:
+        offset, scale = (low + high) / 2, np.where(high - low < _LEAST_RANGE, 1, (high - low) / 2)
     done = 0
     with new_output(out) as partial, h5py.File(partial, "w", libver=("v110", "v110")) as file:
         data = file.create_group("data")
@@ -221,13 +223,6 @@ def _limits(
         actions = action.rows(episode)[1:]
         low, high = np.minimum(low, actions.min(axis=0)), np.maximum(high, actions.max(axis=0))
     return low, high
-
-
-def _normalisation(
-    low: NDArray[np.float64], high: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    is_constant = high - low < _LEAST_RANGE
-    return (low + high) / 2, np.where(is_constant, 1, (high - low) / 2)
 
 
 def _masks(episodes: tuple[EpisodeRecord, ...]) -> dict[str, list[int]]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from rcs_data.convert.observations import export_name
 from rcs_data.convert.options import ExportOptions, selected_cameras
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
@@ -115,21 +115,13 @@ def contents(dataset: Dataset, options: ExportOptions | None = None) -> Contents
     shown = camera_features(info)
     state, action = state_layout(info, options.state), action_layout(info, options.action)
     return Contents(
-        name=name_of(dataset, options),
+        name=export_name(dataset) if options.name is None else options.name,
         instruction=info.instruction,
         rate=info.frequency,
         cameras={name: (shown[name].shape[0], shown[name].shape[1]) for name in selected_cameras([*shown], options)},
         state=tuple(_part(feature, "absolute") for feature in state.features),
         action=_action_parts(action, info.setup),
     )
-
-
-def name_of(dataset: Dataset, options: ExportOptions) -> str:
-    """Return the name of an export: that of the options, else of the dataset's folder, as `rcs data export` has it."""
-    if options.name is not None:
-        return options.name
-    name = re.sub(r"\W+", "_", dataset.path.resolve().name, flags=re.ASCII).strip("_").lower()
-    return name if name[:1].isalpha() else f"rcs_{name}".rstrip("_")
 
 
 def is_wrist(camera: str) -> bool:
