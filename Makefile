@@ -188,12 +188,20 @@ READERS := \
   robomimic:read_robomimic.py:robomimic \
   robomimic:read_robomimic.py:varied/robomimic
 
+# π0 is served where there is a Python 3.12, which LeRobot 0.5 wants; PYTHON312 names one that is not on the path.
+PYTHON312 ?= python3.12
+
 # A line per wire of somebody else: its environment, the program that asks and serves both ways.
 WIRES := openpi:ask_through_wires.py
 
 $(INTEROP)/%/.stamp: tests/interop/requirements-%.txt
 	@echo "==> Making $(INTEROP)/$*"
 	@tools/reader_environment $(BIN)/python $*
+
+$(INTEROP)/lerobot-0.5.1/.stamp: tests/interop/requirements-lerobot-0.5.1.txt
+	@$(PYTHON312) -c '' 2>/dev/null || echo "==> There is no $(PYTHON312); the test of π0 is skipped"
+	@! $(PYTHON312) -c '' 2>/dev/null || { echo "==> Making $(INTEROP)/lerobot-0.5.1"; \
+	  tools/reader_environment $(PYTHON312) lerobot-0.5.1; }
 
 test-interop: build gl $(foreach r,$(READERS),$(INTEROP)/$(firstword $(subst :, ,$(r)))/.stamp) test-wires
 	@echo "==> Collecting and exporting"
@@ -220,6 +228,7 @@ test-interop: build gl $(foreach r,$(READERS),$(INTEROP)/$(firstword $(subst :, 
 	  $(BIN)/python tests/interop/import_lerobot.py $$data; \
 	  $(INTEROP)/$$name/bin/python tests/interop/read_lerobot_again.py $$data-again 2>$$data.log || { cat $$data.log; exit 1; }; \
 	done
+	@$(MAKE) $(INTEROP)/lerobot-0.5.1/.stamp
 	@echo "==> Serving policies of other projects"
 	@$(BIN)/python -m pytest tests/interop -m interop --durations=5
 

@@ -24,9 +24,10 @@ import tyro
 from rcs_data import Dataset
 from rcs_data.convert.lerobot import export_lerobot
 from rcs_data.convert.lerobot_layout import IMAGES
-from rcs_data.convert.options import ExportOptions, VideoCodec
+from rcs_data.convert.options import ExportOptions
 from rcs_data.convert.video import VideoReader, encode_video
 from rcs_data.trajectory import camera_features, step_frames
+from rcs_data.video_format import VideoCodec
 
 import rcs
 from rcs.rollout.collect import Collection, Progress, collect

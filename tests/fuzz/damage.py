@@ -73,6 +73,7 @@ def _record(path: Path, *, images: bool) -> None:
     if images:
         features += [
             Feature(key="observation/frames/wrist/rgb", shape=(16, 24, 3), dtype="uint8", encoding="jpeg"),
+            Feature(key="observation/frames/side/rgb", shape=(16, 24, 3), dtype="uint8", encoding="h264"),
             Feature(key="observation/frames/wrist/depth", shape=(8, 10), dtype="uint16", encoding="depth"),
             Feature(key="observation/frames/wrist/intrinsics", shape=(3, 3), dtype="float64", encoding="held"),
             Feature(key="time/frames/wrist", shape=(), dtype="float64"),
@@ -91,6 +92,7 @@ def _record(path: Path, *, images: bool) -> None:
                         row |= {"action/joints": rng.normal(size=7), "action/gripper": np.ones(1), "reward": 1.0}
                     if images:
                         row["observation/frames/wrist/rgb"] = rng.integers(0, 255, (16, 24, 3), np.uint8)
+                        row["observation/frames/side/rgb"] = rng.integers(0, 255, (16, 24, 3), np.uint8)
                         row["observation/frames/wrist/depth"] = rng.integers(0, 255, (8, 10), np.uint16)
                         row["observation/frames/wrist/intrinsics"] = np.eye(3)
                         row["time/frames/wrist"] = i / 30

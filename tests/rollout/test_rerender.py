@@ -22,10 +22,10 @@ pytestmark = pytest.mark.gl
 SIZE = 48
 
 
-def recorded(out: Path, **options: Any) -> Path:
+def recorded(out: Path, *, colour: Any = "jpeg", **options: Any) -> Path:
     usual: dict[str, Any] = {"cameras": ("wrist", "side"), "image_size": (SIZE, SIZE), "max_episode_steps": 40}
     setup = rcs.Setup(**{**usual, **options})
-    for _ in collect(Collection(setup=setup, out=out, episodes=2, seed=1), Progress()):
+    for _ in collect(Collection(setup=setup, out=out, episodes=2, seed=1, colour=colour), Progress()):
         pass
     return out
 
@@ -57,12 +57,13 @@ def assert_equal_but_for_frames(old: EpisodeRecord, new: EpisodeRecord) -> None:
         {},
         {"depth": True, "camera_noise": True},
         {"camera_fps": 15.0},
+        {"colour": "h264"},
         {"randomisation": True},
         {"render_quality": "full", "cameras": ("side",), "max_episode_steps": 2},
         {"task": "LiftBar", "robot": "dual_fr3", "cameras": ("front",)},
         {"task": "PickToy", "robot": "xarm7", "cameras": ("front",), "max_episode_steps": 10},
     ],
-    ids=["plain", "noise", "slow cameras", "randomised", "full", "two arms", "soft"],
+    ids=["plain", "noise", "slow cameras", "video", "randomised", "full", "two arms", "soft"],
 )
 def test_with_nothing_changed_every_frame_has_the_same_bits(tmp_path: Path, options: dict[str, Any]) -> None:
     source = Dataset.open(recorded(tmp_path / "source", **options))

@@ -29,7 +29,7 @@ def test_a_feature_survives_json(key: str, shape: list[int], dtype: str, unit: s
         ({"dtype": "float16"}, "valid are"),
         ({"dtype": "object"}, "valid are"),
         ({"shape": (0,)}, "at least 1"),
-        ({"encoding": "png"}, "valid are plain, held, jpeg, lossless, depth"),
+        ({"encoding": "png"}, "valid are plain, held, jpeg, lossless, h264, av1, depth"),
         ({"encoding": "jpeg"}, r"\(H, W, 3\) uint8"),
         ({"encoding": "depth"}, r"\(H, W\) uint16"),
         ({"key": "time/period"}, "single float64"),

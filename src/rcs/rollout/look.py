@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from rcs_data import Dataset, DatasetInfo
+from rcs_data.feature import Colour
 from rcs_data.info import MERGED
 
 from rcs.envs.assemble import assemble
@@ -141,10 +142,11 @@ class Stage:
             recorded: The info of the other.
             physics: The setup that its states are from; None for this stage.
         """
-        is_lossless = any(feature.encoding == "lossless" for feature in recorded.features)
+        colours: list[Colour] = [feature.colour for feature in recorded.features if feature.colour is not None]
+        first = colours[0] if colours else "jpeg"
         info = dataset_info(
             env,
-            colour="lossless" if is_lossless else "jpeg",
+            colour="lossless" if "lossless" in colours else first,
             jpeg_quality=self.looks.jpeg_quality or recorded.jpeg_quality,
         )
         setup, origin = self.setup.to_json(), self.scene if physics is None else physics

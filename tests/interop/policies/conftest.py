@@ -39,10 +39,15 @@ class Environment:
         assert done.returncode == status, f"{command} ended with {done.returncode}:\n{done.stdout}\n{done.stderr}"
         return done.stdout + done.stderr
 
+    def install_vlagents(self) -> None:
+        """Install this tree's vlagents, whenever the environment was made."""
+        self.run("python", "-m", "pip", "-q", "install", "--no-deps", "-e", PACKAGE)
+
     @contextlib.contextmanager
-    def serve(self, name: str, checkpoint: Path, *words: str | Path) -> Iterator[str]:
-        """Serve a policy as `vlagents serve` does; yield its address."""
-        command = [self.folder / "bin" / "vlagents", "serve", name, "--checkpoint", checkpoint, "--port", "0", *words]
+    def serve(self, name: str, checkpoint: Path, *words: str | Path, program: Path | None = None) -> Iterator[str]:
+        """Serve a policy by `vlagents serve`, or by a program that takes the same words; yield its address."""
+        start = [self.folder / "bin" / "vlagents"] if program is None else [self.folder / "bin" / "python", program]
+        command = [*start, "serve", name, "--checkpoint", checkpoint, "--port", "0", *words]
         with (checkpoint.parent / "served.log").open("w+") as log:
             serving = subprocess.Popen(command, env=os.environ | QUIET, stdout=subprocess.PIPE, stderr=log, text=True)
             try:
@@ -83,8 +88,20 @@ def environment() -> Callable[..., Environment]:
             assert done.returncode == 0, f"the recipe of {family} failed:\n{done.stdout[-4000:]}\n{done.stderr[-4000:]}"
             stamp.write_text(wanted)
         environment = Environment(folder)
-        # The code that is tested is this tree's, whenever the environment was made.
-        environment.run("python", "-m", "pip", "-q", "install", "--no-deps", "-e", PACKAGE)
+        environment.install_vlagents()
         return environment
 
     return made
+
+
+@pytest.fixture(scope="session")
+def made_by_make() -> Callable[[str], Environment]:
+    """Return a function that takes an environment which `make test-interop` makes, and skips the test without it."""
+
+    def found(name: str) -> Environment:
+        environment = Environment(ENVIRONMENTS / name)
+        if not (environment.folder / "bin" / "python").is_file():
+            pytest.skip(f"there is no {environment.folder}; `make test-interop` makes it")
+        return environment
+
+    return found

@@ -1,8 +1,10 @@
 """Images as the bytes of files: colour as JPEG or QOI, depth and labels as PNG.
 
-Any viewer reads them. Of 640 x 480 pixels of a simulated lab, with the noise of a real camera and without, on one core:
-QOI takes 4.6 and 2.3 ms to encode, 3.2 and 2.3 ms to decode, and 597 and 33 kB; PNG of the same image 11 to 13 and 2.6,
-5 and 2.5 ms, and 507 and 29 kB. Depth as PNG takes 1.7 and 0.6, 2.7 and 1.1 ms, and 259 and 40 kB.
+Any viewer reads them. Those of a video are JPEG until the episode is complete, and QOI when they are read from it.
+
+Of 640 x 480 pixels of a simulated lab, with the noise of a real camera and without, on one core: QOI takes 4.6 and 2.3
+ms to encode, 3.2 and 2.3 ms to decode, and 597 and 33 kB; PNG of the same image 11 to 13 and 2.6, 5 and 2.5 ms, and 507
+and 29 kB. Depth as PNG takes 1.7 and 0.6, 2.7 and 1.1 ms, and 259 and 40 kB.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo, Subsampling
 
 _PNG, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND"
+_QOI = b"qoif"
 
 
 def encode_frame(feature: Feature, image: NDArray[Any], info: DatasetInfo) -> bytes:
@@ -53,9 +56,10 @@ def decode_frame(feature: Feature, data: bytes, out: NDArray[Any] | None = None)
     Raises:
         CorruptEpisode: The bytes are not an image of the feature's shape.
     """
-    if feature.encoding == "jpeg":
+    is_lossless = feature.encoding == "lossless" or (feature.video is not None and data[:4] == _QOI)
+    if feature.colour is not None and not is_lossless:
         return decode_jpeg(data, feature.shape, out)
-    decode = decode_lossless if feature.encoding == "lossless" else decode_depth
+    decode = decode_lossless if is_lossless else decode_depth
     image = decode(data, feature.shape)
     if out is None:
         return image
@@ -65,7 +69,8 @@ def decode_frame(feature: Feature, data: bytes, out: NDArray[Any] | None = None)
 
 def blank_frame(feature: Feature, info: DatasetInfo) -> bytes:
     """Return a black image as bytes: what rows have before the first image."""
-    return encode_frame(feature, np.zeros(feature.shape, feature.numpy_dtype), info)
+    black = np.zeros(feature.shape, feature.numpy_dtype)
+    return encode_frame(feature, black, info) if feature.video is None else encode_lossless(black)
 
 
 def pixel_buffer(shape: tuple[int, ...]) -> NDArray[np.uint8]:
@@ -160,7 +165,7 @@ def decode_lossless(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     Raises:
         CorruptEpisode: The bytes are not a whole QOI file of this shape.
     """
-    if data[:4] != b"qoif" or data[-8:] != b"\0\0\0\0\0\0\0\1":
+    if data[:4] != _QOI or data[-8:] != b"\0\0\0\0\0\0\0\1":
         raise CorruptEpisode(f"The {len(data)} bytes are not a whole QOI file.")
     return _decode("qoi", "rgb24", data, data[4:12], shape)
 

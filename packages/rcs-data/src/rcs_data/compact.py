@@ -43,6 +43,7 @@ from rcs_data.layout import (
 )
 from rcs_data.stream import StreamReader
 from rcs_data.timing import TimingMeter
+from rcs_data.video_packets import packed
 
 # Most rows per Parquet row group, and most memory that one takes [B]; fixed by the columns, so that the bytes do not
 # depend on how the rows came.
@@ -117,18 +118,20 @@ def seal(
         folder: Its folder, which is ignored until it has an `episode.json`.
         info: What the dataset's episodes share.
         pieces: The rows, with the columns of `stream_schema`, in pieces of any size; how they are cut changes no byte.
+            Images of videos are files, which become packets, or packets already.
         about: Fields of `episode.json` other than those found here: length, hashes, timing, schema version.
         timing: Returns additions to the timing report; called after the last piece.
 
     Raises:
         OSError: The disk is full or fails.
+        DatasetError: A video cannot be encoded.
     """
     content, meter = ContentHash(info), TimingMeter(info)
     images = [feature.key for feature in info.features if feature.is_image]
     with contextlib.ExitStack() as files:
         steps = files.enter_context(_StepsWriter(folder / STEPS_FILE, info.steps_schema))
         frames = files.enter_context(FramesWriter(folder / FRAMES_FILE, images)) if images else None
-        for rows in pieces:
+        for rows in packed(info, pieces):
             content.add(rows)
             meter.add(rows)
             steps.write(rows if frames is None else frames.numbered(rows))

@@ -38,7 +38,7 @@ class ContentHash:
     """SHA-256 over the values of all columns except times and flags, however the rows are split into tables.
 
     Per column: its key, for each row whether it has a value, and the values, little-endian and row-major, with 0 where
-    there is none; for images the length and the bytes of each.
+    there is none; for images the length and the bytes of each, as they are stored.
     """
 
     def __init__(self, info: DatasetInfo) -> None:
@@ -84,8 +84,8 @@ def compare_steps(a: EpisodeRecord, b: EpisodeRecord, keys: Sequence[str] | None
         lines.append(f"rows: {a.length} and {b.length}")
     first = 0
     different: set[str] = set()
-    for left in a.rows(stop=min(a.length, b.length)):
-        right = pa.concat_tables(b.rows(first, first + left.num_rows))
+    for left in a.rows(stop=min(a.length, b.length), packets=True):
+        right = pa.concat_tables(b.rows(first, first + left.num_rows, packets=True))
         for key in (key for key in known[0] if key in known[1] and (keys is None or key in keys)):
             pair = left.column(key).combine_chunks(), right.column(key).combine_chunks()
             row = _first_difference(*pair) if pair[0].type == pair[1].type else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from rcs_data import parquet
 from rcs_data.about import read_about
-from rcs_data.codec import blank_frame, decode_frame
 from rcs_data.content import flat_numbers
+from rcs_data.episode_images import EpisodeImages
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.flags import FrameFlag, flags_key
@@ -184,21 +184,19 @@ class EpisodeRecord:
             InvalidSetup: There is no such feature, or it is not an image.
             CorruptEpisode: A file is missing or damaged; the message has the row.
         """
-        feature = self.info.feature(key)
-        last, image = None, None
-        for row, data in enumerate(self.encoded_frames(key)):
-            if data is not last or image is None:
-                try:
-                    image = decode_frame(feature, data)
-                except CorruptEpisode as err:
-                    raise CorruptEpisode(f"{self.path / FRAMES_FILE}, {key!r}, row {row}: {err}") from err
-                last = data
+        numbers = self.image_numbers([key])[key]
+        images = EpisodeImages(self.info.feature(key), self.info, self._frames_file(), numbers)
+        last, image = None, np.empty(0)
+        for number in numbers.tolist():
+            if number != last:
+                last, image = number, images.decoded(number)
             yield image.copy()
 
     def encoded_frames(self, key: str) -> Iterator[bytes]:
         """Yield the images of one camera in order, as stored: the bytes of JPEG, QOI or PNG files.
 
-        A row without a new image has the same bytes object as the row before; rows before the first image are black.
+        Those of a video are QOI. A row without a new image has the same bytes object as the row before; rows before the
+        first image are black.
 
         Args:
             key: The feature.
@@ -208,9 +206,8 @@ class EpisodeRecord:
             CorruptEpisode: A file is missing or damaged.
         """
         numbers = self.image_numbers([key])[key]
-        images = FramesFile(self.path / FRAMES_FILE, mapped=False)
-        black = blank_frame(self.info.feature(key), self.info)
-        yield from (black if image is None else image for image in images.shown(numbers))
+        images = EpisodeImages(self.info.feature(key), self.info, self._frames_file(), numbers)
+        yield from images.shown(numbers)
 
     def image_numbers(self, keys: Iterable[str]) -> dict[str, NDArray[np.int32]]:
         """Return for each row the number of each image in `frames.arrow`, shape (length,); -1 before the first.
@@ -228,7 +225,7 @@ class EpisodeRecord:
                 raise InvalidSetup(f"{key!r} is not an image; read it with column({key!r}).")
         return _image_numbers(self.steps(chosen), chosen, self.path)
 
-    def rows(self, start: int = 0, stop: int | None = None) -> Iterator[pa.Table]:
+    def rows(self, start: int = 0, stop: int | None = None, *, packets: bool = False) -> Iterator[pa.Table]:
         """Yield the rows with their images, as recorded, in pieces of at most 256 rows and about 8 MB of images.
 
         The columns are those of `DatasetInfo.stream_schema`: an image is null where it is that of the row before,
@@ -237,13 +234,14 @@ class EpisodeRecord:
         Args:
             start: The first row.
             stop: The row after the last; None for all.
+            packets: Whether images of videos are as stored (`video_packets`) instead of QOI.
 
         Raises:
             CorruptEpisode: A file is missing or damaged.
         """
         end = self.length if stop is None else min(stop, self.length)
         keys = [feature.key for feature in self.info.features if feature.is_image]
-        frames = FramesFile(self.path / FRAMES_FILE, mapped=False) if keys else None
+        read = self._encoded(keys, packets=packets)
         last, first = dict.fromkeys(keys, -1), 0
         for group in filter(len, self._groups()):
             numbers = _image_numbers(group, keys, self.path)
@@ -251,7 +249,7 @@ class EpisodeRecord:
             last = {key: int(column[-1]) for key, column in numbers.items()}
             at, below = max(start - first, 0), min(end - first, group.num_rows)
             while at < below:
-                images, until = _images(frames, numbers, is_new, range(at, min(at + _ROWS_IN_A_PIECE, below)))
+                images, until = _new_images(read, numbers, is_new, range(at, min(at + _ROWS_IN_A_PIECE, below)))
                 yield _inline(group.slice(at, until - at), images)
                 at = until
             first += group.num_rows
@@ -273,15 +271,15 @@ class EpisodeRecord:
         Raises:
             CorruptEpisode: The file of the images is missing or damaged.
         """
-        places = [place for place, feature in enumerate(self.info.features) if feature.is_image]
-        keys = [numbers.schema.names[place] for place in places]
-        frames = FramesFile(self.path / FRAMES_FILE, mapped=False) if keys else None
+        names = {f.key: numbers.schema.names[place] for place, f in enumerate(self.info.features) if f.is_image}
+        keys = list(names.values())
+        read = {names[key]: image for key, image in self._encoded(list(names)).items()}
         columns = _image_numbers(numbers, keys, self.path)
         is_new = {key: np.diff(column, prepend=-1) != 0 for key, column in columns.items()}
         at = 0
         while at < numbers.num_rows:
             rows = range(at, min(at + _ROWS_IN_A_PIECE, numbers.num_rows))
-            images, until = _images(frames, columns, is_new, rows)
+            images, until = _new_images(read, columns, is_new, rows)
             yield _inline(numbers.slice(at, until - at), images)
             at = until
 
@@ -295,6 +293,20 @@ class EpisodeRecord:
         if self.info.sim_state_size is None:
             raise InvalidSetup(f"The dataset of {self.path} has no simulation states.")
         return flat_numbers(self._read([SIM_STATE]).column(SIM_STATE)).reshape(-1, self.info.sim_state_size)
+
+    def _frames_file(self) -> FramesFile:
+        return FramesFile(self.path / FRAMES_FILE, mapped=False)
+
+    def _encoded(self, keys: Sequence[str], *, packets: bool = False) -> dict[str, Callable[[int], bytes]]:
+        """Return of each feature what reads an image by its number."""
+        if not keys:
+            return {}
+        file, features = self._frames_file(), [self.info.feature(key) for key in keys]
+        videos = [] if packets else [feature for feature in features if feature.video is not None]
+        read = dict.fromkeys(keys, file.image)
+        for key, numbers in (self.image_numbers(f.key for f in videos) if videos else {}).items():
+            read[key] = EpisodeImages(self.info.feature(key), self.info, file, numbers).encoded
+        return read
 
     def _decoded(self, feature: Feature) -> NDArray[Any]:
         images = np.empty((self.length, *feature.shape), feature.numpy_dtype)
@@ -351,8 +363,8 @@ def _values(rows: pa.Table, feature: Feature) -> NDArray[Any]:
     return numbers
 
 
-def _images(
-    frames: FramesFile | None,
+def _new_images(
+    read: Mapping[str, Callable[[int], bytes]],
     numbers: Mapping[str, NDArray[np.int32]],
     is_new: Mapping[str, NDArray[np.bool_]],
     rows: range,
@@ -360,9 +372,9 @@ def _images(
     """Return the new images of some rows, and the row after the last that has room for its own."""
     images: dict[str, list[bytes | None]] = {key: [] for key in numbers}
     size = 0
-    for row in rows if frames is not None else ():
+    for row in rows if images else ():
         for key, kept in images.items():
-            image = frames.image(int(numbers[key][row])) if frames is not None and is_new[key][row] else None
+            image = read[key](int(numbers[key][row])) if is_new[key][row] else None
             kept.append(image)
             size += len(image or b"")
         if size > _BYTES_IN_A_PIECE:

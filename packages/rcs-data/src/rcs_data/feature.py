@@ -13,8 +13,11 @@ import pyarrow as pa
 from rcs_data.errors import InvalidSetup
 from rcs_data.joint_bounds import JointBounds
 from rcs_data.text import check_text
+from rcs_data.video_format import VideoCodec, pixel_format
 
-Encoding = Literal["plain", "held", "jpeg", "lossless", "depth", "labels"]
+Colour = Literal["jpeg", "lossless", "h264", "av1"]
+"""Encodings of colour images; the last two are videos."""
+Encoding = Literal["plain", "held", "jpeg", "lossless", "h264", "av1", "depth", "labels"]
 
 DTYPES = (
     "bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float32", "float64",
@@ -26,7 +29,9 @@ _UNKNOWN_AT_RESET = ("action/", "executed/", "reward")
 _OPTIONAL_AT_RESET = ("terminated", "truncated", "time/")
 # How the recording went, not what was recorded: these differ between otherwise equal runs.
 _CIRCUMSTANCES = ("time/", "flags/")
-_IMAGES = ("jpeg", "lossless", "depth", "labels")
+_VIDEOS = get_args(VideoCodec)
+_COLOURS = get_args(Colour)
+_IMAGES = (*_COLOURS, "depth", "labels")
 # Limit per row: an image of 6 000 x 7 000 pixels. A damaged description could claim any size, and memory is allocated.
 _MOST_BYTES = 1 << 27
 _MOST_AXES = 32
@@ -51,9 +56,9 @@ class Feature:
     """The unit in words, such as "rad"; only for people."""
     encoding: Encoding = "plain"
     """How it is stored. "plain": numbers. "held": numbers that rarely change, stored only where they do. "jpeg": an (H,
-    W, 3) uint8 image; "lossless": the same without loss. "depth": an (H, W) uint16 image without loss. "labels": the
-    same of numbers that name what a pixel shows. Only new images are stored: a row without one has that of the row
-    before."""
+    W, 3) uint8 image; "lossless": the same without loss; "h264", "av1": the same as a video, of which a complete
+    episode has the packets and an open one JPEG. "depth": an (H, W) uint16 image without loss. "labels": the same of
+    numbers that name what a pixel shows. Only new images are stored: a row without one has that of the row before."""
     limits: JointBounds | None = None
     """Of joint positions: what these joints can do, with which `check` compares them; None where nobody knows."""
 
@@ -74,8 +79,10 @@ class Feature:
                 f"Feature {self.key!r} has encoding {self.encoding!r}; valid are {', '.join(get_args(Encoding))}."
             )
         is_colour = self.dtype == "uint8" and len(self.shape) == 3 and self.shape[2] == 3
-        if self.encoding in ("jpeg", "lossless") and not is_colour:
+        if self.colour is not None and not is_colour:
             raise InvalidSetup(f"Feature {self.key!r} is a colour image and must be (H, W, 3) uint8, not {self._form}.")
+        if self.video is not None:
+            pixel_format(self.shape[0], self.shape[1], self.video)
         if self.encoding in ("depth", "labels") and (self.dtype != "uint16" or len(self.shape) != 2):
             raise InvalidSetup(
                 f"Feature {self.key!r} is an image of {self.encoding} and must be (H, W) uint16, not {self._form}."
@@ -129,6 +136,16 @@ class Feature:
     def is_image(self) -> bool:
         """Whether this is stored as the bytes of an image."""
         return self.encoding in _IMAGES
+
+    @property
+    def colour(self) -> Colour | None:
+        """The encoding, if this is a colour image."""
+        return next((encoding for encoding in _COLOURS if encoding == self.encoding), None)
+
+    @property
+    def video(self) -> VideoCodec | None:
+        """The codec of the video that the images of a complete episode are; None if they are single files."""
+        return next((codec for codec in _VIDEOS if codec == self.encoding), None)
 
     @property
     def can_be_held(self) -> bool:

@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs_data.cache import ByteCache
-from rcs_data.codec import blank_frame, decode_frame, pixel_buffer
+from rcs_data.codec import pixel_buffer
+from rcs_data.episode_images import EpisodeImages
 from rcs_data.episode_record import EpisodeRecord
-from rcs_data.errors import CorruptEpisode, InvalidSetup
+from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.frames_file import FramesFile
 from rcs_data.layout import FRAMES_FILE
+from rcs_data.video_packets import VideoDecoder
 
 INDEX_BYTES = 1 << 28
 """Memory for the numbers of images by default [B], 4 per row and camera: 64 million images."""
@@ -40,6 +42,7 @@ class FrameAccess:
         self._numbers: ByteCache[dict[str, NDArray[np.int32]]] = ByteCache(cache_bytes)
         self._files: ByteCache[FramesFile] = ByteCache(_MOST_OPEN)
         self._decoded: dict[Feature, NDArray[Any]] = {}
+        self._decoders: dict[Feature, VideoDecoder] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy nothing but the limit."""
@@ -57,17 +60,8 @@ class FrameAccess:
             InvalidSetup: There is no such feature or row, or the feature is not an image.
             CorruptEpisode: A file is missing or damaged.
         """
-        numbers = self._numbers_of(episode, key)
-        wrong = [row for row in rows if not 0 <= row < len(numbers)]
-        if wrong:
-            raise InvalidSetup(f"Episode {episode.id!r} has no row {wrong[0]}; valid are 0 to {len(numbers) - 1}.")
-        path = episode.path / FRAMES_FILE
-        file = self._files.get(path, lambda: (FramesFile(path), 1))
-        images = list(file.shown(numbers[np.asarray(rows, np.intp)]))
-        if None not in images:
-            return [image for image in images if image is not None]
-        black = blank_frame(episode.info.feature(key), episode.info)
-        return [black if image is None else image for image in images]
+        numbers, images = self._images(episode, key, rows)
+        return list(images.shown(numbers))
 
     def frame(self, episode: EpisodeRecord, key: str, row: int) -> NDArray[Any]:
         """Return one image: (H, W, 3) uint8, or (H, W) uint16 millimetres for depth.
@@ -106,17 +100,24 @@ class FrameAccess:
             empty = pixel_buffer(feature.shape) if is_jpeg else np.empty(feature.shape, feature.numpy_dtype)
             self._decoded[feature] = empty
         image = self._decoded[feature]
-        last: bytes | None = None
-        for n, (row, data) in enumerate(zip(rows, self.encoded(episode, key, rows), strict=True)):
-            if data is last:
-                out[n] = out[n - 1]
-                continue
-            try:
-                decode_frame(feature, data, image)
-            except CorruptEpisode as err:
-                raise CorruptEpisode(f"{episode.path / FRAMES_FILE}, {key!r}, row {row}: {err}") from err
+        numbers, images = self._images(episode, key, rows)
+        last: int | None = None
+        for n, number in enumerate(numbers.tolist()):
+            if number != last:
+                images.decoded(number, image)
             out[n] = image
-            last = data
+            last = number
+
+    def _images(self, episode: EpisodeRecord, key: str, rows: Sequence[int]) -> tuple[NDArray[np.int32], EpisodeImages]:
+        """Return the numbers of the images in some rows, and the images by number."""
+        numbers, feature = self._numbers_of(episode, key), episode.info.feature(key)
+        wrong = [row for row in rows if not 0 <= row < len(numbers)]
+        if wrong:
+            raise InvalidSetup(f"Episode {episode.id!r} has no row {wrong[0]}; valid are 0 to {len(numbers) - 1}.")
+        path = episode.path / FRAMES_FILE
+        file = self._files.get(path, lambda: (FramesFile(path), 1))
+        decoder = self._decoders.setdefault(feature, VideoDecoder(feature))
+        return numbers[np.asarray(rows, np.intp)], EpisodeImages(feature, episode.info, file, numbers, decoder)
 
     def _numbers_of(self, episode: EpisodeRecord, key: str) -> NDArray[np.int32]:
         def read() -> tuple[dict[str, NDArray[np.int32]], int]:

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from rcs_data.arrow_heads import BatchHeads
 from rcs_data.durable import HashedFile
@@ -127,14 +126,6 @@ class FramesFile:
         if row >= len(images):
             raise CorruptEpisode(f"{self.path} has no image {number}; it is not the file that was written.")
         return images[row].as_py()
-
-    def shown(self, numbers: NDArray[np.int32]) -> Iterator[bytes | None]:
-        """Yield the images with these numbers, None for -1; equal ones in sequence are the same object."""
-        last, image = -1, None
-        for number in numbers.tolist():
-            if number != last:
-                last, image = number, None if number < 0 else self.image(number)
-            yield image
 
     def _read(self, place: int) -> Any:
         if not 0 <= place < self._reader.num_record_batches:

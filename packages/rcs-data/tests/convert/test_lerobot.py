@@ -210,9 +210,8 @@ def test_files_start_anew_when_they_are_full(make_dataset: Any, tmp_path: Path) 
     layout = lerobot_layout(dataset.info, dataset.episodes, ExportOptions())
     small = tmp_path / "small"
     small.mkdir()
-    job = lerobot._Job(root=small, layout=layout, tasks={}, subtasks={})
-    for episode in dataset.episodes:
-        job.collect(episode)
+    tasks = lerobot._numbered(dataset.episodes, layout, lerobot.TASK)
+    job = lerobot._Job(root=small, layout=layout, tasks=tasks, subtasks={})
     writer = V3Writer(small, layout, "fr3", [*job.tasks], [], data_limit=1, video_limit=1)
     first = 0
     for index, episode in enumerate(dataset.episodes):

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from rcs_data import Dataset, Feature, Windows, check
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, Windows, check
 from rcs_data.codec import encode_jpeg
 from rcs_data.convert import lerobot_source
 from rcs_data.convert.formats import IMPORTS, export_format, import_format
@@ -62,6 +62,32 @@ def test_export_and_import_give_everything_back(source: Dataset, tmp_path: Path,
         assert (old.id, old.seed, old.success, old.instruction) == (new.id, new.seed, new.success, new.instruction)
         assert {**old.outcome, "imported": new.outcome["imported"]} == new.outcome
         assert new.outcome["imported"]["last_observation"] == "repeated"
+    assert check(tmp_path / "back").is_ok
+
+
+@pytest.mark.parametrize("name", ["lerobot-v3", "rlds", "robomimic"])
+def test_other_forms_of_the_action_and_flags_stay_with_their_rows(tmp_path: Path, name: str) -> None:
+    action, flags = "action_dict/absolute", "flags/frames/side"
+    features = (
+        Feature(key="observation/joints", shape=(2,), dtype="float32"),
+        Feature(key="observation/frames/side/rgb", shape=(16, 16, 3), dtype="uint8", encoding="jpeg"),
+        Feature(key="action/joints", shape=(2,), dtype="float32"),
+        Feature(key=action, shape=(2,), dtype="float32"),
+        Feature(key=flags, shape=(), dtype="uint8"),
+    )
+    info = DatasetInfo(frequency=30.0, features=features, setup={}, instruction="")
+    with DatasetWriter.open(tmp_path / "source", info) as writer, writer.episode("take", seed=None) as episode:
+        for i in range(5):
+            values = {f.key: np.full(f.shape, i, f.dtype)[()] for f in features}
+            values |= {"action/joints": None} if not i else {}
+            episode.add({**values, flags: np.uint8(0)})
+        episode.finish(None)
+    export_format(name)(Dataset.open(tmp_path / "source"), tmp_path / "out", ExportOptions(extra=(action, flags)))
+    back = import_format("auto", tmp_path / "out")(tmp_path / "out", tmp_path / "back", ImportOptions())
+    np.testing.assert_array_equal(back.episodes[0].column(action)[:, 0], [0, 1, 2, 3, 4])
+    # The last image repeats the one before, unless the format has it.
+    repeated = back.episodes[0].outcome["imported"].get("repeated", ())
+    assert back.episodes[0].column(flags).tolist() == [0, 0, 0, 0, int(flags in repeated)]
     assert check(tmp_path / "back").is_ok
 
 

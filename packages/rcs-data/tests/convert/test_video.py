@@ -11,7 +11,7 @@ import av
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rcs_data.convert import video
+from rcs_data import video_codec
 from rcs_data.convert.video import (
     VideoJoiner,
     VideoReader,
@@ -20,9 +20,9 @@ from rcs_data.convert.video import (
     decode_image,
     encode_depth_video,
     encode_video,
-    pixel_format,
 )
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
+from rcs_data.video_format import pixel_format
 
 FPS = 30
 
@@ -157,13 +157,15 @@ def test_a_frame_that_came_out_wrong_is_encoded_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, codec: Any, worse: dict[str, str]
 ) -> None:
     rng = np.random.default_rng(0)
-    monkeypatch.setattr(video, "_AT_A_TIME", 3)
+    monkeypatch.setattr(video_codec, "_AT_A_TIME", 3)
     flat = pictures(9)
     # One picture has details that the encoder is told to spare.
     flat[5][16:48, 16:48] = rng.integers(0, 256, (32, 32, 1))
-    monkeypatch.setitem(video._OPTIONS, codec, {**video._OPTIONS[codec], **worse})
+    monkeypatch.setitem(video_codec.OPTIONS, codec, {**video_codec.OPTIONS[codec], **worse})
     good = {name: "0" if name == "qmin" else "6" if name == "qmax" else "8" for name in worse}
-    monkeypatch.setitem(video._MENDING, codec, ({"g": "1", **good} if codec == "av1" else {"forced-idr": "1", **good},))
+    monkeypatch.setitem(
+        video_codec._MENDING, codec, ({"g": "1", **good} if codec == "av1" else {"forced-idr": "1", **good},)
+    )
     encode_video(tmp_path / "v.mp4", flat, flat[0].shape, FPS, codec)
     reader = VideoReader(tmp_path / "v.mp4")
     shown = list(reader.frames(0.0, 9, FPS))
@@ -176,8 +178,8 @@ def test_a_frame_that_came_out_wrong_is_encoded_again(
 def test_frames_that_stay_wrong_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given = pictures(6)
     given[3][:] = np.random.default_rng(0).integers(0, 256, (64, 80, 1))
-    monkeypatch.setitem(video._OPTIONS, "h264", {**video._OPTIONS["h264"], "qmin": "50", "qmax": "51"})
-    monkeypatch.setitem(video._MENDING, "h264", ({"forced-idr": "1"},))
+    monkeypatch.setitem(video_codec.OPTIONS, "h264", {**video_codec.OPTIONS["h264"], "qmin": "50", "qmax": "51"})
+    monkeypatch.setitem(video_codec._MENDING, "h264", ({"forced-idr": "1"},))
     with pytest.raises(DatasetError, match=r"h264 spoils frame 3 for v\.mp4, and 0 after it"):
         encode_video(tmp_path / "v.mp4", given, given[0].shape, FPS, "h264")
 

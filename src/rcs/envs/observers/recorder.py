@@ -7,13 +7,14 @@ import platform
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 from rcs_data import DatasetInfo, DatasetWriter, Encoding, EpisodeRecord, EpisodeWriter, Feature
 from rcs_data.background import BackgroundEpisode
+from rcs_data.feature import Colour
 from rcs_data.flags import FrameFlag, camera_of, flags_key
 
 from rcs.envs import spaces as keys
@@ -37,8 +38,6 @@ error's message by its class."""
 
 _FRAMES = f"{keys.FRAMES}/"
 
-Colour = Literal["jpeg", "lossless"]
-
 
 def dataset_info(
     env: Env | VecEnv,
@@ -53,7 +52,8 @@ def dataset_info(
     Args:
         env: The environment, or a batch of copies of one.
         instruction: What the robot is asked to do; None for the environment's instruction.
-        colour: Encoding of colour frames; `lossless` takes about four times the space.
+        colour: Encoding of colour frames; docs/data.md compares sizes and quality. Videos are made when an episode is
+            finished.
         jpeg_quality: JPEG quality of colour frames, 1 to 100.
         notes: Names of numbers that `env.note` may give beside a step, recorded as `notes/name`; NaN where it did not.
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from rcs_data.about import read_about
 from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
@@ -17,6 +18,7 @@ from rcs_data.check.folder import is_as_written
 from rcs_data.check.report import Finding, counted
 from rcs_data.codec import decode_frame
 from rcs_data.content import ContentHash, flat_numbers
+from rcs_data.episode_images import EpisodeImages
 from rcs_data.episode_record import EpisodeRecord
 from rcs_data.errors import CorruptEpisode, DatasetError
 from rcs_data.frames_file import FramesFile
@@ -24,6 +26,8 @@ from rcs_data.info import DatasetInfo
 from rcs_data.json_file import read_bytes
 from rcs_data.layout import EPISODE_FILE, FRAMES_FILE, STEPS_FILE
 from rcs_data.timing import TimingMeter
+from rcs_data.video_codec import LARGEST_ERROR, block_error
+from rcs_data.video_packets import VideoDecoder
 
 # An image without a value above this is black; JPEG turns 0 into up to 2.
 _BLACK = 8
@@ -40,6 +44,7 @@ class EpisodeBytes:
         self._info = info
         self._reads_rows = depth != "bytes"
         self._decode_frames = depth == "frames"
+        self._videos = {f.key: VideoDecoder(f) for f in info.features if f.video is not None}
         self.rows = EpisodeRows(info)
         self.frames = 0
         """Number of decoded images."""
@@ -84,7 +89,7 @@ class EpisodeBytes:
         content, meter, not_finite = ContentHash(self._info), TimingMeter(self._info), _NotFinite()
         first = 0
         try:
-            for rows in EpisodeRecord(self._place.folder, self._info).rows():
+            for rows in EpisodeRecord(self._place.folder, self._info).rows(packets=True):
                 for key in rows.column_names:
                     column = rows.column(key)
                     if pa.types.is_binary(column.type):
@@ -112,9 +117,15 @@ class EpisodeBytes:
             is_black = False
             if data is not None and self._decode_frames:
                 try:
-                    darkest = 0 if feature.encoding in ("depth", "labels") else _BLACK
-                    is_black = int(decode_frame(feature, data).max()) <= darkest
+                    darkest = 0 if feature.colour is None else _BLACK
+                    video = self._videos.get(key)
+                    shown = decode_frame(feature, data) if video is None else video.decode(data)
+                    is_black = int(shown.max()) <= darkest
                     self.frames += 1
+                    if video is not None and _is_alike(shown, log.shown):
+                        data = log.last
+                    elif video is not None:
+                        log.shown = shown
                 except CorruptEpisode as err:
                     yield self._damage("image", f"{key!r}: {err}", FRAMES_FILE, (row, row))
             log.is_new.append(data is not None)
@@ -137,9 +148,10 @@ class EpisodeBytes:
         for feature in features:
             broken: list[int] = []
             column = numbers[feature.key]
+            seen = EpisodeImages(feature, self._info, images, column)
             for row in np.flatnonzero(np.diff(column, prepend=-1)).tolist():
                 try:
-                    decode_frame(feature, images.image(int(column[row])))
+                    seen.decoded(int(column[row]))
                 except CorruptEpisode:
                     broken.append(row)
             if broken:
@@ -148,6 +160,12 @@ class EpisodeBytes:
 
     def _damage(self, kind: str, message: str, file: str, rows: tuple[int, int] | None = None) -> Finding:
         return self._place.finding("damage", kind, message, file=file, rows=rows)
+
+
+def _is_alike(one: NDArray[Any], other: NDArray[Any] | None) -> bool:
+    """Return whether two images of a video may be of one and the same: their packets differ also then."""
+    height = len(one)
+    return other is not None and block_error(one.reshape(height, -1), other.reshape(height, -1)) <= LARGEST_ERROR / 5
 
 
 class _NotFinite:

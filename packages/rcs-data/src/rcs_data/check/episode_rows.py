@@ -54,11 +54,13 @@ class FrameLog:
     is_new: list[bool] = field(default_factory=list[bool])
     """Whether the row has a new image."""
     is_same: list[bool] = field(default_factory=list[bool])
-    """Whether the new image equals the one before it byte for byte."""
+    """Whether the new image equals the one before it byte for byte; of a video, as far as its quality tells."""
     is_black: list[bool] = field(default_factory=list[bool])
     """Whether the new image is black; False where images were not decoded."""
     last: bytes | None = None
     """The latest image."""
+    shown: NDArray[np.uint8] | None = None
+    """Of a video whose images are decoded: what those since have been alike."""
 
 
 class EpisodeRows:

@@ -11,7 +11,6 @@ An episode has a row more than steps, as `steps` says.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -21,9 +20,9 @@ import numpy as np
 import simplejpeg
 
 from rcs_data.codec import decode_jpeg
-from rcs_data.convert.hdf5 import array, camera_feature, is_hdf5, is_numeric, number_feature, reading_hdf5, rows_of
-from rcs_data.convert.observations import kept_info
-from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
+from rcs_data.convert import hdf5
+from rcs_data.convert.observations import camera_feature, kept_info
+from rcs_data.convert.options import ImportOptions, selected_numbers
 from rcs_data.convert.steps import EpisodeAbout, StepColumn, import_episodes, record_steps
 from rcs_data.errors import CorruptEpisode, InvalidSetup, RcsError
 from rcs_data.feature import Feature
@@ -47,10 +46,10 @@ _MOST_BYTES = 1 << 26
 def is_aloha(path: Path) -> bool:
     """Return whether a file, or the first of a folder, has the arrays of ALOHA; no without h5py."""
     files = _files(path)
-    if not files or not is_hdf5(files[0]):
+    if not files or not hdf5.is_hdf5(files[0]):
         return False
     try:
-        with reading_hdf5(files[0]) as file:
+        with hdf5.reading_hdf5(files[0]) as file:
             return "observations/qpos" in file and "action" in file
     except RcsError:
         return False
@@ -76,15 +75,17 @@ def import_aloha(source: str | Path, out: str | Path, options: ImportOptions | N
     if not files:
         raise InvalidSetup(f"{source} has no files of ALOHA, such as episode_0.hdf5.")
     chosen = selected_numbers(options.episodes, range(len(files)))
-    with reading_hdf5(files[chosen[0]]) as file:
+    with hdf5.reading_hdf5(files[chosen[0]]) as file:
         info, paths = _plan(file, options)
     info = kept_info(info, options)
     return import_episodes(out, info, ((i, partial(_record, files[i], i, info, paths)) for i in chosen), options)
 
 
 def _record(path: Path, index: int, info: DatasetInfo, paths: dict[str, str], writer: DatasetWriter) -> Iterator[int]:
-    with reading_hdf5(path) as file:
-        steps = len(array(file, "action"))
+    with hdf5.reading_hdf5(path) as file:
+        steps = len(hdf5.array(file, "action"))
+        if not steps:
+            raise CorruptEpisode(f"{path} has 0 rows of 'action'; an episode has at least 1.")
         columns = [_column(file, paths[feature.key], feature, steps) for feature in info.features]
         imported: dict[str, Any] = {"file": path.name, "sim": bool(np.all(file.attrs.get("sim", False)))}
         about = EpisodeAbout(id=f"{index:06d}", instruction=info.instruction, imported=imported)
@@ -95,15 +96,15 @@ def _files(path: Path) -> list[Path]:
     """Return the file, or those of a folder, "episode_10" after "episode_9"."""
     if path.is_file():
         return [path]
-    files = [file for file in path.glob("episode_*.hdf5") if file.is_file()]
-    return sorted(files, key=lambda file: (int((re.findall(r"\d+$", file.stem) or ["0"])[0]), file.name))
+    stems = hdf5.by_number(file.stem for file in path.glob("episode_*.hdf5") if file.is_file())
+    return [path / f"{stem}.hdf5" for stem in stems]
 
 
 def _plan(file: Any, options: ImportOptions) -> tuple[DatasetInfo, dict[str, str]]:
     """Return the info of the dataset, and the array of each feature by key."""
     if "observations/qpos" not in file or "action" not in file:
         raise InvalidSetup(f"{file.filename} is not a file of ALOHA: it lacks /observations/qpos or /action.")
-    found = {path: number_feature(key, array(file, path)) for path, key in _NUMBERS.items() if path in file}
+    found = {path: hdf5.number_feature(key, hdf5.array(file, path)) for path, key in _NUMBERS.items() if path in file}
     left_out: dict[str, str] = {}
     for group in _IMAGES:
         for camera, values in getattr(file.get(group), "items", dict)():
@@ -123,27 +124,25 @@ def _plan(file: Any, options: ImportOptions) -> tuple[DatasetInfo, dict[str, str
 
 
 def _camera(camera: str, values: Any, options: ImportOptions) -> Feature | None:
-    if not is_numeric(values) or values.ndim != 2 or values.dtype != np.uint8:
-        return camera_feature(camera, values, options) if is_numeric(values) else None
+    if not hdf5.is_numeric(values):
+        return None
+    if values.ndim != 2 or values.dtype != np.uint8:
+        return camera_feature(camera, values.shape[1:], values.dtype.name, options)
     try:  # a padded JPEG per row
         height, width, *_ = simplejpeg.decode_jpeg_header(_jpeg(values, 0))
     except (ValueError, IndexError) as err:
         raise CorruptEpisode(f"{values.name} begins with no JPEG: {err}.") from err
-    key, shape = f"observation/frames/{camera}/rgb", (int(height), int(width), 3)
-    return stored_as(Feature(key=key, shape=shape, dtype="uint8", encoding="jpeg"), options)
+    return camera_feature(camera, (int(height), int(width), 3), "uint8", options)
 
 
 def _column(file: Any, path: str, feature: Feature, steps: int) -> StepColumn:
-    if path not in file:
-        raise InvalidSetup(f"{file.filename} lacks {path!r}, which other episodes have.")
-    values = array(file, path)
-    if len(values) != steps or not steps:
-        raise CorruptEpisode(f"{values.name} in {file.filename} has {len(values)} rows; expected {steps}.")
-    if feature.encoding in ("jpeg", "lossless") and values.ndim == 2:
-        return StepColumn(feature=feature, values=_jpegs(values, feature))
-    if values.size != steps * feature.size:
-        raise InvalidSetup(f"{values.name} in {file.filename} is {values.shape}; other episodes have {feature.shape}.")
-    return StepColumn(feature=feature, values=rows_of(values, feature))
+    if feature.colour is not None and getattr(file.get(path), "ndim", None) == 2:
+        rows = hdf5.array(file, path, by_row=True)
+        if len(rows) != steps:
+            raise CorruptEpisode(f"{rows.name} in {file.filename} has {len(rows)} rows; expected {steps}.")
+        return StepColumn(feature=feature, values=_jpegs(rows, feature))
+    values = hdf5.checked_array(file, path, feature, steps)
+    return StepColumn(feature=feature, values=hdf5.rows_of(values, feature))
 
 
 def _jpegs(values: Any, feature: Feature) -> Iterator[Any]:

@@ -64,7 +64,11 @@ def export_format(name: str) -> Export:
 
 
 def import_format(name: str, source: Path) -> Import:
-    """Return the function that imports a format; "auto" looks at the source.
+    """Return the function that imports a format.
+
+    Args:
+        name: The format, or "auto" to look at the source.
+        source: The file or folder to import.
 
     Raises:
         UnknownName: There is no such format.

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Generator, Iterator
+import re
+from collections.abc import Generator, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.convert.options import ImportOptions, stored_as
-from rcs_data.errors import CorruptEpisode, MissingDependency, RcsError
+from rcs_data.errors import CorruptEpisode, InvalidSetup, MissingDependency, RcsError
 from rcs_data.feature import Feature
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -23,11 +23,7 @@ _MOST_CHUNK = 1 << 28
 
 
 def load_h5py() -> Any:
-    """Return the package h5py.
-
-    Raises:
-        MissingDependency: It is not installed.
-    """
+    """Return the package h5py; MissingDependency if it is not installed."""
     try:
         return importlib.import_module("h5py")
     except ImportError as err:
@@ -68,8 +64,13 @@ def is_numeric(values: Any) -> bool:
     return getattr(values, "shape", None) is not None and values.ndim > 0 and values.dtype.kind in "fiub"
 
 
-def array(group: Any, path: str) -> Any:
+def array(group: Any, path: str, *, by_row: bool = False) -> Any:
     """Return an array of numbers that can be read row by row, and at once if it has fewer than three axes.
+
+    Args:
+        group: Where it is.
+        path: Its name.
+        by_row: Whether it is read row by row whatever its axes.
 
     Raises:
         CorruptEpisode: There is none, or it claims more than its file can hold.
@@ -86,6 +87,29 @@ def array(group: Any, path: str) -> Any:
     return values
 
 
+def checked_array(group: Any, path: str, feature: Feature, count: int) -> Any:
+    """Return the array of a feature; see `array`.
+
+    Raises:
+        InvalidSetup: The group lacks it, or its rows have another shape.
+        CorruptEpisode: It has another number of rows, or claims more than its file can hold.
+    """
+    where = f"{group.name} in {group.file.filename}"
+    if path not in group:
+        raise InvalidSetup(f"{where} lacks {path!r}, which other episodes have.")
+    values = array(group, path)
+    if len(values) != count:
+        raise CorruptEpisode(f"{path} of {where} has {len(values)} rows; expected {count}.")
+    if values.size != count * feature.size:
+        raise InvalidSetup(f"{path} of {where} has rows of {values.shape[1:]}; other episodes have {feature.shape}.")
+    return values
+
+
+def by_number(names: Iterable[str]) -> list[str]:
+    """Return names that end in a number in its order, "demo_10" after "demo_9"."""
+    return sorted(names, key=lambda name: (int((re.findall(r"\d+$", name) or ["0"])[0]), name))
+
+
 def rows_of(values: Any, feature: Feature) -> Iterator[NDArray[Any]]:
     """Yield the rows of an array as values of a feature; those of images are read one by one."""
     given = values if values.ndim > 2 else values[()]
@@ -93,25 +117,6 @@ def rows_of(values: Any, feature: Feature) -> Iterator[NDArray[Any]]:
 
 
 def number_feature(key: str, values: Any) -> Feature:
-    """Return the feature of an array of numbers, a row per step.
-
-    Raises:
-        InvalidSetup: Its shape or dtype cannot be stored.
-    """
+    """Return the feature of an array of numbers, a row per step; InvalidSetup if it cannot be stored."""
     dtype = "float32" if values.dtype == np.float16 else values.dtype.newbyteorder("=").name
     return Feature(key=key, shape=values.shape[1:], dtype=dtype)
-
-
-def camera_feature(camera: str, values: Any, options: ImportOptions) -> Feature | None:
-    """Return the feature of an array of images, colour or depth; None if it has none.
-
-    Raises:
-        InvalidSetup: Its shape cannot be stored.
-    """
-    shape = values.shape[1:]
-    if values.dtype == np.uint8 and len(shape) == 3 and shape[2] == 3:
-        key = f"observation/frames/{camera}/rgb"
-        return stored_as(Feature(key=key, shape=shape, dtype="uint8", encoding="jpeg"), options)
-    if values.dtype == np.uint16 and (len(shape) == 2 or (len(shape) == 3 and shape[2] == 1)):
-        return Feature(key=f"observation/frames/{camera}/depth", shape=shape[:2], dtype="uint16", encoding="depth")
-    return None

@@ -33,7 +33,11 @@ def labels(episode: EpisodeRecord) -> dict[str, list[str]]:
 
 
 def row_texts(episode: EpisodeRecord, key: str) -> list[str]:
-    """Return the text of every row of a feature such as "extra/subtask_index".
+    """Return the text of every row.
+
+    Args:
+        episode: The episode.
+        key: The feature, such as "extra/subtask_index".
 
     Raises:
         InvalidSetup: There is no such feature.

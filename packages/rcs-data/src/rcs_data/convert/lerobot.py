@@ -10,16 +10,16 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.convert.gr00t import MODALITY_FILE, modality
 from rcs_data.convert.labels import row_texts
 from rcs_data.convert.lerobot_layout import (
+    IMAGES,
     PROVENANCE_FILE,
     RCS_FILE,
     SUBTASK,
@@ -72,16 +72,14 @@ def export_lerobot(
         raise InvalidSetup(f"LeRobot v{version} cannot be written{' for GR00T, which reads 2.1' * gr00t}.")
     episodes = selected_episodes(dataset, options)
     layout = lerobot_layout(dataset.info, episodes, options)
-    job = _Job(layout=layout, tasks={}, subtasks={}, root=Path(out))
-    for episode in episodes:
-        job.collect(episode)
+    tasks, subtasks = (_numbered(episodes, layout, key) for key in (TASK, SUBTASK))
     firsts = [0, *np.cumsum([episode.length - 1 for episode in episodes]).tolist()]
     robot = options.robot_type or str(dataset.info.setup.get("robot") or "unknown")
     digest = dataset.digest()
     with new_output(out) as root:
         root.mkdir()
-        job = replace(job, root=root)
-        writer = (V3Writer if version == "3.0" else V21Writer)(root, layout, robot, [*job.tasks], [*job.subtasks])
+        job = _Job(root=root, layout=layout, tasks=tasks, subtasks=subtasks)
+        writer = (V3Writer if version == "3.0" else V21Writer)(root, layout, robot, [*tasks], [*subtasks])
         try:
             given = list(zip(range(len(episodes)), firsts, episodes, strict=False))
             for episode in _in_order(job.encode, given, options.workers):
@@ -94,7 +92,7 @@ def export_lerobot(
             raise
         (root / _TEMPORARY).rmdir()
         if gr00t:
-            write_json(root / MODALITY_FILE, modality(layout))
+            write_json(root / "meta" / "modality.json", _modality(layout))
         rows = ({"episode_index": i, **episode_provenance(episode, digest)} for i, episode in enumerate(episodes))
         write_json_lines(root / PROVENANCE_FILE, rows)
         about = {
@@ -134,19 +132,13 @@ class _Job:
     subtasks: dict[str, int]
     """The number of each subtask."""
 
-    def collect(self, episode: EpisodeRecord) -> None:
-        """Number the texts of an episode."""
-        for known, texts in ((self.tasks, self._tasks(episode)), (self.subtasks, self._subtasks(episode))):
-            for text in texts:
-                known.setdefault(text, len(known))
-
     def encode(self, given: tuple[int, int, EpisodeRecord]) -> EncodedEpisode:
-        """Return an episode, given with its number and its first frame's; its videos are in a temporary folder."""
+        """Return an episode, given its number, its first frame's and itself; its videos are in the temporary folder."""
         index, first, episode = given
-        tasks = self._tasks(episode)
+        tasks = _texts(episode, self.layout, TASK)
         texts = {"task_index": np.array([self.tasks[text] for text in tasks])}
-        if SUBTASK in self.layout.tables:
-            texts["subtask_index"] = np.array([self.subtasks[text] for text in self._subtasks(episode)])
+        if subtasks := _texts(episode, self.layout, SUBTASK):
+            texts["subtask_index"] = np.array([self.subtasks[text] for text in subtasks])
         arrays = self.layout.arrays(episode, index=index, first=first, texts=texts)
         numbers = {name: values for name, values in arrays.items() if self.layout.numbers[name][0] != TEXT}
         histograms = {name: ImageHistogram(episode.length - 1) for name in self.layout.cameras}
@@ -172,18 +164,43 @@ class _Job:
             histograms=histograms,
         )
 
-    def _tasks(self, episode: EpisodeRecord) -> list[str]:
-        if TASK in self.layout.tables:
-            return row_texts(episode, TASK)[:-1]
-        return [episode.instruction] * (episode.length - 1)
 
-    def _subtasks(self, episode: EpisodeRecord) -> list[str]:
-        return row_texts(episode, SUBTASK)[:-1] if SUBTASK in self.layout.tables else []
+def _numbered(episodes: Iterable[EpisodeRecord], layout: LeRobotLayout, key: str) -> dict[str, int]:
+    """Return the number of each text, in order of appearance."""
+    known: dict[str, int] = {}
+    for episode in episodes:
+        for text in _texts(episode, layout, key):
+            known.setdefault(text, len(known))
+    return known
+
+
+def _texts(episode: EpisodeRecord, layout: LeRobotLayout, key: str) -> list[str]:
+    """Return the task or subtask of each step."""
+    if key in layout.tables:
+        return row_texts(episode, key)[:-1]
+    return [episode.instruction] * (episode.length - 1) if key == TASK else []
 
 
 def depth_path(camera: str, index: int) -> str:
     """Return the path of the depth images of a camera and an episode."""
     return f"rcs/depth/{camera.replace('/', '.')}/chunk-{index // 1000:03d}/episode_{index:06d}.mkv"
+
+
+def _modality(layout: LeRobotLayout) -> dict[str, Any]:
+    """Return what GR00T needs beside v2.1: parts of state and action by name, cameras, and the instruction.
+
+    Layout: the "Robot Data Preparation Guide" of NVIDIA's Isaac-GR00T.
+    """
+    state, action = (
+        {"_".join(key.split("/")[1:]): {"start": at.start, "end": at.stop} for key, at in column.parts.slices.items()}
+        for column in layout.columns[:2]
+    )
+    return {
+        "state": state,
+        "action": action,
+        "video": {name.removeprefix(IMAGES): {"original_key": name} for name in layout.cameras},
+        "annotation": {"human.task_description": {"original_key": "task_index"}},
+    }
 
 
 def _notes(dataset: Dataset, layout: LeRobotLayout) -> Iterator[str]:

@@ -1,19 +1,19 @@
 """Imports a LeRobotDataset, v2.0, v2.1 or v3.0, whether exported by RCS or not.
 
-T frames become T + 1 rows, as `steps` says; LeRobot does not keep the observation after the last frame.
+T frames become T + 1 rows: row i has the observation of frame i, row i + 1 its action. LeRobot does not keep the
+observation after the last frame, so that row T repeats that of row T - 1, as `steps` says.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from typing_extensions import Self
 
 from rcs_data.convert.labels import LABELS, numbered
 from rcs_data.convert.lerobot import depth_path
@@ -21,8 +21,16 @@ from rcs_data.convert.lerobot_layout import PROVENANCE_FILE, RCS_FILE, SUCCESS
 from rcs_data.convert.lerobot_mapping import FeatureMapping, feature_mapping
 from rcs_data.convert.lerobot_source import LeRobotSource, SourceEpisode, refuse_pointer
 from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
-from rcs_data.convert.provenance import by_episode, checked_provenance
-from rcs_data.convert.steps import EpisodeAbout, StepColumn, import_episodes, is_done, leave_out, record_steps
+from rcs_data.convert.provenance import checked_provenance
+from rcs_data.convert.steps import (
+    EpisodeAbout,
+    Record,
+    StepColumn,
+    about_of_provenance,
+    import_episodes,
+    leave_out,
+    record_steps,
+)
 from rcs_data.convert.video import VideoReader, decode_depth_video
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.info import DatasetInfo
@@ -45,6 +53,11 @@ def import_lerobot(source: str | Path, out: str | Path, options: ImportOptions |
     Numbers keep the source's dtype, which is float32 for vectors of our exports. JPEG files in its tables stay as they
     are; other images are compressed again. Success is known only if the source has `next.success` or is our export.
 
+    Args:
+        source: The folder of the LeRobotDataset.
+        out: The folder to make.
+        options: What to import, and how images are stored.
+
     Raises:
         DatasetError: There is no such dataset, `out` exists, or the disk fails.
         CorruptEpisode: The source is damaged or incomplete, and `allow_missing` is not set.
@@ -55,13 +68,16 @@ def import_lerobot(source: str | Path, out: str | Path, options: ImportOptions |
     chosen = selected_numbers(options.episodes, given.lengths)
     ours = read_json(given.root / RCS_FILE) if (given.root / RCS_FILE).is_file() else None
     mapping = feature_mapping(given, ours, options, _carrying(given, chosen, options))
-    total = sum(given.lengths[index] for index in chosen)
-    with _Reading(given, mapping, options, _provenance(given, ours)) as reading:
-        episodes = ((index, partial(reading.record, index, table)) for index, table in _rows(given, chosen, options))
-        return import_episodes(out, _info(given, ours, mapping, options), episodes, options, total)
+    reading = _Reading(given, mapping, options, _provenance(given, ours), {})
+    info, steps = _info(given, ours, mapping, options), sum(given.lengths[index] for index in chosen)
+    try:
+        return import_episodes(out, info, reading.episodes(chosen), options, steps)
+    finally:
+        for reader in reading.readers.values():
+            reader.close()
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Reading:
     """Makes episodes of the source's rows and images."""
 
@@ -69,71 +85,54 @@ class _Reading:
     mapping: FeatureMapping
     options: ImportOptions
     provenance: Mapping[int, dict[str, Any]]
+    readers: dict[str, VideoReader]
+    """Open videos by column; the next episode may continue in the same one."""
 
-    def __enter__(self) -> Self:
-        self._readers: dict[str, VideoReader] = {}
-        return self
+    def episodes(self, chosen: Iterable[int]) -> Iterator[tuple[int, Record]]:
+        """Yield what records each episode; those that cannot be read are left out, if that is allowed."""
+        for path, episodes in self.source.files([*chosen]).items():
+            left = dict.fromkeys(episodes)
+            try:
+                for index, table in self.source.rows(path, episodes):
+                    del left[index]
+                    yield index, partial(self._record, index=index, table=table)
+            except CorruptEpisode as err:
+                for index in left:
+                    leave_out(f"Episode {index}", err, self.options)
 
-    def __exit__(self, *_: object) -> None:
-        for reader in self._readers.values():
-            reader.close()
-
-    def record(self, index: int, table: pa.Table, writer: DatasetWriter) -> Iterator[int]:
-        """Record an episode, and yield the number of each written row."""
+    def _record(self, writer: DatasetWriter, index: int, table: pa.Table) -> Iterator[int]:
         source, mapping = self.source, self.mapping
         videos = {name: source.video(name, index) for name in mapping.cameras if source.is_video(name)}
         episode = SourceEpisode(index=index, table=table, videos=videos)
-        came = self.provenance.get(index, {})
-        columns = [*_numbers(episode, mapping)]
+        columns: list[StepColumn] = []
+        for column in mapping.columns:
+            numbers = episode.numbers(column.name, (column.parts.size,))
+            parts = column.parts.slices
+            columns += [StepColumn(feature=f, values=numbers[:, parts[f.key]]) for f in column.parts.features]
         texts: dict[str, list[str]] = {}
         for name, feature in mapping.labels.items():
             values, texts[feature.key] = numbered(source.texts(name, table))
             columns.append(StepColumn(feature=feature, values=values))
         for name, feature in mapping.cameras.items():
-            images = episode.images(name, stored_as(feature, self.options), self._readers, source.fps)
-            columns.append(StepColumn(feature=feature, values=images))
+            kept = stored_as(feature, self.options)
+            columns.append(StepColumn(feature=kept, values=episode.images(name, kept, self.readers, source.fps)))
         for camera, feature in mapping.depths.items():
-            images = decode_depth_video(source.root / depth_path(camera, index))
-            columns.append(StepColumn(feature=feature, values=images))
+            path = source.root / depth_path(camera, index)
+            columns.append(StepColumn(feature=feature, values=decode_depth_video(path)))
         tasks = list(dict.fromkeys(source.texts("task_index", table) if "task_index" in table.column_names else []))
-        words = (came.get("instruction"), *tasks[:1], self.options.instruction, writer.info.instruction)
-        about = EpisodeAbout(
-            id=str(came.get("episode", f"{index:06d}")),
-            instruction=next(filter(None, words), ""),
-            seed=came.get("seed"),
-            success=_success(episode, came),
-            outcome={**came.get("outcome", {}), **({LABELS: texts} if texts else {})},
-            imported={"episode": index, "tasks": tasks, **({"provenance": came} if came else {})},
+        came, imported = self.provenance.get(index), {"episode": index, "tasks": tasks}
+        about = (
+            EpisodeAbout(id=f"{index:06d}", success=_success(episode), imported=imported)
+            if came is None
+            else about_of_provenance(came, imported)
         )
-        yield from record_steps(writer, len(table), columns, about)
+        words = (about.instruction, *tasks[:1], self.options.instruction, writer.info.instruction)
+        outcome = {**about.outcome, LABELS: texts} if texts else about.outcome
+        about = replace(about, instruction=next(filter(None, words), ""), outcome=outcome)
+        return record_steps(writer, len(table), columns, about)
 
 
-def _rows(source: LeRobotSource, chosen: Iterable[int], options: ImportOptions) -> Iterator[tuple[int, pa.Table]]:
-    """Yield the rows of each episode; those that cannot be read are left out, if that is allowed."""
-    for path, episodes in source.files([*chosen]).items():
-        left = dict.fromkeys(episodes)
-        try:
-            for index, table in source.rows(path, episodes):
-                del left[index]
-                yield index, table
-        except CorruptEpisode as err:
-            for index in left:
-                leave_out(f"Episode {index}", err, options)
-
-
-def _numbers(episode: SourceEpisode, mapping: FeatureMapping) -> Iterator[StepColumn]:
-    for column in mapping.columns:
-        numbers = episode.numbers(column.name, (column.parts.size,))
-        for feature in column.parts.features:
-            part = numbers[:, column.parts.slices[feature.key]].astype(feature.dtype, copy=False)
-            if is_done(feature) and not column.is_after:  # beside observations, it is stored a row later
-                part = np.concatenate([part[1:], part[-1:]])
-            yield StepColumn(feature=feature, values=part)
-
-
-def _success(episode: SourceEpisode, came: Mapping[str, Any]) -> bool | None:
-    if came:
-        return came["success"]
+def _success(episode: SourceEpisode) -> bool | None:
     if SUCCESS in episode.table.column_names:
         return bool(np.any(episode.numbers(SUCCESS, (1,))))
     return None
@@ -145,7 +144,11 @@ def _provenance(source: LeRobotSource, ours: Mapping[str, Any] | None) -> dict[i
     if ours is None or not path.is_file():
         return {}
     refuse_pointer(path)
-    found = by_episode([checked_provenance(row, path) for row in read_json_lines(path)], path)
+    found: dict[int, dict[str, Any]] = {}
+    for row in read_json_lines(path):
+        if type(index := checked_provenance(row, path).get("episode_index")) is not int:
+            raise CorruptEpisode(f"{path} is damaged: {row!r:.80} has no whole number episode_index.")
+        found[index] = row
     if {index: row["rows"] - 1 for index, row in found.items()} == source.lengths:
         return found
     if ours.get("depths"):

@@ -21,13 +21,14 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from rcs_data.convert.labels import labels, row_texts
-from rcs_data.convert.options import ExportOptions, VideoCodec, selected_cameras
-from rcs_data.convert.video import pixel_format
+from rcs_data.convert.observations import is_done
+from rcs_data.convert.options import ExportOptions, selected_cameras
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
 from rcs_data.reader import EpisodeRecord
 from rcs_data.trajectory import VectorLayout, action_layout, camera_features, state_layout
+from rcs_data.video_format import VideoCodec, pixel_format
 
 STATE, ACTION, IMAGES = "observation.state", "action", "observation.images."
 REWARD, DONE, SUCCESS = "next.reward", "next.done", "next.success"
@@ -57,15 +58,14 @@ class Column:
     name: str
     """Its name in LeRobot."""
     dtype: str
+    """Its dtype."""
     parts: VectorLayout
     """The features, joined in this order."""
 
     @property
     def is_after(self) -> bool:
         """Whether it describes what a step did, not the observation before."""
-        return all(
-            feature.is_unknown_at_reset or feature.key in ("terminated", "truncated") for feature in self.parts.features
-        )
+        return all(is_done(feature) for feature in self.parts.features)
 
     def to_json(self) -> dict[str, Any]:
         """Return what an import needs, as JSON values."""
@@ -79,6 +79,7 @@ class LeRobotLayout:
     fps: int
     """Frames per second."""
     codec: VideoCodec
+    """How videos are compressed."""
     columns: tuple[Column, ...]
     """Columns made of features, the state first and the action second."""
     cameras: dict[str, Feature]
@@ -144,11 +145,11 @@ class LeRobotLayout:
     ) -> dict[str, NDArray[Any]]:
         """Return the columns of an episode, each of shape (steps, size).
 
-        `first` is the number of its first frame in the dataset; `texts` has `task_index` and, if there are any,
-        `subtask_index`, shape (steps,).
-
-        Raises:
-            CorruptEpisode: The episode is damaged.
+        Args:
+            episode: The episode; CorruptEpisode if it is damaged.
+            index: Its number among the exported ones.
+            first: The number of its first frame in the dataset.
+            texts: `task_index` and, if there are any, `subtask_index`, shape (steps,).
         """
         steps = episode.length - 1
         arrays = {c.name: _values(c, episode) for c in self.columns}
@@ -181,7 +182,7 @@ class LeRobotLayout:
 
 
 def lerobot_layout(info: DatasetInfo, episodes: Sequence[EpisodeRecord], options: ExportOptions) -> LeRobotLayout:
-    """Choose the columns and videos.
+    """Choose the columns and videos of an export of these episodes.
 
     Raises:
         InvalidSetup: The rate is not a whole number, a feature or camera is unknown, or the codec does not support its

@@ -146,7 +146,7 @@ def _own(source: LeRobotSource, ours: Mapping[str, Any]) -> tuple[list[Column], 
     # Our description must agree with LeRobot's, and its names must not lead out of the folder.
     wrong = [column.name for column in columns if not column.parts.features or column.dtype not in (*DTYPES, "float16")]
     wrong += [f.key for column in columns for f in column.parts.features if f.is_image]
-    wrong += [name for name, feature in cameras.items() if feature.encoding not in ("jpeg", "lossless")]
+    wrong += [name for name, feature in cameras.items() if feature.colour is None]
     wrong += [name for name, feature in depths.items() if feature.encoding != "depth"]
     wrong += [name for name in depths if not all(is_name(word) for word in name.split("/"))]
     if wrong:

@@ -42,6 +42,7 @@ class VideoPlace:
     """The place of an episode's frames."""
 
     path: Path
+    """The video."""
     start: float
     """The time of the first frame [s]."""
 
@@ -51,37 +52,37 @@ class SourceEpisode:
     """One episode as stored."""
 
     index: int
+    """Its number."""
     table: pa.Table
     """Its frames without videos."""
     videos: dict[str, VideoPlace]
     """Its videos by column."""
 
     def numbers(self, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-        """Return a column of numbers, shape (frames, *shape).
-
-        Raises:
-            CorruptEpisode: There are too few or too many numbers.
-        """
+        """Return a column of numbers, shape (frames, *shape); CorruptEpisode if there are too few or too many."""
         column = self._column(name).combine_chunks()
         while pa.types.is_list(column.type) or pa.types.is_large_list(column.type):
             column = column.flatten()
         kind = column.type.value_type if pa.types.is_fixed_size_list(column.type) else column.type
         if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
             raise CorruptEpisode(f"Column {name!r} of episode {self.index} has {column.type} instead of numbers.")
-        numbers = flat_numbers(column)
-        if numbers.size != len(self.table) * int(np.prod(shape)):
-            rows = len(self.table)
+        numbers, rows = flat_numbers(column), len(self.table)
+        if numbers.size != rows * int(np.prod(shape)):
             raise CorruptEpisode(
                 f"Column {name!r} of episode {self.index} has {numbers.size} numbers in {rows} rows of {shape}."
             )
-        return numbers.reshape(len(self.table), *shape)
+        return numbers.reshape(rows, *shape)
 
     def images(
         self, name: str, feature: Feature, readers: dict[str, VideoReader], fps: float
     ) -> Iterator[NDArray[np.uint8] | bytes]:
         """Yield the images of a column one by one: JPEG files as they are where the feature keeps such, else arrays.
 
-        Open videos, by column, are kept in `readers`, since the next episode may continue in the same one.
+        Args:
+            name: The column.
+            feature: What they become.
+            readers: Open videos by column, kept between calls, since the next episode may continue in the same one.
+            fps: Frames per second.
 
         Raises:
             CorruptEpisode: An image is missing, damaged, or of another shape.
@@ -150,7 +151,7 @@ class LeRobotSource:
             raise CorruptEpisode(f"{path} is damaged: total_frames is {frames!r:.80} and chunks_size {chunks!r:.80}.")
         self.frames, self._chunks_size = frames, chunks
         try:
-            self._lengths, self._about = self._read_episodes()
+            self._about = self._read_episodes()
             self.tasks = self._read_tasks()
             path = root / "meta" / "subtasks.parquet"
             self.subtasks = self._read_texts(path, "subtask_index") if path.is_file() else {}
@@ -158,13 +159,9 @@ class LeRobotSource:
             raise
         except (KeyError, TypeError, OSError, pa.ArrowException) as err:
             raise CorruptEpisode(f"The description of the LeRobot dataset in {root} is damaged: {err!r}.") from err
-        if not self._lengths:
+        if not self._about:
             raise InvalidSetup(f"The LeRobot dataset in {root} has no episodes.")
-
-    @property
-    def lengths(self) -> dict[int, int]:
-        """The number of frames of each episode."""
-        return dict(self._lengths)
+        self.lengths = {index: int(row["length"]) for index, row in self._about.items()}
 
     def files(self, episodes: Sequence[int]) -> dict[Path, list[int]]:
         """Return the episodes in each Parquet file, relative to the folder."""
@@ -179,11 +176,7 @@ class LeRobotSource:
         return self.features[name]["dtype"] == "video"
 
     def video(self, name: str, index: int) -> VideoPlace:
-        """Return the place of an episode's video.
-
-        Raises:
-            CorruptEpisode: The description of the episode has none.
-        """
+        """Return the place of an episode's video; CorruptEpisode if its description has none."""
         start = self._about[index].get(f"videos/{name}/from_timestamp") if self.version == "v3.0" else 0.0
         if not isinstance(start, int | float) or not 0 <= start < math.inf:
             raise CorruptEpisode(f"The video {name!r} of episode {index} in {self.root} begins at {start!r} s.")
@@ -193,7 +186,7 @@ class LeRobotSource:
     def rows(
         self, path: Path, episodes: Sequence[int], columns: Sequence[str] | None = None
     ) -> Iterator[tuple[int, pa.Table]]:
-        """Yield episodes of one file with their rows, one at a time in memory; columns are added to `episode_index`.
+        """Yield the rows of a file's `episodes`, one episode at a time in memory; of all `columns` if they are None.
 
         Raises:
             CorruptEpisode: Rows are missing or damaged.
@@ -212,8 +205,7 @@ class LeRobotSource:
             for index, group in groupby(parts, itemgetter(0)):
                 if index in left:
                     rows = pa.concat_tables([part for _, part in group])
-                    if len(rows) != self._lengths[index]:
-                        told = self._lengths[index]
+                    if len(rows) != (told := self.lengths[index]):
                         raise CorruptEpisode(f"Episode {index} of {self.root} has {len(rows)} rows; expected {told}.")
                     left.remove(index)
                     yield index, rows
@@ -253,7 +245,7 @@ class LeRobotSource:
                 )
         return features
 
-    def _read_episodes(self) -> tuple[dict[int, int], dict[int, dict[str, Any]]]:
+    def _read_episodes(self) -> dict[int, dict[str, Any]]:
         if self.version != "v3.0":
             rows = read_json_lines(self.root / "meta" / "episodes.jsonl")
         else:
@@ -269,7 +261,7 @@ class LeRobotSource:
             if type(index) is not int or type(length) is not int or index < 0 or length < 0:
                 raise CorruptEpisode(f"{self.root} describes an episode {index!r} of length {length!r}.")
             about[index] = row
-        return {index: row["length"] for index, row in about.items()}, about
+        return about
 
     def _read_tasks(self) -> dict[int, str]:
         if self.version != "v3.0":
@@ -290,11 +282,7 @@ class LeRobotSource:
 
 
 def refuse_pointer(path: Path) -> None:
-    """Raise if Git has left a pointer in place of a large file.
-
-    Raises:
-        CorruptEpisode: It has; the message says what to do.
-    """
+    """Raise CorruptEpisode, which says what to do, if Git has left a pointer in place of a large file."""
     if not path.is_file():  # opening a pipe would never end
         return
     try:
@@ -309,7 +297,7 @@ def refuse_pointer(path: Path) -> None:
 
 
 def filled(pattern: object, values: Mapping[str, object]) -> Path:
-    """Return the path of a pattern such as "videos/{video_key}/episode_{episode_index:06d}.mp4".
+    """Return the path of a pattern such as "videos/{video_key}/episode_{episode_index:06d}.mp4", given its values.
 
     Not with `str.format`, since an untrusted pattern could access attributes and make texts of any length.
 

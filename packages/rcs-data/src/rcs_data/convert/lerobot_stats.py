@@ -25,7 +25,9 @@ _ROWS_AT_A_TIME = 4096
 def weighted(values: NDArray[np.float64], counts: NDArray[np.int64]) -> dict[str, NDArray[np.float64]]:
     """Return statistics of numbers that occur several times, by name, each of shape (size,); exact.
 
-    Values are sorted along the first axis, shape (n, size); of the counts, as many, every column has one that is not 0.
+    Args:
+        values: Sorted along the first axis, shape (n, size).
+        counts: How often each occurs, shape (n, size); of every column, at least one does.
     """
     total = counts.sum(axis=0)
     mean = (counts * values).sum(axis=0) / total
@@ -42,7 +44,7 @@ def weighted(values: NDArray[np.float64], counts: NDArray[np.int64]) -> dict[str
 
 
 def episode_stats(columns: dict[str, NDArray[Any]]) -> dict[str, Stats]:
-    """Return the statistics of columns of numbers, (rows, size) each; NaN is left out, and a column of it has none."""
+    """Return the statistics of columns of shape (rows, size) but for NaN; one with a number never measured has none."""
     rows = np.concatenate([values.astype(np.float64) for values in columns.values()], axis=1)
     ordered = np.sort(np.where(np.isfinite(rows), rows, np.nan), axis=0)
     counts = np.isfinite(ordered).astype(np.int64)
@@ -63,11 +65,7 @@ class ImageHistogram:
     """A histogram of each channel's 256 values, over a sample of frames and pixels."""
 
     def __init__(self, frames: int = 0) -> None:
-        """Start empty.
-
-        Args:
-            frames: Number of frames that will be given to `add`; 100 of them, evenly spaced, are counted.
-        """
+        """Start empty; of the `frames` that will be given to `add`, 100 are counted, evenly spaced."""
         self.sampled = 0
         self.counts = np.zeros((256, 3), np.int64)
         self._stride = max(1, math.ceil(frames / _SAMPLED_FRAMES))

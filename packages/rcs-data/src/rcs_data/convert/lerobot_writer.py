@@ -39,6 +39,7 @@ class EncodedEpisode:
     tasks: list[str]
     """What the robot was asked to do, in order of appearance."""
     table: pa.Table
+    """Its columns."""
     videos: dict[str, Path]
     """Its videos by column; each must be moved, or joined and removed."""
     stats: dict[str, Stats]
@@ -57,23 +58,11 @@ class LeRobotWriter(ABC):
     video_path: str
 
     def __init__(self, root: Path, layout: LeRobotLayout, robot: str, tasks: list[str], subtasks: list[str]) -> None:
-        """Start a dataset.
-
-        Args:
-            root: Its folder.
-            layout: The columns and videos.
-            robot: Name of the robot.
-            tasks: All instructions.
-            subtasks: All subtasks.
-        """
-        self.root = root
-        self.layout = layout
-        self._robot = robot
-        self._tasks = tasks
-        self._subtasks = subtasks
+        """Start a dataset of a robot with all its instructions and subtasks, in the folder `root`."""
+        self.root, self.layout, self._robot = root, layout, robot
+        self._tasks, self._subtasks = tasks, subtasks
         self._total = DatasetStats()
-        self.episodes = 0
-        self._frames = 0
+        self.episodes = self._frames = 0
 
     def add(self, episode: EncodedEpisode) -> None:
         """Write the next episode."""
@@ -84,11 +73,7 @@ class LeRobotWriter(ABC):
         self._frames += length
 
     def finish(self) -> None:
-        """Close all files and write those that need all episodes.
-
-        Raises:
-            DatasetError: A video has wrong frames.
-        """
+        """Close all files and write those that need all episodes; DatasetError if a video has wrong frames."""
         meta = self.root / "meta"
         info = {
             "codebase_version": self.codebase_version,
@@ -100,7 +85,7 @@ class LeRobotWriter(ABC):
             "fps": self.layout.fps,
             "splits": {"train": f"0:{self.episodes}"},
             "features": self.layout.features(),
-            **self._finish(meta, self._tasks),
+            **self._finish(meta),
             "data_path": self.data_path,
             "video_path": self.video_path if self.layout.cameras else None,
         }
@@ -118,7 +103,7 @@ class LeRobotWriter(ABC):
         """Write an episode's rows, videos and description."""
 
     @abstractmethod
-    def _finish(self, meta: Path, tasks: list[str]) -> dict[str, Any]:
+    def _finish(self, meta: Path) -> dict[str, Any]:
         """Close all files, write the tasks, and return what else `info.json` has."""
 
 
@@ -143,10 +128,10 @@ class V21Writer(LeRobotWriter):
         self._about.append(about)
         self._stats.append({"episode_index": episode.index, "stats": episode.stats})
 
-    def _finish(self, meta: Path, tasks: list[str]) -> dict[str, Any]:
+    def _finish(self, meta: Path) -> dict[str, Any]:
         write_json_lines(meta / "episodes.jsonl", self._about)
         write_json_lines(meta / "episodes_stats.jsonl", self._stats)
-        write_json_lines(meta / "tasks.jsonl", ({"task_index": i, "task": t} for i, t in enumerate(tasks)))
+        write_json_lines(meta / "tasks.jsonl", ({"task_index": i, "task": t} for i, t in enumerate(self._tasks)))
         return {"total_videos": self.episodes * len(self.layout.cameras), "total_chunks": -(-self.episodes // CHUNK)}
 
 
@@ -158,13 +143,7 @@ class V3Writer(LeRobotWriter):
     video_path = "videos/{video_key}/" + _SHARED + ".mp4"
 
     def __init__(self, *given: Any, data_limit: int = _DATA_MB << 20, video_limit: int = _VIDEO_MB << 20) -> None:
-        """Start a dataset; see `LeRobotWriter`.
-
-        Args:
-            given: What that takes.
-            data_limit: Size at which a new Parquet file begins [B].
-            video_limit: Size at which a new video begins [B].
-        """
+        """Start a dataset; see `LeRobotWriter`. A new Parquet file or video begins at these sizes [B]."""
         super().__init__(*given)
         self._data = _GrowingParquet(self.root / "data", data_limit)
         self._about = _GrowingParquet(self.root / "meta" / "episodes", data_limit)
@@ -179,7 +158,7 @@ class V3Writer(LeRobotWriter):
         self._data.close()
         self._about.close()
         for video in self._videos.values():
-            video.abort()
+            video.close(is_whole=False)
 
     def _place(self, episode: EncodedEpisode, about: dict[str, Any]) -> None:
         length = episode.table.num_rows
@@ -213,13 +192,13 @@ class V3Writer(LeRobotWriter):
         self._about.write(table)
         self._waiting.clear()
 
-    def _finish(self, meta: Path, tasks: list[str]) -> dict[str, Any]:
+    def _finish(self, meta: Path) -> dict[str, Any]:
         self._flush()
         self._data.close()
         self._about.close()
         for video in self._videos.values():
             video.close()
-        pq.write_table(_text_table(tasks, "task_index"), meta / "tasks.parquet")
+        pq.write_table(_text_table(self._tasks, "task_index"), meta / "tasks.parquet")
         return {"data_files_size_in_mb": _DATA_MB, "video_files_size_in_mb": _VIDEO_MB}
 
 
@@ -227,10 +206,7 @@ class _GrowingParquet:
     """Tables in files of limited size, `chunk-000/file-000.parquet` and so on."""
 
     def __init__(self, root: Path, limit: int) -> None:
-        self._root = root
-        self._limit = limit
-        self._files = 0
-        self._path = root
+        self._root, self._limit, self._files, self._path = root, limit, 0, root
         self._writer: pq.ParquetWriter | None = None
 
     def place(self, size: int) -> tuple[int, int]:
@@ -258,35 +234,25 @@ class _GrowingVideo:
     """Joins videos of episodes to files of limited size."""
 
     def __init__(self, root: Path, fps: int, limit: int) -> None:
-        self._root = root
-        self._fps = fps
-        self._limit = limit
-        self._files = 0
+        self._root, self._fps, self._limit, self._files = root, fps, limit, 0
         self._joiner: VideoJoiner | None = None
 
     def add(self, path: Path) -> tuple[int, int, int]:
         """Append a video and return its chunk number, file number and first frame."""
-        if self._joiner is not None:
-            is_full = self._joiner.size + path.stat().st_size > self._limit
-            if is_full or not self._joiner.takes(path):
-                self.close()
+        open_ = self._joiner
+        if open_ is not None and (open_.size + path.stat().st_size > self._limit or not open_.takes(path)):
+            self.close()
         if self._joiner is None:
             self._joiner = VideoJoiner(_parent_made(self._root / _shared(self._files, "mp4")), self._fps)
             self._files += 1
         first = self._joiner.append(path)
         return *divmod(self._files - 1, CHUNK), first
 
-    def close(self) -> None:
-        """Complete the open file."""
-        if self._joiner is not None:
-            self._joiner.close()
-            self._joiner = None
-
-    def abort(self) -> None:
-        """Close the open file without completing it."""
-        if self._joiner is not None:
-            self._joiner.abort()
-            self._joiner = None
+    def close(self, *, is_whole: bool = True) -> None:
+        """Complete the open file, or close it without that."""
+        joiner, self._joiner = self._joiner, None
+        if joiner is not None:
+            (joiner.close if is_whole else joiner.abort)()
 
 
 def write_json(path: Path, values: Any) -> None:

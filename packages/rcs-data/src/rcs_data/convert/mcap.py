@@ -40,7 +40,7 @@ from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
 from rcs_data.output import new_output, size_on_disk
 from rcs_data.reader import Dataset, EpisodeRecord
-from rcs_data.trajectory import VectorLayout
+from rcs_data.trajectory import VectorLayout, camera_features
 
 _SECOND = 1_000_000_000
 _TIME, _FRAME_TIME = "time/monotonic", "time/frames/"
@@ -70,8 +70,7 @@ def export_mcap(dataset: Dataset, out: str | Path, options: ExportOptions | None
     compression = mcap.CompressionType.ZSTD if options.compress else mcap.CompressionType.NONE
     digest = dataset.digest()
     total = sum(episode.length for episode in episodes)
-    done = 0
-    images = 0
+    done = images = 0
     with new_output(out) as partial:
         partial.mkdir()
         for episode in episodes:
@@ -98,22 +97,21 @@ def _write(writer: Any, episode: EpisodeRecord, info: DatasetInfo) -> int:
     """Write all messages of an episode, row by row, and return the number of images."""
     rows = _row_times(episode, info)
     features = [feature for feature in info.features if not feature.is_time]
-    channels = {feature.key: _channel(writer, f"/{feature.key}", _schema(feature)) for feature in features}
-    streams = {feature.key: _messages(episode, feature, rows) for feature in features}
+    channels = [_channel(writer, f"/{feature.key}", _schema(feature)) for feature in features]
+    streams = zip(*(_messages(episode, feature, rows) for feature in features), strict=True)
     instruction = _channel(writer, "/instruction", TEXT)
     start = int(rows[0])
     words = encode(TEXT, {"timestamp": start, "text": episode.instruction})
     writer.add_message(instruction, start, words, start)
     images = 0
-    for row in range(episode.length):
-        for feature in features:
-            data = next(streams[feature.key])
+    for row, messages in enumerate(streams):
+        for feature, channel, data in zip(features, channels, messages, strict=True):
             # What was done in a step was commanded when the step began.
             is_command = feature.key.startswith(("action/", "executed/"))
             if data is None or (row == 0 and feature.is_unknown_at_reset):
                 continue
             at = int(rows[row - 1 if is_command else row])
-            writer.add_message(channels[feature.key], at, encode(_schema(feature), {"timestamp": at, **data}), at)
+            writer.add_message(channel, at, encode(_schema(feature), {"timestamp": at} | data), at)
             images += feature.is_image
     return images
 
@@ -158,20 +156,21 @@ def _frame_times(episode: EpisodeRecord, camera: str, rows: NDArray[np.int64]) -
 
 
 def _messages(episode: EpisodeRecord, feature: Feature, rows: NDArray[np.int64]) -> Iterator[dict[str, Any] | None]:
-    """Yield the message of each row, its time left out; None where an image or held value is that of the row before."""
+    """Yield the values of a feature's message by row; None where an image or a held value is that of the row before."""
     frame = FrameKey.of(feature.key)
     camera = "" if frame is None else frame.camera
+    last: Any = None
     if feature.is_image:
         taken = _frame_times(episode, camera, rows)
-        last = None
         for row, data in enumerate(episode.encoded_frames(feature.key)):
-            yield None if data is last else _image(feature, data, int(taken[row]), camera)
+            about = {"timestamp": int(taken[row]), "frame_id": camera}
+            yield None if data is last else about | _image(feature, data)
             last = data
         return
-    schema, last = _schema(feature), None
+    schema = _schema(feature)
     names = feature.limits.names if feature.limits is not None else VectorLayout(features=(feature,)).names
-    sizes = {f.key: f.shape for f in episode.info.features if f.is_image}
-    size = next((shape for key, shape in sizes.items() if FrameKey.of(key) == FrameKey(camera, "rgb")), (0, 0))
+    colour = camera_features(episode.info).get(camera)
+    height, width = (0, 0) if colour is None else colour.shape[:2]
     for value in episode.column(feature.key):
         numbers = np.asarray(value, np.float64).reshape(-1)
         if feature.encoding == "held" and last is not None and np.array_equal(numbers, last):
@@ -179,25 +178,20 @@ def _messages(episode: EpisodeRecord, feature: Feature, rows: NDArray[np.int64])
         elif schema == JOINTS:
             yield {"joints": list(zip(names, numbers.tolist(), strict=True))}
         elif schema == CALIBRATION:
-            yield _calibration(numbers.reshape(3, 3), size, camera)
+            projection = np.hstack([numbers.reshape(3, 3), np.zeros((3, 1))])
+            matrices = {"K": numbers, "R": np.eye(3), "P": projection}
+            yield {"frame_id": camera, "width": width, "height": height, **matrices}
         else:
             yield {"values": numbers}
         last = numbers
 
 
-def _image(feature: Feature, data: bytes, taken: int, camera: str) -> dict[str, Any]:
-    about = {"timestamp": taken, "frame_id": camera}
+def _image(feature: Feature, data: bytes) -> dict[str, Any]:
+    if feature.encoding == "jpeg":
+        return {"format": "jpeg", "data": data}
     if feature.dtype == "uint8":
-        is_jpeg = feature.encoding == "jpeg"
-        return {**about, "format": "jpeg" if is_jpeg else "png", "data": data if is_jpeg else as_png(feature, data)}
+        return {"format": "png", "data": as_png(feature, data)}
     image = decode_frame(feature, data)
     height, width = image.shape
     pixels = np.ascontiguousarray(image, "<u2").tobytes()
-    return {**about, "width": width, "height": height, "encoding": "16UC1", "step": 2 * width, "data": pixels}
-
-
-def _calibration(matrix: NDArray[np.float64], size: tuple[int, ...], camera: str) -> dict[str, Any]:
-    projection = np.hstack([matrix, np.zeros((3, 1))])
-    return {
-        "frame_id": camera, "width": size[1], "height": size[0], "K": matrix, "R": np.eye(3), "P": projection
-    }  # fmt: skip
+    return {"width": width, "height": height, "encoding": "16UC1", "step": 2 * width, "data": pixels}

@@ -60,7 +60,7 @@ _OPTIONAL, _REPEATED = 1, 3
 
 
 def encode(schema: str, values: dict[str, Any]) -> bytes:
-    """Return a message of a schema; a time is in nanoseconds since 1970, joints are a list of names and positions."""
+    """Return a message of these values by field: a time in ns since 1970, joints as a list of names and positions."""
     parts: list[bytes] = []
     for name, value in values.items():
         number, kind = _MESSAGES[schema][name]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,12 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.convert.options import ExportOptions, ImportOptions, selected_cameras
+from rcs_data.convert.options import ExportOptions, ImportOptions, selected_cameras, stored_as
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
-from rcs_data.reader import Dataset, EpisodeRecord
+from rcs_data.reader import EpisodeRecord
 from rcs_data.trajectory import FRAMES, OBSERVATION, VectorLayout
+
+ACTION_DICT = "action_dict/"
+"""Begins the keys of other forms of the action, which are no part of it; zeros in the first row."""
 
 
 @dataclass(frozen=True)
@@ -36,18 +38,8 @@ class FrameKey:
         return cls("/".join(words[2:-1]), words[-1])
 
 
-def export_name(dataset: Dataset) -> str:
-    """Return the name of a dataset's folder, as far as letters, digits and "_" go."""
-    name = re.sub(r"\W+", "_", dataset.path.resolve().name, flags=re.ASCII).strip("_").lower()
-    return name if name[:1].isalpha() else f"rcs_{name}".rstrip("_")
-
-
 def kept_info(info: DatasetInfo, options: ExportOptions | ImportOptions) -> DatasetInfo:
-    """Return the info without the features of cameras that are not chosen.
-
-    Raises:
-        InvalidSetup: A camera is unknown.
-    """
+    """Return the info without the features of cameras that are not chosen; InvalidSetup if one is unknown."""
     frame_keys = {feature.key: FrameKey.of(feature.key) for feature in info.features}
     known = list(dict.fromkeys(key.camera for key in frame_keys.values() if key is not None))
     dropped = set(known) - set(selected_cameras(known, options))
@@ -66,10 +58,10 @@ def observed(info: DatasetInfo) -> tuple[Feature, ...]:
 
 
 def named(features: Sequence[Feature], name: Callable[[Feature], str], taken: Sequence[str] = ()) -> dict[str, Feature]:
-    """Return the features by their name in a format, which has reserved some.
+    """Return the features by their name in a format.
 
     Raises:
-        InvalidSetup: Two would share a name.
+        InvalidSetup: Two would share a name, or one has a name that is `taken` by the format itself.
     """
     found: dict[str, Feature] = {}
     for feature in features:
@@ -81,15 +73,26 @@ def named(features: Sequence[Feature], name: Callable[[Feature], str], taken: Se
     return found
 
 
-def step_values(episode: EpisodeRecord, feature: Feature) -> NDArray[Any]:
-    """Return a column of numbers by step: the observation before it, or what it did; shape (steps, *shape).
+def is_done(feature: Feature) -> bool:
+    """Return whether a feature describes what a step did, not the observation before it."""
+    is_end = feature.key in ("terminated", "truncated")
+    return is_end or feature.is_unknown_at_reset or feature.key.startswith(ACTION_DICT)
 
-    Raises:
-        CorruptEpisode: The episode is damaged.
-    """
-    is_after = feature.is_unknown_at_reset or feature.key in ("terminated", "truncated")
+
+def camera_feature(camera: str, shape: tuple[int, ...], dtype: str, options: ImportOptions) -> Feature | None:
+    """Return the feature of imported images, colour of 8 bits or depth of 16; None if they are neither."""
+    key = f"{OBSERVATION}/{FRAMES}/{camera}"
+    if dtype == "uint8" and len(shape) == 3 and shape[2] == 3:
+        return stored_as(Feature(key=f"{key}/rgb", shape=shape, dtype=dtype, encoding="jpeg"), options)
+    if dtype == "uint16" and (len(shape) == 2 or (len(shape) == 3 and shape[2] == 1)):
+        return Feature(key=f"{key}/depth", shape=shape[:2], dtype=dtype, encoding="depth")
+    return None
+
+
+def step_values(episode: EpisodeRecord, feature: Feature) -> NDArray[Any]:
+    """Return a column of numbers by step: the observation before it, or what it did; shape (steps, *shape)."""
     column = episode.column(feature.key)
-    return column[1:] if is_after else column[:-1]
+    return column[1:] if is_done(feature) else column[:-1]
 
 
 def describe_layout(layout: VectorLayout) -> list[dict[str, Any]]:

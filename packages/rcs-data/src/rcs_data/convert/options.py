@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.output import OnProgress
 from rcs_data.reader import Dataset, EpisodeRecord
-
-VideoCodec = Literal["h264", "av1"]
+from rcs_data.video_format import VideoCodec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +75,8 @@ class ImportOptions:
     """1 to 100; images are compressed again, so a value below the default is visible."""
     lossless: bool = False
     """Whether to store colour images without loss instead."""
+    video: VideoCodec | None = None
+    """Codec of the videos as which to store colour images instead."""
     instruction: str | None = None
     """What the robot was asked to do, if the source does not say."""
     frequency: float | None = None
@@ -111,8 +112,14 @@ class ExportReport:
 
 
 def stored_as(feature: Feature, options: ImportOptions) -> Feature:
-    """Return a feature of an imported dataset, its images encoded according to the options."""
-    return replace(feature, encoding="lossless") if options.lossless and feature.encoding == "jpeg" else feature
+    """Return a feature of an imported dataset, its images encoded according to the options.
+
+    Raises:
+        InvalidSetup: The codec does not support their size.
+    """
+    if feature.colour is None:
+        return feature
+    return replace(feature, encoding="lossless" if options.lossless else options.video or feature.encoding)
 
 
 def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[EpisodeRecord, ...]:

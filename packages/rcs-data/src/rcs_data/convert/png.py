@@ -23,7 +23,11 @@ _OPTIONS = {"compression_level": "1", "pred": "sub"}
 
 
 def encode_png(image: NDArray[Any]) -> bytes:
-    """Return an image as PNG: RGB, shape (H, W, 3), uint8; or grey, shape (H, W), uint8 or uint16."""
+    """Return the image as PNG.
+
+    Args:
+        image: RGB, shape (H, W, 3), uint8; or grey, shape (H, W), uint8 or uint16.
+    """
     pixels = _FORMATS[image.ndim, image.dtype.itemsize]
     frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format=pixels)
     codec: Any = av.CodecContext.create("png", "w")

@@ -18,7 +18,7 @@ _LONGEST_VARINT = 10
 
 
 def varint(value: int) -> bytes:
-    """Return a number from 0 to 2 ** 64 - 1 as a varint: seven bits per byte, the lowest first; a high bit: more."""
+    """Return a number from 0 to 2 ** 64 - 1 as a varint: seven bits per byte, the lowest first."""
     parts = bytearray()
     while value > 127:
         parts.append(value & 127 | 128)
@@ -28,12 +28,12 @@ def varint(value: int) -> bytes:
 
 
 def field(number: int, value: bytes | str | int, wire: int | None = None) -> bytes:
-    """Return one field of a message.
+    """Return one field of a message: a whole number from 0, or bytes, text or an encoded message after its length.
 
     Args:
         number: Its number.
-        value: Bytes, text, a message already encoded, or a whole number from 0.
-        wire: The wire type of bytes that are stored without their length; None for bytes with it.
+        value: The value.
+        wire: The wire type of bytes that are stored without their length.
     """
     if isinstance(value, int):
         return varint(number << 3 | VARINT) + varint(value)
@@ -44,7 +44,7 @@ def field(number: int, value: bytes | str | int, wire: int | None = None) -> byt
 
 
 def fields(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield the number and the value of each field of a message, in order; a value is a part of the data.
+    """Yield number and value of each field of a message, in order; a value is a part of the data.
 
     Raises:
         CorruptEpisode: It is not a message.

@@ -17,6 +17,10 @@ FIELDS = ("episode", "seed", "success", "outcome", "instruction", "rows")
 def episode_provenance(episode: EpisodeRecord, digest: str) -> dict[str, Any]:
     """Return the origin of an exported episode, and what its format has no place for, as JSON values.
 
+    Args:
+        episode: The episode.
+        digest: That of its dataset, as `Dataset.digest` returns it.
+
     Raises:
         CorruptEpisode: The episode's description is damaged.
     """
@@ -37,7 +41,7 @@ def episode_provenance(episode: EpisodeRecord, digest: str) -> dict[str, Any]:
 
 
 def checked_provenance(values: Any, path: Path | str) -> dict[str, Any]:
-    """Return checked values of `episode_provenance` that a format stored.
+    """Return checked values of `episode_provenance` that a file stored.
 
     Raises:
         CorruptEpisode: A field is missing or not valid.
@@ -60,20 +64,3 @@ def checked_provenance(values: Any, path: Path | str) -> dict[str, Any]:
         if not right:
             raise CorruptEpisode(f"{path} is damaged: {field} of an episode is {given[field]!r:.80}.")
     return given
-
-
-def by_episode(rows: Any, path: Path) -> dict[int, dict[str, Any]]:
-    """Return the rows of a file beside an export, by episode number.
-
-    Raises:
-        CorruptEpisode: A row has no episode number.
-    """
-    if not isinstance(rows, list):
-        raise CorruptEpisode(f"{path} is damaged: it has {rows!r:.80} instead of episodes.")
-    found: dict[int, dict[str, Any]] = {}
-    for row in rows:
-        index = row.get("episode_index") if isinstance(row, dict) else None
-        if type(index) is not int:
-            raise CorruptEpisode(f"{path} is damaged: {row!r:.80} has no whole number episode_index.")
-        found[index] = row
-    return found

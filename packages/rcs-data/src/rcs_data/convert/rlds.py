@@ -31,7 +31,6 @@ from rcs_data.convert.observations import (
     FrameKey,
     as_float32,
     describe_layout,
-    export_name,
     kept_info,
     named,
     observed,
@@ -51,17 +50,6 @@ from rcs_data.trajectory import Trajectory, VectorLayout, action_layout, state_l
 
 VERSION = "1.0.0"
 RCS_FILE = "rcs.json"
-
-_STEP_NAMES = (
-    "action",
-    "reward",
-    "discount",
-    "is_first",
-    "is_last",
-    "is_terminal",
-    "language_instruction",
-    "observation",
-)
 
 
 @dataclass(frozen=True)
@@ -158,12 +146,12 @@ def _columns(
             f"{', '.join(images)} cannot be extra features, which must be numbers; choose cameras instead."
         )
     observations = named(seen, _observation_name, taken=("state",))
-    others = named([f for f in extra if f not in seen], lambda f: f.key.replace("/", "_"), taken=_STEP_NAMES)
     reward = "reward" if any(feature.key == "reward" for feature in info.features) else None
-    columns: dict[str, _Column] = {
+    columns = {
         "observation/state": _Column(tensor((state.size,), "float32"), lambda s: as_float32(s.steps.states), own),
         **{f"observation/{name}": _feature_column(feature) for name, feature in observations.items()},
-        **{name: _feature_column(feature) for name, feature in others.items()},
+    }
+    usual = {
         "action": _Column(tensor((action.size,), "float32"), lambda s: as_float32(s.steps.actions)),
         "reward": _Column(tensor((), "float32"), lambda s: as_float32(s.steps.rewards), reward),
         "discount": _Column(tensor((), "float32"), lambda s: as_float32(~s.steps.terminated)),
@@ -172,7 +160,10 @@ def _columns(
         "is_terminal": _Column(tensor((), "bool"), lambda s: s.steps.terminated.astype(np.int64)),
         "language_instruction": _Column(text(), lambda s: [s.episode.instruction.encode()] * len(s.steps)),
     }
-    about: dict[str, _Column] = {
+    rest = [feature for feature in extra if feature not in seen]
+    others = named(rest, lambda f: f.key.replace("/", "_"), taken=("observation", *usual))
+    columns |= {name: _feature_column(feature) for name, feature in others.items()} | usual
+    about = {
         "file_path": _Column(text(), lambda s: [f"{dataset.path.name}/{s.episode.id}".encode()]),
         "episode_id": _Column(text(), lambda s: [s.episode.id.encode()]),
         "seed": _Column(tensor((), "int64"), lambda s: _integer(s.episode.seed)),
@@ -226,12 +217,18 @@ def _integer(value: int | None) -> NDArray[np.int64]:
 
 
 def _name(dataset: Dataset, options: ExportOptions) -> str:
-    given = options.name
-    if given is None:
-        return export_name(dataset)
-    if not re.fullmatch(r"[A-Za-z]\w*", given, re.ASCII):
-        raise InvalidSetup(f"{given!r} cannot name an RLDS dataset; use letters, digits and '_', first a letter.")
-    return given
+    name = export_name(dataset, options)
+    if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
+        raise InvalidSetup(f"{name!r} cannot name an RLDS dataset; use letters, digits and '_', first a letter.")
+    return name
+
+
+def export_name(dataset: Dataset, options: ExportOptions) -> str:
+    """Return the name of an export: that of the options, else of the dataset's folder in letters, digits and "_"."""
+    if options.name is not None:
+        return options.name
+    name = re.sub(r"\W+", "_", dataset.path.resolve().name, flags=re.ASCII).strip("_").lower()
+    return name if name[:1].isalpha() else f"rcs_{name}".rstrip("_")
 
 
 def split_shares(splits: Sequence[str], episodes: int) -> list[str]:

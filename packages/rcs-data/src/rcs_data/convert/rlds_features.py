@@ -1,14 +1,19 @@
-"""The features of an RLDS dataset, as described in `features.json` of TensorFlow Datasets."""
+"""What TensorFlow Datasets says of an RLDS dataset: features in `features.json`, files in `dataset_info.json`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
-from rcs_data.errors import CorruptEpisode
+from rcs_data.convert.tfrecord import shard_name
+from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.feature import Feature
+from rcs_data.json_file import read_json
 
+# Numbers of episodes are held in memory.
+_MOST_EPISODES = 1 << 24
 _CLASSES = "tensorflow_datasets.core.features."
 
 Spec = dict[str, Any]
@@ -54,7 +59,7 @@ def numbers(feature: Feature) -> Spec:
 
 
 def features_json(specs: Mapping[str, Spec]) -> Spec:
-    """Return the contents of `features.json`, given each feature by its path; those under "steps" are per step."""
+    """Return `features.json`, of features by path: "steps/observation/state" is per step, others per episode."""
     tree: dict[str, Any] = {}
     for path, spec in specs.items():
         *folders, name = path.split("/")
@@ -118,3 +123,54 @@ def _leaves(path: str, spec: Mapping[str, Any]) -> Iterator[tuple[str, Stored]]:
 
 def _dimensions(about: Mapping[str, Any]) -> tuple[int, ...]:
     return tuple(int(n) for n in about.get("shape", {}).get("dimensions", ()))
+
+
+def dataset_folder(path: Path) -> Path | None:
+    """Return the only folder with a dataset: the path, a version in it, or a version of a dataset in it."""
+    for pattern in ("features.json", "*/features.json", "*/*/features.json"):
+        found = [file.parent for file in path.glob(pattern)] if path.is_dir() else []
+        found = [folder for folder in found if (folder / "dataset_info.json").is_file()]
+        if found:
+            return found[0] if len(found) == 1 else None
+    return None
+
+
+@dataclass(frozen=True)
+class Shard:
+    """A file of episodes."""
+
+    path: Path
+    """The file."""
+    split: str
+    """The name of its split."""
+    numbers: range
+    """The numbers of its episodes."""
+
+
+def stored_shards(folder: Path) -> list[Shard]:
+    """Return the files of a dataset, split by split, whether they are there or not.
+
+    Raises:
+        InvalidSetup: They are stored in another file format.
+        CorruptEpisode: The description is damaged.
+    """
+    path = folder / "dataset_info.json"
+    about = read_json(path)
+    if about.get("fileFormat", "tfrecord") != "tfrecord":
+        raise InvalidSetup(f"{path} says that the files are {about['fileFormat']!r}; only tfrecord can be imported.")
+    shards: list[Shard] = []
+    first = 0
+    try:
+        for split in about["splits"]:
+            lengths = [int(length) for length in split.get("shardLengths", ())]
+            for i, episodes in enumerate(lengths):
+                name = shard_name(f"{about['name']}-{split['name']}.tfrecord", i, len(lengths))
+                if "/" in name or "\0" in name or not 0 <= episodes <= _MOST_EPISODES - first:
+                    raise CorruptEpisode(f"{path} is damaged: {name!r:.80} cannot have {episodes} episodes.")
+                shards.append(Shard(folder / name, str(split["name"]), range(first, first + episodes)))
+                first += episodes
+    except (KeyError, TypeError, ValueError, AttributeError) as err:
+        if isinstance(err, CorruptEpisode):
+            raise
+        raise CorruptEpisode(f"{path} is damaged: {err!r}.") from err
+    return shards

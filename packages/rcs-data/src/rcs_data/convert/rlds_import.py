@@ -29,14 +29,13 @@ from numpy.typing import NDArray
 from rcs_data.about import MOST_ROWS
 from rcs_data.codec import decode_frame, decode_jpeg
 from rcs_data.convert.labels import LABELS, numbered
-from rcs_data.convert.observations import kept_info
+from rcs_data.convert.observations import ACTION_DICT, camera_feature, kept_info
 from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
 from rcs_data.convert.png import SIGNATURE, decode_png, png_shape
 from rcs_data.convert.provenance import checked_provenance
 from rcs_data.convert.rlds import RCS_FILE
-from rcs_data.convert.rlds_features import Stored, stored_features
+from rcs_data.convert.rlds_features import Shard, Stored, dataset_folder, stored_features, stored_shards
 from rcs_data.convert.steps import (
-    ACTION_DICT,
     EpisodeAbout,
     Record,
     StepColumn,
@@ -45,13 +44,14 @@ from rcs_data.convert.steps import (
     leave_out,
     record_steps,
 )
-from rcs_data.convert.tfrecord import StoredValues, read_examples, shard_name
+from rcs_data.convert.tfrecord import StoredValues, read_examples
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.feature import DTYPES, Feature
 from rcs_data.info import DatasetInfo
 from rcs_data.json_file import parsed_json, read_json
 from rcs_data.reader import Dataset
 from rcs_data.text import mended_text
+from rcs_data.trajectory import VectorLayout
 from rcs_data.writer import DatasetWriter
 
 # More than any state of a robot; depth images as floats and the like have more.
@@ -59,8 +59,6 @@ _LARGEST_OBSERVATION = 1024
 _INSTRUCTION = "language_instruction"
 _LONGEST_TEXT = 1 << 16
 _LAST, _TERMINAL = "steps/is_last", "steps/is_terminal"
-# Numbers of episodes are held in memory.
-_MOST_EPISODES = 1 << 24
 _JPEG = b"\xff\xd8"
 
 
@@ -86,7 +84,7 @@ class _Plan:
 
 def is_rlds(path: Path) -> bool:
     """Return whether a folder has a dataset as TensorFlow Datasets stores it, or a single one in folders below."""
-    return _folder(path) is not None
+    return dataset_folder(path) is not None
 
 
 def import_rlds(source: str | Path, out: str | Path, options: ImportOptions | None = None) -> Dataset:
@@ -104,11 +102,11 @@ def import_rlds(source: str | Path, out: str | Path, options: ImportOptions | No
         DatasetError: `out` exists, or the disk fails.
     """
     options = options or ImportOptions()
-    folder = _folder(Path(source))
+    folder = dataset_folder(Path(source))
     if folder is None:
         raise InvalidSetup(f"{source} has no dataset of TensorFlow Datasets: no single folder with dataset_info.json.")
-    shards = _shards(folder)
-    chosen = set(selected_numbers(options.episodes, range(sum(shard.episodes for shard in shards))))
+    shards = stored_shards(folder)
+    chosen = set(selected_numbers(options.episodes, range(sum(len(shard.numbers) for shard in shards))))
     needed = [shard for shard in shards if chosen & {*shard.numbers}]
     found = [shard for shard in needed if shard.path.is_file()]
     if not found or (len(found) < len(needed) and not options.allow_missing):
@@ -120,65 +118,15 @@ def import_rlds(source: str | Path, out: str | Path, options: ImportOptions | No
     return import_episodes(out, plan.info, _episodes(needed, chosen, plan, options), options)
 
 
-def _folder(path: Path) -> Path | None:
-    """Return the only folder with a dataset: the path, a version in it, or a version of a dataset in it."""
-    for pattern in ("features.json", "*/features.json", "*/*/features.json"):
-        found = [file.parent for file in path.glob(pattern)] if path.is_dir() else []
-        found = [folder for folder in found if (folder / "dataset_info.json").is_file()]
-        if found:
-            return found[0] if len(found) == 1 else None
-    return None
-
-
-@dataclass(frozen=True)
-class _Shard:
-    """A file of episodes."""
-
-    path: Path
-    split: str
-    first: int
-    """The number of its first episode."""
-    episodes: int
-
-    @property
-    def numbers(self) -> range:
-        """The numbers of its episodes."""
-        return range(self.first, self.first + self.episodes)
-
-
-def _shards(folder: Path) -> list[_Shard]:
-    """Return the files of a dataset, split by split, whether they are there or not."""
-    path = folder / "dataset_info.json"
-    about = read_json(path)
-    if about.get("fileFormat", "tfrecord") != "tfrecord":
-        raise InvalidSetup(f"{path} says that the files are {about['fileFormat']!r}; only tfrecord can be imported.")
-    shards: list[_Shard] = []
-    first = 0
-    try:
-        for split in about["splits"]:
-            lengths = [int(length) for length in split.get("shardLengths", ())]
-            for i, episodes in enumerate(lengths):
-                name = shard_name(f"{about['name']}-{split['name']}.tfrecord", i, len(lengths))
-                if "/" in name or "\0" in name or not 0 <= episodes <= _MOST_EPISODES - first:
-                    raise CorruptEpisode(f"{path} is damaged: {name!r:.80} cannot have {episodes} episodes.")
-                shards.append(_Shard(folder / name, str(split["name"]), first, episodes))
-                first += episodes
-    except (KeyError, TypeError, ValueError, AttributeError) as err:
-        if isinstance(err, CorruptEpisode):
-            raise
-        raise CorruptEpisode(f"{path} is damaged: {err!r}.") from err
-    return shards
-
-
 def _episodes(
-    shards: Iterable[_Shard], chosen: set[int], plan: _Plan, options: ImportOptions
+    shards: Iterable[Shard], chosen: set[int], plan: _Plan, options: ImportOptions
 ) -> Iterator[tuple[int, Record]]:
     """Yield what records each episode; what cannot be read of a file is left out, if that is allowed."""
     for shard in shards:
         numbers = [number for number in shard.numbers if number in chosen]
         count = 0
         try:
-            wanted = {number - shard.first for number in numbers}
+            wanted = {number - shard.numbers.start for number in numbers}
             for number, example in zip(numbers, read_examples(shard.path, wanted), strict=False):
                 count += 1
                 yield number, partial(_record, example=example, plan=plan, index=number, split=shard.split)
@@ -188,41 +136,24 @@ def _episodes(
             leave_out(f"Episodes {numbers[count]} to {numbers[-1]}", err, options)
 
 
-def _plan(folder: Path, first: _Shard, options: ImportOptions) -> _Plan:
+def _plan(folder: Path, first: Shard, options: ImportOptions) -> _Plan:
     described = stored_features(read_json(folder / "features.json"), folder / "features.json")
     steps = {path: stored for path, stored in described.items() if path.startswith("steps/")}
     if not steps:
         raise InvalidSetup(f"{folder} has no steps; episodes of RLDS are a dataset of steps each.")
-    example = next(read_examples(first.path), {})
-    ours = read_json(folder / RCS_FILE) if (folder / RCS_FILE).is_file() else None
-    left_out: dict[str, str] = {}
-    texts: dict[str, Feature] = {}
-    if ours is None:
-        sources = _foreign_sources(steps, example, left_out, options)
-        texts = {path: _text_feature(path) for path, stored in steps.items() if stored.kind == "text"}
-        if not options.frequency:
-            raise InvalidSetup(f"{folder} does not state its control rate, as no dataset of RLDS does; give frequency.")
-        info = DatasetInfo(
-            frequency=options.frequency,
-            features=(*(feature for source in sources for feature in source.features), *texts.values()),
-            setup={"imported": {"format": "RLDS", "name": folder.parent.name, "left_out": left_out}},
-            instruction=options.instruction or "",
-            jpeg_quality=options.jpeg_quality,
-        )
+    path, texts = folder / RCS_FILE, dict[str, Feature]()
+    if path.is_file():
+        sources, info = _own_sources(steps, read_json(path), path, options)
     else:
-        sources, info = _own_sources(steps, ours, folder / RCS_FILE, options)
+        sources, texts, info = _foreign_sources(folder, steps, next(read_examples(first.path), {}), options)
     info = kept_info(info, options)
     kept = {feature.key for feature in info.features}
     return _Plan(
         info=info,
         sources=tuple(source for source in sources if source.features[0].key in kept),
         texts=texts,
-        has_provenance=ours is not None and "episode_metadata/provenance" in described,
+        has_provenance=path.is_file() and "episode_metadata/provenance" in described,
     )
-
-
-def _text_feature(path: str) -> Feature:
-    return Feature(key=f"imported/{path.removeprefix('steps/').rpartition('/')[2]}", shape=(), dtype="int32")
 
 
 def _own_sources(
@@ -254,41 +185,45 @@ def _own_sources(
 
 
 def _foreign_sources(
-    steps: Mapping[str, Stored],
-    example: Mapping[str, StoredValues],
-    left_out: dict[str, str],
-    options: ImportOptions,
-) -> list[_Source]:
+    folder: Path, steps: Mapping[str, Stored], example: Mapping[str, StoredValues], options: ImportOptions
+) -> tuple[list[_Source], dict[str, Feature], DatasetInfo]:
+    """Return the columns of a dataset of others, and the features of its texts."""
+    if not options.frequency:
+        raise InvalidSetup(f"{folder} does not state its control rate, as no dataset of RLDS does; give frequency.")
     sources: list[_Source] = []
+    texts: dict[str, Feature] = {}
+    left_out: dict[str, str] = {}
     for path, stored in steps.items():
         name = path.removeprefix("steps/")
-        if stored.kind == "text" or name == "is_first":
-            continue
         try:
-            feature = _feature(name, stored, example.get(path))
+            if stored.kind == "text":
+                texts[path] = Feature(key=f"imported/{name.rpartition('/')[2]}", shape=(), dtype="int32")
+            elif name != "is_first":
+                feature = _feature(name, stored, example.get(path), options)
+                sources.append(_Source(path=path, stored=stored, features=(feature,)))
         except InvalidSetup as err:
             left_out[name] = str(err)
-            continue
-        sources.append(_Source(path=path, stored=stored, features=(stored_as(feature, options),)))
-    return sources
+    info = DatasetInfo(
+        frequency=options.frequency,
+        features=(*(feature for source in sources for feature in source.features), *texts.values()),
+        setup={"imported": {"format": "RLDS", "name": folder.parent.name, "left_out": left_out}},
+        instruction=options.instruction or "",
+        jpeg_quality=options.jpeg_quality,
+    )
+    return sources, texts, info
 
 
-def _feature(name: str, stored: Stored, values: StoredValues | None) -> Feature:
-    """Return the feature that a column of others becomes.
-
-    Raises:
-        InvalidSetup: It cannot be one; the message says why.
-    """
+def _feature(name: str, stored: Stored, values: StoredValues | None, options: ImportOptions) -> Feature:
+    """Return the feature that a column of others becomes; InvalidSetup, with the reason, if it cannot be one."""
     folder, _, rest = name.partition("/")
     if stored.kind == "image":
         shape = stored.shape
         if min(shape, default=-1) < 1 and values is not None:
             shape = _image_shape(next(values.strings(), memoryview(b"")))
         camera = rest if folder == "observation" and rest else name
-        if stored.dtype == "uint8" and len(shape) == 3 and shape[2] == 3:
-            return Feature(key=f"observation/frames/{camera}/rgb", shape=shape, dtype="uint8", encoding="jpeg")
-        if stored.dtype == "uint16" and len(shape) in (2, 3) and shape[2:] in ((), (1,)):
-            return Feature(key=f"observation/frames/{camera}/depth", shape=shape[:2], dtype="uint16", encoding="depth")
+        feature = camera_feature(camera, shape, stored.dtype, options)
+        if feature is not None:
+            return feature
         raise InvalidSetup(f"its images are {shape} {stored.dtype}")
     if stored.kind == "other":
         raise InvalidSetup(f"it is {stored.about}")
@@ -331,10 +266,8 @@ def _record(
         given = numbers[source.path].reshape(count, -1)
         if source.path == _LAST and source.features[0].key == "truncated" and _TERMINAL in example:
             given = given.astype(bool) & ~_terminal(example, count)
-        start = 0
-        for feature in source.features:
-            columns.append(StepColumn(feature=feature, values=_typed(given[:, start : start + feature.size], feature)))
-            start += feature.size
+        parts = VectorLayout(features=source.features).slices
+        columns += [StepColumn(feature=f, values=_typed(given[:, parts[f.key]], f)) for f in source.features]
     labels: dict[str, list[str]] = {}
     instruction = plan.info.instruction
     for path, feature in plan.texts.items():

@@ -28,10 +28,9 @@ from numpy.typing import NDArray
 
 from rcs_data.codec import decode_frame
 from rcs_data.convert.hdf5 import load_h5py
-from rcs_data.convert.observations import FrameKey, describe_layout, kept_info, named, observed
+from rcs_data.convert.observations import ACTION_DICT, FrameKey, describe_layout, kept_info, named, observed
 from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
-from rcs_data.convert.steps import ACTION_DICT
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
 from rcs_data.output import new_output, size_on_disk
@@ -89,9 +88,7 @@ def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions |
     digest = dataset.digest()
     total = sum(episode.length - 1 for episode in episodes)
     low, high = _limits(episodes, action)
-    offset, scale = np.zeros_like(low), np.ones_like(low)
-    if options.normalise:
-        offset, scale = (low + high) / 2, np.where(high - low < _LEAST_RANGE, 1, (high - low) / 2)
+    offset, scale = _normalisation(low, high) if options.normalise else (np.zeros_like(low), np.ones_like(low))
     done = 0
     with new_output(out) as partial, h5py.File(partial, "w", libver=("v110", "v110")) as file:
         data = file.create_group("data")
@@ -223,6 +220,13 @@ def _limits(
         actions = action.rows(episode)[1:]
         low, high = np.minimum(low, actions.min(axis=0)), np.maximum(high, actions.max(axis=0))
     return low, high
+
+
+def _normalisation(
+    low: NDArray[np.float64], high: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    is_constant = high - low < _LEAST_RANGE
+    return (low + high) / 2, np.where(is_constant, 1, (high - low) / 2)
 
 
 def _masks(episodes: tuple[EpisodeRecord, ...]) -> dict[str, list[int]]:

@@ -20,18 +20,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.convert.hdf5 import array, camera_feature, is_numeric, number_feature, reading_hdf5, rows_of
-from rcs_data.convert.observations import kept_info
+from rcs_data.convert import hdf5
+from rcs_data.convert.observations import ACTION_DICT, camera_feature, is_done, kept_info
 from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
 from rcs_data.convert.provenance import checked_provenance
 from rcs_data.convert.robomimic import LAST_STATE, PROVENANCE, RCS, VERDICTS
 from rcs_data.convert.steps import (
-    ACTION_DICT,
     EpisodeAbout,
     StepColumn,
     about_of_provenance,
     import_episodes,
-    is_done,
     record_steps,
 )
 from rcs_data.errors import CorruptEpisode, InvalidSetup
@@ -61,6 +59,11 @@ class _Plan:
 def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions | None = None) -> Dataset:
     """Import an HDF5 file for robomimic, whole or not at all.
 
+    Args:
+        source: The file.
+        out: The folder of the new dataset.
+        options: What to import, how to store images, and what the file does not say.
+
     Raises:
         MissingDependency: h5py is not installed.
         InvalidSetup: It is not such a file, its episodes differ in form, or its rate is neither in it nor in the
@@ -69,7 +72,7 @@ def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions
         DatasetError: `out` exists, or the disk fails.
     """
     options = options or ImportOptions()
-    with reading_hdf5(Path(source)) as file:
+    with hdf5.reading_hdf5(Path(source)) as file:
         names = _demo_names(file)
         plan = (_own_plan if RCS in file["data"].attrs else _foreign_plan)(file, names, options)
         plan = replace(plan, info=kept_info(plan.info, options))
@@ -88,11 +91,10 @@ def _record(file: Any, name: str, index: int, plan: _Plan, writer: DatasetWriter
 
 
 def _demo_names(file: Any) -> list[str]:
-    """Return the episodes of a file, "demo_10" after "demo_9"."""
-    names = list(file["data"]) if "data" in file and hasattr(file["data"], "keys") else []
+    names = hdf5.by_number(file["data"]) if "data" in file and hasattr(file["data"], "keys") else []
     if not names:
         raise InvalidSetup(f"{file.filename} is not a file for robomimic: it has no episodes in a group 'data'.")
-    return sorted(names, key=lambda name: (int((re.findall(r"\d+$", name) or ["0"])[0]), name))
+    return names
 
 
 def _own_plan(file: Any, names: list[str], options: ImportOptions) -> _Plan:
@@ -122,14 +124,14 @@ def _foreign_plan(file: Any, names: list[str], options: ImportOptions) -> _Plan:
         group = demo.get(folder)
         arrays |= {f"{folder}/{name}": values for name, values in getattr(group, "items", dict)()}
     arrays |= {name: values for name, values in demo.items() if name not in _KNOWN}
-    left_out = {path: "it is not an array of numbers" for path, values in arrays.items() if not is_numeric(values)}
+    left_out = {path: "it is not an array of numbers" for path, values in arrays.items() if not hdf5.is_numeric(values)}
     features = {path: _feature(path, values, options) for path, values in arrays.items() if path not in left_out}
     if "rewards" in demo:
         features["rewards"] = Feature(key="reward", shape=(), dtype="float64")
     if "dones" in demo:
         features["dones"] = Feature(key="terminated", shape=(), dtype="bool")
-    if "states" in demo and is_numeric(demo["states"]) and demo["states"].size:
-        features["states"] = number_feature("simulation/states", demo["states"])
+    if "states" in demo and hdf5.is_numeric(demo["states"]) and demo["states"].size:
+        features["states"] = hdf5.number_feature("simulation/states", demo["states"])
     info = DatasetInfo(
         frequency=float(frequency),
         features=tuple(features.values()),
@@ -145,38 +147,28 @@ def _feature(path: str, values: Any, options: ImportOptions) -> Feature:
     folder, _, name = path.rpartition("/")
     if folder == "obs":
         camera = re.sub("_(image|rgb|depth)$", "", name)
-        return camera_feature(camera, values, options) or number_feature(f"observation/{name}", values)
+        image = camera_feature(camera, values.shape[1:], values.dtype.name, options)
+        return image or hdf5.number_feature(f"observation/{name}", values)
     if folder:
-        return number_feature(f"{ACTION_DICT}{name}", values)
+        return hdf5.number_feature(f"{ACTION_DICT}{name}", values)
     if name.startswith("action"):
-        return number_feature(f"action/{'action' if name == 'actions' else name}", values)
-    return number_feature(f"imported/{name}", values)
+        return hdf5.number_feature(f"action/{'action' if name == 'actions' else name}", values)
+    return hdf5.number_feature(f"imported/{name}", values)
 
 
 def _column(demo: Any, feature: Feature, plan: _Plan, steps: int) -> StepColumn:
     path = plan.paths[feature.key]
     is_whole = path.startswith(f"{RCS}/")
-    values = _rows(demo, path, feature, steps + 1 if is_whole else steps)
+    values = hdf5.checked_array(demo, path, feature, steps + 1 if is_whole else steps)
     after = f"next_{path}"
     last = None
     if path.startswith("obs/") and after in demo and not is_done(feature):
-        last = np.asarray(_rows(demo, after, feature, steps)[-1], feature.numpy_dtype)
-    return StepColumn(feature=feature, values=rows_of(values, feature), last=last, is_whole=is_whole)
-
-
-def _rows(demo: Any, path: str, feature: Feature, count: int) -> Any:
-    if path not in demo:
-        raise InvalidSetup(f"{demo.name} lacks {path!r}, which other episodes have.")
-    values = array(demo, path)
-    if len(values) != count:
-        raise CorruptEpisode(f"{values.name} has {len(values)} rows; expected {count}.")
-    if values.size != count * feature.size:
-        raise InvalidSetup(f"{values.name} has shape {values.shape[1:]}; other episodes have {feature.shape}.")
-    return values
+        last = np.asarray(hdf5.checked_array(demo, after, feature, steps)[-1], feature.numpy_dtype)
+    return StepColumn(feature=feature, values=hdf5.rows_of(values, feature), last=last, is_whole=is_whole)
 
 
 def _steps(demo: Any) -> int:
-    if not hasattr(demo, "keys") or "actions" not in demo or not len(array(demo, "actions")):
+    if not hasattr(demo, "keys") or "actions" not in demo or not len(hdf5.array(demo, "actions")):
         raise CorruptEpisode(f"{demo.name} has no actions.")
     count = len(demo["actions"])
     told = demo.attrs.get("num_samples", count)
@@ -189,7 +181,7 @@ def _states(demo: Any, size: int | None, steps: int) -> NDArray[np.float64] | No
     """Return the simulation's states of an export of ours, shape (steps + 1, size)."""
     if size is None:
         return None
-    given, last = array(demo, "states"), array(demo, f"{RCS}/{LAST_STATE}")
+    given, last = hdf5.array(demo, "states"), hdf5.array(demo, f"{RCS}/{LAST_STATE}")
     if given.shape != (steps, size) or last.shape != (size,):
         raise CorruptEpisode(f"{demo.name} has states of {given.shape} and {last.shape}; expected {(steps, size)}.")
     return np.concatenate([np.asarray(given[()], np.float64), np.asarray(last[()], np.float64)[None]])

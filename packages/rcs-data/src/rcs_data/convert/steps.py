@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs_data.convert.observations import is_done
 from rcs_data.convert.options import ImportOptions
 from rcs_data.errors import CorruptEpisode
 from rcs_data.feature import Feature
@@ -25,11 +26,7 @@ from rcs_data.reader import Dataset
 from rcs_data.rows import Value
 from rcs_data.writer import DatasetWriter
 
-ACTION_DICT = "action_dict/"
-"""Begins the keys of other forms of the action, which are no part of it; zeros in the first row."""
-
 _PROGRESS_ROWS = 32
-_AFTER = ("terminated", "truncated")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +34,7 @@ class StepColumn:
     """The values of a feature in an episode."""
 
     feature: Feature
+    """The feature."""
     values: Iterable[Any]
     """A value per step, or per row if it `is_whole`: of the feature's shape, or an encoded image."""
     last: Any = None
@@ -50,11 +48,13 @@ class EpisodeAbout:
     """What is known of an episode beside its rows."""
 
     id: str
+    """Its id in the dataset."""
     instruction: str = ""
     """What the robot was asked to do."""
     seed: int | None = None
     """The seed it was reset with."""
     success: bool | None = None
+    """Whether it succeeded."""
     outcome: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """What else is known about how it went."""
     imported: Mapping[str, Any] = field(default_factory=dict[str, Any])
@@ -107,11 +107,6 @@ def leave_out(what: str, err: CorruptEpisode, options: ImportOptions) -> None:
         raise err
     if options.on_note is not None:
         options.on_note(f"{what} was left out: {err}")
-
-
-def is_done(feature: Feature) -> bool:
-    """Return whether a feature describes what a step did, not the observation before it."""
-    return feature.is_unknown_at_reset or feature.key in _AFTER or feature.key.startswith(ACTION_DICT)
 
 
 def about_of_provenance(came: Mapping[str, Any], imported: Mapping[str, Any]) -> EpisodeAbout:
@@ -171,9 +166,9 @@ def _value(column: StepColumn, values: Iterator[Any], row: int, steps: int, befo
             raise CorruptEpisode(f"There are fewer values of {feature.key!r} than rows.")
     elif column.last is not None:
         value = column.last
+    elif feature.is_flags:
+        value = np.asarray(before[feature.key]) | FrameFlag.REPEATED
     else:
-        if feature.is_flags:
-            return np.asarray(FrameFlag.REPEATED, feature.numpy_dtype)[()]
         return None if feature.is_image or feature.is_time else before[feature.key]
     if isinstance(value, bytes) or value is None:
         return value

@@ -41,13 +41,14 @@ class ShardWriter:
     """Records in files of limited size, "name-train.tfrecord-00001-of-00004"; `close` gives them these names."""
 
     def __init__(self, folder: Path, stem: str, shard_bytes: int) -> None:
+        """Start without a file; none with several records is larger than `shard_bytes`."""
         self._folder, self._stem, self._shard_bytes = folder, stem, shard_bytes
         self._file: BinaryIO | None = None
         self.shard_lengths: list[int] = []
         self.data_bytes = 0
 
     def write(self, features: Mapping[str, Values]) -> None:
-        """Add an Example of byte strings, float32 or int64 numbers by name, sorted; arrays are taken row by row.
+        """Add an Example with these names, sorted; arrays are taken row by row.
 
         Raises:
             InvalidSetup: It is larger than TensorFlow can read.
@@ -73,11 +74,7 @@ class ShardWriter:
             self._write_record(length, heads, spool)
 
     def close(self) -> None:
-        """Complete the last file, and name all files now that their number is known.
-
-        Raises:
-            OSError: The disk fails.
-        """
+        """Complete the last file, and name all files now that their number is known; OSError if the disk fails."""
         if self._file is None:
             return
         self._file.close()
@@ -125,15 +122,12 @@ class StoredValues:
     kind: int
     """The number of the list's type in a `tf.train.Feature`."""
     data: memoryview
+    """The list."""
     file: mmap.mmap
     """The file that it is a part of."""
 
     def strings(self) -> Iterator[memoryview]:
-        """Yield the byte strings.
-
-        Raises:
-            CorruptEpisode: The list has something else.
-        """
+        """Yield the byte strings; CorruptEpisode if the list has something else."""
         if self.kind != _BYTES_LIST:
             raise CorruptEpisode(f"{self.name!r} has numbers; expected byte strings.")
         return self._strings()
@@ -148,11 +142,7 @@ class StoredValues:
                 read = 0
 
     def numbers(self, most: int) -> NDArray[np.float32] | NDArray[np.int64]:
-        """Return the numbers, up to as many as there may be.
-
-        Raises:
-            CorruptEpisode: The list has something else, or too many.
-        """
+        """Return the numbers; CorruptEpisode if the list has something else, or more than `most`: they are not read."""
         if self.kind == _BYTES_LIST:
             raise CorruptEpisode(f"{self.name!r} has byte strings; expected numbers.")
         # Four bytes per float; an integer has at least one, and takes eight in memory.
@@ -169,7 +159,7 @@ class StoredValues:
 
 
 def read_examples(path: Path, wanted: Container[int] | None = None) -> Iterator[dict[str, StoredValues]]:
-    """Yield the Examples in a file, or some by number; their values are parts of the file, read when they are used.
+    """Yield the Examples in a file, or those `wanted` by number; values are parts of the file, read when they are used.
 
     Raises:
         CorruptEpisode: The file is missing or damaged.

@@ -47,7 +47,7 @@ def rename_camera(path: str | Path, name: str, to: str, *, on_progress: OnProgre
     with editing(path, "rename-camera", arguments, new_info=lambda info: renamed(info, {name: to})) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
-            edit.write(episode, (with_names(rows, edit.info) for rows in episode.rows()))
+            edit.write(episode, (with_names(rows, edit.info) for rows in episode.rows(packets=True)))
             if on_progress is not None:
                 on_progress(i + 1, len(episodes))
 
@@ -77,8 +77,8 @@ def with_names(rows: pa.Table, info: DatasetInfo) -> pa.Table:
 def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress | None = None) -> None:
     """Scale all camera frames to another size; intrinsics are scaled with them.
 
-    Colour is averaged over the area of a pixel, depth takes the nearest reading. JPEGs are encoded again, with the
-    dataset's quality.
+    Colour is averaged over the area of a pixel, depth takes the nearest reading. JPEGs and videos are encoded again,
+    with the dataset's quality.
 
     Args:
         path: The dataset.

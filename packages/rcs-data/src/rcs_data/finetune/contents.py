@@ -6,8 +6,8 @@ import json
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from rcs_data.convert.observations import export_name
 from rcs_data.convert.options import ExportOptions, selected_cameras
+from rcs_data.convert.rlds import export_name
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.reader import Dataset
@@ -78,11 +78,7 @@ class Contents:
 
     @property
     def scene_camera(self) -> str:
-        """The camera that shows the scene: the first that is not called after a wrist.
-
-        Raises:
-            InvalidSetup: There is no camera.
-        """
+        """The first camera that is not called after a wrist, which shows the scene; InvalidSetup if there is none."""
         if not self.cameras:
             raise InvalidSetup("The dataset has no camera, and these policies look at pictures.")
         return next((name for name in self.cameras if not is_wrist(name)), next(iter(self.cameras)))
@@ -95,7 +91,10 @@ class Contents:
     def settings(self, *, images: dict[str, str], has_state: bool, **options: Any) -> str:
         """Return `vlagents.json`, with which the trained checkpoint is served.
 
-        Images are cameras by the model's names of pictures; options are what the family asks for besides.
+        Args:
+            images: Camera by the model's name of a picture.
+            has_state: Whether the model was told the state.
+            options: What the family asks for besides.
         """
         values: dict[str, Any] = {"dataset": self.name, "images": images}
         if has_state:
@@ -115,7 +114,7 @@ def contents(dataset: Dataset, options: ExportOptions | None = None) -> Contents
     shown = camera_features(info)
     state, action = state_layout(info, options.state), action_layout(info, options.action)
     return Contents(
-        name=export_name(dataset) if options.name is None else options.name,
+        name=export_name(dataset, options),
         instruction=info.instruction,
         rate=info.frequency,
         cameras={name: (shown[name].shape[0], shown[name].shape[1]) for name in selected_cameras([*shown], options)},

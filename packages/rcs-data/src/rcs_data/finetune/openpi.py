@@ -27,7 +27,7 @@ _MODELS: dict[str, str] = {
 
 
 def openpi(contents: Contents, base: Base = "pi05") -> Written:
-    """Return openpi's configuration, to begin with one of the published models.
+    """Return openpi's configuration, which begins with a published model.
 
     Raises:
         InvalidSetup: There are no cameras or more than three, or there is no such model.

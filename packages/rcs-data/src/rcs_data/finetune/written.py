@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from pprint import pformat
 from typing import Any
 
 from rcs_data.finetune.contents import Contents
@@ -29,9 +28,14 @@ class Written:
             (folder / name).write_text(text, encoding="utf-8")
 
 
-def literal(value: Any) -> str:
-    """Return a value as Python."""
-    return pformat(value, width=100, sort_dicts=False)
+def literal(value: Any, indent: int = 0) -> str:
+    """Return a value as Python: dictionaries and tuples with an entry per line."""
+    pad = " " * (indent + 4)
+    if isinstance(value, Mapping) and value:
+        return _block("{", (f"{key!r}: {literal(inner, indent + 4)}" for key, inner in value.items()), "}", pad, indent)
+    if isinstance(value, tuple) and value:
+        return _block("(", (literal(inner, indent + 4) for inner in value), ")", pad, indent)
+    return repr(value)
 
 
 def facts(contents: Contents) -> str:
@@ -41,3 +45,7 @@ def facts(contents: Contents) -> str:
     for what, parts in (("State", contents.state), ("Action", contents.action)):
         said += [f"{what} {part.name}: {part.size} numbers, {part.unit or 'no unit'}, {part.meaning}" for part in parts]
     return "\n".join(f"# {' '.join(line.split())}" for line in said)
+
+
+def _block(opening: str, lines: Iterable[str], closing: str, pad: str, indent: int) -> str:
+    return f"{opening}\n" + "".join(f"{pad}{line},\n" for line in lines) + " " * indent + closing
