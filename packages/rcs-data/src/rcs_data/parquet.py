@@ -12,7 +12,6 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -262,19 +261,8 @@ def _fixed(column: pa.Array, kind: pa.DataType) -> pa.Array:
     Raises:
         ArrowInvalid: A list has another length.
     """
-    if not pa.types.is_fixed_size_list(kind):
-        return column.cast(kind)
-    size, mask = kind.list_size, column.is_null()
-    given = column.flatten()
-    if len(given) != size * (len(column) - column.null_count) or any(
-        n not in (None, size) for n in column.value_lengths().to_pylist()
-    ):
-        raise pa.ArrowInvalid(f"Expected all lists to be of size {size}.")
-    # A null takes place in a list of fixed length; what is there does not matter.
-    rows = np.cumsum(~mask.to_numpy(zero_copy_only=False)) - 1
-    places = (np.maximum(rows, 0)[:, None] * size + np.arange(size)).reshape(-1)
-    values = given.take(pa.array(places)) if len(given) else pa.nulls(len(places), kind.value_type)
-    return pa.FixedSizeListArray.from_arrays(values, type=kind, mask=mask)
+    # A null has no numbers, and Arrow casts only lists that have all; few rows are converted at a time.
+    return pa.array(column.to_pylist(), kind) if column.null_count else column.cast(kind)
 
 
 def _is_fixed(kind: pa.DataType) -> bool:

@@ -11,7 +11,7 @@ Severity = Literal["damage", "warning"]
 """`damage`: not as written, or not readable. `warning`: intact, but doubtful as training data."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Finding:
     """One thing that is wrong."""
 

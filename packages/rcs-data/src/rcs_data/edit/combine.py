@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,19 +39,34 @@ def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProg
     for name, dataset in list(zip(names, datasets, strict=True))[1:]:
         _require_fit(names[0], datasets[0], name, dataset)
     info = _merged_info(names, datasets)
-    everything = [episode.id for dataset in datasets for episode in dataset.episodes]
-    is_unique = len(set(everything)) == len(everything)
-    done = 0
+    parts = [(name, dataset, dataset.episodes) for name, dataset in zip(names, datasets, strict=True)]
     with making(out, info) as made:
-        for name, dataset in zip(names, datasets, strict=True):
-            digest = dataset.digest()
-            for episode in dataset.episodes:
-                source = provenance(name, digest, episode)
-                made.keep(episode, episode_id=episode.id if is_unique else f"{name}.{episode.id}", source=source)
-                done += 1
-                if on_progress is not None:
-                    on_progress(done, len(everything))
+        for _, episode, about in gathered(parts, on_progress):
+            made.keep(episode, **about)
     return Dataset.open(out)
+
+
+def gathered(
+    parts: Sequence[tuple[str, Dataset, Sequence[EpisodeRecord]]], on_progress: OnProgress | None
+) -> Iterator[tuple[str, EpisodeRecord, dict[str, Any]]]:
+    """Yield named datasets' episodes, each with that name, and its new id and source as `making` takes them."""
+    ids = [episode.id for _, _, episodes in parts for episode in episodes]
+    is_unique = len(set(ids)) == len(ids)
+    done = 0
+    for name, dataset, episodes in parts:
+        digest = dataset.digest()
+        for episode in episodes:
+            source = {
+                "dataset": name,
+                "digest": digest,
+                "episode": episode.id,
+                "content_hash": episode.content_hash,
+                "source": episode.source,
+            }
+            yield name, episode, {"episode_id": episode.id if is_unique else f"{name}.{episode.id}", "source": source}
+            done += 1
+            if on_progress is not None:
+                on_progress(done, len(ids))
 
 
 def split(
@@ -94,17 +109,6 @@ def split(
                 part.keep(episode)
         made[name] = Dataset.open(Path(out) / name)
     return made
-
-
-def provenance(name: str, digest: str, episode: EpisodeRecord) -> dict[str, Any]:
-    """Return the source to store with a copy of an episode."""
-    return {
-        "dataset": name,
-        "digest": digest,
-        "episode": episode.id,
-        "content_hash": episode.content_hash,
-        "source": episode.source,
-    }
 
 
 def source_names(datasets: Sequence[Dataset]) -> list[str]:
