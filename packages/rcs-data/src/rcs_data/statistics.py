@@ -60,12 +60,7 @@ class Statistics:
     def denormalise(
         self, values: NDArray[Any], by: Normalisation = "mean_std", *, floor: ArrayLike = 0.0
     ) -> NDArray[Any]:
-        """Invert `normalise`.
-
-        Args:
-            values: Shape (..., size).
-            by: As for `normalise`.
-            floor: As for `normalise`.
+        """Invert `normalise`, whose arguments these are.
 
         Raises:
             InvalidSetup: There is no such normalisation, or a floor is negative or not finite.

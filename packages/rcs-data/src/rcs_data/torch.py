@@ -42,9 +42,6 @@ class TorchDataset(_Dataset):  # pyright: ignore[reportUntypedBaseClass]  where 
     def __init__(self, windows: Windows) -> None:
         """Take windows.
 
-        Args:
-            windows: The windows.
-
         Raises:
             MissingDependency: torch is not installed.
         """
@@ -96,12 +93,6 @@ class ChosenWindow(Mapping[str, Any]):
     """A window of a batch: read together with the others by `collate`, or alone when it is accessed."""
 
     def __init__(self, dataset: TorchDataset, index: int) -> None:
-        """Choose a window.
-
-        Args:
-            dataset: All windows.
-            index: The number of the chosen one.
-        """
         self.dataset = dataset
         self.index = index
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import operator
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import accumulate
 from typing import Any, Literal, SupportsIndex, TypedDict, cast, get_args, overload
 
@@ -21,6 +21,7 @@ from rcs_data.cache import ByteCache
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.frame_access import INDEX_BYTES, FrameAccess
+from rcs_data.output import OnProgress
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.scale import Scaler
 from rcs_data.statistics import RunningStatistics, Statistics, check_finite
@@ -235,7 +236,7 @@ class Windows(Sequence[Window]):
             for name, feature in self.cameras.items()
         }
 
-    def statistics(self, on_progress: Callable[[int, int], None] | None = None) -> dict[str, Statistics]:
+    def statistics(self, on_progress: OnProgress | None = None) -> dict[str, Statistics]:
         """Return the statistics of "state" and "actions" over all steps of the chosen episodes, each counted once.
 
         Args:

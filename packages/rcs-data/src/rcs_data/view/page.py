@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from rcs_data.durable import disk_errors
 from rcs_data.errors import DatasetError, InvalidSetup
-from rcs_data.output import size_on_disk
+from rcs_data.output import OnProgress, size_on_disk
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.view.catalogue import write_catalogue
 from rcs_data.view.clips import ClipOptions
@@ -46,7 +46,7 @@ def write_view(
     *,
     episodes: Sequence[str] | None = None,
     options: ClipOptions | None = None,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> ViewReport:
     """Write a page to look at a dataset with; of an earlier page in the same place, what still holds is kept.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rcs_data.durable import disk_errors, write_file
 from rcs_data.errors import InvalidSetup
+from rcs_data.output import OnProgress
 from rcs_data.statistics import Normalisation, Statistics
 from rcs_data.view.charts import CHARTS_SCRIPT, Series, chart, short
 from rcs_data.view.colours import coloured
@@ -48,7 +49,7 @@ def write_sample(
     normalisation: Normalisation = "mean_std",
     floor: float = 0.0,
     png: str | Path | None = None,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> SampleReport:
     """Draw windows and write one page with what a policy is fed: images, states and actions, with the statistics.
 
