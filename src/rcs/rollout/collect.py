@@ -16,13 +16,14 @@ from typing import Any
 
 import numpy as np
 from rcs_data import Dataset, DatasetInfo, DatasetWriter
+from rcs_data.feature import Colour
 from rcs_data.layout import EPISODES_FOLDER
 
 from rcs.agents import agent_for
 from rcs.agents.choice import is_path
 from rcs.devices import lookup
 from rcs.envs.env import Env
-from rcs.envs.observers.recorder import Colour, Recorder, dataset_info, require_recordable
+from rcs.envs.observers.recorder import Recorder, dataset_info, require_recordable
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout.cluster import LOCAL

@@ -19,7 +19,7 @@ from rcs_data.finetune.lerobot import lerobot
 from rcs_data.finetune.octo import octo
 from rcs_data.finetune.openpi import openpi
 from rcs_data.finetune.openvla import openvla
-from rcs_data.finetune.written import Written, literal
+from rcs_data.finetune.written import Written
 from vlagents.policies.settings import Settings
 
 Make = Callable[..., Path]
@@ -198,8 +198,3 @@ def test_the_command_writes_the_files_and_says_how_to_go_on(
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"octo_config.py", "vlagents.json"}
     assert "--cameras side" in printed
     assert "vlagents serve octo" in printed
-
-
-@pytest.mark.parametrize("value", [{}, {"a": ("b", {"c": None})}, [True], "it's", 1.5, ()])
-def test_a_value_is_written_so_that_python_reads_it_again(value: Any) -> None:
-    assert ast.literal_eval(literal(value)) == value

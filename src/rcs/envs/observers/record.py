@@ -8,9 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rcs_data import Dataset, DatasetWriter
+from rcs_data.feature import Colour
 
 from rcs.envs.env import Env
-from rcs.envs.observers.recorder import Colour, Recorder, dataset_info
+from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.envs.observers.takes import Takes
 from rcs.envs.stack import for_all
 from rcs.envs.vector import VecEnv

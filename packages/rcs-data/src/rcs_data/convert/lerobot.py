@@ -31,11 +31,12 @@ from rcs_data.convert.lerobot_layout import (
 )
 from rcs_data.convert.lerobot_stats import ImageHistogram, episode_stats
 from rcs_data.convert.lerobot_writer import EncodedEpisode, V3Writer, V21Writer, write_json, write_json_lines
+from rcs_data.convert.observations import export_report
 from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.convert.video import encode_depth_video, encode_video
 from rcs_data.errors import InvalidSetup
-from rcs_data.output import new_output, size_on_disk
+from rcs_data.output import new_output
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.trajectory import step_frames
 
@@ -108,14 +109,8 @@ def export_lerobot(
             "order": [feature.key for feature in dataset.info.features],
         }
         write_json(root / RCS_FILE, about)
-    return ExportReport(
-        path=Path(out),
-        episodes=len(episodes),
-        steps=firsts[-1],
-        frames=firsts[-1] * (len(layout.cameras) + len(layout.depths)),
-        bytes_written=size_on_disk(Path(out)),
-        notes=tuple(_notes(dataset, layout)),
-    )
+    images = firsts[-1] * (len(layout.cameras) + len(layout.depths))
+    return export_report(Path(out), episodes, images, _notes(dataset, layout))
 
 
 _TEMPORARY = "encoding"

@@ -22,15 +22,7 @@ from rcs_data.convert.lerobot_mapping import FeatureMapping, feature_mapping
 from rcs_data.convert.lerobot_source import LeRobotSource, SourceEpisode, refuse_pointer
 from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
 from rcs_data.convert.provenance import checked_provenance
-from rcs_data.convert.steps import (
-    EpisodeAbout,
-    Record,
-    StepColumn,
-    about_of_provenance,
-    import_episodes,
-    leave_out,
-    record_steps,
-)
+from rcs_data.convert.steps import EpisodeAbout, Record, StepColumn, import_episodes, leave_out, record_steps
 from rcs_data.convert.video import VideoReader, decode_depth_video
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.info import DatasetInfo
@@ -124,7 +116,7 @@ class _Reading:
         about = (
             EpisodeAbout(id=f"{index:06d}", success=_success(episode), imported=imported)
             if came is None
-            else about_of_provenance(came, imported)
+            else EpisodeAbout.of_provenance(came, imported)
         )
         words = (about.instruction, *tasks[:1], self.options.instruction, writer.info.instruction)
         outcome = {**about.outcome, LABELS: texts} if texts else about.outcome

@@ -97,11 +97,7 @@ class LeRobotLayout:
         sizes = {column.name: (column.dtype, column.parts.size) for column in self.columns}
         flags = [DONE, SUCCESS] if self.has_success else [DONE]
         indices = {**INDICES, "subtask_index": "int64"} if SUBTASK in self.tables else INDICES
-        return {
-            **sizes,
-            **dict.fromkeys(flags, ("bool", 1)),
-            **{name: (dtype, 1) for name, dtype in indices.items()},
-        }
+        return sizes | dict.fromkeys(flags, ("bool", 1)) | {name: (dtype, 1) for name, dtype in indices.items()}
 
     def features(self) -> dict[str, Any]:
         """Return the features as in `info.json`."""

@@ -264,10 +264,10 @@ class LeRobotSource:
         return about
 
     def _read_tasks(self) -> dict[int, str]:
-        if self.version != "v3.0":
-            rows = read_json_lines(self.root / "meta" / "tasks.jsonl")
-            return {row["task_index"]: str(row["task"]) for row in rows}
-        return self._read_texts(self.root / "meta" / "tasks.parquet", "task_index")
+        if self.version == "v3.0":
+            return self._read_texts(self.root / "meta" / "tasks.parquet", "task_index")
+        rows = read_json_lines(self.root / "meta" / "tasks.jsonl")
+        return {row["task_index"]: str(row["task"]) for row in rows}
 
     def _read_texts(self, path: Path, number: str) -> dict[int, str]:
         refuse_pointer(path)

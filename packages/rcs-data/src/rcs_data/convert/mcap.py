@@ -31,14 +31,14 @@ from rcs_data.convert.mcap_messages import (
     description,
     encode,
 )
-from rcs_data.convert.observations import FrameKey, kept_info
+from rcs_data.convert.observations import FrameKey, export_report, kept_info
 from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
 from rcs_data.convert.png import as_png
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.errors import MissingDependency
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
-from rcs_data.output import new_output, size_on_disk
+from rcs_data.output import new_output
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.trajectory import VectorLayout, camera_features
 
@@ -84,13 +84,7 @@ def export_mcap(dataset: Dataset, out: str | Path, options: ExportOptions | None
             done += episode.length
             if options.on_progress is not None:
                 options.on_progress(done, total)
-    return ExportReport(
-        path=Path(out),
-        episodes=len(episodes),
-        steps=total - len(episodes),
-        frames=images,
-        bytes_written=size_on_disk(Path(out)),
-    )
+    return export_report(Path(out), episodes, images)
 
 
 def _write(writer: Any, episode: EpisodeRecord, info: DatasetInfo) -> int:

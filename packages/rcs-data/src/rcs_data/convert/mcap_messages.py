@@ -22,37 +22,36 @@ NUMBERS, TEXT = "rcs.Numbers", "rcs.Text"
 _TIME = ".google.protobuf.Timestamp"
 _JOINT = ".foxglove.JointState"
 _MANY_NUMBERS = "repeated double"
-_MESSAGES: dict[str, dict[str, tuple[int, str]]] = {
-    COMPRESSED_IMAGE: {
-        "timestamp": (1, _TIME),
-        "data": (2, "bytes"),
-        "format": (3, "string"),
-        "frame_id": (4, "string"),
-    },
-    RAW_IMAGE: {
-        "timestamp": (1, _TIME),
-        "width": (2, "fixed32"),
-        "height": (3, "fixed32"),
-        "encoding": (4, "string"),
-        "step": (5, "fixed32"),
-        "data": (6, "bytes"),
-        "frame_id": (7, "string"),
-    },
-    CALIBRATION: {
-        "timestamp": (1, _TIME),
-        "width": (2, "fixed32"),
-        "height": (3, "fixed32"),
-        "distortion_model": (4, "string"),
-        "D": (5, _MANY_NUMBERS),
-        "K": (6, _MANY_NUMBERS),
-        "R": (7, _MANY_NUMBERS),
-        "P": (8, _MANY_NUMBERS),
-        "frame_id": (9, "string"),
-    },
-    _JOINT[1:]: {"name": (1, "string"), "position": (2, "double")},
-    JOINTS: {"timestamp": (1, _TIME), "joints": (2, f"repeated {_JOINT}")},
-    NUMBERS: {"timestamp": (1, _TIME), "values": (2, _MANY_NUMBERS)},
-    TEXT: {"timestamp": (1, _TIME), "text": (2, "string")},
+
+
+def _fields(**kinds: str) -> dict[str, tuple[int, str]]:
+    """Return number and type of each field, numbered from 1 in this order."""
+    return {name: (number, kind) for number, (name, kind) in enumerate(kinds.items(), 1)}
+
+
+_MESSAGES = {
+    COMPRESSED_IMAGE: _fields(timestamp=_TIME, data="bytes", format="string", frame_id="string"),
+    RAW_IMAGE: _fields(
+        timestamp=_TIME,
+        width="fixed32",
+        height="fixed32",
+        encoding="string",
+        step="fixed32",
+        data="bytes",
+        frame_id="string",
+    ),
+    CALIBRATION: _fields(
+        timestamp=_TIME,
+        width="fixed32",
+        height="fixed32",
+        distortion_model="string",
+        **dict.fromkeys("DKRP", _MANY_NUMBERS),
+        frame_id="string",
+    ),
+    _JOINT[1:]: _fields(name="string", position="double"),
+    JOINTS: _fields(timestamp=_TIME, joints=f"repeated {_JOINT}"),
+    NUMBERS: _fields(timestamp=_TIME, values=_MANY_NUMBERS),
+    TEXT: _fields(timestamp=_TIME, text="string"),
 }
 # Numbers of the types in a FieldDescriptorProto.
 _TYPES = {"double": 1, "int64": 3, "int32": 5, "fixed32": 7, "string": 9, "message": 11, "bytes": 12}

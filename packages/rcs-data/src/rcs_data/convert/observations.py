@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from rcs_data.convert.options import ExportOptions, ImportOptions, selected_cameras, stored_as
+from rcs_data.convert.options import ExportOptions, ExportReport, ImportOptions, selected_cameras, stored_as
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
+from rcs_data.output import size_on_disk
 from rcs_data.reader import EpisodeRecord
 from rcs_data.trajectory import FRAMES, OBSERVATION, VectorLayout
 
@@ -89,10 +88,15 @@ def camera_feature(camera: str, shape: tuple[int, ...], dtype: str, options: Imp
     return None
 
 
-def step_values(episode: EpisodeRecord, feature: Feature) -> NDArray[Any]:
-    """Return a column of numbers by step: the observation before it, or what it did; shape (steps, *shape)."""
-    column = episode.column(feature.key)
-    return column[1:] if is_done(feature) else column[:-1]
+def export_report(
+    path: Path, episodes: Sequence[EpisodeRecord], frames: int, notes: Iterable[str] = ()
+) -> ExportReport:
+    """Return the result of an export: the file or folder, its episodes, number of images and what was left out."""
+    steps = sum(episode.length - 1 for episode in episodes)
+    size = size_on_disk(path)
+    return ExportReport(
+        path=path, episodes=len(episodes), steps=steps, frames=frames, bytes_written=size, notes=tuple(notes)
+    )
 
 
 def describe_layout(layout: VectorLayout) -> list[dict[str, Any]]:
@@ -101,8 +105,3 @@ def describe_layout(layout: VectorLayout) -> list[dict[str, Any]]:
         {"key": feature.key, "start": place.start, "end": place.stop, "unit": feature.unit}
         for feature, place in zip(layout.features, layout.slices.values(), strict=True)
     ]
-
-
-def as_float32(values: NDArray[Any]) -> NDArray[np.float32]:
-    """Return numbers as float32, as most trainers keep them."""
-    return np.ascontiguousarray(values, np.float32)

@@ -27,15 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs_data.convert.observations import (
-    FrameKey,
-    as_float32,
-    describe_layout,
-    kept_info,
-    named,
-    observed,
-    step_values,
-)
+from rcs_data.convert.observations import FrameKey, describe_layout, export_report, is_done, kept_info, named, observed
 from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
 from rcs_data.convert.png import as_png
 from rcs_data.convert.provenance import episode_provenance
@@ -44,7 +36,7 @@ from rcs_data.convert.tfrecord import ShardWriter, Values
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
-from rcs_data.output import new_output, size_on_disk
+from rcs_data.output import new_output
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.trajectory import Trajectory, VectorLayout, action_layout, state_layout, trajectory
 
@@ -121,15 +113,9 @@ def export_rlds(dataset: Dataset, out: str | Path, options: ExportOptions | None
         }
         _write_json(folder / RCS_FILE, about)
     images = sum(1 for column in columns.values() if "image" in column.spec)
-    narrowed = sorted({f.key for f in observed(info) if f.dtype == "float64"})
-    return ExportReport(
-        path=target / VERSION,
-        episodes=len(episodes),
-        steps=total,
-        frames=images * total,
-        bytes_written=size_on_disk(target),
-        notes=("64-bit numbers became float32, the only float type of the format.",) if narrowed else (),
-    )
+    narrowed = any(feature.dtype == "float64" for feature in observed(info))
+    notes = ("64-bit numbers became float32, the only float type of the format.",) if narrowed else ()
+    return export_report(target / VERSION, episodes, images * total, notes)
 
 
 def _columns(
@@ -148,13 +134,15 @@ def _columns(
     observations = named(seen, _observation_name, taken=("state",))
     reward = "reward" if any(feature.key == "reward" for feature in info.features) else None
     columns = {
-        "observation/state": _Column(tensor((state.size,), "float32"), lambda s: as_float32(s.steps.states), own),
+        "observation/state": _Column(
+            tensor((state.size,), "float32"), lambda s: s.steps.states.astype(np.float32), own
+        ),
         **{f"observation/{name}": _feature_column(feature) for name, feature in observations.items()},
     }
     usual = {
-        "action": _Column(tensor((action.size,), "float32"), lambda s: as_float32(s.steps.actions)),
-        "reward": _Column(tensor((), "float32"), lambda s: as_float32(s.steps.rewards), reward),
-        "discount": _Column(tensor((), "float32"), lambda s: as_float32(~s.steps.terminated)),
+        "action": _Column(tensor((action.size,), "float32"), lambda s: s.steps.actions.astype(np.float32)),
+        "reward": _Column(tensor((), "float32"), lambda s: s.steps.rewards.astype(np.float32), reward),
+        "discount": _Column(tensor((), "float32"), lambda s: (~s.steps.terminated).astype(np.float32)),
         "is_first": _Column(tensor((), "bool"), lambda s: _only(0, len(s.steps))),
         "is_last": _Column(tensor((), "bool"), lambda s: _only(len(s.steps) - 1, len(s.steps))),
         "is_terminal": _Column(tensor((), "bool"), lambda s: s.steps.terminated.astype(np.int64)),
@@ -188,7 +176,7 @@ def _observation_name(feature: Feature) -> str:
 def _feature_column(feature: Feature) -> _Column:
     if feature.is_image:
         return _Column(image(feature), lambda s: _encoded(s.episode, feature), feature.key)
-    return _Column(numbers(feature), lambda s: _numbers(step_values(s.episode, feature)), feature.key)
+    return _Column(numbers(feature), lambda s: _numbers(s.episode, feature), feature.key)
 
 
 def _encoded(episode: EpisodeRecord, feature: Feature) -> Iterator[bytes]:
@@ -200,9 +188,12 @@ def _encoded(episode: EpisodeRecord, feature: Feature) -> Iterator[bytes]:
         yield encoded
 
 
-def _numbers(values: NDArray[Any]) -> Values:
+def _numbers(episode: EpisodeRecord, feature: Feature) -> Values:
+    """Return a column by step: the observation before it, or what it did; shape (steps, *shape)."""
+    column = episode.column(feature.key)
+    values = column[1:] if is_done(feature) else column[:-1]
     if values.dtype.kind == "f":
-        return as_float32(values)
+        return values.astype(np.float32)
     # As in TensorFlow Datasets, the upper half of uint64 becomes negative.
     return values.view(np.int64) if values.dtype == np.uint64 else values.astype(np.int64)
 

@@ -35,15 +35,7 @@ from rcs_data.convert.png import SIGNATURE, decode_png, png_shape
 from rcs_data.convert.provenance import checked_provenance
 from rcs_data.convert.rlds import RCS_FILE
 from rcs_data.convert.rlds_features import Shard, Stored, dataset_folder, stored_features, stored_shards
-from rcs_data.convert.steps import (
-    EpisodeAbout,
-    Record,
-    StepColumn,
-    about_of_provenance,
-    import_episodes,
-    leave_out,
-    record_steps,
-)
+from rcs_data.convert.steps import EpisodeAbout, Record, StepColumn, import_episodes, leave_out, record_steps
 from rcs_data.convert.tfrecord import StoredValues, read_examples
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.feature import DTYPES, Feature
@@ -348,7 +340,7 @@ def _about(example: Mapping[str, StoredValues], plan: _Plan, index: int, split: 
     if plan.has_provenance:
         text = next(_words(example, "episode_metadata/provenance"), "")
         came = checked_provenance(parsed_json(text, "the provenance of an episode"), "episode_metadata")
-        return about_of_provenance(came, imported)
+        return EpisodeAbout.of_provenance(came, imported)
     success = None
     for name in ("episode_metadata/success", "success"):
         if name in example:

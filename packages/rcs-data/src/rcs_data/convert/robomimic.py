@@ -28,12 +28,20 @@ from numpy.typing import NDArray
 
 from rcs_data.codec import decode_frame
 from rcs_data.convert.hdf5 import load_h5py
-from rcs_data.convert.observations import ACTION_DICT, FrameKey, describe_layout, kept_info, named, observed
+from rcs_data.convert.observations import (
+    ACTION_DICT,
+    FrameKey,
+    describe_layout,
+    export_report,
+    kept_info,
+    named,
+    observed,
+)
 from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
-from rcs_data.output import new_output, size_on_disk
+from rcs_data.output import new_output
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.trajectory import Trajectory, VectorLayout, action_layout, state_layout, trajectory
 
@@ -116,18 +124,9 @@ def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions |
                 options.on_progress(done, total)
         for name, members in _masks(episodes).items():
             file[f"mask/{name}"] = np.array([f"demo_{i}" for i in members], "S")
-    target = Path(out)
     is_fit = options.normalise or (low.min() >= -1 and high.max() <= 1)
     notes = () if is_fit else (_range_note(low.min(), high.max()),)
-    images = sum(feature.is_image for feature in parts)
-    return ExportReport(
-        path=target,
-        episodes=len(episodes),
-        steps=total,
-        frames=images * total,
-        bytes_written=size_on_disk(target),
-        notes=notes,
-    )
+    return export_report(Path(out), episodes, total * sum(feature.is_image for feature in parts), notes)
 
 
 def _write_demo(
@@ -166,15 +165,10 @@ def _write_demo(
 def _write_images(demo: Any, name: str, episode: EpisodeRecord, feature: Feature, compress: bool) -> None:
     """Write an image per step to `obs` and the one after it to `next_obs`, each decoded and compressed once."""
     shape = feature.shape if len(feature.shape) == 3 else (*feature.shape, 1)
-    filters: dict[str, Any] = {}
+    form: dict[str, Any] = {"shape": (episode.length - 1, *shape), "dtype": feature.dtype, "chunks": (1, *shape)}
     if compress:
-        filters = {"compression": "gzip", "compression_opts": _ZLIB_LEVEL, "shuffle": feature.numpy_dtype.itemsize > 1}
-    now, after = (
-        demo.create_dataset(
-            f"{group}/{name}", (episode.length - 1, *shape), feature.dtype, chunks=(1, *shape), **filters
-        ).id
-        for group in ("obs", "next_obs")
-    )
+        form |= {"compression": "gzip", "compression_opts": _ZLIB_LEVEL, "shuffle": feature.numpy_dtype.itemsize > 1}
+    now, after = (demo.create_dataset(f"{group}/{name}", **form).id for group in ("obs", "next_obs"))
     last, chunk = None, b""
     for row, data in enumerate(episode.encoded_frames(feature.key)):
         if data is not last:
@@ -244,11 +238,7 @@ def _masks(episodes: tuple[EpisodeRecord, ...]) -> dict[str, list[int]]:
         }
     # Every tenth, or the last of fewer; a single episode is for training.
     valid = list(everyone[_VALIDATION - 1 :: _VALIDATION]) or list(everyone[1:][-1:])
-    masks = {
-        "train": [i for i in everyone if i not in valid],
-        "valid": valid,
-        **verdicts,
-    }
+    masks = {"train": [i for i in everyone if i not in valid], "valid": valid, **verdicts}
     return {name: members for name, members in masks.items() if members}
 
 

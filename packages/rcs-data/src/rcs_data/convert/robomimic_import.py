@@ -25,13 +25,7 @@ from rcs_data.convert.observations import ACTION_DICT, camera_feature, is_done, 
 from rcs_data.convert.options import ImportOptions, selected_numbers, stored_as
 from rcs_data.convert.provenance import checked_provenance
 from rcs_data.convert.robomimic import LAST_STATE, PROVENANCE, RCS, VERDICTS
-from rcs_data.convert.steps import (
-    EpisodeAbout,
-    StepColumn,
-    about_of_provenance,
-    import_episodes,
-    record_steps,
-)
+from rcs_data.convert.steps import EpisodeAbout, StepColumn, import_episodes, record_steps
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
@@ -193,7 +187,7 @@ def _about(file: Any, name: str, index: int, plan: _Plan) -> EpisodeAbout:
     kept = [mask for mask in masks if mask not in VERDICTS]
     imported: dict[str, Any] = {"episode": name, **({"masks": kept} if kept else {})}
     if PROVENANCE in demo.attrs:
-        return about_of_provenance(checked_provenance(_own_attribute(demo, PROVENANCE), demo.name), imported)
+        return EpisodeAbout.of_provenance(checked_provenance(_own_attribute(demo, PROVENANCE), demo.name), imported)
     return EpisodeAbout(
         id=f"{index:06d}",
         instruction=_instruction(file["data"], demo) or plan.info.instruction,

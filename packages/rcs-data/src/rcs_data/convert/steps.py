@@ -60,6 +60,12 @@ class EpisodeAbout:
     imported: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Where it is from, as JSON."""
 
+    @classmethod
+    def of_provenance(cls, came: Mapping[str, Any], imported: Mapping[str, Any]) -> EpisodeAbout:
+        """Return what a checked `provenance` stores of an episode."""
+        given = {name: came[name] for name in ("instruction", "seed", "success", "outcome")}
+        return cls(id=came["episode"], **given, imported={**imported, "provenance": dict(came)})
+
 
 Record = Callable[[DatasetWriter], Iterator[int]]
 """Records one episode, and yields the number of each written row, from 0."""
@@ -107,18 +113,6 @@ def leave_out(what: str, err: CorruptEpisode, options: ImportOptions) -> None:
         raise err
     if options.on_note is not None:
         options.on_note(f"{what} was left out: {err}")
-
-
-def about_of_provenance(came: Mapping[str, Any], imported: Mapping[str, Any]) -> EpisodeAbout:
-    """Return what a checked `provenance` stores of an episode."""
-    return EpisodeAbout(
-        id=came["episode"],
-        instruction=came["instruction"],
-        seed=came["seed"],
-        success=came["success"],
-        outcome=came["outcome"],
-        imported={**imported, "provenance": dict(came)},
-    )
 
 
 def record_steps(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from rcs_data.convert.options import ExportOptions, selected_cameras
@@ -38,10 +38,6 @@ class Part:
     def is_arm(self) -> bool:
         """Whether it moves an arm."""
         return self.name.rpartition("/")[2] in _ARMS
-
-    def to_json(self) -> dict[str, Any]:
-        """Return it as vlagents reads it."""
-        return {"name": self.name, "size": self.size, "unit": self.unit, "meaning": self.meaning}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,12 +77,12 @@ class Contents:
         """The first camera that is not called after a wrist, which shows the scene; InvalidSetup if there is none."""
         if not self.cameras:
             raise InvalidSetup("The dataset has no camera, and these policies look at pictures.")
-        return next((name for name in self.cameras if not is_wrist(name)), next(iter(self.cameras)))
+        return next((name for name in self.cameras if "wrist" not in name.lower()), next(iter(self.cameras)))
 
     @property
     def wrist_cameras(self) -> tuple[str, ...]:
         """Cameras called after a wrist."""
-        return tuple(name for name in self.cameras if is_wrist(name) and name != self.scene_camera)
+        return tuple(name for name in self.cameras if "wrist" in name.lower() and name != self.scene_camera)
 
     def settings(self, *, images: dict[str, str], has_state: bool, **options: Any) -> str:
         """Return `vlagents.json`, with which the trained checkpoint is served.
@@ -98,8 +94,8 @@ class Contents:
         """
         values: dict[str, Any] = {"dataset": self.name, "images": images}
         if has_state:
-            values["state"] = [part.to_json() for part in self.state]
-        values |= {"action": [part.to_json() for part in self.action], "rate": self.rate}
+            values["state"] = [asdict(part) for part in self.state]
+        values |= {"action": [asdict(part) for part in self.action], "rate": self.rate}
         return json.dumps(values | ({"options": options} if options else {}), indent=2) + "\n"
 
 
@@ -118,25 +114,19 @@ def contents(dataset: Dataset, options: ExportOptions | None = None) -> Contents
         instruction=info.instruction,
         rate=info.frequency,
         cameras={name: (shown[name].shape[0], shown[name].shape[1]) for name in selected_cameras([*shown], options)},
-        state=tuple(_part(feature, "absolute") for feature in state.features),
+        state=tuple(_part(feature) for feature in state.features),
         action=_action_parts(action, info.setup),
     )
 
 
-def is_wrist(camera: str) -> bool:
-    """Return whether a camera is called after a wrist."""
-    return "wrist" in camera.lower()
-
-
-def _part(feature: Feature, meaning: Meaning) -> Part:
-    name = "/".join(feature.key.split("/")[1:])
-    return Part(name=name, size=feature.size, unit=feature.unit, meaning=meaning)
+def _part(feature: Feature) -> Part:
+    return Part(name="/".join(feature.key.split("/")[1:]), size=feature.size, unit=feature.unit)
 
 
 def _action_parts(layout: VectorLayout, setup: dict[str, Any]) -> tuple[Part, ...]:
     parts: list[Part] = []
     for feature in layout.features:
-        part = _part(feature, "absolute")
+        part = _part(feature)
         if part.is_arm and feature.key.startswith("action/"):
             relative = setup.get("relative")
             if relative not in _MEANINGS:
@@ -144,6 +134,6 @@ def _action_parts(layout: VectorLayout, setup: dict[str, Any]) -> tuple[Part, ..
                     f"The dataset's setup does not say what {feature.key!r} counts from: relative is {relative!r}; "
                     f"valid are {', '.join(_MEANINGS)}. With executed/{part.name} for the action, it is absolute."
                 )
-            part = _part(feature, _MEANINGS[relative])
+            part = replace(part, meaning=_MEANINGS[relative])
         parts.append(part)
     return tuple(parts)

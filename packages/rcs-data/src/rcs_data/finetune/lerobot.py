@@ -24,6 +24,8 @@ _TRAINED: dict[str, Any] = {
     "wandb.enable": "false",
     "eval_freq": 0,
     "log_freq": 50,
+    "save_freq": 1_000,
+    "batch_size": 32,
     "num_workers": 0,
     "seed": 0,
 }
@@ -44,24 +46,15 @@ _ACT: dict[str, Any] = {
     "scheduler.type": "diffuser",
     "scheduler.name": "cosine",
     "scheduler.num_warmup_steps": 200,
-    "batch_size": 32,
     "steps": 12_000,
-    "save_freq": 1_000,
 }
 _DIFFUSION: dict[str, Any] = {
     "policy.type": "diffusion",
     "policy.crop_shape": "null",
     "policy.down_dims": "[128,256,512]",
-    "batch_size": 32,
     "steps": 20_000,
-    "save_freq": 1_000,
 }
-_SMOLVLA: dict[str, Any] = {
-    "policy.path": "lerobot/smolvla_base",
-    "batch_size": 32,
-    "steps": 20_000,
-    "save_freq": 1_000,
-}
+_SMOLVLA: dict[str, Any] = {"policy.path": "lerobot/smolvla_base", "steps": 20_000}
 
 
 def lerobot(contents: Contents, policy: LerobotPolicy = "act") -> Written:

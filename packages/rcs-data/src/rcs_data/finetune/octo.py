@@ -6,10 +6,11 @@ a gripper that is 1 when it is open; so nothing has to be standardised.
 
 from __future__ import annotations
 
+from pprint import pformat
 from string import Template
 
 from rcs_data.finetune.contents import Contents
-from rcs_data.finetune.written import Written, facts, literal
+from rcs_data.finetune.written import Written, facts
 
 FILE = "octo_config.py"
 HORIZON, WINDOW = 4, 2
@@ -28,7 +29,7 @@ def octo(contents: Contents) -> Written:
     text = Template(_TEXT).substitute(
         name=repr(contents.name),
         facts=facts(contents),
-        images=literal(images),
+        images=pformat(images, sort_dicts=False),
         mask=repr(contents.arm_mask),
         action_size=contents.action_size,
         horizon=HORIZON,

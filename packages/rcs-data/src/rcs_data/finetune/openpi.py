@@ -6,12 +6,13 @@ then runs openpi's programs. Keys on the robot's side are those of vlagents' lay
 
 from __future__ import annotations
 
+from pprint import pformat
 from string import Template
 from typing import Literal
 
 from rcs_data.errors import InvalidSetup
 from rcs_data.finetune.contents import Contents
-from rcs_data.finetune.written import Written, facts, literal
+from rcs_data.finetune.written import Written, facts
 
 Base = Literal["pi0", "pi05", "pi0_fast"]
 FILE = "openpi_config.py"
@@ -41,8 +42,8 @@ def openpi(contents: Contents, base: Base = "pi05") -> Written:
         facts=facts(contents),
         state_size=contents.state_size,
         action_size=contents.action_size,
-        slots=literal(slots),
-        columns=literal({key(camera): column(camera) for camera in contents.cameras}),
+        slots=pformat(slots, sort_dicts=False),
+        columns=pformat({key(camera): column(camera) for camera in contents.cameras}, sort_dicts=False),
         delta=repr(_delta_mask(contents)),
         model=_MODELS[base],
         weights=repr(f"gs://openpi-assets/checkpoints/{base}_base/params"),

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from rcs_data.finetune.contents import Contents
 
@@ -28,16 +27,6 @@ class Written:
             (folder / name).write_text(text, encoding="utf-8")
 
 
-def literal(value: Any, indent: int = 0) -> str:
-    """Return a value as Python: dictionaries and tuples with an entry per line."""
-    pad = " " * (indent + 4)
-    if isinstance(value, Mapping) and value:
-        return _block("{", (f"{key!r}: {literal(inner, indent + 4)}" for key, inner in value.items()), "}", pad, indent)
-    if isinstance(value, tuple) and value:
-        return _block("(", (literal(inner, indent + 4) for inner in value), ")", pad, indent)
-    return repr(value)
-
-
 def facts(contents: Contents) -> str:
     """Return what the dataset is, as lines of a comment."""
     said = [f"Instruction: {contents.instruction}".rstrip(), f"Rate: {contents.rate:g} Hz"]
@@ -45,7 +34,3 @@ def facts(contents: Contents) -> str:
     for what, parts in (("State", contents.state), ("Action", contents.action)):
         said += [f"{what} {part.name}: {part.size} numbers, {part.unit or 'no unit'}, {part.meaning}" for part in parts]
     return "\n".join(f"# {' '.join(line.split())}" for line in said)
-
-
-def _block(opening: str, lines: Iterable[str], closing: str, pad: str, indent: int) -> str:
-    return f"{opening}\n" + "".join(f"{pad}{line},\n" for line in lines) + " " * indent + closing
