@@ -99,11 +99,7 @@ class BackgroundEpisode:
         return self._rows
 
     def add(self, row: Mapping[str, Value], sim_state: NDArray[np.float64] | None = None) -> None:
-        """Queue one step and return at once; arrays are copied unless they are read-only.
-
-        Args:
-            row: As `EpisodeWriter.add` takes it.
-            sim_state: As `EpisodeWriter.add` takes it.
+        """Queue one step as `EpisodeWriter.add` takes it, and return at once; arrays that are not read-only are copied.
 
         Raises:
             InvalidSetup: A key, shape, dtype or time is wrong; the row is not taken, and the episode stays open.
@@ -174,11 +170,7 @@ class BackgroundEpisode:
             self._let_go()
 
     def abort(self, reason: str) -> None:
-        """Write what is queued and abort the episode, but keep its rows for `recover`.
-
-        Args:
-            reason: Why, in words; stored beside the rows.
-        """
+        """Write what is queued and abort the episode, but keep its rows, and beside them the reason, for `recover`."""
         self._write_all()
         try:
             self._episode.abort(reason)
@@ -186,7 +178,6 @@ class BackgroundEpisode:
             self._let_go()
 
     def __enter__(self) -> Self:
-        """Return the episode itself."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:

@@ -28,11 +28,8 @@ def at_shares(rows: NDArray[np.float64], shares: ArrayLike) -> NDArray[np.float6
 def diversity_of_ways(ways: Sequence[NDArray[np.float64]]) -> float:
     """Return the mean over all pairs of the RMS distance at equal shares of the length, in the unit of the rows.
 
-    Each is compared by its way alone: stretched from its own start to its own goal, so that goals that differ do not
-    count as different ways. Straight motions give 0.
-
-    Args:
-        ways: At least two, row by row, (n, dof), n at least 2.
+    Each of the ways, at least two of at least two rows (n, dof), is compared by its way alone: stretched from its own
+    start to its own goal, so that goals that differ do not count as different ways. Straight motions give 0.
     """
     shares = np.linspace(0.0, 1.0, COMPARED)
     bent: list[NDArray[np.float64]] = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -35,13 +35,7 @@ class Entry:
 
     @classmethod
     def of(cls, about: Mapping[str, Any], folder: str, info: DatasetInfo) -> Entry:
-        """Return the entry of an episode.
-
-        Args:
-            about: The contents of its `episode.json`.
-            folder: The name of its folder.
-            info: What the dataset's episodes share.
-        """
+        """Return the entry of an episode, given the contents of its `episode.json`."""
         failure = about["outcome"].get("failure")
         return cls(
             id=about["id"],
@@ -196,9 +190,13 @@ class State:
             InvalidSetup: The line makes no sense here.
         """
         (kind, value), *more = line.items() or [("", None)]
-        if more or kind not in _KINDS:
+        takers = {
+            "add": self._add, "remove": self._remove, "edit": self._edit,
+            "undo": self._undo, "gone": self._gone, "past": self._past,
+        }  # fmt: skip
+        if more or kind not in takers:
             raise InvalidSetup(f"a line is {line!r:.80}")
-        _KINDS[kind](self, value)
+        takers[kind](value)
 
     def _add(self, value: Any) -> None:
         entry = Entry.from_json(value)
@@ -258,16 +256,6 @@ class State:
         if not isinstance(value, dict) or not isinstance(value.get("episodes"), int):
             raise InvalidSetup(f"a former edit is {value!r:.80}")
         self.history.append(replace(_edit_of(value), episodes=value["episodes"]))
-
-
-_KINDS: dict[str, Callable[[State, Any], None]] = {
-    "add": State._add,  # pyright: ignore[reportPrivateUsage]
-    "remove": State._remove,  # pyright: ignore[reportPrivateUsage]
-    "edit": State._edit,  # pyright: ignore[reportPrivateUsage]
-    "undo": State._undo,  # pyright: ignore[reportPrivateUsage]
-    "gone": State._gone,  # pyright: ignore[reportPrivateUsage]
-    "past": State._past,  # pyright: ignore[reportPrivateUsage]
-}
 
 
 def _changes_of(values: Mapping[str, Any]) -> Changes:

@@ -77,11 +77,7 @@ class Journal:
         return self.state
 
     def add(self, about: Mapping[str, Any], folder: str) -> None:
-        """Add an episode whose folder is complete.
-
-        Args:
-            about: The contents of its `episode.json`.
-            folder: The name of its folder.
+        """Add an episode whose folder is complete, given the contents of its `episode.json`.
 
         Raises:
             DatasetError: There is an episode of this id.
@@ -114,12 +110,7 @@ class Journal:
         return entry
 
     def edit(self, command: str, arguments: Mapping[str, Any], changes: Changes) -> None:
-        """Make an edit.
-
-        Args:
-            command: What is done, for the history.
-            arguments: Its arguments, for the history, as JSON values.
-            changes: What changes.
+        """Make an edit; command and arguments, which are JSON values, are for the history.
 
         Raises:
             OSError: The disk is full or fails; nothing has changed.

@@ -77,13 +77,10 @@ def check_episode_id(episode_id: str) -> None:
 
 
 def links_out(root: Path) -> list[Path]:
-    """Return the folders of a dataset that are links out of it.
+    """Return the folders of a dataset, which may itself be a link, that are links out of it.
 
     Reading follows them, so a dataset may be composed of links. Writing does not: their targets may belong to somebody
     else.
-
-    Args:
-        root: The dataset's folder; it may itself be a link.
     """
     inside = root.resolve()
     folders = (root / QUARANTINE_FOLDER, episodes_folder(root))

@@ -11,7 +11,6 @@ import fcntl
 import os
 import time
 import weakref
-from collections.abc import Callable
 from pathlib import Path
 
 from typing_extensions import Self
@@ -35,7 +34,8 @@ class DatasetLock:
         """Hold the lock on an open file; use `writer` or `worker` to get one."""
         self._fd: int | None = fd
         # A forked child shares the open file and would keep the lock after its parent's end.
-        os.register_at_fork(after_in_child=_releasing(weakref.ref(self)))
+        release = weakref.WeakMethod(self.release)
+        os.register_at_fork(after_in_child=lambda: (held := release()) and held())
 
     @classmethod
     def writer(cls, root: Path) -> DatasetLock:
@@ -85,11 +85,9 @@ class DatasetLock:
         return cls(fd)
 
     def __enter__(self) -> Self:
-        """Return the lock itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give the lock back."""
         self.release()
 
     def release(self) -> None:
@@ -112,12 +110,7 @@ def is_locked(root: Path) -> bool:
 
 
 def try_lock(fd: int, kind: int) -> bool:
-    """Try to lock an open file; return whether it succeeded.
-
-    Args:
-        fd: The open file.
-        kind: `fcntl.LOCK_EX` or `fcntl.LOCK_SH`.
-    """
+    """Try to lock an open file by `fcntl.LOCK_EX` or `fcntl.LOCK_SH`; return whether it succeeded."""
     # `is_locked` holds the lock for some microseconds, so one refusal proves nothing.
     for attempt in range(_ATTEMPTS):
         if attempt:
@@ -144,12 +137,3 @@ def _holder(root: Path) -> str:
     with (root / _WRITER_FILE).open("rb") as file:
         text = file.read(32).decode(errors="replace").strip()
     return text if text.isdecimal() else "with an unknown id"
-
-
-def _releasing(lock: weakref.ref[DatasetLock]) -> Callable[[], None]:
-    def release_in_child() -> None:
-        held = lock()
-        if held is not None:
-            held.release()
-
-    return release_in_child

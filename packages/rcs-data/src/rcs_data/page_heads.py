@@ -1,12 +1,12 @@
-"""Reads the page headers of a Parquet file, which Arrow trusts but does not expose.
+"""Reads what Arrow trusts in a Parquet file but does not expose, in Thrift's compact protocol.
 
 Only a page header says how large its page becomes when decompressed; the footer may be wrong about that.
+Source: the specification of the compact protocol in the documentation of Apache Thrift.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 # Field numbers in `parquet.thrift` of Apache Parquet: of a page header.
@@ -22,48 +22,8 @@ DICTIONARY_PAGE = 2
 """The type of a dictionary page."""
 
 
-@dataclass(frozen=True)
-class PageHead:
-    """The header of a page."""
-
-    start: int
-    """Where the page's data begin, after the header [B]."""
-    size: int
-    """Their length in the file [B]."""
-    uncompressed: int
-    """Their length when decompressed [B]."""
-    type: int
-    """What kind of page it is."""
-
-
-def page_head(data: bytes | bytearray, at: int, base: int = 0) -> PageHead:
-    """Read a page header.
-
-    Args:
-        data: Bytes of the file.
-        at: Where the header begins in them.
-        base: Where these bytes begin in the file.
-
-    Raises:
-        ValueError: This is not a page header, or it ends beyond the data.
-    """
-    try:
-        fields, after = thrift_struct(data, at)
-        head = PageHead(
-            start=base + after,
-            size=int(fields[_PAGE_SIZE]),
-            uncompressed=int(fields[_UNCOMPRESSED]),
-            type=int(fields[_TYPE]),
-        )
-    except (IndexError, KeyError, TypeError, AttributeError, RecursionError) as err:
-        raise ValueError(f"not a page header: {err!r}") from err
-    if head.size < 0 or head.uncompressed < 0:
-        raise ValueError("a page of negative size")
-    return head
-
-
-def page_heads(read: Callable[[int, int], bytes], start: int, end: int) -> Iterator[PageHead]:
-    """Yield the headers of the pages between two places in a file.
+def page_heads(read: Callable[[int, int], bytes], start: int, end: int) -> Iterator[tuple[int, int]]:
+    """Yield the type of each page between two places in a file, and its size when decompressed [B].
 
     Args:
         read: Returns so many bytes from a place in the file, or fewer at its end.
@@ -75,19 +35,29 @@ def page_heads(read: Callable[[int, int], bytes], start: int, end: int) -> Itera
     """
     while start < end:
         try:
-            head = page_head(read(min(_USUAL_HEAD, end - start), start), 0, start)
+            kind, uncompressed, size = _page_head(read(min(_USUAL_HEAD, end - start), start))
         except ValueError:
-            head = page_head(read(min(_LONGEST_HEAD, end - start), start), 0, start)
-        if head.start + head.size > end:
+            kind, uncompressed, size = _page_head(read(min(_LONGEST_HEAD, end - start), start))
+        start += size
+        if start > end:
             raise ValueError("a page ends beyond its column")
-        yield head
-        start = head.start + head.size
+        yield kind, uncompressed
 
 
-def thrift_struct(data: bytes | bytearray, at: int, depth: int = 0) -> tuple[dict[int, Any], int]:
-    """Read a struct of Thrift's compact protocol; return its fields by number, and where it ends.
+def _page_head(data: bytes) -> tuple[int, int, int]:
+    """Return a page's type, its size when decompressed, and that of header and page in the file [B]."""
+    try:
+        fields, after = thrift_struct(data, 0)
+        kind, uncompressed, size = (int(fields[number]) for number in (_TYPE, _UNCOMPRESSED, _PAGE_SIZE))
+    except (IndexError, KeyError, TypeError) as err:
+        raise ValueError(f"not a page header: {err!r}") from err
+    if size < 0 or uncompressed < 0:
+        raise ValueError("a page of negative size")
+    return kind, uncompressed, after + size
 
-    Source: the specification of the compact protocol in the documentation of Apache Thrift.
+
+def thrift_struct(data: bytes, at: int, depth: int = 0) -> tuple[dict[int, Any], int]:
+    """Read a struct; return its fields by number, and where it ends.
 
     Raises:
         ValueError: This is not such a struct.
@@ -95,30 +65,26 @@ def thrift_struct(data: bytes | bytearray, at: int, depth: int = 0) -> tuple[dic
     """
     fields: dict[int, Any] = {}
     number = 0
-    if at < 0:
-        raise ValueError("a struct cannot begin before the file")
-    if depth > _MOST_DEPTH:
-        raise ValueError(f"structs are nested more than {_MOST_DEPTH} levels deep")
     while head := data[at]:
         at += 1
         if head >> 4:
             number += head >> 4
         else:
-            folded, at = _varint(data, at)
-            number = _unfolded(folded)
+            number, at = _whole_number(data, at)
         kind = head & 0xF
         # The type of a boolean field is its value; only in a list does a boolean take a byte.
         fields[number], at = (kind == _TRUE, at) if kind in (_TRUE, _FALSE) else _thrift_value(data, at, kind, depth)
     return fields, at + 1
 
 
-def _thrift_value(data: bytes | bytearray, at: int, kind: int, depth: int) -> tuple[Any, int]:
+def _thrift_value(data: bytes, at: int, kind: int, depth: int) -> tuple[Any, int]:
+    if depth > _MOST_DEPTH:
+        raise ValueError(f"values are nested more than {_MOST_DEPTH} levels deep")
     match kind:
         case 1 | 2 | 3:
             return data[at], at + 1
         case 4 | 5 | 6:
-            folded, at = _varint(data, at)
-            return _unfolded(folded), at
+            return _whole_number(data, at)
         case 7:
             return None, at + 8
         case 8:
@@ -142,7 +108,7 @@ def _thrift_value(data: bytes | bytearray, at: int, kind: int, depth: int) -> tu
             raise ValueError(f"type {other} is not supported")
 
 
-def _varint(data: bytes | bytearray, at: int) -> tuple[int, int]:
+def _varint(data: bytes, at: int) -> tuple[int, int]:
     value = shift = 0
     while True:
         byte = data[at]
@@ -155,5 +121,6 @@ def _varint(data: bytes | bytearray, at: int) -> tuple[int, int]:
             raise ValueError("a number of more than 64 bits")
 
 
-def _unfolded(value: int) -> int:
-    return (value >> 1) ^ -(value & 1)
+def _whole_number(data: bytes, at: int) -> tuple[int, int]:
+    folded, at = _varint(data, at)
+    return (folded >> 1) ^ -(folded & 1), at

@@ -12,7 +12,6 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -43,17 +42,9 @@ _IMAGES_AT_A_TIME = 16
 
 
 class ParquetSource:
-    """An open Parquet file that limits how much is read of it."""
+    """An open Parquet file that limits how much is read of it; `opened` yields one."""
 
     def __init__(self, name: str, file: pq.ParquetFile, size: int, read: Callable[[int, int], bytes]) -> None:
-        """Hold a file; use `opened` to get one.
-
-        Args:
-            name: Name of the file, for messages.
-            file: The file as Arrow has it.
-            size: Its size [B].
-            read: Returns a number of bytes from a place in it.
-        """
         self.file = file
         self.schema: pa.Schema = file.schema_arrow
         self._name = name
@@ -66,11 +57,7 @@ class ParquetSource:
         return self.file.metadata.num_rows
 
     def require(self, columns: Sequence[str] | None = None, groups: Iterable[int] | None = None) -> None:
-        """Refuse to read what claims to be larger than any recording.
-
-        Args:
-            columns: The columns that will be read; None for all.
-            groups: The row groups; None for all.
+        """Refuse to read columns of row groups, None for all, that claim to be larger than any recording.
 
         Raises:
             CorruptEpisode: It is too much, or the file contradicts itself.
@@ -93,11 +80,7 @@ class ParquetSource:
             raise CorruptEpisode(f"{self._name} has {self._size} bytes and claims {rows} rows, more than fit.")
 
     def table(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> pa.Table:
-        """Read columns of some row groups.
-
-        Args:
-            columns: The columns; None for all.
-            groups: The row groups; None for all.
+        """Read columns of some row groups, None for all.
 
         Raises:
             CorruptEpisode: They are larger than any recording, or the file contradicts itself.
@@ -117,11 +100,7 @@ class ParquetSource:
         return pa.Table.from_batches(self.batches(names, numbers), schema=pa.schema(kept))
 
     def batches(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Iterator[Any]:
-        """Yield columns of some row groups, a few rows at a time, up to the size limit.
-
-        Args:
-            columns: The columns; None for all.
-            groups: The row groups; None for all.
+        """Yield columns of some row groups, None for all, a few rows at a time, up to the size limit.
 
         Raises:
             CorruptEpisode: They are larger than that.
@@ -177,10 +156,10 @@ class ParquetSource:
         total = 0
         try:
             most = max(_FREE_DICTIONARY, _MOST_DICTIONARY_GROWTH * self._size)
-            for head in page_heads(self._read, start, end):
-                total += head.uncompressed
-                if head.type == DICTIONARY_PAGE and head.uncompressed > most:
-                    raise CorruptEpisode(f"{what} has a dictionary of {head.uncompressed} bytes.")
+            for kind, uncompressed in page_heads(self._read, start, end):
+                total += uncompressed
+                if kind == DICTIONARY_PAGE and uncompressed > most:
+                    raise CorruptEpisode(f"{what} has a dictionary of {uncompressed} bytes.")
         except CorruptEpisode:
             raise
         except ValueError as err:
@@ -191,9 +170,6 @@ class ParquetSource:
 @contextlib.contextmanager
 def opened_of_others(path: Path) -> Generator[ParquetSource]:
     """Open a Parquet file of another writer. Call `require` before reading.
-
-    Args:
-        path: The file.
 
     Raises:
         CorruptEpisode: It is not a Parquet file, or cannot be read inside of the block.
@@ -285,19 +261,8 @@ def _fixed(column: pa.Array, kind: pa.DataType) -> pa.Array:
     Raises:
         ArrowInvalid: A list has another length.
     """
-    if not pa.types.is_fixed_size_list(kind):
-        return column.cast(kind)
-    size, mask = kind.list_size, column.is_null()
-    given = column.flatten()
-    if len(given) != size * (len(column) - column.null_count) or any(
-        n not in (None, size) for n in column.value_lengths().to_pylist()
-    ):
-        raise pa.ArrowInvalid(f"Expected all lists to be of size {size}.")
-    # A null takes place in a list of fixed length; what is there does not matter.
-    rows = np.cumsum(~mask.to_numpy(zero_copy_only=False)) - 1
-    places = (np.maximum(rows, 0)[:, None] * size + np.arange(size)).reshape(-1)
-    values = given.take(pa.array(places)) if len(given) else pa.nulls(len(places), kind.value_type)
-    return pa.FixedSizeListArray.from_arrays(values, type=kind, mask=mask)
+    # A null has no numbers, and Arrow casts only lists that have all; few rows are converted at a time.
+    return pa.array(column.to_pylist(), kind) if column.null_count else column.cast(kind)
 
 
 def _is_fixed(kind: pa.DataType) -> bool:

@@ -41,9 +41,6 @@ class Dataset:
     def open(cls, path: str | Path) -> Dataset:
         """Open the dataset in a folder.
 
-        Args:
-            path: The folder with `dataset.json` and the index.
-
         Raises:
             DatasetError: There is no dataset, or its layout is of another version.
             CorruptEpisode: The index is damaged.
@@ -91,7 +88,6 @@ class Dataset:
         return pa.concat_tables(tables)
 
     def __repr__(self) -> str:
-        """Name the dataset and say how many episodes it has."""
         return f"Dataset({str(self.path)!r}, {len(self)} episodes)"
 
     def _repr_html_(self) -> str:
@@ -100,7 +96,6 @@ class Dataset:
         return dataset_html(self)
 
     def __iter__(self) -> Iterator[EpisodeRecord]:
-        """Yield the complete episodes, sorted by id."""
         return iter(self.episodes)
 
     def __contains__(self, episode: object) -> bool:
@@ -110,7 +105,6 @@ class Dataset:
         return episode in self._by_id
 
     def __len__(self) -> int:
-        """Return the number of complete episodes."""
         return len(self.episodes)
 
     def __getitem__(self, episode_id: str) -> EpisodeRecord:

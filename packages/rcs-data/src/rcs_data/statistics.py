@@ -28,13 +28,10 @@ class Statistics:
     count: int
     """Vectors seen."""
     mean: NDArray[np.float64]
-    """The mean."""
     std: NDArray[np.float64]
     """The population standard deviation (divided by the count)."""
     min: NDArray[np.float64]
-    """The smallest."""
     max: NDArray[np.float64]
-    """The largest."""
     q01: NDArray[np.float64]
     """The 1 % quantile."""
     q99: NDArray[np.float64]
@@ -63,12 +60,7 @@ class Statistics:
     def denormalise(
         self, values: NDArray[Any], by: Normalisation = "mean_std", *, floor: ArrayLike = 0.0
     ) -> NDArray[Any]:
-        """Invert `normalise`.
-
-        Args:
-            values: Shape (..., size).
-            by: As for `normalise`.
-            floor: As for `normalise`.
+        """Invert `normalise`, whose arguments these are.
 
         Raises:
             InvalidSetup: There is no such normalisation, or a floor is negative or not finite.

@@ -17,13 +17,9 @@ def is_storable(text: str) -> bool:
 
 
 def check_text(text: object, what: str) -> None:
-    """Refuse a value that is not text or cannot be stored.
+    """Refuse a value that is not text or cannot be stored; `what` begins the message, such as "The instruction".
 
     Half surrogate pairs come from command-line arguments that are not UTF-8, or from an emoji cut in two.
-
-    Args:
-        text: What was given.
-        what: What it is, for the message, such as "The instruction".
 
     Raises:
         InvalidSetup: It is not text, or has half a surrogate pair.
@@ -39,11 +35,7 @@ def check_text(text: object, what: str) -> None:
 
 
 def check_texts(value: Any, what: str) -> None:
-    """Refuse JSON values whose texts or keys cannot be stored.
-
-    Args:
-        value: The JSON values.
-        what: What they are, for the message.
+    """Refuse JSON values whose texts or keys cannot be stored; the message says what they are.
 
     Raises:
         InvalidSetup: A text has half a surrogate pair.

@@ -42,9 +42,6 @@ class TorchDataset(_Dataset):  # pyright: ignore[reportUntypedBaseClass]  where 
     def __init__(self, windows: Windows) -> None:
         """Take windows.
 
-        Args:
-            windows: The windows.
-
         Raises:
             MissingDependency: torch is not installed.
         """
@@ -52,7 +49,6 @@ class TorchDataset(_Dataset):  # pyright: ignore[reportUntypedBaseClass]  where 
         self.windows = windows
 
     def __len__(self) -> int:
-        """Return the number of windows."""
         return len(self.windows)
 
     def __getitem__(self, index: int) -> Tensors:
@@ -97,12 +93,6 @@ class ChosenWindow(Mapping[str, Any]):
     """A window of a batch: read together with the others by `collate`, or alone when it is accessed."""
 
     def __init__(self, dataset: TorchDataset, index: int) -> None:
-        """Choose a window.
-
-        Args:
-            dataset: All windows.
-            index: The number of the chosen one.
-        """
         self.dataset = dataset
         self.index = index
 
@@ -116,11 +106,9 @@ class ChosenWindow(Mapping[str, Any]):
         return self.tensors[key]
 
     def __iter__(self) -> Iterator[str]:
-        """Yield the names of its parts."""
         return iter(self.tensors)
 
     def __len__(self) -> int:
-        """Return the number of its parts."""
         return len(self.tensors)
 
 

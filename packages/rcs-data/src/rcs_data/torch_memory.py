@@ -34,21 +34,11 @@ class OwnBlock:
     """A piece of memory of this process, for one tensor at a time."""
 
     def __init__(self, size: int) -> None:
-        """Allocate memory.
-
-        Args:
-            size: Bytes.
-        """
         self.memory = np.empty(size, np.uint8)
 
 
 def reused_tensor(shape: Sequence[int], dtype: np.dtype[Any]) -> Any:
-    """Return an empty tensor in reused or new memory of this process.
-
-    Args:
-        shape: Its shape.
-        dtype: Its dtype.
-    """
+    """Return an empty tensor in reused or new memory of this process."""
     size = math.prod(shape) * dtype.itemsize
     block = _take_spare(size) or OwnBlock(size)
     values = block.memory[:size].view(dtype).reshape(shape)
@@ -78,12 +68,6 @@ class SharedBlock:
     """A piece of shared memory, for one array of a worker."""
 
     def __init__(self, shape: Sequence[int], dtype: np.dtype[Any]) -> None:
-        """Take reused or new memory.
-
-        Args:
-            shape: The shape of the array.
-            dtype: Its dtype.
-        """
         size = math.prod(shape) * dtype.itemsize
         self._bytes = _free_again(size + _FLAG_BYTES)
         if self._bytes is None:
@@ -93,11 +77,7 @@ class SharedBlock:
         self.array: NDArray[Any] = memory[:size].view(dtype).reshape(shape)
 
     def lend(self, tensor: Any) -> Any:
-        """Return a tensor that gives the block back when the receiving process releases it.
-
-        Args:
-            tensor: All of the array, its axes in any order.
-        """
+        """Return a tensor on all of the array that gives the block back when the receiving process releases it."""
         lent = tensor.as_subclass(_lent_class())
         lent.block = self._bytes
         return lent

@@ -65,12 +65,7 @@ class VectorLayout:
         return self.joined(episode.columns(feature.key for feature in self.features), episode.length)
 
     def joined(self, columns: Mapping[str, NDArray[Any]], length: int) -> NDArray[np.float64]:
-        """Return the vectors of columns, shape (length, size).
-
-        Args:
-            columns: Those of `EpisodeRecord.columns`, by key.
-            length: Their rows.
-        """
+        """Return the vectors of columns as `EpisodeRecord.columns` returns them, shape (length, size)."""
         parts = [columns[feature.key].reshape(length, -1).astype(np.float64) for feature in self.features]
         return np.concatenate(parts, axis=1) if parts else np.empty((length, 0))
 
@@ -127,17 +122,11 @@ class Trajectory:
     """Whether the step ended the episode for another reason, shape (steps,)."""
 
     def __len__(self) -> int:
-        """Return the number of steps."""
         return len(self.actions)
 
 
 def trajectory(episode: EpisodeRecord, state: VectorLayout, action: VectorLayout) -> Trajectory:
     """Read the steps of an episode, without its images.
-
-    Args:
-        episode: The episode.
-        state: The layout of states.
-        action: The layout of actions.
 
     Raises:
         CorruptEpisode: The episode is damaged.

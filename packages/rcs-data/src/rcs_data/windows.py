@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import operator
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import accumulate
-from typing import Any, Literal, SupportsIndex, TypedDict, get_args, overload
+from typing import Any, Literal, SupportsIndex, TypedDict, cast, get_args, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from rcs_data.cache import ByteCache
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.frame_access import INDEX_BYTES, FrameAccess
+from rcs_data.output import OnProgress
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.scale import Scaler
 from rcs_data.statistics import RunningStatistics, Statistics, check_finite
@@ -152,7 +153,6 @@ class Windows(Sequence[Window]):
         self._forget()
 
     def __len__(self) -> int:
-        """Return the number of windows."""
         return self._ends[-1] if self._ends else 0
 
     def place(self, index: SupportsIndex) -> tuple[EpisodeRecord, int]:
@@ -177,17 +177,10 @@ class Windows(Sequence[Window]):
         """
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
-        batch = self.batch([index])
-        return {
-            "state": batch["state"][0],
-            "images": {name: images[0] for name, images in batch["images"].items()},
-            "actions": batch["actions"][0],
-            "is_pad": batch["is_pad"][0],
-            "is_history_pad": batch["is_history_pad"][0],
-            "instruction": batch["instruction"][0],
-            "episode": batch["episode"][0],
-            "step": int(batch["step"][0]),
-        }
+        batch: dict[str, Any] = {**self.batch([index])}
+        images = {name: images[0] for name, images in batch.pop("images").items()}
+        step = int(batch.pop("step")[0])
+        return cast(Window, {**{name: values[0] for name, values in batch.items()}, "images": images, "step": step})
 
     def image_shape(self, camera: str) -> tuple[int, ...]:
         """Return the shape of one image in a window: (H, W, 3), or (H, W) for depth."""
@@ -243,7 +236,7 @@ class Windows(Sequence[Window]):
             for name, feature in self.cameras.items()
         }
 
-    def statistics(self, on_progress: Callable[[int, int], None] | None = None) -> dict[str, Statistics]:
+    def statistics(self, on_progress: OnProgress | None = None) -> dict[str, Statistics]:
         """Return the statistics of "state" and "actions" over all steps of the chosen episodes, each counted once.
 
         Args:

@@ -40,13 +40,6 @@ class EpisodeBytes:
     """
 
     def __init__(self, place: EpisodePlace, info: DatasetInfo, *, depth: Literal["bytes", "rows", "frames"]) -> None:
-        """Prepare the check.
-
-        Args:
-            place: Where the episode is.
-            info: What the dataset's episodes share.
-            depth: Whether to read the rows, and to decode each image.
-        """
         self._place = place
         self._info = info
         self._reads_rows = depth != "bytes"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,8 +16,7 @@ from rcs_data.check.images import check_images
 from rcs_data.check.labels import check_labels, check_verdicts
 from rcs_data.check.motion import check_motion
 from rcs_data.check.report import CheckReport, Finding
-from rcs_data.check.stored_timing import check_timing
-from rcs_data.check.times import check_times
+from rcs_data.check.times import check_times, check_timing
 from rcs_data.index import Entry, State
 from rcs_data.info import MERGED, DatasetInfo
 from rcs_data.layout import EPISODE_FILE, episode_folder, has_dataset
@@ -53,16 +52,17 @@ def check(
         return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=tuple(findings))
     findings += check_leftovers(root, state)
     entries = [entry for _, entry in sorted(state.episodes.items())]
-    how = _How(info=state.info, is_resampled=_is_resampled(state), depth=depth)
+    is_resampled = _is_resampled(state)
     rows = frames = 0
     with ThreadPoolExecutor(workers or os.cpu_count() or 1, thread_name_prefix="check episodes") as pool:
-        for number, checked in enumerate(pool.map(lambda entry: _check_episode(root, entry, how), entries)):
-            rows, frames = rows + checked.rows, frames + checked.frames
-            findings += checked.findings
+        results = pool.map(lambda entry: _check_episode(root, entry, state.info, is_resampled, depth), entries)
+        for number, (its_rows, its_frames, its_findings) in enumerate(results):
+            rows, frames = rows + its_rows, frames + its_frames
+            findings += its_findings
             if on_progress is not None:
                 on_progress(number + 1, len(entries))
     findings += check_verdicts({entry.id: entry.success for entry in entries})
-    findings += [finding for entry in state.former_entries() for finding in _check_former(root, entry, how)]
+    findings += [finding for entry in state.former_entries() for finding in _check_former(root, entry, state.info)]
     findings += check_undo(root, state)
     return CheckReport(
         path=root,
@@ -74,49 +74,34 @@ def check(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _How:
-    """Arguments of the check of every episode."""
-
-    info: DatasetInfo
-    is_resampled: bool
-    depth: Depth
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Checked:
-    """Result of the check of one episode."""
-
-    rows: int
-    frames: int
-    findings: tuple[Finding, ...]
-
-
-def _check_episode(root: Path, entry: Entry, how: _How) -> _Checked:
+def _check_episode(
+    root: Path, entry: Entry, info: DatasetInfo, is_resampled: bool, depth: Depth
+) -> tuple[int, int, list[Finding]]:
+    """Return how many rows and decoded images an episode has, and what is wrong with it."""
     place = EpisodePlace(root, episode_folder(root, entry.folder), entry.id)
     if not place.folder.is_dir():
-        return _Checked(rows=0, frames=0, findings=())  # told with the folder
-    bytes_ = EpisodeBytes(place, how.info, depth=how.depth)
+        return 0, 0, []  # told with the folder
+    bytes_ = EpisodeBytes(place, info, depth=depth)
     findings = list(bytes_.findings())
     about: dict[str, Any] = bytes_.rows.about
     if about:
         findings += _check_entry(place, entry, about)
     if not any(finding.severity == "damage" for finding in findings):  # damaged rows are not checked further
         rows = bytes_.rows
-        findings += check_labels(place, {**about, "instruction": entry.instruction or how.info.instruction})
-        if how.depth != "bytes":
-            findings += check_times(place, rows, is_resampled=how.is_resampled)
+        findings += check_labels(place, {**about, "instruction": entry.instruction or info.instruction})
+        if depth != "bytes":
+            findings += check_times(place, rows, is_resampled=is_resampled)
             findings += check_images(place, rows)
             findings += check_motion(place, rows)
             findings += check_timing(place, about, bytes_.timing)
-    return _Checked(rows=int(about.get("length", 0)), frames=bytes_.frames, findings=tuple(findings))
+    return int(about.get("length", 0)), bytes_.frames, findings
 
 
-def _check_former(root: Path, entry: Entry, how: _How) -> Iterator[Finding]:
+def _check_former(root: Path, entry: Entry, info: DatasetInfo) -> Iterator[Finding]:
     """Yield damage of an episode that only undo can bring back."""
     place = EpisodePlace(root, episode_folder(root, entry.folder), entry.id)
     if place.folder.is_dir():  # or in quarantine
-        for finding in EpisodeBytes(place, how.info, depth="bytes").findings():
+        for finding in EpisodeBytes(place, info, depth="bytes").findings():
             yield replace(finding, kind="former", message=f"{finding.message}; undo would bring back a damaged episode")
 
 

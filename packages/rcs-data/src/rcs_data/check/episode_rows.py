@@ -22,14 +22,11 @@ SIMULATED_TIME = "simulated_time"
 
 @dataclass(frozen=True)
 class EpisodePlace:
-    """The place of an episode, for findings."""
+    """The place of an episode, for findings: the dataset's folder, its own folder, and its id."""
 
     root: Path
-    """The dataset's folder."""
     folder: Path
-    """The episode's folder."""
     id: str
-    """The episode's id."""
 
     def finding(
         self,
@@ -70,7 +67,6 @@ class EpisodeRows:
     """The columns of times, joints and motion, and the state of each camera per row."""
 
     def __init__(self, info: DatasetInfo) -> None:
-        """Start with no rows."""
         self.info = info
         self.length = 0
         self.about: dict[str, Any] = {}

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rcs_data.about import read_about
-from rcs_data.check.report import Finding, Severity, counted
+from rcs_data.check.report import Finding, counted
 from rcs_data.durable import sealed, unsealed
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
 from rcs_data.index import State
@@ -45,9 +45,6 @@ def is_as_written(data: bytes, values: dict[str, Any]) -> bool:
 def check_index(root: Path) -> tuple[State | None, list[Finding]]:
     """Check the index and `dataset.json`; return what the index says, as far as it can be read.
 
-    Args:
-        root: The dataset's folder.
-
     Raises:
         DatasetError: There is no dataset, or its layout is of another version.
     """
@@ -57,11 +54,11 @@ def check_index(root: Path) -> tuple[State | None, list[Finding]]:
         try:
             state = Journal(root).state
         except CorruptEpisode as err:
-            findings.append(_finding("damage", "altered", None, JOURNAL_FILE, str(err)))
+            findings.append(Finding("damage", "altered", None, JOURNAL_FILE, str(err)))
             state = whole_lines(root)[0]
     else:
         message = "missing; `rcs data check --repair` makes it anew from the episodes"
-        findings.append(_finding("damage", "missing", None, JOURNAL_FILE, message))
+        findings.append(Finding("damage", "missing", None, JOURNAL_FILE, message))
     return state, [*findings, *_check_description(root, state)]
 
 
@@ -98,52 +95,47 @@ def described(root: Path) -> State | None:
 def _check_description(root: Path, state: State | None) -> Iterator[Finding]:
     path = root / DATASET_FILE
     if not path.exists():
-        yield _finding("damage", "missing", None, DATASET_FILE, "missing; `rcs data check --repair` restores it")
+        yield Finding("damage", "missing", None, DATASET_FILE, "missing; `rcs data check --repair` restores it")
         return
     try:
         data = read_bytes(path)
         values = unsealed(data, path)
     except CorruptEpisode as err:
-        yield _finding("damage", "altered", None, DATASET_FILE, str(err))
+        yield Finding("damage", "altered", None, DATASET_FILE, str(err))
         return
     if not is_as_written(data, values):
         message = "is readable, but its bytes are not those that were written"
-        yield _finding("damage", "altered", None, DATASET_FILE, message)
+        yield Finding("damage", "altered", None, DATASET_FILE, message)
     elif state is not None and data != sealed(state.info.to_json()) and not is_locked(root):
         message = "not what the index says: an edit was killed; `rcs data recover` updates it"
-        yield _finding("warning", "stale", None, DATASET_FILE, message)
+        yield Finding("warning", "stale", None, DATASET_FILE, message)
 
 
 def check_leftovers(root: Path, state: State) -> Iterator[Finding]:
-    """Yield what a killed writer or edit left, and whole folders that are missing.
-
-    Args:
-        root: The dataset's folder.
-        state: What the index says.
-    """
+    """Yield what a killed writer or edit left, and whole folders that are missing."""
     folder = episodes_folder(root)
     names = set(folder_names(root))
     if not folder.is_dir():
-        yield _finding("damage", "missing", None, _in(root, folder), "missing, with all episodes in it")
+        yield Finding("damage", "missing", None, _in(root, folder), "missing, with all episodes in it")
     for entry in state.episodes.values():
         if entry.folder not in names:
             place = _in(root, episode_folder(root, entry.folder))
-            yield _finding("damage", "missing", entry.id, place, "missing, with all files in it")
+            yield Finding("damage", "missing", entry.id, place, "missing, with all files in it")
     for path in links_out(root):
         message = f"a link out of the dataset to {path.readlink()}; it is read, but never written through"
-        yield _finding("warning", "link", None, _in(root, path), message)
+        yield Finding("warning", "link", None, _in(root, path), message)
     yield from check_beside(root)
     if is_locked(root):
         return  # a living writer has open episodes
     for episode_id in open_ids(root):
         place = _in(root, open_folder(root, episode_id))
-        yield _finding("warning", "left_open", episode_id, place, "open, and its writer is gone; run recover")
+        yield Finding("warning", "left_open", episode_id, place, "open, and its writer is gone; run recover")
     for name in strange_names(root):
         place = _in(root, folder / mended_text(name).translate(_UNPRINTABLE))
-        yield _finding("warning", "stranger", None, place, "its name cannot be an episode's; nothing reads it")
+        yield Finding("warning", "stranger", None, place, "its name cannot be an episode's; nothing reads it")
     garbage, unlisted = stray_folders(root, state)
     for path in (*trash_folders(root), *garbage):
-        yield _finding("warning", "left_over", None, _in(root, path), "left by a killed program; run recover")
+        yield Finding("warning", "left_over", None, _in(root, path), "left by a killed program; run recover")
     for path in unlisted:
         message = "complete, and not in the index; run recover"
         try:
@@ -152,13 +144,13 @@ def check_leftovers(root: Path, state: State) -> Iterator[Finding]:
             message = f"not in the index, and cannot be read: {err}"
         except DatasetError as err:
             message = str(err)
-        yield _finding("warning", "unlisted", None, _in(root, path), message)
+        yield Finding("warning", "unlisted", None, _in(root, path), message)
 
 
 def check_beside(root: Path) -> list[Finding]:
     """Return what killed programs that were to make this folder, or something in its place, left beside it."""
     message = f"beside {root.name}, left by a killed program; `rcs data check --repair` removes it"
-    return [_finding("warning", "left_over", None, path.name, message) for path in leftovers(root)]
+    return [Finding("warning", "left_over", None, path.name, message) for path in leftovers(root)]
 
 
 def check_undo(root: Path, state: State) -> Iterator[Finding]:
@@ -167,12 +159,8 @@ def check_undo(root: Path, state: State) -> Iterator[Finding]:
     edit = state.undoable()
     if gone and edit is not None:
         message = f"{edit.command!r} cannot be undone: {counted(len(gone), 'former episode')} in quarantine or removed"
-        yield _finding("warning", "not_undoable", None, JOURNAL_FILE, message)
+        yield Finding("warning", "not_undoable", None, JOURNAL_FILE, message)
 
 
 def _in(root: Path, path: Path) -> str:
     return str(path.relative_to(root))
-
-
-def _finding(severity: Severity, kind: str, episode: str | None, file: str, message: str) -> Finding:
-    return Finding(severity=severity, kind=kind, episode=episode, file=file, message=message)

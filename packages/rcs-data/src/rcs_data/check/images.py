@@ -45,12 +45,7 @@ def check_images(place: EpisodePlace, rows: EpisodeRows) -> Iterator[Finding]:
 
 
 def right_flags(rows: EpisodeRows, keys: list[str]) -> NDArray[np.uint8]:
-    """Return corrected flags of a camera: every row without an image has a reason, and no bit is unknown.
-
-    Args:
-        rows: The rows.
-        keys: The camera's images.
-    """
+    """Return corrected flags of a camera: every row without an image has a reason, and no bit is unknown."""
     flags = _flags(rows, keys) & np.uint8(_KNOWN)
     has_all = np.all([rows.frames[key].is_new for key in keys], axis=0)
     is_unexplained = ~has_all & (flags == 0)

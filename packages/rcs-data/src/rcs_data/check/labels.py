@@ -14,12 +14,7 @@ _FEW = 3
 
 
 def check_labels(place: EpisodePlace, about: dict[str, Any]) -> Iterator[Finding]:
-    """Yield findings about the labels of one episode.
-
-    Args:
-        place: The episode.
-        about: The contents of its `episode.json`.
-    """
+    """Yield findings about the labels of one episode, given the contents of its `episode.json`."""
 
     def warning(kind: str, message: str) -> Finding:
         return place.finding("warning", kind, message, file=EPISODE_FILE)
@@ -35,11 +30,7 @@ def check_labels(place: EpisodePlace, about: dict[str, Any]) -> Iterator[Finding
 
 
 def check_verdicts(verdicts: dict[str, bool | None]) -> Iterator[Finding]:
-    """Yield findings about the verdicts of all episodes together.
-
-    Args:
-        verdicts: `success` of each episode, by id.
-    """
+    """Yield findings about the verdicts of all episodes together, given `success` of each by id."""
 
     def warning(kind: str, message: str) -> Finding:
         return Finding(severity="warning", kind=kind, episode=None, file=EPISODES_FOLDER, message=message)

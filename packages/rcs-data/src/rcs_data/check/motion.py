@@ -22,12 +22,7 @@ _FASTEST = 6.5
 
 
 def check_motion(place: EpisodePlace, rows: EpisodeRows) -> Iterator[Finding]:
-    """Yield findings about the motion of an episode.
-
-    Args:
-        place: The episode.
-        rows: Its rows.
-    """
+    """Yield findings about the motion of an episode."""
     for key in rows.joints:
         joints = rows.column(key)
         if joints is None or joints.ndim != 2 or len(joints) < 2:

@@ -36,10 +36,8 @@ class Mending:
     episode: str | None
     """The episode's id; None for the dataset as a whole."""
     message: str
-    """What was done, in words."""
 
     def __str__(self) -> str:
-        """Return it on one line."""
         name = "" if self.episode is None else f" episode {self.episode}"
         return f"{self.what}{name}: {self.message}"
 
@@ -52,7 +50,6 @@ class RepairReport:
     """The repairs, in order; none if nothing was damaged."""
 
     def __str__(self) -> str:
-        """Return one line per repair."""
         return "\n".join(map(str, self.mendings)) or "nothing to repair"
 
     def to_json(self) -> list[dict[str, Any]]:
@@ -67,13 +64,7 @@ def repair(
     workers: int | None = None,
     on_progress: OnProgress | None = None,
 ) -> RepairReport:
-    """Repair what can be repaired; a second call does nothing.
-
-    Args:
-        path: The dataset's folder.
-        depth: How far to look for damage, as for `check`.
-        workers: Threads of the check; None for one per core.
-        on_progress: Called with the number of episodes checked and in all.
+    """Repair what can be repaired, arguments as for `check`; a second call does nothing.
 
     Raises:
         DatasetError: There is no dataset, its layout is of another version, another process writes to it, or the disk
@@ -140,10 +131,9 @@ def _settle(journal: Journal) -> list[Mending]:
         folder = episode_folder(journal.root, name)
         if folder in unreadable:
             _move(journal.root, folder)
-            mendings.append(Mending(what="quarantined", episode=name, message=why))
         else:  # it would be in the way of every edit
             _move(journal.root, open_folder(journal.root, name), f"open-{name}")
-            mendings.append(Mending(what="quarantined", episode=name, message=why))
+        mendings.append(Mending(what="quarantined", episode=name, message=why))
     return mendings
 
 

@@ -11,12 +11,11 @@ Severity = Literal["damage", "warning"]
 """`damage`: not as written, or not readable. `warning`: intact, but doubtful as training data."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Finding:
     """One thing that is wrong."""
 
     severity: Severity
-    """Its severity."""
     kind: str
     """Its kind, a word that is stable across versions: `altered`, `frozen`, `joint_jump` and so on."""
     episode: str | None
@@ -37,7 +36,6 @@ class Finding:
         return f"row {first}" if first == last else f"rows {first} to {last}"
 
     def __str__(self) -> str:
-        """Return the finding on one line."""
         return f"{self.severity}: {self.file}{', ' if self.rows else ''}{self.place}: {self.message}"
 
     def to_json(self) -> dict[str, Any]:
@@ -54,7 +52,6 @@ class CheckReport:
     episodes: int
     """Number of complete episodes checked."""
     rows: int
-    """Number of rows in them."""
     frames: int
     """Number of decoded images."""
     findings: tuple[Finding, ...]
@@ -92,7 +89,6 @@ class CheckReport:
         return f"{checked}: {verdict}{warnings}"
 
     def __str__(self) -> str:
-        """Return one line per finding and per note, and the summary."""
         return "\n".join([*map(str, self.findings), *(f"note: {note}" for note in self.notes), self.summary])
 
     def to_json(self) -> dict[str, Any]:

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import json as json_
-from collections.abc import Generator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
 from rcs_data import CheckReport, check
 from rcs_data.check.dataset import Depth
 from rcs_data.check.repair import RepairReport, repair
-from rcs_data.cli.console import plain_console
-from rcs_data.output import OnProgress
+from rcs_data.cli.console import plain_console, progress
 
 # Width of a table in a file or pipe [columns]; no line is folded.
 _WIDE = 1000
@@ -50,19 +46,16 @@ class CheckCommand:
         mended: RepairReport | None = None
         depth = "bytes" if self.fast else self.depth
         if self.repair:
-            with _progress("Looking for damage") as on_progress:
+            with progress("Looking for damage") as on_progress:
                 mended = repair(self.path, depth=depth, on_progress=on_progress)
-        with _progress("Checking") as on_progress:
+        with progress("Checking") as on_progress:
             report = check(self.path, depth=depth, on_progress=on_progress)
         if self.json:
-            print(json_.dumps(_document(report, mended), indent=1, ensure_ascii=False))
+            repaired = None if mended is None else mended.to_json()
+            print(json_.dumps({**report.to_json(), "repair": repaired}, indent=1, ensure_ascii=False))
         else:
             _show(report, mended)
         return 1 if report.damage or (self.strict and report.warnings) else 0
-
-
-def _document(report: CheckReport, mended: RepairReport | None) -> dict[str, object]:
-    return {**report.to_json(), "repair": None if mended is None else mended.to_json()}
 
 
 def _show(report: CheckReport, mended: RepairReport | None) -> None:
@@ -81,10 +74,3 @@ def _show(report: CheckReport, mended: RepairReport | None) -> None:
     for note in report.notes:
         console.print(f"note: {note}")
     console.print(report.summary)
-
-
-@contextmanager
-def _progress(doing: str) -> Generator[OnProgress]:
-    with Progress(console=plain_console(stderr=True, soft_wrap=False), transient=True) as bar:
-        task = bar.add_task(doing, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -9,8 +9,7 @@ import tyro
 from rich.table import Table
 
 from rcs_data import Dataset, edit
-from rcs_data.cli.console import plain_console
-from rcs_data.cli.edit import progress
+from rcs_data.cli.console import plain_console, progress
 from rcs_data.errors import InvalidSetup
 from rcs_data.verdicts import Verdicts
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
 from rich.text import Text
+
+from rcs_data.output import OnProgress
 
 # Control codes in a dataset must not move the cursor, colour the screen or rename the window.
 _CONTROLS = {code: "\ufffd" for code in (*range(0x20), *range(0x7F, 0xA0)) if chr(code) not in "\n\t"}
@@ -21,11 +25,16 @@ class PlainConsole(Console):
 
 
 def plain_console(*, stderr: bool = False, **options: Any) -> Console:
-    """Return a console for text of users and datasets.
-
-    Args:
-        stderr: Whether to print to stderr.
-        options: Of `rich.console.Console`.
-    """
+    """Return a console for text of users and datasets, with options of `rich.console.Console`."""
     how: dict[str, Any] = {"soft_wrap": True, **options}
     return PlainConsole(stderr=stderr, markup=False, emoji=False, highlight=False, **how)
+
+
+@contextmanager
+def progress(doing: str) -> Generator[OnProgress]:
+    """Show a bar while the block runs; yield the function that moves it."""
+    from rich.progress import Progress  # most commands show none
+
+    with Progress(console=plain_console(stderr=True, soft_wrap=False), transient=True) as bar:
+        task = bar.add_task(doing, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total or None)

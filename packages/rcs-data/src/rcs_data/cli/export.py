@@ -6,10 +6,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import tyro
-from rich.progress import Progress
 
 from rcs_data import Dataset
-from rcs_data.cli.console import plain_console
+from rcs_data.cli.console import plain_console, progress
 from rcs_data.convert.formats import export_format
 from rcs_data.convert.options import ExportOptions
 
@@ -30,13 +29,9 @@ class ExportCommand:
         """Export and print what was written."""
         console = plain_console()
         write = export_format(self.format)
-        with Progress(console=console, transient=True) as progress:
-            bar = progress.add_task(f"Exporting to {self.format}", total=None)
-            options = replace(
-                self.more,
-                cameras=() if self.more.cameras == ("none",) else self.more.cameras,
-                on_progress=lambda done, total: progress.update(bar, completed=done, total=total),
-            )
+        cameras = () if self.more.cameras == ("none",) else self.more.cameras
+        with progress(f"Exporting to {self.format}") as on_progress:
+            options = replace(self.more, cameras=cameras, on_progress=on_progress)
             report = write(Dataset.open(self.path), self.out, options)
         console.print(
             f"{report.episodes} episodes, {report.steps} steps, {report.frames} images, "

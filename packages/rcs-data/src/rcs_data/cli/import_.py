@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from rich.progress import Progress
 
-from rcs_data.cli.console import plain_console
+from rcs_data.cli.console import plain_console, progress
 from rcs_data.convert.formats import import_format
 from rcs_data.convert.options import ImportOptions
 from rcs_data.verdicts import Verdicts
@@ -31,14 +30,10 @@ class ImportCommand:
         """Import and print the result."""
         console = plain_console()
         read = import_format(self.format, self.source)
-        with Progress(console=console, transient=True) as progress:
-            bar = progress.add_task("Importing", total=None)
-            options = replace(
-                self.more,
-                cameras=() if self.more.cameras == ("none",) else self.more.cameras,
-                on_note=lambda note: progress.console.print(f"Note: {note}"),
-                on_progress=lambda done, total: progress.update(bar, completed=done, total=total or None),
-            )
+        cameras = () if self.more.cameras == ("none",) else self.more.cameras
+        with progress("Importing") as on_progress:
+            options = replace(self.more, cameras=cameras, on_progress=on_progress)
+            options = replace(options, on_note=lambda note: console.print(f"Note: {note}"))
             dataset = read(self.source, self.out, options)
         rows = sum(episode.length for episode in dataset.episodes)
         console.print(f"{len(dataset)} episodes, {rows} rows: {dataset.path}")

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.progress import Progress
 
 from rcs_data import Dataset, Windows
-from rcs_data.cli.console import plain_console
+from rcs_data.cli.console import plain_console, progress
 from rcs_data.statistics import Normalisation
 from rcs_data.view import write_sample
 from rcs_data.view.page import chosen_episodes
@@ -69,8 +68,7 @@ class SampleCommand:
             episodes=chosen_episodes(dataset, self.episodes),
             image_size=self.image_size,
         )
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            task = progress.add_task("Reading", total=None)
+        with progress("Reading") as on_progress:
             report = write_sample(
                 windows,
                 self.path / "sample.html" if self.out is None else self.out,
@@ -80,7 +78,7 @@ class SampleCommand:
                 normalisation=self.normalise,
                 floor=self.floor,
                 png=self.png,
-                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+                on_progress=on_progress,
             )
         for words in report.warnings:
             console.print(f"warning: {words}")

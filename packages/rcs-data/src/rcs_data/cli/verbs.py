@@ -55,13 +55,7 @@ def _source(module: str) -> Path | None:
 
 
 def overview(program: str, table: Table, more: str = "") -> str:
-    """Return the help of a command that has verbs, with a line or two for each.
-
-    Args:
-        program: The command, such as `rcs data`.
-        table: Its verbs.
-        more: A last line.
-    """
+    """Return the help of a command that has verbs, with a line or two for each, and more words at the end."""
     width = min(shutil.get_terminal_size().columns, 120)
     indent = max(map(len, table)) + 4
     lines = [f"usage: {program} COMMAND …", ""]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import webbrowser
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.progress import Progress
 
 from rcs_data import Dataset
-from rcs_data.cli.console import plain_console
+from rcs_data.cli.console import plain_console, progress
+from rcs_data.output import OnProgress
 from rcs_data.view import ClipOptions, Codec, write_view
 from rcs_data.view.rerun import write_rerun
 
@@ -42,22 +41,17 @@ class ViewCommand:
         """Write the page, or the recording, and say where it is."""
         console = plain_console()
         dataset = Dataset.open(self.path)
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            task = progress.add_task("Writing" if self.rerun else "Rendering", total=None)
-
-            def tell(done: int, total: int) -> None:
-                progress.update(task, completed=done, total=total)
-
+        with progress("Writing" if self.rerun else "Rendering") as tell:
             lines = self._record(dataset, self.rerun, tell) if self.rerun else self._render(dataset, tell)
         for line in lines:
             console.print(line)
         return 0
 
-    def _record(self, dataset: Dataset, path: Path, tell: Callable[[int, int], None]) -> list[str]:
+    def _record(self, dataset: Dataset, path: Path, tell: OnProgress) -> list[str]:
         count = write_rerun(dataset, path, episodes=self.episodes, on_progress=tell)
         return [f"{count} episodes, {path.stat().st_size / 1e6:.1f} MB", f"Look at them with: rerun {path}"]
 
-    def _render(self, dataset: Dataset, tell: Callable[[int, int], None]) -> list[str]:
+    def _render(self, dataset: Dataset, tell: OnProgress) -> list[str]:
         options = ClipOptions(height=self.height, codec=self.codec)
         report = write_view(dataset, self.out, episodes=self.episodes, options=options, on_progress=tell)
         if self.open:

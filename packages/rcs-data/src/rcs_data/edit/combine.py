@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,8 @@ from rcs_data.reader import Dataset, EpisodeRecord
 
 # Fields that may differ between merged datasets.
 _OWN = ("setup", "instruction", "jpeg_quality", "jpeg_subsampling", "origin")
+# What the episodes of a part share, and they with what `making` is told of them.
+_Kept = tuple[DatasetInfo, list[tuple[EpisodeRecord, dict[str, Any]]]]
 
 
 def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProgress | None = None) -> Dataset:
@@ -26,11 +28,6 @@ def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProg
 
     Each episode records its origin (`EpisodeRecord.source`). Ids stay the same unless two sources share one; then every
     id is prefixed with its source's name.
-
-    Args:
-        sources: The datasets.
-        out: The new one.
-        on_progress: Called with the number of episodes done and of all.
 
     Raises:
         InvalidSetup: No sources are given.
@@ -44,19 +41,34 @@ def merge(sources: Sequence[str | Path], out: str | Path, *, on_progress: OnProg
     for name, dataset in list(zip(names, datasets, strict=True))[1:]:
         _require_fit(names[0], datasets[0], name, dataset)
     info = _merged_info(names, datasets)
-    everything = [episode.id for dataset in datasets for episode in dataset.episodes]
-    is_unique = len(set(everything)) == len(everything)
-    done = 0
+    parts = [(name, dataset, dataset.episodes) for name, dataset in zip(names, datasets, strict=True)]
     with making(out, info) as made:
-        for name, dataset in zip(names, datasets, strict=True):
-            digest = dataset.digest()
-            for episode in dataset.episodes:
-                source = provenance(name, digest, episode)
-                made.keep(episode, episode_id=episode.id if is_unique else f"{name}.{episode.id}", source=source)
-                done += 1
-                if on_progress is not None:
-                    on_progress(done, len(everything))
+        for _, episode, about in gathered(parts, on_progress):
+            made.keep(episode, **about)
     return Dataset.open(out)
+
+
+def gathered(
+    parts: Sequence[tuple[str, Dataset, Sequence[EpisodeRecord]]], on_progress: OnProgress | None
+) -> Iterator[tuple[str, EpisodeRecord, dict[str, Any]]]:
+    """Yield named datasets' episodes, each with that name, and its new id and source as `making` takes them."""
+    ids = [episode.id for _, _, episodes in parts for episode in episodes]
+    is_unique = len(set(ids)) == len(ids)
+    done = 0
+    for name, dataset, episodes in parts:
+        digest = dataset.digest()
+        for episode in episodes:
+            source = {
+                "dataset": name,
+                "digest": digest,
+                "episode": episode.id,
+                "content_hash": episode.content_hash,
+                "source": episode.source,
+            }
+            yield name, episode, {"episode_id": episode.id if is_unique else f"{name}.{episode.id}", "source": source}
+            done += 1
+            if on_progress is not None:
+                on_progress(done, len(ids))
 
 
 def split(
@@ -86,36 +98,24 @@ def split(
     if parts is not None and episodes is not None:
         raise InvalidSetup("Give the parts' shares or their episodes, not both.")
     if parts is None and episodes is None:
-        return _split_by_source(dataset, Path(out))
-    chosen = _drawn(dataset, parts, seed) if parts is not None else dict(episodes or {})
-    for ids in chosen.values():
-        require_ids(dataset, ids)
-    made: dict[str, Dataset] = {}
+        chosen, what = _by_source(dataset), "a dataset"
+    else:
+        named = _drawn(dataset, parts, seed) if parts is not None else dict(episodes or {})
+        for ids in named.values():
+            require_ids(dataset, ids)
+        chosen: dict[str, _Kept] = {
+            n: (dataset.info, [(dataset[i], {}) for i in sorted(ids)]) for n, ids in named.items()
+        }
+        what = "a part"
     for name in chosen:
-        check_name(name, "a part")
-    for name, ids in chosen.items():
-        with making(Path(out) / name, dataset.info) as part:
-            for episode in (dataset[episode_id] for episode_id in sorted(ids)):
-                part.keep(episode)
+        check_name(name, what)
+    made: dict[str, Dataset] = {}
+    for name, (info, kept) in chosen.items():
+        with making(Path(out) / name, info) as part:
+            for episode, about in kept:
+                part.keep(episode, **about)
         made[name] = Dataset.open(Path(out) / name)
     return made
-
-
-def provenance(name: str, digest: str, episode: EpisodeRecord) -> dict[str, Any]:
-    """Return the source to store with a copy of an episode.
-
-    Args:
-        name: The name of its dataset.
-        digest: The hash of its dataset.
-        episode: The episode.
-    """
-    return {
-        "dataset": name,
-        "digest": digest,
-        "episode": episode.id,
-        "content_hash": episode.content_hash,
-        "source": episode.source,
-    }
 
 
 def source_names(datasets: Sequence[Dataset]) -> list[str]:
@@ -164,25 +164,22 @@ def _drawn(dataset: Dataset, parts: Mapping[str, float], seed: int) -> dict[str,
     }
 
 
-def _split_by_source(dataset: Dataset, out: Path) -> dict[str, Dataset]:
+def _by_source(dataset: Dataset) -> dict[str, _Kept]:
+    """Return what each source of a merged dataset shared, and its episodes with their former ids and sources."""
     strangers = [episode.id for episode in dataset.episodes if episode.source is None]
     if strangers or not dataset.episodes:
         raise InvalidSetup(
             f"Episodes {', '.join(strangers[:5]) or '(none)'} of {dataset.path} were not merged from another dataset; "
             "give the parts' shares or their episodes."
         )
-    by_name: dict[str, list[EpisodeRecord]] = {}
+    parts: dict[str, dict[str, Any]] = dataset.info.origin.get(MERGED, {})
+    found: dict[str, _Kept] = {}
     for episode in dataset.episodes:
-        assert episode.source is not None
-        by_name.setdefault(episode.source["dataset"], []).append(episode)
-    made: dict[str, Dataset] = {}
-    for name, episodes in by_name.items():
-        check_name(name, "a dataset")
-        parts: dict[str, dict[str, Any]] = dataset.info.origin.get(MERGED, {})
-        former = {field: value for field, value in parts.get(name, {}).items() if field in _OWN}
-        with making(out / name, replace(dataset.info, **former)) as part:
-            for episode in episodes:
-                assert episode.source is not None
-                part.keep(episode, episode_id=episode.source["episode"], source=episode.source["source"])
-        made[name] = Dataset.open(out / name)
-    return made
+        source = episode.source
+        assert source is not None
+        name = source["dataset"]
+        if name not in found:
+            former = {field: value for field, value in parts.get(name, {}).items() if field in _OWN}
+            found[name] = replace(dataset.info, **former), []
+        found[name][1].append((episode, {"episode_id": source["episode"], "source": source["source"]}))
+    return found

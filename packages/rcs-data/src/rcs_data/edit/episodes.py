@@ -15,10 +15,6 @@ from rcs_data.reader import Dataset
 def delete(path: str | Path, episodes: Iterable[str]) -> None:
     """Delete episodes of a dataset.
 
-    Args:
-        path: The dataset.
-        episodes: Their ids.
-
     Raises:
         InvalidSetup: There is no such episode; nothing is deleted.
         DatasetError: Another process writes to the dataset, or the disk fails; nothing is deleted.
@@ -31,10 +27,6 @@ def delete(path: str | Path, episodes: Iterable[str]) -> None:
 
 def keep(path: str | Path, episodes: Iterable[str]) -> None:
     """Delete all episodes but some.
-
-    Args:
-        path: The dataset.
-        episodes: The ids of those that stay.
 
     Raises:
         InvalidSetup: There is no such episode; nothing changes.
@@ -74,12 +66,7 @@ def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> N
 
 
 def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | None = None) -> None:
-    """Change what the robot was asked to do.
-
-    Args:
-        path: The dataset.
-        instruction: The new words.
-        episodes: The ids; None for all, and for those recorded later.
+    """Change what the robot was asked to do in some episodes; None for all, and for those recorded later.
 
     Raises:
         InvalidSetup: There is no such episode; nothing changes.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from rcs_data.edit.combine import own_parts, provenance, source_names
+from rcs_data.edit.combine import gathered, own_parts, source_names
 from rcs_data.edit.images import cameras_of, renamed, resized, with_names, with_size
 from rcs_data.edit.rate import at_rate, resampled
 from rcs_data.edit.transaction import making
@@ -26,14 +26,12 @@ class Part:
     """The part that a mix takes from one dataset."""
 
     path: Path
-    """The dataset."""
     episodes: int | None = None
     """Number of episodes, drawn by the seed; None for all, or for the share."""
     share: float | None = None
     """Weight relative to the other parts; requires a total."""
 
     def __post_init__(self) -> None:
-        """Check the values."""
         if self.episodes is not None and self.share is not None:
             raise InvalidSetup(f"{self.path}: give a number of episodes or a share, not both.")
         if (self.episodes is not None and self.episodes < 0) or (self.share is not None and not self.share > 0):
@@ -98,22 +96,13 @@ def mix(
         "mix": {"seed": seed, "parts": dict(zip(names, numbers, strict=True))},
         MERGED: own_parts(names, datasets),
     }
-    ids = [episode.id for episodes in chosen for episode in episodes]
-    is_unique = len(set(ids)) == len(ids)
-    done = 0
+    after = dict(zip(names, infos, strict=True))
     with making(out, replace(infos[0], setup=setup, origin=origin)) as made:
-        for name, dataset, info, episodes in zip(names, datasets, infos, chosen, strict=True):
-            digest = dataset.digest()
-            for episode in episodes:
-                about = {"source": provenance(name, digest, episode)}
-                new_id = episode.id if is_unique else f"{name}.{episode.id}"
-                if _rows_stay(dataset.info, info):
-                    made.keep(episode, episode_id=new_id, **about)
-                else:
-                    made.write(episode, _mapped(episode, info, how.rename.get(name, {})), episode_id=new_id, **about)
-                done += 1
-                if on_progress is not None:
-                    on_progress(done, len(ids))
+        for name, episode, about in gathered([*zip(names, datasets, chosen, strict=True)], on_progress):
+            if _rows_stay(episode.info, after[name]):
+                made.keep(episode, **about)
+            else:
+                made.write(episode, _mapped(episode, after[name], how.rename.get(name, {})), **about)
     return Dataset.open(out)
 
 

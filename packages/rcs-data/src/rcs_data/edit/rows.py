@@ -15,14 +15,9 @@ from rcs_data.info import SIM_STATE, DatasetInfo
 
 
 def take_rows(table: pa.Table, info: DatasetInfo, rows: Sequence[int] | NDArray[np.intp]) -> pa.Table:
-    """Return some rows as an episode of their own; values that a row repeats from an earlier one are filled in.
+    """Return some rows, ascending, as an episode of their own; values repeated from an earlier row are filled in.
 
     The new first row loses action and reward, since the step before it is not part of the episode.
-
-    Args:
-        table: All rows of an episode, with the numbers of images.
-        info: Its features.
-        rows: The rows, ascending.
     """
     chosen = np.asarray(rows, np.int64)
     columns: list[pa.Array] = []

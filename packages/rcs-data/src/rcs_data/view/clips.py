@@ -54,7 +54,6 @@ class ClipOptions:
     the encoder's own choice of 250, and a third of those in which every frame is whole."""
 
     def __post_init__(self) -> None:
-        """Refuse what no encoder takes."""
         if self.height < 16:
             raise InvalidSetup(f"height is {self.height} pixels; it must be at least 16.")
         if self.codec not in get_args(Codec):
@@ -67,13 +66,7 @@ def pictures(info: DatasetInfo) -> list[Feature]:
 
 
 def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: ClipOptions) -> list[list[float]] | None:
-    """Write the images of one feature as an MP4 file with a frame for each row; row i is shown from i / fps on.
-
-    Args:
-        episode: The episode.
-        feature: One of `pictures`.
-        path: The file to write.
-        options: Size and codec.
+    """Write the images of one of `pictures` as an MP4 file with a frame for each row, row i shown from i / fps on.
 
     Returns:
         The values that the darkest and the lightest colour stand for, for each frame, or once where they stay; None

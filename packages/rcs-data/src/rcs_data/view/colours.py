@@ -18,11 +18,9 @@ _NOTHING = np.zeros(3, np.uint8)
 
 
 def coloured(values: NDArray[Any], limits: tuple[float, float]) -> NDArray[np.uint8]:
-    """Return the colours of numbers, shape (H, W, 3); black where there is none.
+    """Return the colours of numbers (H, W), shape (H, W, 3); black where there is none: NaN and, in integers, 0.
 
-    Args:
-        values: Shape (H, W). Not measured are NaN and, in integers, 0.
-        limits: The values of the darkest and the lightest colour.
+    The limits are the values of the darkest and the lightest colour.
     """
     low, high = limits
     is_known = np.isfinite(values) if values.dtype.kind == "f" else values != 0

@@ -53,7 +53,6 @@ class Curves:
     unit: str
     """In words."""
     size: int
-    """How many lines there are."""
     is_shown: bool
     """Whether the page shows it without being asked."""
 
@@ -103,9 +102,6 @@ def _source(word: str) -> int:
 
 def episode_data(episode: EpisodeRecord) -> dict[str, Any]:
     """Return the curves and marks of an episode as JSON values.
-
-    Args:
-        episode: The episode.
 
     Returns:
         `rows`; `stride`: a curve has a number for every so many rows; `curves`: for each of `curves`, for each line,

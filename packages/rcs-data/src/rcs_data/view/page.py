@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from rcs_data.durable import disk_errors
 from rcs_data.errors import DatasetError, InvalidSetup
-from rcs_data.output import size_on_disk
+from rcs_data.output import OnProgress, size_on_disk
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.view.catalogue import write_catalogue
 from rcs_data.view.clips import ClipOptions
@@ -46,7 +46,7 @@ def write_view(
     *,
     episodes: Sequence[str] | None = None,
     options: ClipOptions | None = None,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> ViewReport:
     """Write a page to look at a dataset with; of an earlier page in the same place, what still holds is kept.
 
@@ -96,23 +96,14 @@ def write_view(
 
 
 def shell(*, is_alone: bool, more: Html | None = None) -> Html:
-    """Return the page without its dataset.
-
-    Args:
-        is_alone: Whether style and scripts are in it instead of beside it.
-        more: What comes after its scripts; None for the script beside it that has the dataset.
-    """
+    """Return the page without its dataset; alone, style and scripts are in it. `more` replaces the dataset's script."""
     assets = style() if is_alone else element("link", rel="stylesheet", href=_STYLE)
     scripts = [script(web(name)) if is_alone else element("script", src=name) for name in _SCRIPTS]
     return page("Dataset", Html(web("body.html")), *scripts, more or element("script", src=_CATALOGUE), assets=assets)
 
 
 def chosen_episodes(dataset: Dataset, patterns: Sequence[str] | None) -> tuple[EpisodeRecord, ...]:
-    """Return the episodes that are meant, in the dataset's order.
-
-    Args:
-        dataset: The dataset.
-        patterns: Ids, or patterns such as "0001*"; None for all episodes.
+    """Return the episodes that are meant by ids, or patterns such as "0001*", in the dataset's order; None for all.
 
     Raises:
         InvalidSetup: No episode fits one of them.

@@ -37,15 +37,12 @@ class Rendered:
     """An episode whose files are there, or the reason why they are not."""
 
     record: EpisodeRecord
-    """The episode."""
     flaws: dict[str, int]
     """How many steps each kind of flaw has."""
     why: str = ""
     """Why the page does not show it, in words after its id; empty if it does."""
     is_new: bool = False
-    """Whether it was rendered now."""
     is_damaged: bool = False
-    """Whether it does not read."""
 
 
 @dataclass(frozen=True, kw_only=True)

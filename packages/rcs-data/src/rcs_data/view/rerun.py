@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rcs_data.errors import MissingDependency
 from rcs_data.feature import Feature
-from rcs_data.output import new_output
+from rcs_data.output import OnProgress, new_output
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.view.clips import pictures
 from rcs_data.view.page import chosen_episodes
@@ -27,7 +27,7 @@ def write_rerun(
     out: str | Path,
     *,
     episodes: Sequence[str] | None = None,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> int:
     """Write episodes as one Rerun recording, and return how many there are.
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from rcs_data.durable import disk_errors, write_file
 from rcs_data.errors import InvalidSetup
+from rcs_data.output import OnProgress
 from rcs_data.statistics import Normalisation, Statistics
 from rcs_data.view.charts import CHARTS_SCRIPT, Series, chart, short
 from rcs_data.view.colours import coloured
@@ -49,7 +49,7 @@ def write_sample(
     normalisation: Normalisation = "mean_std",
     floor: float = 0.0,
     png: str | Path | None = None,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> SampleReport:
     """Draw windows and write one page with what a policy is fed: images, states and actions, with the statistics.
 
@@ -201,7 +201,7 @@ def _plain_images(drawn: list[Window]) -> Iterator[str]:
 
 def _sheet(drawn: list[Window]) -> bytes:
     """Return the images of windows as one PNG file, a row per window."""
-    import av  # half a tenth of a second to import, for those who look only
+    from rcs_data.convert.png import encode_png  # with av, half a tenth of a second to import
 
     cells = [[image for _, image in _pictures(window)] for window in drawn]
     if not cells[0]:
@@ -215,8 +215,4 @@ def _sheet(drawn: list[Window]) -> bytes:
             top = row * tall + _GAP
             sheet[top : top + image.shape[0], left : left + image.shape[1]] = image
             left += width
-    codec: Any = av.CodecContext.create("png", "w")
-    codec.height, codec.width = sheet.shape[:2]
-    codec.pix_fmt, codec.time_base = "rgb24", Fraction(1)
-    frame = av.VideoFrame.from_ndarray(sheet, format="rgb24")
-    return b"".join(bytes(packet) for packet in [*codec.encode(frame), *codec.encode(None)])
+    return encode_png(sheet)
