@@ -51,6 +51,30 @@ def test_one_value_that_stands_for_many_rows_is_refused(tmp_path: Path) -> None:
         source.table()
 
 
+def varint(value: int) -> bytes:
+    """A whole number from 0 as Thrift writes it."""
+    folded, data = 2 * value, b""
+    while folded > 0x7F:
+        data, folded = data + bytes([folded & 0x7F | 0x80]), folded >> 7
+    return data + bytes([folded])
+
+
+def test_a_footer_that_claims_less_than_its_pages_hold_is_not_believed(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.parquet"
+    pq.write_table(pa.table({"a": np.zeros(1 << 25)}), path, compression="zstd", use_dictionary=False)
+    data = bytearray(path.read_bytes())
+    column = pq.read_metadata(path).row_group(0).column(0)
+    for claimed in (column.total_uncompressed_size, column.num_values):
+        said, at = varint(claimed), len(data) - 8 - int.from_bytes(data[-8:-4], "little")
+        small = bytes([0x80 | 20, *[0x80] * (len(said) - 2), 0])  # 10, in as many bytes
+        data[at:] = data[at:].replace(said, small)
+    path.write_bytes(data)
+    claims = pq.read_metadata(path).row_group(0)
+    assert (claims.num_rows, claims.column(0).total_uncompressed_size) == (10, 10)
+    with opened(path) as source, pytest.raises(CorruptEpisode, match="and claims at least"):
+        source.table()
+
+
 def test_rows_without_values_take_memory_too(tmp_path: Path) -> None:
     rows = FREE_BYTES // 24 + 1
     pq.write_table(pa.table({"a": pa.nulls(rows, pa.list_(pa.float64(), 3))}), tmp_path / "bomb.parquet")
