@@ -3,6 +3,7 @@
 #include <cmath>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "rcs/world.hpp"
 #include "trap.hpp"
@@ -52,6 +53,10 @@ void quat_to_rpy(const double* q, double* rpy) {
 
 void World::run(const char* call, Chosen copies, Work work, bool is_saved) {
   const Taken taken(*this, call);
+  run_taken(copies, work, is_saved);
+}
+
+void World::run_taken(Chosen copies, Work work, bool is_saved) {
   std::vector<int> room;
   copies = in_order(copies, room);
   if (copies && copies->empty()) return;
@@ -171,13 +176,12 @@ void World::refresh_copy(const mjModel* model, mjData* data, int copy) {
   if (!measures_forces_) {
     mj_kinematics(model, data);
   } else {
-    // Forces are part of what is measured. The solver's warm start is part of the state, which stays as it is.
-    mj_markStack(data);
-    double* const warm = mj_stackAllocNum(data, static_cast<std::size_t>(model->nv));
-    mju_copy(warm, data->qacc_warmstart, model->nv);
+    // Forces are part of what is measured. The solver's warm start is part of the state, which stays as it is. It is
+    // not kept on MuJoCo's own stack, whose functions have other names under a sanitizer, and the library lacks those.
+    thread_local std::vector<double> warm;
+    warm.assign(data->qacc_warmstart, data->qacc_warmstart + model->nv);
     mj_forward(model, data);
-    mju_copy(data->qacc_warmstart, warm, model->nv);
-    mj_freeStack(data);
+    std::ranges::copy(warm, data->qacc_warmstart);
   }
   read_out(model, data, copy, false);
 }
@@ -261,9 +265,10 @@ void World::step_copy(const mjModel* model, mjData* data, int copy) {
 }
 
 void World::show(Watcher& watcher, std::span<const int> copies) {
+  const Taken taken(*this, "show");
   watcher.check(model_, copies_);
   shown_ = &watcher;
-  run("show", copies, &World::show_copy, false);
+  run_taken(copies, &World::show_copy, false);
 }
 
 void World::show_copy(const mjModel* model, mjData* data, int copy) {

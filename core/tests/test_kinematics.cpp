@@ -114,7 +114,7 @@ void with_best_effort_a_pose_out_of_reach_gives_the_nearest() {
   options.best_effort = true;
   options.iterations = 200;
   for (int round = 0; round < 20; ++round) {
-    const auto& near = solver.forward(random_joints(solver, generator)).translation();
+    const auto near = solver.forward(random_joints(solver, generator)).translation();
     const Pose target({3 * near[0], 3 * near[1], 3 * near[2]}, solver.forward(start).quaternion());
     const double before = solver.forward(start).distance_to(target);
     const IkResult result = solver.inverse(target, start, options);

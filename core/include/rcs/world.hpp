@@ -237,6 +237,7 @@ class World {
   void set_chosen_constants(Chosen copies);
   ModelField expand_field(const std::string& field);
   void run(const char* call, Chosen copies, Work work, bool is_saved);
+  void run_taken(Chosen copies, Work work, bool is_saved);  // the world is taken already
   void run_single(Work work);
   void run_batch(Chosen copies, Work work, bool is_saved);
   void fail(int copy, std::exception_ptr error);
