@@ -69,8 +69,8 @@ double LineProfile::duration() const { return plan_->duration; }
 std::array<double, 4> LineProfile::at(double time) const {
   if (time <= 0.0 && plan_->duration <= 0.0) return {0.0, plan_->from, 0.0, 0.0};
   if (time > plan_->duration) return {plan_->distance, plan_->to, 0.0, 0.0};
-  std::array<double, 1> position, velocity, acceleration, jerk;
-  std::size_t section;
+  std::array<double, 1> position{}, velocity{}, acceleration{}, jerk{};
+  std::size_t section = 0;
   plan_->trajectory.at_time(std::max(time, 0.0), position, velocity, acceleration, jerk, section);
   return {position[0], velocity[0], acceleration[0], time < 0.0 ? 0.0 : jerk[0]};
 }

@@ -55,9 +55,11 @@ class Pose {
   static Pose exp(std::span<const double, 6> twist);
 
   /// Translation, m.
-  const std::array<double, 3>& translation() const noexcept { return translation_; }
+  const std::array<double, 3>& translation() const& noexcept { return translation_; }
+  std::array<double, 3> translation() && noexcept { return translation_; }  // a pose that is gone next leaves a copy
   /// Unit quaternion xyzw with w >= 0.
-  const std::array<double, 4>& quaternion() const noexcept { return quaternion_; }
+  const std::array<double, 4>& quaternion() const& noexcept { return quaternion_; }
+  std::array<double, 4> quaternion() && noexcept { return quaternion_; }  // a pose that is gone next leaves a copy
   /// The same quaternion in MuJoCo's order.
   std::array<double, 4> wxyz() const noexcept { return xyzw_to_wxyz(quaternion_); }
   /// Homogeneous 4 × 4 matrix, row-major.
