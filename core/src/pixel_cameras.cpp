@@ -96,8 +96,8 @@ PixelCameras::PixelCameras(const mjModel* model, int copies, int threads, std::v
     } else {
       painter->view = std::make_unique<SceneView>(model, options);
       painter->rasteriser = std::make_unique<Rasteriser>(model);
-      painter->backdrops.resize(cameras_.size());
     }
+    painter->backdrops.resize(cameras_.size());
     free_.push_back(painter.get());
     painters_.push_back(std::move(painter));
   }
