@@ -12,6 +12,8 @@ import av
 import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, check, edit, recover
+from rcs_data.cli import VERBS
+from rcs_data.cli.program import Program
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.view import ClipOptions, ViewReport, write_view
 from rcs_data.view.clips import pictures
@@ -203,16 +205,15 @@ def test_numbers_that_json_does_not_have_are_gaps(tmp_path: Path) -> None:
 
 
 def test_the_command_says_what_it_did_and_where_the_page_is(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from rcs.cli.main import main
-
+    main = Program("rcs-data", VERBS, "0").main
     for words in ("3 episodes rendered, 0 kept", "0 episodes rendered, 3 kept"):
         with pytest.raises(SystemExit) as ended:
-            main(["data", "view", str(copy)])
+            main(["view", str(copy)])
         assert ended.value.code == 0
         output = capsys.readouterr().out
         assert words in output
         assert str(copy / "view/index.html") in output
     with pytest.raises(SystemExit) as ended:
-        main(["data", "view", str(copy), "--episodes", "no"])
+        main(["view", str(copy), "--episodes", "no"])
     assert ended.value.code == 1
     assert "No episode" in capsys.readouterr().err
