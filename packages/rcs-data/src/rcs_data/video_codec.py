@@ -43,8 +43,9 @@ _MENDING: dict[VideoCodec, tuple[dict[str, str], ...]] = {
     "h264": ({"forced-idr": "1"}, {"forced-idr": "1", "qmin": "1", "qmax": "6"}),
     "av1": ({"g": "1"}, {"g": "1", "crf": "8"}),
 }
-# Packets that are kept until they are compared, so that a long video takes no more memory than a short one.
+# Packets, and their bytes, that are kept until they are compared: a long video takes no more memory than a short one.
 _AT_A_TIME = 256
+_BYTES_AT_A_TIME = 16 << 20
 _BLOCK = 16
 # Mean squared error of a block, of 255: 25 dB. Without the bug, the worst of 1 354 frames had 30 dB.
 LARGEST_ERROR = 255**2 / 10**2.5
@@ -119,6 +120,7 @@ def encoded_in_parts(
         DatasetError: The encoder fails.
     """
     packets: list[Any] = []
+    size = 0
     wrong: dict[int, av.VideoFrame] = {}
 
     def mended() -> tuple[list[Any], dict[int, av.VideoFrame]]:
@@ -128,13 +130,14 @@ def encoded_in_parts(
         return packets, left
 
     for frame, packet, is_right in _encoded(encoder, codec, frames):
-        if packet.is_keyframe and len(packets) >= _AT_A_TIME:
+        if packet.is_keyframe and (len(packets) >= _AT_A_TIME or size >= _BYTES_AT_A_TIME):
             yield mended()
-            packets, wrong = [], {}
+            packets, size, wrong = [], 0, {}
         # The frame after a key frame that is encoded again refers to the old one.
         if not is_right or (not packet.is_keyframe and len(packets) - 1 in wrong):
             wrong[len(packets)] = frame
         packets.append(packet)
+        size += packet.size
     yield mended()
 
 

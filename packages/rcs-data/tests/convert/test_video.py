@@ -184,6 +184,26 @@ def test_frames_that_stay_wrong_are_named(tmp_path: Path, monkeypatch: pytest.Mo
         encode_video(tmp_path / "v.mp4", given, given[0].shape, FPS, "h264")
 
 
+@pytest.mark.parametrize(("limit", "most"), [("_AT_A_TIME", 4), ("_BYTES_AT_A_TIME", 20_000)])
+def test_no_more_packets_wait_than_a_part_holds(monkeypatch: pytest.MonkeyPatch, limit: str, most: int) -> None:
+    noise = list(np.random.default_rng(0).integers(0, 256, (24, 64, 80, 3), np.uint8))
+    monkeypatch.setattr(video_codec, limit, most)
+    parts: list[list[int]] = []
+    taken = video_codec.encoded_in_parts
+
+    def counted(*given: Any) -> Any:
+        for packets, wrong in taken(*given):
+            parts.append([packet.size for packet in packets])
+            yield packets, wrong
+
+    monkeypatch.setattr(video_codec, "encoded_in_parts", counted)
+    assert all(video_codec.encode_clip(noise, noise[0].shape, "h264"))
+    assert len(parts) > 2
+    for part in parts:  # one ends before a key frame, which every second one is
+        until_the_last = part[:-2]
+        assert (len(until_the_last) if limit == "_AT_A_TIME" else sum(until_the_last)) < most
+
+
 @pytest.mark.parametrize("codec", ["h264", "av1"])
 def test_even_noise_is_written(tmp_path: Path, codec: Any) -> None:
     noise = list(np.random.default_rng(0).integers(0, 256, (6, 64, 80, 3), np.uint8))
