@@ -142,6 +142,26 @@ def test_what_is_wrong_is_said(
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["Free"], "Free has no reward"),
+        (["StackCuboid", "--algo", "dagger"], "has one for PickCuboid, Place, not for 'StackCuboid'"),
+        (["PickCuboid", "--algo", "bc", "--robot", "xarm7"], "the lab of 'xarm7' lacks; it has front. Choose with --c"),
+        (["PickCuboid", "--device", "tpu"], "device is 'tpu', on which torch cannot compute here; valid is cpu"),
+        (["Nope"], "no task named 'Nope'"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused_before_anything_else_is_said(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], told: str
+) -> None:
+    code, said = call(capsys, "train", *arguments, "--out", str(tmp_path / "run"))
+    assert code == 1
+    assert said.startswith("error: ")
+    assert told in said
+    assert not (tmp_path / "run").exists()
+
+
 def test_options_that_contradict_a_checkpoint_are_refused(
     capsys: pytest.CaptureFixture[str], run: Path, tmp_path: Path
 ) -> None:

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +130,36 @@ def test_a_run_is_of_one_training(small: Any, whole: Any, tmp_path: Path) -> Non
         small.run(small.training(seed=1), run)
     with pytest.raises(InvalidSetup, match="steps is 200, not 160"):  # the step size falls to zero by the last one
         small.run(small.training(steps=200), run)
+
+
+def test_of_another_algorithm_only_its_name_is_said(small: Any, whole: Any, tmp_path: Path) -> None:
+    run = shutil.copytree(whole(small, "ppo"), tmp_path / "run")
+    with pytest.raises(InvalidSetup, match=r"another training began: the algorithm is 'sac', not 'ppo'\. Give"):
+        small.run(small.training("sac"), run)
+
+
+@pytest.mark.parametrize("device", ["tpu", "meta", "cuda:99"])
+def test_a_device_that_is_not_there_is_refused_before_anything_is_written(
+    small: Any, tmp_path: Path, device: str
+) -> None:
+    with pytest.raises(InvalidSetup, match=f"device is '{device}', on which torch cannot compute here; valid is cpu"):
+        small.run(small.training(device=device), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_what_was_refused_leaves_the_folder_to_the_next_training(small: Any, tmp_path: Path) -> None:
+    training = small.training("rlpd")
+    wrong = replace(training, setup=replace(training.setup, control="twist", layers=()))
+    with pytest.raises(InvalidSetup, match="PickTeacher gives joints"):
+        small.run(wrong, tmp_path / "run")
+    assert small.run(training, tmp_path / "run", updates=1).total == training.steps
+
+
+def test_a_task_without_reward_is_refused(small: Any, tmp_path: Path) -> None:
+    training = small.training()
+    free = replace(training, setup=replace(training.setup, task="Free", observe=()))
+    with pytest.raises(InvalidSetup, match=r"Free has no reward, so there is nothing to learn; train a task"):
+        small.run(free, tmp_path / "run")
 
 
 def test_a_run_whose_step_size_stays_can_be_made_longer(small: Any, weights: Weights, tmp_path: Path) -> None:

@@ -26,11 +26,12 @@ from rcs.envs.spaces import Control
 from rcs.errors import InvalidSetup
 from rcs.rl.algorithms import AlgorithmName
 from rcs.rl.checkpoint import Score
-from rcs.rl.recipes import recipe_for
+from rcs.rl.recipes import RECIPES, Recipe, recipe_for
 from rcs.rl.report import write_report
 from rcs.rl.run import read_training
-from rcs.rl.train import Progress, train
+from rcs.rl.train import Progress, require_trainable, train
 from rcs.rl.training import Training
+from rcs.setups.lab import lab_of
 from rcs.sim.randomisation import Preset, Randomisation
 
 
@@ -166,7 +167,7 @@ class TrainCommand:
             return training if self.steps is None else replace(training, steps=self.steps), self.resume
         if not self.task:
             raise InvalidSetup("Give a task, such as `rcs train PickCuboid`, or a run to go on with: --resume RUN.")
-        recipe = recipe_for(self.task, self.algo, cameras=self.cameras)
+        recipe = self._recipe()
         rate = {} if self.learning_rate is None else {"learning_rate": self.learning_rate}
         training = Training(
             setup=self._setup(recipe.setup),
@@ -184,6 +185,27 @@ class TrainCommand:
         name = self.task.replace(":", ".").replace(os.sep, ".")
         run = f"{name}-{self.robot}-{self.algo}" + ("" if self.seeds else f"-{self.seed}")
         return training, self.out or Path("runs", run)
+
+    def _recipe(self) -> Recipe:
+        """Return the recipe, whose teacher and cameras nobody named: it is said where they come from.
+
+        Raises:
+            InvalidSetup: Its teacher is of another task, or the robot's lab lacks its cameras.
+        """
+        recipe = recipe_for(self.task, self.algo, cameras=self.cameras)
+        if hasattr(recipe.algorithm, "teacher") and (self.task, self.algo) not in RECIPES:
+            known = ", ".join(task for task, algorithm in RECIPES if algorithm == self.algo)
+            raise InvalidSetup(
+                f"{self.algo!r} needs a teacher, and has one for {known}, not for {self.task!r}. Choose one of these, "
+                "`--algo ppo` or `--algo sac`; rcs.rl takes teachers of your own."
+            )
+        lab = lab_of(self.robot).cameras
+        if not self.cameras and not set(recipe.setup.cameras) <= {*lab}:
+            raise InvalidSetup(
+                f"The recipe of {self.algo!r} sees {' and '.join(recipe.setup.cameras)}, cameras that the lab of "
+                f"{self.robot!r} lacks; it has {', '.join(lab)}. Choose with --cameras."
+            )
+        return recipe
 
     def _setup(self, setup: Setup) -> Setup:
         changes = {name: getattr(self, name) for name in _OF_SETUP if getattr(self, name) is not None}
@@ -217,6 +239,7 @@ class _TimeLeft(ProgressColumn):
 
 def _show(training: Training, out: Path, progress: Progress, console: Console, threads: int, videos: bool) -> None:
     setup = training.setup
+    require_trainable(training)
     console.print(
         f"{setup.task} on {setup.robot}: {training.algorithm.name}, {training.copies} copies, {training.steps} steps, "
         f"seed {training.seed}; {', '.join(setup.cameras) or 'no cameras'}. Run: {out}",

@@ -98,7 +98,7 @@ class PolicyAgent(Agent):
         torch = self._torch
         with torch.inference_mode():
             if isinstance(flat, dict):
-                return self._mean({name: torch.from_numpy(rows[None]) for name, rows in flat.items()}).numpy()[0]
+                return self._mean({name: torch.tensor(rows[None]) for name, rows in flat.items()}).numpy()[0]
             return self._mean(torch.from_numpy(flat[None])).numpy()[0]
 
 

@@ -48,15 +48,14 @@ def lock_run(run: Path) -> Generator[None]:
         lock.release()
 
 
-def begin_run(run: Path, training: Training) -> Training:
-    """Write what is trained into a run's folder, or check that it is the same, and return it.
+def agreed(run: Path, training: Training) -> Training:
+    """Return a training with what one that began in a run's folder has measured, once it is the same one.
 
     How often is evaluated and saved may change. So may the number of steps, unless the step size falls to zero by the
     last one: then the steps so far would have been others.
 
     Raises:
         InvalidSetup: Another training began there, or another version of this program.
-        DatasetError: The folder cannot be written.
     """
     if (run / RECORD).exists() or checkpoints_of(run):
         before = read_training(run)
@@ -72,10 +71,18 @@ def begin_run(run: Path, training: Training) -> Training:
                 f"In {run} another training began: {'; '.join(different)}. Give the same options to go on with it, or "
                 "another folder."
             )
+    return training
+
+
+def write_training(run: Path, training: Training) -> None:
+    """Write what is trained into a run's folder.
+
+    Raises:
+        DatasetError: It cannot be written.
+    """
     with disk_errors("write what is trained", run / RECORD):
         write_file(run / RECORD, sealed({"version": VERSION, "training": training.to_json()}))
         sync_folder(run)
-    return training
 
 
 def read_training(run: Path, *, trust: Collection[str] = ()) -> Training:

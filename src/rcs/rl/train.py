@@ -15,7 +15,7 @@ from pathlib import Path
 
 from rcs.envs.observers.recorder import versions
 from rcs.envs.stack import for_all
-from rcs.errors import CorruptCheckpoint
+from rcs.errors import CorruptCheckpoint, InvalidSetup
 from rcs.rl.checkpoint import (
     REPLAY,
     Checkpoint,
@@ -30,13 +30,14 @@ from rcs.rl.examiner import VIDEOS, Examiner, score_of
 from rcs.rl.learners import copies_for, flat_for, learner_for
 from rcs.rl.metrics import EPISODES, JUDGED, LENGTH, RATE, REWARD, SPEED, SUCCESSES, Metrics
 from rcs.rl.networks import mean_action
-from rcs.rl.packages import package
+from rcs.rl.packages import package, require_device
 from rcs.rl.policy import PolicyAgent
-from rcs.rl.run import begin_run, lock_run
+from rcs.rl.run import agreed, lock_run, write_training
 from rcs.rl.threads import measure_physics, measure_torch
 from rcs.rl.training import Training
 from rcs.rollout.collect import Attempt
 from rcs.setups.make import resolve
+from rcs.tasks.free import Free
 
 _ROWS = 200
 """About so many rows of figures has a whole training."""
@@ -87,13 +88,25 @@ def train(
         DatasetError: The folder has other things in it, another process trains there, or the disk fails.
     """
     progress = Progress() if progress is None else progress
-    for name in ("torch", "stable_baselines3", "tensorboard"):
-        package(name)
-    resolve(training.setup)  # what it names is there; nothing is written otherwise
+    require_trainable(training)
     run = Path(out)
     with lock_run(run):
-        training = begin_run(run, training)
-        yield from _Run(run, training, progress, threads, videos).go_on()
+        yield from _Run(run, agreed(run, training), progress, threads, videos).go_on()
+
+
+def require_trainable(training: Training) -> None:
+    """Refuse what cannot be trained here, as far as that can be known without building the environment.
+
+    Raises:
+        MissingDependency: The extra `rl` is not installed.
+        InvalidSetup: The setup names what is not there or does not fit, its task has no reward, or torch cannot use the
+            device.
+    """
+    for name in ("torch", "stable_baselines3", "tensorboard"):
+        package(name)
+    if isinstance(resolve(training.setup).task, Free):
+        raise InvalidSetup("Free has no reward, so there is nothing to learn; train a task such as PickCuboid.")
+    require_device(training.device)
 
 
 class _Run:
@@ -114,12 +127,12 @@ class _Run:
                 measured = measure_torch(training, flat)
                 progress.notes.append(str(measured))
                 training = replace(training, torch_threads=measured.chosen)
-                begin_run(run, training)
             self._training = training
             package("torch").set_num_threads(training.torch_threads)
             self._learner = learner_for(training, self._envs, flat)
             self._agent = PolicyAgent(mean_action(self._learner.policy), flat.layout)
             self._last = self._restore()
+            write_training(run, training)  # only now, so that what was refused is in nobody's way
             self._threads, self._learning, self._made = threads, 0.0, 0
         except BaseException:
             self._envs.close()

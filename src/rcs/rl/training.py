@@ -152,7 +152,12 @@ class Training:
         return cls(setup=Setup.from_json(setup), algorithm=algorithm_from_json(algorithm), **given)
 
     def difference(self, other: Training) -> list[str]:
-        """Return in words where another record differs, a line each; threads of torch that are 0 agree with any."""
+        """Return in words where another record differs, a line each; threads of torch that are 0 agree with any.
+
+        Of another algorithm, nothing more is said: most of its figures have no counterpart.
+        """
+        if self.algorithm.name != other.algorithm.name:
+            return [f"the algorithm is {other.algorithm.name!r}, not {self.algorithm.name!r}"]
         mine, theirs = _flat(self.to_json()), _flat(other.to_json())
         either = 0 in (self.torch_threads, other.torch_threads)
         return [
