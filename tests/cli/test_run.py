@@ -34,6 +34,13 @@ def rcs(*arguments: str) -> int:
     return int(ended.value.code or 0)
 
 
+def test_where_no_policy_is_the_error_has_one_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert rcs("run", "--policy", "vla://127.0.0.1:1", "--episodes", "1") == 1
+    told = capsys.readouterr().err
+    assert "error: ConnectionLost: Nobody is at" in told
+    assert "RcsError" not in told
+
+
 def test_a_served_policy_is_run_recorded_and_reported(
     address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

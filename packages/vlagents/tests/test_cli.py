@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +49,19 @@ def test_what_is_wrong_is_said_in_one_line(capsys: pytest.CaptureFixture[str]) -
     assert "Nobody is at" in capsys.readouterr().err
     assert main(["serve", "random", "--host", "0.0.0.0"]) == 1
     assert "there is no token" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("options", [(), ("--ws",), ("--wire", "openvla"), ("--wire", "gr00t")])
+def test_a_port_that_is_taken_is_named(options: Sequence[str], capsys: pytest.CaptureFixture[str]) -> None:
+    if "gr00t" in options:
+        pytest.importorskip("zmq")
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert main(["serve", "random", "--port", str(port), *options]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: AddressTaken:")
+    assert f"127.0.0.1:{port}" in line
+    assert "--port" in line
 
 
 def test_the_token_comes_from_a_file_or_the_environment(

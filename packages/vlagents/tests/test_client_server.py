@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import re
+import socket
 import threading
+import time
 import urllib.error
 import urllib.request
 from typing import Any
@@ -8,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from vlagents import (
+    AddressTaken,
     BadMessage,
     Chunk,
     ConnectionLost,
@@ -189,6 +193,26 @@ def test_what_the_policy_raises_arrives_and_the_connection_stays(pair: Pair, obs
         client.infer(observation)
 
 
+@pytest.mark.parametrize(
+    ("answer", "told"), [(np.zeros((1, 2)), "ndarray"), ({"actions": np.zeros((1, 2))}, "dict"), (None, "None")]
+)
+def test_what_is_no_chunk_is_named_to_the_client_and_in_the_log(
+    kind: str, answer: Any, told: str, observation: Observation, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Mistaken(Echo):
+        def infer(self, observation: Observation) -> Any:
+            return answer
+
+    words = f"`infer` of the policy 'echo' returned {told}; valid is vlagents.Chunk(actions, period, time)."
+    with Pair(kind, Mistaken()) as pair, pair.connect() as client:
+        for _ in range(2):  # the connection stays
+            with pytest.raises(InvalidInput) as caught:
+                client.infer(observation)
+            assert str(caught.value) == words
+    assert words in caplog.text
+    assert "Traceback" not in caplog.text
+
+
 def test_a_robot_that_does_not_fit_is_told_why(pair: Pair) -> None:
     with pytest.raises(Mismatch, match="size 2"):
         pair.connect(offer=Offer(action=(PartSpec("joints", 7),)))
@@ -281,3 +305,48 @@ def test_closing_twice_does_no_harm(pair: Pair, echo: Echo) -> None:
     pair.server.close()
     pair.server.close()
     assert echo.is_closed
+
+
+@pytest.mark.parametrize("make", [Server, WebsocketServer])
+def test_a_server_serves_until_it_is_closed(make: Any) -> None:
+    with make(RandomPolicy(), port=0) as server:
+        serving = threading.Thread(target=server.serve_forever)
+        serving.start()
+        serving.join(0.1)
+        assert serving.is_alive()
+        server.close()
+        serving.join(5.0)
+        assert not serving.is_alive()
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
+@pytest.mark.parametrize("make", [Server, WebsocketServer])
+def test_an_address_that_is_taken_is_named(make: Any, host: str) -> None:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        other = socket.create_server((host, 0), family=family)
+    except OSError:
+        pytest.skip(f"this machine has no {host}")
+    with other:
+        port = other.getsockname()[1]
+        shown = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        with pytest.raises(AddressTaken, match=f"{re.escape(shown)}.*--port") as caught:
+            make(RandomPolicy(), host=host, port=port).start()
+        assert isinstance(caught.value, OSError)
+
+
+def test_vla_at_a_websocket_is_told_so_at_once() -> None:
+    with WebsocketServer(RandomPolicy(), port=0) as server:
+        begin = time.monotonic()
+        with pytest.raises(BadMessage, match="ws://"):
+            Client(f"vla://127.0.0.1:{server.address.port}", timeout=3.0)
+        assert time.monotonic() - begin < 2.0
+        with WebsocketClient(str(server.address)) as client:
+            client.infer(Observation())
+
+
+def test_vla_at_somebody_who_says_nothing_hints_at_websockets() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        port = silent.getsockname()[1]
+        with pytest.raises(DeadlineExceeded, match=rf"within 0\.3 s\..*ws://127\.0\.0\.1:{port}"):
+            Client(f"vla://127.0.0.1:{port}", timeout=0.3)

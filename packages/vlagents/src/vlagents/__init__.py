@@ -2,6 +2,7 @@
 
 from vlagents.chunk import Chunk
 from vlagents.errors import (
+    AddressTaken,
     BadMessage,
     ConnectionLost,
     DeadlineExceeded,
@@ -20,6 +21,7 @@ from vlagents.policy import Policy
 __version__ = "0.1.0"
 
 __all__ = [
+    "AddressTaken",
     "BadMessage",
     "Chunk",
     "ConnectionLost",

@@ -7,6 +7,7 @@ import os
 import socket
 import ssl
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -197,6 +198,12 @@ class Client(Policy):
         try:
             answer = self._ask_over(channel, "hello", {"version": VERSION, "token": self._token, "offer": offer})
             metadata = Metadata.from_dict(answer.get("metadata"))
+        except DeadlineExceeded as error:
+            channel.close()
+            if isinstance(channel, SharedChannel):
+                raise
+            other = replace(self.address, scheme="wss" if self.address.scheme == "vlas" else "ws")
+            raise DeadlineExceeded(f"{error} If it serves a websocket, its address is {other}.") from error
         except BaseException:
             channel.close()
             raise

@@ -59,6 +59,19 @@ class PolicyFailed(VlagentsError):
     kind = "failed"
 
 
+class AddressTaken(VlagentsError, OSError):
+    """Something listens already where a server is to listen."""
+
+    kind = "taken"
+
+    def __init__(self, host: str, port: int) -> None:
+        """Name the address, and what to do."""
+        shown = f"[{host}]" if ":" in host else host
+        super().__init__(
+            f"Something listens at {shown}:{port} already. Choose another port (`--port`), or end what listens there."
+        )
+
+
 class MissingStack(VlagentsError, ImportError):
     """What a policy or a wire stands on is not installed in this environment."""
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import socket
 import ssl
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from vlagents.address import is_loopback
-from vlagents.errors import InvalidInput
+from vlagents.errors import AddressTaken, InvalidInput
 
 _log = logging.getLogger(__name__)
 
@@ -72,10 +73,26 @@ class Listening:
         """Return a socket that listens.
 
         Raises:
-            OSError: The port is taken.
+            AddressTaken: Something listens there already.
+            OSError: The port cannot be had.
         """
         family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
-        return socket.create_server((self.host, self.port), family=family, backlog=16)
+        with self.taken_is_told():
+            return socket.create_server((self.host, self.port), family=family, backlog=16)
+
+    @contextlib.contextmanager
+    def taken_is_told(self) -> Generator[None]:
+        """Have an address that is taken be an error of ours.
+
+        Raises:
+            AddressTaken: It is.
+        """
+        try:
+            yield
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            raise AddressTaken(self.host, self.port) from error
 
 
 class Stoppable(Protocol):

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
-from vlagents.address import Address, is_loopback, is_own_socket, socket_beside
+from vlagents.address import Address, is_loopback
+from vlagents.beside import listen_beside
 from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, Unauthorized, VlagentsError
 from vlagents.listening import BEGIN, TRANSFER, Acceptor, Listening
 from vlagents.policy import Policy
@@ -88,7 +89,8 @@ class Server:
         """Listen, and answer in threads of its own.
 
         Raises:
-            OSError: The port is taken.
+            AddressTaken: Something listens there already.
+            OSError: The port cannot be had.
         """
         listener = self._listening.open()
         self._port = listener.getsockname()[1]
@@ -122,17 +124,10 @@ class Server:
     def _listen_beside(self) -> None:
         """Listen at the Unix socket that belongs to the port; without one, clients use TCP."""
         try:
-            path = socket_beside(self._port)
-            if is_own_socket(path):  # of a server that was killed: the port is ours, so nobody uses it
-                path.unlink()
-            listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            listener.bind(str(path))
-            os.chmod(path, 0o600)
-            listener.listen(16)
+            listener, self._unix = listen_beside(self._port)
         except (OSError, InvalidInput) as error:
             _log.warning("There is no shared memory for clients on this machine: %s", error)
             return
-        self._unix = path
         self._acceptor.listen(listener, lambda there, name: self._converse(there, name, self._over_memory))
 
     def _over_tcp(self, connection: socket.socket) -> StreamChannel:

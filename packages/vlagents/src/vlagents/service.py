@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from vlagents.chunk import Chunk
 from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, Mismatch, Unauthorized, VlagentsError
 from vlagents.metadata import Metadata, Offer, differences
 from vlagents.observation import Observation
@@ -118,7 +119,11 @@ class Service:
         }
 
     def infer(self, caller: Caller, observation: Observation, within: float | None = None) -> dict[str, Any]:
-        """Return the policy's chunk for an observation of a caller, as values, and how long each part took."""
+        """Return the policy's chunk for an observation of a caller, as values, and how long each part took.
+
+        Raises:
+            InvalidInput: The policy returned something else.
+        """
         own = self._own(caller, observation.session)
         begin = time.perf_counter()
         waiting, working = 0.0, 0.0
@@ -130,6 +135,14 @@ class Service:
 
         chunk = self._in_turn(ask, within)
         working = time.perf_counter() - begin - waiting
+        if not isinstance(chunk, Chunk):
+            given = "None" if chunk is None else type(chunk).__name__
+            told = (
+                f"`infer` of the policy {self.metadata.name!r} returned {given}; valid is "
+                "vlagents.Chunk(actions, period, time)."
+            )
+            _log.error("%s", told)
+            raise InvalidInput(told)
         if chunk.actions.shape[1] != self.metadata.size and self.metadata.action:
             raise InvalidInput(
                 f"The policy gave actions of {chunk.actions.shape[1]} numbers; its metadata says {self.metadata.size}."

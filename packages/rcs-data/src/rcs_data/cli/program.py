@@ -113,7 +113,9 @@ def run(command: Any) -> int:
     except BrokenPipeError:  # the reader of the output is gone
         raise
     except (RcsError, OSError) as err:  # file system errors that no function has explained
-        return _failed(f"{type(err).__name__}: {err}")
+        # One that only passes on another has the other's name in front already.
+        is_named = type(err) is RcsError and str(err).startswith(f"{type(err.__cause__).__name__}: ")
+        return _failed(str(err) if is_named else f"{type(err).__name__}: {err}")
     except KeyboardInterrupt:
         return 130
 

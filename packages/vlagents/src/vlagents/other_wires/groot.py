@@ -24,7 +24,15 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from vlagents.address import Address
-from vlagents.errors import BadMessage, DeadlineExceeded, InvalidInput, MissingStack, PolicyFailed, VlagentsError
+from vlagents.errors import (
+    AddressTaken,
+    BadMessage,
+    DeadlineExceeded,
+    InvalidInput,
+    MissingStack,
+    PolicyFailed,
+    VlagentsError,
+)
 from vlagents.listening import MOST_CALLERS, Listening
 from vlagents.observation import Observation
 from vlagents.other_wires.asked import Asked, side_by_side
@@ -166,7 +174,8 @@ class GrootServer:
         """Listen, and answer in a thread of its own.
 
         Raises:
-            OSError: The port is taken.
+            AddressTaken: Something listens there already.
+            OSError: The port cannot be had.
         """
         zmq = self._zmq
         context = zmq.Context()
@@ -178,6 +187,8 @@ class GrootServer:
         except zmq.ZMQError as error:
             replies.close()
             context.term()
+            if error.errno == zmq.EADDRINUSE:
+                raise AddressTaken(self._listening.host, self._port) from error
             raise OSError(f"Port {self._port} cannot be had: {error}") from error
         self._port = int(replies.getsockopt(zmq.LAST_ENDPOINT).decode().rsplit(":", 1)[1])
         self._thread = threading.Thread(target=self._serve, args=(context, replies), name="vlagents gr00t", daemon=True)

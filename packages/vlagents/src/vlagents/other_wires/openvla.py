@@ -156,7 +156,8 @@ class OpenvlaServer:
         """Listen, and answer in threads of its own.
 
         Raises:
-            OSError: The port is taken.
+            AddressTaken: Something listens there already.
+            OSError: The port cannot be had.
         """
         outside = self
 
@@ -189,7 +190,8 @@ class OpenvlaServer:
                 finally:
                     outside._places.release()
 
-        self._server = Places((self._listening.host, self._listening.port), Handler)
+        with self._listening.taken_is_told():
+            self._server = Places((self._listening.host, self._listening.port), Handler)
         self._server.daemon_threads = True
         self._port = self._server.server_address[1]
         threading.Thread(target=self._server.serve_forever, args=(0.1,), name="vlagents openvla", daemon=True).start()

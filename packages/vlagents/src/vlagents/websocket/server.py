@@ -93,13 +93,18 @@ class WebsocketServer:
         """Listen, and answer in threads of its own.
 
         Raises:
-            OSError: The port is taken.
+            AddressTaken: Something listens there already.
+            OSError: The port cannot be had.
         """
         listener = self._listening.open()
         self._port = listener.getsockname()[1]
         self._acceptor.listen(listener, self._converse)
         self._acceptor.run("vlagents pongs", self._attend)
         return self
+
+    def serve_forever(self) -> None:
+        """Wait until `close` is called, from another thread or a signal's handler."""
+        self._acceptor.is_closing.wait()
 
     def close(self) -> None:
         """End all connections, then the policy. A second call does nothing."""

@@ -19,6 +19,10 @@ _log.setLevel(logging.WARNING)  # not a line per connection
 
 LONGEST = 16 << 10
 """Most bytes of a request or an answer."""
+GET = b"GET "
+"""How every request for a websocket begins."""
+REFUSAL = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Length: 21\r\n\r\nThis is a websocket.\n"
+"""Answer to what does not: clients of another wire learn at once where they are."""
 
 
 def accept(link: Link, deadline: Deadline, admit: Callable[[Any], tuple[int, str] | None]) -> bool:
@@ -32,6 +36,10 @@ def accept(link: Link, deadline: Deadline, admit: Callable[[Any], tuple[int, str
     Raises:
         BadMessage: It is no request.
     """
+    begin = bytes(link.need(len(GET), deadline))
+    if begin != GET:
+        link.send([memoryview(REFUSAL)], deadline)
+        raise BadMessage(f"A request begins with {begin!r}; valid is {GET!r}.")
     protocol = ServerProtocol(logger=_log)
     protocol.receive_data(_head(link, deadline))
     requests: list[Any] = protocol.events_received()

@@ -117,6 +117,10 @@ class StreamChannel:
 
     def _receive_body(self, prefix: bytes, rest: Deadline) -> Any:
         magic, header_size, size = PREFIX.unpack(prefix)
+        if magic == b"HTTP":
+            raise BadMessage(
+                "The other side speaks HTTP. If it serves a websocket, its address begins with ws:// or wss://."
+            )
         if magic != MAGIC:
             raise BadMessage(f"A message begins with {magic!r}; valid is {MAGIC!r}.")
         self._check_sizes(header_size, size)
