@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import threading
+from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
 from rcs_data import Dataset
+from vlagents import Observation
+from vlagents.policies.scripted import ScriptedPolicy
 from vlagents.server import Server
 
 from rcs.cli.main import main
@@ -19,12 +24,17 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "16_policy.py"
 
 
 @pytest.fixture(scope="module")
-def address() -> Any:
+def example() -> ModuleType:
     spec = importlib.util.spec_from_file_location("policy_example", EXAMPLE)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    with Server(module.policy(), port=0) as server:
+    return module
+
+
+@pytest.fixture(scope="module")
+def address(example: ModuleType) -> Iterator[str]:
+    with Server(example.policy(), port=0) as server:
         yield str(server.address)
 
 
@@ -63,6 +73,35 @@ def test_a_served_policy_is_run_recorded_and_reported(
     assert rcs(*command, "--out", str(tmp_path / "again")) == 0
     again = json.loads((tmp_path / "again" / "evaluation.json").read_text())
     assert again["results"] == figures["results"]
+
+
+def test_a_policy_that_is_gone_ends_the_run_with_figures_of_the_episodes_before(
+    example: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcs.policy.agent.WAIT", 0.3)
+    out, data = tmp_path / "out", tmp_path / "data"
+    calls = 0
+
+    def chunk(seen: Observation, instruction: str) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == 3:
+            raise ValueError("no way to go")
+        if calls == 5:
+            threading.Thread(target=server.close).start()
+        return example.chunk(seen, instruction)
+
+    options = ["--episodes", "9", "--max-steps", "90", "--out", str(out), "--record", str(data)]
+    with Server(ScriptedPolicy(chunk, example.METADATA), port=0) as server:
+        assert rcs("run", "--policy", str(server.address), *options) == 1
+    said = capsys.readouterr()
+    assert "Nobody is at" in said.err
+    assert "not begun" in said.err
+    (result,) = json.loads((out / "evaluation.json").read_text())["results"]
+    assert result["failure"] == "policy"
+    assert "no way to go" in result["message"]
+    assert "no way to go" in (out / "report.html").read_text()
+    assert [episode.success for episode in Dataset.open(data).episodes] == [False]
 
 
 def test_eval_takes_an_address_for_an_agent(address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

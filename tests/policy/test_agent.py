@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetWriter
-from vlagents import Chunk, ConnectionLost, Metadata, Observation, PartSpec, Policy
+from vlagents import Chunk, ConnectionLost, Metadata, Observation, PartSpec, Policy, PolicyFailed, Unauthorized
 from vlagents.policies.scripted import ScriptedPolicy
 from vlagents.server import Server
 
 import rcs
 from rcs.envs import Env
 from rcs.envs.observers.recorder import Recorder, dataset_info
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, RcsError
 from rcs.policy import NOTES, ChunkAgent, Execution, ServedPolicy, offer_of
 from rcs.rollout import run_episode
 
@@ -297,12 +297,56 @@ def test_both_arms_are_led_by_one_policy() -> None:
         assert (rows[-1][0]["left"]["gripper"], rows[-1][0]["right"]["gripper"]) == (1.0, 0.0)
 
 
+class FailsLater(Swing):
+    """Swing that can be reached when an episode begins, and never answers."""
+
+    def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
+        self.resets.append((session, instruction, seed))
+
+
 def test_an_episode_ends_when_its_policy_is_lost_and_is_not_waited_for(env: Env) -> None:
-    policy = Swing()
+    policy = FailsLater()
     policy.error = ConnectionLost("gone")
     result = run_episode(env, ChunkAgent(env, policy, execution=Execution(on_loss="end")), seed=0, max_steps=50)
     assert result.steps == 1
+    assert result.message == "ConnectionLost: gone"
     assert policy.seen == []
+
+
+@pytest.mark.parametrize("error", [ConnectionLost("Nobody is there."), Unauthorized("Another token."), OSError("gone")])
+def test_an_episode_without_a_policy_is_not_begun(env: Env, error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs.policy.agent.WAIT", 0.3)
+    policy = Swing()
+    agent = ChunkAgent(env, policy)
+    assert run_episode(env, agent, seed=0, max_steps=3).message is None
+    policy.error = error
+    with pytest.raises(RcsError, match=f"{type(error).__name__}: .*not begun"):
+        run_episode(env, agent, seed=1, max_steps=3)
+    assert len(policy.resets) > 2  # it was waited for
+    policy.error = None
+    assert run_episode(env, agent, seed=1, max_steps=3).steps == 3
+
+
+def test_a_policy_that_fails_as_an_episode_begins_fails_in_that_episode(env: Env) -> None:
+    policy = Swing()
+    agent = ChunkAgent(env, policy)
+    policy.error = PolicyFailed("ValueError: no such instruction")
+    result = run_episode(env, agent, seed=0, max_steps=3)
+    assert result.steps == 3
+    assert result.message == "PolicyFailed: ValueError: no such instruction"
+    assert agent.failure == "policy"
+    policy.error = None
+    assert run_episode(env, agent, seed=1, max_steps=3).message is None
+    assert agent.failure is None
+
+
+def test_another_policy_at_the_address_ends_what_goes_on(env: Env) -> None:
+    policy = Swing()
+    agent = ChunkAgent(env, policy)
+    run_episode(env, agent, seed=0, max_steps=3)
+    policy.told = replace(policy.told, name="another")
+    with pytest.raises(InvalidSetup, match="Another policy is at the address"):
+        run_episode(env, agent, seed=1, max_steps=3)
 
 
 def test_in_real_time_the_loop_goes_on_while_the_policy_computes() -> None:

@@ -34,6 +34,11 @@ class Agent(ABC):
         """Why the agent gave up, as a class such as `ik` or `no_contact`; None if it has not."""
         return None
 
+    @property
+    def failure_message(self) -> str | None:
+        """What went wrong in this episode, for people to read; None where there is no more to say than the class."""
+        return None
+
     def notes(self) -> Mapping[str, Any]:
         """Return notes to record with the last action: who acted, latency [s], place in a chunk."""
         return {}

@@ -14,7 +14,7 @@ import numpy as np
 from rcs.agents import Agent, Event
 from rcs.envs.env import Env
 from rcs.envs.spaces import Action, Observation
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, RcsError
 from rcs.policy.execution import Execution
 from rcs.policy.executor import Executor, Flight
 from rcs.policy.form import ActionForm
@@ -35,6 +35,11 @@ wanted more than the environment takes."""
 
 LOST = "policy"
 """The class of a failure in which the policy, or the connection to it, failed."""
+
+WAIT = 5.0
+"""How long a policy that cannot be reached is waited for when an episode begins [s], by the clock."""
+PAUSE = 0.2
+"""Between two attempts to reach it [s]."""
 
 CONTINUES = "continues"
 """Key of a chunk's info: 1 if the policy has made it go on from what was in flight."""
@@ -91,7 +96,8 @@ class ChunkAgent(Agent):
         inquiry = ThreadedInquiry(f"policy {self._session}") if env.is_real else SimulatedInquiry(execution.latency)
         self._executor = Executor(execution, inquiry, self._period)
         self._told = ""
-        self._needs_reset = self._has_ended = self._was_lost = False
+        self._needs_reset = self._has_ended = False
+        self._message: str | None = None
         self._now = self._begun = 0.0
         self.steps = self.held = 0
         """Steps, and how many of them the robot was held, of all episodes."""
@@ -99,18 +105,27 @@ class ChunkAgent(Agent):
         """What each answer took by the wall clock [s], of all episodes before the present one."""
 
     def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
-        """Begin an episode; a policy that cannot be reached is one that fails at once."""
+        """Begin an episode; a policy that fails does so in this episode, and the robot holds.
+
+        Raises:
+            RcsError: The policy cannot be reached, for `WAIT` seconds.
+            InvalidSetup: Another policy is at the address.
+        """
         self.seconds += self._executor.seconds
         self._executor.reset()
         self._holding.reset(observation)
-        self._has_ended = self._was_lost = False
+        self._has_ended, self._message = False, None
         self._told = str(info.get("instruction", "")) if self._instruction is None else self._instruction
         self._begun = float(info.get("time", 0.0))
         self._now = self._time(info)
         self._needs_reset = True
         try:
-            self._begin()
-        except Exception as err:  # noqa: BLE001  whatever it is, the robot holds and the log says why
+            self._reach()
+        except InvalidSetup:
+            raise
+        except Exception as err:  # whatever it is, the robot holds and the log says why
+            if self._is_gone(err):
+                raise RcsError(f"{type(err).__name__}: {err} So this episode was not begun.") from err
             self._fail(err)
 
     def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
@@ -148,7 +163,12 @@ class ChunkAgent(Agent):
     @property
     def failure(self) -> str | None:
         """`policy` if the policy or its connection failed in this episode."""
-        return LOST if self._was_lost else None
+        return None if self._message is None else LOST
+
+    @property
+    def failure_message(self) -> str | None:
+        """The first error of the policy or its connection in this episode."""
+        return self._message
 
     @property
     def error(self) -> Exception | None:
@@ -189,12 +209,29 @@ class ChunkAgent(Agent):
             raise InvalidSetup("Another policy is at the address now; make the agent anew.")
         self._needs_reset = False
 
+    def _reach(self) -> None:
+        """Begin, and wait for a policy that cannot be reached: its server may be starting again."""
+        until = time.monotonic() + WAIT
+        while True:
+            try:
+                return self._begin()
+            except Exception as err:
+                if not self._is_gone(err) or time.monotonic() + PAUSE > until:
+                    raise
+            time.sleep(PAUSE)
+
+    def _is_gone(self, error: Exception) -> bool:
+        """Return whether there is no policy to speak of, rather than one that fails."""
+        own = (self._v.PolicyFailed, self._v.InvalidInput)
+        return isinstance(error, (self._v.VlagentsError, OSError)) and not isinstance(error, own)
+
     def _fail(self, error: Exception) -> None:
         self._executor.fail(error, self._now)
         self._lost(error)
 
     def _lost(self, error: Exception) -> None:
-        self._was_lost = self._needs_reset = True
+        self._needs_reset = True
+        self._message = self._message or f"{type(error).__name__}: {error}"
         self._has_ended |= self.execution.on_loss == "end"
 
     def _question(

@@ -33,6 +33,8 @@ class EpisodeResult:
     """Class of the failure, `fault` where a device failed, `diverged` where the simulation did; None otherwise."""
     reward: float
     """Sum over the episode."""
+    message: str | None = None
+    """What the agent says has gone wrong, even if the task was done in the end; None if it says nothing."""
 
     def outcome(self) -> dict[str, Any]:
         """Return the outcome to store, besides success and seed."""
@@ -107,7 +109,9 @@ def run_episode(
     told = info.get("success")
     success = judge(observation, info) if judge is not None else None if told is None else bool(told)
     failure = (agent.failure or ("collision" if was_touched_early else "timeout")) if success is False else None
-    return EpisodeResult(seed=seed, steps=steps, success=success, failure=failure, reward=total)
+    return EpisodeResult(
+        seed=seed, steps=steps, success=success, failure=failure, reward=total, message=agent.failure_message
+    )
 
 
 def ask(observation: Observation, info: Mapping[str, Any]) -> bool | None:

@@ -10,6 +10,7 @@ from rcs_data.durable import disk_errors, write_file
 from rcs_data.view.html import Html, element, figure, film, header, page, table
 
 from rcs.policy import ServedPolicy
+from rcs.rollout.episode import EpisodeResult
 from rcs.rollout.evaluate import Evaluation, Summary
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def _page(evaluation: Evaluation, summary: Summary, metadata: Metadata, executio
     }
     numbers = [attempt.number for attempt in sorted(summary.attempts, key=lambda attempt: attempt.number)]
     rows = [
-        (number, result.seed, _verdict(result.success), result.failure or "", result.steps, f"{result.reward:.2f}")
+        (number, result.seed, _verdict(result.success), _failure(result), result.steps, f"{result.reward:.2f}")
         for number, result in zip(numbers, summary.results, strict=True)
     ]
     films = [number for number in numbers if (evaluation.out / f"{number:06d}.mp4").is_file()]
@@ -85,6 +86,10 @@ def _bar(rate: float, low: float, high: float) -> Html:
     """Return a rate within its interval [%]."""
     interval = element("i", style=f"left:{low:.2f}%;width:{high - low:.2f}%")
     return element("div", interval, element("b", style=f"left:{rate:.2f}%"), class_="bar")
+
+
+def _failure(result: EpisodeResult) -> str:
+    return ": ".join(part for part in (result.failure, result.message) if part is not None)
 
 
 def _verdict(success: bool | None) -> str:
