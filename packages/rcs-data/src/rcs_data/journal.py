@@ -41,7 +41,7 @@ class Journal:
 
         Raises:
             DatasetError: There is no dataset, or its layout is of another version.
-            CorruptEpisode: A line is damaged; `rcs data check --repair` leaves it out.
+            CorruptEpisode: A line is damaged; `rcs-data check --repair` leaves it out.
         """
         self.root = root
         self.path = root / JOURNAL_FILE
@@ -196,7 +196,7 @@ class Journal:
 
     def _damaged(self, number: int, why: str) -> CorruptEpisode:
         return CorruptEpisode(
-            f"{self.path} is damaged in line {number}: {why}. `rcs data check --repair` leaves the line out."
+            f"{self.path} is damaged in line {number}: {why}. `rcs-data check --repair` leaves the line out."
         )
 
 

@@ -195,7 +195,7 @@ def _refuse_strangers(root: Path) -> None:
     strangers = sorted(entry.name for entry in root.iterdir() if entry.name not in ours)
     has_episodes = any((root / EPISODES_FOLDER).glob("*"))
     if strangers or has_episodes:
-        what = ", ".join(strangers[:5]) or f"episodes and no {JOURNAL_FILE}; `rcs data check --repair` makes it anew"
+        what = ", ".join(strangers[:5]) or f"episodes and no {JOURNAL_FILE}; `rcs-data check --repair` makes it anew"
         raise DatasetError(f"{root} is neither a dataset nor empty: it has {what}. Choose another folder.")
 
 

@@ -57,7 +57,7 @@ def check_index(root: Path) -> tuple[State | None, list[Finding]]:
             findings.append(Finding("damage", "altered", None, JOURNAL_FILE, str(err)))
             state = whole_lines(root)[0]
     else:
-        message = "missing; `rcs data check --repair` makes it anew from the episodes"
+        message = "missing; `rcs-data check --repair` makes it anew from the episodes"
         findings.append(Finding("damage", "missing", None, JOURNAL_FILE, message))
     return state, [*findings, *_check_description(root, state)]
 
@@ -95,7 +95,7 @@ def described(root: Path) -> State | None:
 def _check_description(root: Path, state: State | None) -> Iterator[Finding]:
     path = root / DATASET_FILE
     if not path.exists():
-        yield Finding("damage", "missing", None, DATASET_FILE, "missing; `rcs data check --repair` restores it")
+        yield Finding("damage", "missing", None, DATASET_FILE, "missing; `rcs-data check --repair` restores it")
         return
     try:
         data = read_bytes(path)
@@ -107,7 +107,7 @@ def _check_description(root: Path, state: State | None) -> Iterator[Finding]:
         message = "is readable, but its bytes are not those that were written"
         yield Finding("damage", "altered", None, DATASET_FILE, message)
     elif state is not None and data != sealed(state.info.to_json()) and not is_locked(root):
-        message = "not what the index says: an edit was killed; `rcs data recover` updates it"
+        message = "not what the index says: an edit was killed; `rcs-data recover` updates it"
         yield Finding("warning", "stale", None, DATASET_FILE, message)
 
 
@@ -149,7 +149,7 @@ def check_leftovers(root: Path, state: State) -> Iterator[Finding]:
 
 def check_beside(root: Path) -> list[Finding]:
     """Return what killed programs that were to make this folder, or something in its place, left beside it."""
-    message = f"beside {root.name}, left by a killed program; `rcs data check --repair` removes it"
+    message = f"beside {root.name}, left by a killed program; `rcs-data check --repair` removes it"
     return [Finding("warning", "left_over", None, path.name, message) for path in leftovers(root)]
 
 

@@ -24,7 +24,7 @@ def check_labels(place: EpisodePlace, about: dict[str, Any]) -> Iterator[Finding
     if about.get("success") is True and failure:
         yield warning("contradiction", f"is marked as a success, but its outcome says that it failed: {failure!r}")
     if not str(about.get("instruction") or "").strip():
-        yield warning("no_instruction", "no instruction; set one with `rcs data relabel`")
+        yield warning("no_instruction", "no instruction; set one with `rcs-data relabel`")
     if about.get("length") == 1:
         yield warning("no_action", "has one row, and so no steps")
 

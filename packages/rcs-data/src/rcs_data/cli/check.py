@@ -1,4 +1,4 @@
-"""`rcs data check`: find what is wrong with a dataset, and repair what can be repaired."""
+"""`rcs-data check`: find what is wrong with a dataset, and repair what can be repaired."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`rcs data merge`, `split` and `mix`: several datasets into one, one into several."""
+"""`rcs-data merge`, `split` and `mix`: several datasets into one, one into several."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class SplitCommand:
 
 @dataclass(kw_only=True)
 class MixCommand:
-    """Mix episodes of several datasets, such as `rcs data mix real:143 sim:500 --out mixed --seed 1`."""
+    """Mix episodes of several datasets, such as `rcs-data mix real:143 sim:500 --out mixed --seed 1`."""
 
     parts: tyro.conf.Positional[tuple[str, ...]]
     """Parts: DATASET for all episodes, DATASET:143 for 143 episodes, DATASET:0.7 for a share of the total."""

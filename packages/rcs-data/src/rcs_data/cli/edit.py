@@ -1,4 +1,4 @@
-"""`rcs data delete`, `keep`, `trim`, `relabel`, `rename-camera`, `resample`, `resize`, `undo`, `history`, `prune`."""
+"""`rcs-data delete`, `keep`, `trim`, `relabel`, `rename-camera`, `resample`, `resize`, `undo`, `history`, `prune`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class _Edit(ABC):
         dataset = Dataset.open(self.path)
         rows = sum(episode.length for episode in dataset.episodes)
         what = f"{len(dataset)} episodes, {rows} rows at {dataset.info.frequency:g} Hz"
-        plain_console().print(f"{what}. Undo: `rcs data undo {self.path}`.")
+        plain_console().print(f"{what}. Undo: `rcs-data undo {self.path}`.")
         return 0
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""`rcs data export`: write a dataset in a format for trainers."""
+"""`rcs-data export`: write a dataset in a format for trainers."""
 
 from __future__ import annotations
 

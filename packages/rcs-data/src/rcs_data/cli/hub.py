@@ -1,4 +1,4 @@
-"""`rcs data pull` and `rcs data push`: LeRobot datasets from and to the Hugging Face Hub."""
+"""`rcs-data pull` and `rcs-data push`: LeRobot datasets from and to the Hugging Face Hub."""
 
 from __future__ import annotations
 

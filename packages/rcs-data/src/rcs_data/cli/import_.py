@@ -1,4 +1,4 @@
-"""`rcs data import`: import a dataset of another format."""
+"""`rcs-data import`: import a dataset of another format."""
 
 from __future__ import annotations
 

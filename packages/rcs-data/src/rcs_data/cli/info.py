@@ -1,4 +1,4 @@
-"""`rcs data info`: show the contents of a dataset."""
+"""`rcs-data info`: show the contents of a dataset."""
 
 from __future__ import annotations
 

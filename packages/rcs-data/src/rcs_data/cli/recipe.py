@@ -1,4 +1,4 @@
-"""`rcs data recipe`: write what another project's trainer needs to learn from a dataset."""
+"""`rcs-data recipe`: write what another project's trainer needs to learn from a dataset."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class RecipeCommand:
     name: str | None = None
     """Name of the export; that of the dataset's folder if left out."""
     state: tuple[str, ...] | None = None
-    """Features that make up the state, as for `rcs data export`."""
+    """Features that make up the state, as for `rcs-data export`."""
     action: tuple[str, ...] | None = None
-    """Features that make up the action, as for `rcs data export`."""
+    """Features that make up the action, as for `rcs-data export`."""
     cameras: tuple[str, ...] | None = field(default=None)
     """Cameras that the policy sees; all if left out."""
 
@@ -64,5 +64,5 @@ class RecipeCommand:
         )
         for step in written.steps:
             line = step.replace("FOLDER", str(self.out)).replace("DATASET", str(self.path))
-            console.print(f"  {line}{chosen if line.startswith('rcs data export') else ''}")
+            console.print(f"  {line}{chosen if line.startswith('rcs-data export') else ''}")
         return 0

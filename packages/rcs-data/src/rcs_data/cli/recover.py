@@ -1,4 +1,4 @@
-"""`rcs data recover`: complete the episodes that a killed recording left open."""
+"""`rcs-data recover`: complete the episodes that a killed recording left open."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`rcs data sample`: what a policy would be fed, as pictures."""
+"""`rcs-data sample`: what a policy would be fed, as pictures."""
 
 from __future__ import annotations
 

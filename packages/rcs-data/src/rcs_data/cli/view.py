@@ -1,4 +1,4 @@
-"""`rcs data view`: a page to look at a dataset with."""
+"""`rcs-data view`: a page to look at a dataset with."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def lerobot(contents: Contents, policy: LerobotPolicy = "act") -> Written:
         },
         export_format="lerobot-v3",
         steps=(
-            "rcs data export DATASET --format lerobot-v3 --out EXPORT",
+            "rcs-data export DATASET --format lerobot-v3 --out EXPORT",
             f"ENVIRONMENT/bin/python FOLDER/{FILE} EXPORT RUN",
             f"ENVIRONMENT/bin/vlagents serve {policy} --checkpoint RUN --settings FOLDER/vlagents.json",
         ),

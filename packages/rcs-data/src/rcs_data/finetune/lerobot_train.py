@@ -1,6 +1,6 @@
 """Trains a policy with LeRobot on an export of a dataset: begins a run, or goes on with one that was ended.
 
-`rcs data recipe act` writes this program beside `lerobot.json`, for LeRobot's own environment:
+`rcs-data recipe act` writes this program beside `lerobot.json`, for LeRobot's own environment:
 
     python lerobot_train.py EXPORT RUN [--steps=20000 --batch_size=32 --policy.dim_model=512 …]
 

@@ -41,7 +41,7 @@ def octo(contents: Contents) -> Written:
         files={FILE: text, "vlagents.json": contents.settings(images=cameras, has_state=False)},
         export_format="rlds",
         steps=(
-            f"rcs data export DATASET --format rlds --name {contents.name} --out EXPORTS",
+            f"rcs-data export DATASET --format rlds --name {contents.name} --out EXPORTS",
             f"OCTO_REPO=OCTO python OCTO/scripts/finetune.py --config FOLDER/{FILE}:full,language_conditioned "
             "--config.pretrained_path=hf://rail-berkeley/octo-base-1.5 --config.dataset_kwargs.data_dir=EXPORTS "
             "--config.save_dir=RUN",
@@ -55,7 +55,7 @@ def column(camera: str) -> str:
     return f"image_{camera.replace('/', '_')}"
 
 
-_TEXT = '''"""Octo's config of a dataset, written by `rcs data recipe octo`. OCTO_REPO is the folder of a checkout."""
+_TEXT = '''"""Octo's config of a dataset, written by `rcs-data recipe octo`. OCTO_REPO is the folder of a checkout."""
 
 import os
 import runpy

@@ -56,7 +56,7 @@ def openpi(contents: Contents, base: Base = "pi05") -> Written:
         files={FILE: text, "vlagents.json": settings},
         export_format="lerobot-v2.1",
         steps=(
-            f"rcs data export DATASET --format lerobot-v2.1 --out $HF_LEROBOT_HOME/rcs/{contents.name}",
+            f"rcs-data export DATASET --format lerobot-v2.1 --out $HF_LEROBOT_HOME/rcs/{contents.name}",
             f"python FOLDER/{FILE} OPENPI/scripts/compute_norm_stats.py --config-name {name}",
             f"python FOLDER/{FILE} OPENPI/scripts/train.py {name} --exp-name first",
             f"cp FOLDER/{FILE} FOLDER/vlagents.json checkpoints/{name}/first/STEP",
@@ -108,7 +108,7 @@ def _delta_mask(contents: Contents) -> list[bool] | None:
     return mask or None
 
 
-_TEXT = '''"""openpi's config of a dataset, written by `rcs data recipe openpi`.
+_TEXT = '''"""openpi's config of a dataset, written by `rcs-data recipe openpi`.
 
     python openpi_config.py OPENPI/scripts/compute_norm_stats.py --config-name ${name}
     python openpi_config.py OPENPI/scripts/train.py ${name} --exp-name first

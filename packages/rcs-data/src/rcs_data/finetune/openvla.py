@@ -37,7 +37,7 @@ def openvla(contents: Contents) -> Written:
         files={FILE: text, "vlagents.json": settings},
         export_format="rlds",
         steps=(
-            f"rcs data export DATASET --format rlds --name {contents.name} --out EXPORTS",
+            f"rcs-data export DATASET --format rlds --name {contents.name} --out EXPORTS",
             f"cd OPENVLA && torchrun --standalone --nproc-per-node 1 FOLDER/{FILE} vla-scripts/finetune.py "
             f"--vla_path openvla/openvla-7b --data_root_dir EXPORTS --dataset_name {contents.name} --run_root_dir RUNS",
             "vlagents serve openvla --checkpoint RUNS/RUN --settings FOLDER/vlagents.json",
@@ -45,7 +45,7 @@ def openvla(contents: Contents) -> Written:
     )
 
 
-_TEXT = '''"""OpenVLA's registration of a dataset, written by `rcs data recipe openvla`.
+_TEXT = '''"""OpenVLA's registration of a dataset, written by `rcs-data recipe openvla`.
 
     torchrun --standalone --nproc-per-node 1 openvla_dataset.py vla-scripts/finetune.py --dataset_name ${name} ...
 """

@@ -16,7 +16,7 @@ class Written:
     files: Mapping[str, str]
     """Text by file name."""
     export_format: str
-    """Format of `rcs data export` that the trainer reads."""
+    """Format of `rcs-data export` that the trainer reads."""
     steps: tuple[str, ...]
     """Commands, in order; FOLDER is where the files are, and words in capitals are yours to fill in."""
 

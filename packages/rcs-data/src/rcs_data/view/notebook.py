@@ -17,7 +17,7 @@ def dataset_html(dataset: Dataset) -> str:
     shown = dataset.episodes[:_MOST_EPISODES]
     rows = table([_cells(record) for record in shown], ("episode", "outcome", "steps", "first frames"))
     more = len(dataset) - len(shown)
-    rest = element("p", f"and {more} more; ", element("code", "rcs data view"), " shows all.") if more > 0 else None
+    rest = element("p", f"and {more} more; ", element("code", "rcs-data view"), " shows all.") if more > 0 else None
     facts = f"{len(dataset)} episodes at {dataset.info.frequency:g} Hz"
     name = element("b", dataset.path.resolve().name)
     return joined([element("p", name, f": {dataset.info.instruction}", element("br"), facts), rows, rest])

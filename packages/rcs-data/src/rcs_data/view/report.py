@@ -24,7 +24,7 @@ _CLIPS = ClipOptions(height=224, quality=30, whole_frame_every=30)
 # So many of the first episodes, and of all episodes that failed, are in the page with clips and curves.
 _FIRST_IN_DETAIL = 60
 _MOST_IN_DETAIL = 120
-_LEFT_OUT = "was left out, but for its outcome, to keep this file small; `rcs data view` shows all episodes."
+_LEFT_OUT = "was left out, but for its outcome, to keep this file small; `rcs-data view` shows all episodes."
 _EPISODES_HERE = Html("<!-- episodes -->")
 
 
