@@ -165,15 +165,16 @@ WHEEL := build/wheel
 
 test-wheel: build
 	@echo "==> Building a wheel and running it in an environment of its own"
-	@rm -rf $(WHEEL) && $(PIP) wheel --no-build-isolation --no-deps --wheel-dir $(WHEEL) .
+	@rm -rf $(WHEEL) packages/*/build && $(PIP) wheel --no-build-isolation --no-deps --wheel-dir $(WHEEL) .
 	@$(PIP) wheel --no-deps --wheel-dir $(WHEEL) packages/rcs-data
 	@$(BIN)/python -m venv $(WHEEL)/venv
 	@$(WHEEL)/venv/bin/python -m pip -qq --disable-pip-version-check install -c constraints.txt $(WHEEL)/*.whl
 	@$(WHEEL)/venv/bin/python -I tools/smoke.py
-	@echo "==> Running the wheel of rcs-data by itself, with the oldest Python at hand and an old NumPy"
-	@python=$$(for one in python3.10 python3.11 $(BIN)/python; do $$one -c '' 2>/dev/null && echo $$one && break; done) && \
-	  $$python -m venv $(WHEEL)/data && \
-	  $(WHEEL)/data/bin/python -m pip -qq --disable-pip-version-check install $(WHEEL)/rcs_data-*.whl 'numpy<2' 'pyarrow<26' && \
+	@echo "==> Running the wheel of rcs-data by itself: with the oldest Python at hand and the oldest packages that it takes"
+	@oldest=$$(sed -n 's/^  "\([a-z0-9-]*\)>=\([0-9.]*\)".*/\1==\2/p' packages/rcs-data/pyproject.toml) && \
+	  for python in python3.10 python3.11; do $$python -m venv $(WHEEL)/data 2>/dev/null && break; done || \
+	  { $(BIN)/python -m venv $(WHEEL)/data && oldest=; echo "    No Python 3.10 or 3.11: with this one, and the newest packages"; }; \
+	  $(WHEEL)/data/bin/python -m pip -qq --disable-pip-version-check install $(WHEEL)/rcs_data-*.whl $$oldest && \
 	  $(WHEEL)/data/bin/python -I tools/smoke_data.py
 
 # A line per reader: its environment, the program that reads, what it reads. Left where they are: environments, data.

@@ -128,9 +128,7 @@ class ParquetSource:
         data[begin:] = data[begin:].replace(b"ARROW:schema", b"arrow:schema")
         source = ParquetSource(self._name, pq.ParquetFile(pa.BufferReader(data)), self._size, self._read)
         parts = [
-            pa.Table.from_arrays(
-                [_fixed(column, kind) for column, kind in zip(batch.columns, schema.types, strict=True)], schema=schema
-            )
+            pa.Table.from_arrays([_fixed(batch.column(field.name), field.type) for field in schema], schema=schema)
             for batch in source.batches(names, groups)
         ]
         return pa.concat_tables([schema.empty_table(), *parts]).combine_chunks()

@@ -46,6 +46,8 @@ _MENDING: dict[VideoCodec, tuple[dict[str, str], ...]] = {
 # Packets, and their bytes, that are kept until they are compared: a long video takes no more memory than a short one.
 _AT_A_TIME = 256
 _BYTES_AT_A_TIME = 16 << 20
+ONE_THREAD: dict[str, Any] = {"threads": 1} if int(av.__version__.partition(".")[0]) >= 17 else {}
+"""Options of PyAV's `reformat`, which used one thread before it had a choice."""
 _BLOCK = 16
 # Mean squared error of a block, of 255: 25 dB. Without the bug, the worst of 1 354 frames had 30 dB.
 LARGEST_ERROR = 255**2 / 10**2.5
@@ -95,14 +97,14 @@ def yuv_frames(images: Iterable[NDArray[Any]], format_: str, fps: int) -> Iterat
     reformatter = VideoReformatter()  # one for all frames, and one thread: each frame's own would start several
     for number, image in enumerate(images):
         rgb = av.VideoFrame.from_numpy_buffer(np.ascontiguousarray(image), format="rgb24")
-        frame = reformatter.reformat(rgb, format=format_, interpolation=Interpolation.AREA, threads=1)
+        frame = reformatter.reformat(rgb, format=format_, interpolation=Interpolation.AREA, **ONE_THREAD)
         frame.pts, frame.time_base = number, Fraction(1, fps)
         yield frame
 
 
 def rgb_image(frame: av.VideoFrame, reformatter: VideoReformatter) -> NDArray[np.uint8]:
     """Return a decoded frame as RGB, (H, W, 3) uint8."""
-    rgb = reformatter.reformat(frame, format="rgb24", interpolation=_ACCURATE, threads=1)
+    rgb = reformatter.reformat(frame, format="rgb24", interpolation=_ACCURATE, **ONE_THREAD)
     return np.asarray(rgb.to_ndarray(), np.uint8)
 
 

@@ -20,6 +20,7 @@ from rcs_data.feature import Feature
 from rcs_data.flags import camera_of
 from rcs_data.info import DatasetInfo
 from rcs_data.output import OnProgress
+from rcs_data.video_codec import ONE_THREAD
 
 _SINGLE = ("time/frames/", "flags/frames/")
 
@@ -148,7 +149,7 @@ def scaled(image: NDArray[Any], feature: Feature) -> NDArray[Any]:
     height, width = feature.shape[:2]
     if image.ndim == 3:
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
-        return VideoReformatter().reformat(frame, width, height, interpolation="AREA", threads=1).to_ndarray()
+        return VideoReformatter().reformat(frame, width, height, interpolation="AREA", **ONE_THREAD).to_ndarray()
     rows = (np.arange(height) * image.shape[0] // height).astype(np.intp)
     columns = (np.arange(width) * image.shape[1] // width).astype(np.intp)
     return np.ascontiguousarray(image[rows[:, None], columns])

@@ -79,6 +79,8 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
     import av  # half a tenth of a second to import, for those who look only
     from av.video.reformatter import VideoReformatter
 
+    from rcs_data.video_codec import ONE_THREAD
+
     is_colour = feature.shape[-1:] == (3,) and len(feature.shape) == 3
     limits = None if is_colour or feature.encoding == "labels" else _limits(episode, feature)
     encoder, fixed = _ENCODERS[options.codec]
@@ -93,7 +95,7 @@ def write_clip(episode: EpisodeRecord, feature: Feature, path: Path, options: Cl
         for row, image in enumerate(_images(episode, feature, limits, rows)):
             frame = av.VideoFrame.from_ndarray(image, format="rgb24")
             frame = reformatter.reformat(
-                frame, columns, rows, "yuv420p", interpolation="AREA", dst_colorspace="ITU601", threads=1
+                frame, columns, rows, "yuv420p", interpolation="AREA", dst_colorspace="ITU601", **ONE_THREAD
             )
             frame.pts, frame.time_base = row, 1 / rate
             container.mux(stream.encode(frame))
