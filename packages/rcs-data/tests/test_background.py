@@ -173,7 +173,7 @@ def test_all_episodes_together_are_bounded(tmp_path: Path, monkeypatch: pytest.M
 
 def test_an_array_that_nobody_can_write_to_is_taken_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[Any] = []
-    monkeypatch.setattr("rcs_data.background.encode_frame", lambda *given: seen.append(given[1]) or b"")
+    monkeypatch.setattr("rcs_data.background.encode_frame", lambda *given: seen.append(given[1]) or b"\xff\xd8\xff\xd9")
     frozen, (row,) = np.zeros(SHAPE, np.uint8), rows(1)
     view = frozen.view()
     frozen.flags.writeable = view.flags.writeable = False

@@ -100,3 +100,14 @@ def test_an_image_may_come_as_the_bytes_of_another_recording(buffer: RowBuffer, 
     assert buffer.take().column(key)[0].as_py() == stored
     with pytest.raises(InvalidSetup, match="observation/joints"):
         buffer.add({**row, "observation/joints": b"\0" * 24}, np.zeros(STATE))
+
+
+@pytest.mark.parametrize("given", [b"", bytes(16 * 24 * 3), b"\xff\xd8 cut short", b"\x89PNG\r\n\x1a\n"])
+def test_bytes_that_are_no_file_of_the_encoding_are_refused(
+    buffer: RowBuffer, make_rows: MakeRows, given: bytes
+) -> None:
+    row = make_rows(2, images=True)[1]
+    for key in ("observation/frames/wrist/rgb", "observation/frames/wrist/depth"):
+        with pytest.raises(InvalidSetup, match=f"{key}.* {len(given)} bytes that are no file of its encoding"):
+            buffer.add({**row, key: given}, np.zeros(STATE))
+    assert buffer.rows == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+import os
 import pickle
 import sys
 from multiprocessing.reduction import ForkingPickler
@@ -240,3 +241,19 @@ def test_without_torch_the_message_says_what_to_install(windows: Windows, monkey
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(MissingDependency, match=r"rcs-data\[torch\]"):
         TorchDataset(windows)
+
+
+@pytest.mark.extras
+def test_a_fork_that_is_done_with_a_batch_leaves_it_to_its_parent(windows: Windows) -> None:
+    batches = iter(loader(TorchDataset(windows), num_workers=1))
+    batch = next(batches)
+    before = batch["images"]["wrist"].clone()
+    child = os.fork()
+    if child == 0:
+        batch.clear()
+        gc.collect()
+        os._exit(0)
+    os.waitpid(child, 0)
+    for _ in range(6):
+        next(batches)
+    assert importlib.import_module("torch").equal(batch["images"]["wrist"], before)

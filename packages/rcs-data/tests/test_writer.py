@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -189,3 +190,36 @@ def test_any_path_will_do(tmp_path: Path, make_info: MakeInfo, record: Record) -
     assert episode.id == "erster Versuch – größer"
     assert episode.instruction == "Greife den Würfel 🎲"
     assert check(path).is_ok
+
+
+def test_a_fork_has_no_part_in_what_its_parent_records(
+    tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows
+) -> None:
+    rows = make_rows(4)
+    with DatasetWriter.open(tmp_path, make_info()) as writer:
+        episode = writer.episode("a", seed=0)
+        for row in rows[:3]:
+            episode.add(row, np.zeros(STATE))
+        child = os.fork()
+        if child == 0:
+            refused = 0
+            for call in (
+                lambda: episode.add(rows[3], np.zeros(STATE)),
+                lambda: episode.finish(True),
+                lambda: episode.abort("for no reason"),
+                episode.discard,
+                lambda: writer.episode("b", seed=1),
+            ):
+                try:
+                    call()
+                except DatasetError as err:
+                    refused += "DatasetWriter.join" in str(err)
+            with episode:
+                pass
+            writer.close()
+            os._exit(refused)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 5
+        episode.add(rows[3], np.zeros(STATE))
+        episode.finish(True)
+    assert [(each.id, each.length) for each in Dataset.open(tmp_path)] == [("a", 4)]
+    assert check(tmp_path).is_ok

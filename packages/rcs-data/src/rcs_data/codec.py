@@ -26,7 +26,8 @@ from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo, Subsampling
 
 _PNG, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND"
-_QOI = b"qoif"
+_JPEG, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
+_QOI, _QOI_END = b"qoif", b"\0\0\0\0\0\0\0\1"
 
 
 def encode_frame(feature: Feature, image: NDArray[Any], info: DatasetInfo) -> bytes:
@@ -65,6 +66,25 @@ def decode_frame(feature: Feature, data: bytes, out: NDArray[Any] | None = None)
         return image
     out[...] = image
     return out
+
+
+def is_file(feature: Feature, data: bytes) -> bool:
+    """Return whether bytes begin and end like a file of an image feature's encoding; its pixels are not looked at."""
+    if feature.colour is None:
+        return _is_png(data)
+    return (feature.encoding != "lossless" and _is_jpeg(data)) or (feature.encoding != "jpeg" and _is_qoi(data))
+
+
+def _is_jpeg(data: bytes) -> bool:
+    return data[:2] == _JPEG and data[-2:] == _JPEG_END
+
+
+def _is_qoi(data: bytes) -> bool:
+    return data[:4] == _QOI and data[-8:] == _QOI_END
+
+
+def _is_png(data: bytes) -> bool:
+    return data[:8] == _PNG and data[-8:-4] == _PNG_END
 
 
 def blank_frame(feature: Feature, info: DatasetInfo) -> bytes:
@@ -112,7 +132,7 @@ def decode_jpeg(data: bytes, shape: tuple[int, ...], out: NDArray[np.uint8] | No
     """
     target = pixel_buffer(shape) if out is None else out
     # The decoder itself takes a file that was cut short and fills the rest with grey.
-    if data[:2] != b"\xff\xd8" or data[-2:] != b"\xff\xd9":
+    if not _is_jpeg(data):
         raise CorruptEpisode(f"The {len(data)} bytes are not a whole JPEG.")
     try:
         image = simplejpeg.decode_jpeg(data, "RGB", fastdct=False, fastupsample=False, strict=True, buffer=target)
@@ -165,7 +185,7 @@ def decode_lossless(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     Raises:
         CorruptEpisode: The bytes are not a whole QOI file of this shape.
     """
-    if data[:4] != _QOI or data[-8:] != b"\0\0\0\0\0\0\0\1":
+    if not _is_qoi(data):
         raise CorruptEpisode(f"The {len(data)} bytes are not a whole QOI file.")
     return _decode("qoi", "rgb24", data, data[4:12], shape)
 
@@ -198,7 +218,7 @@ def decode_depth(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint16]:
     Raises:
         CorruptEpisode: The bytes are not a whole PNG file of 16 bits and this shape.
     """
-    if data[:8] != _PNG or data[-8:-4] != _PNG_END:
+    if not _is_png(data):
         raise CorruptEpisode(f"The {len(data)} bytes are not a whole PNG file.")
     return _decode("png", "gray16be", data, data[16:24], shape)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Callable, Mapping
 from datetime import datetime, timezone
@@ -62,6 +63,7 @@ class EpisodeWriter:
             raise InvalidSetup(f"The seed is {seed}; valid are whole numbers below 2 ** 128.")
         self.id = episode_id
         self.state: State = "open"
+        self._process = os.getpid()
         self.end: Callable[[str], object] = self.abort
         """Ends the episode when its dataset is closed, given a reason; a thread that adds rows sets its own."""
         self._journal = journal
@@ -188,6 +190,7 @@ class EpisodeWriter:
         """
         if self.state == "discarded":
             return
+        refuse_fork(self._process, f"discard episode {self.id!r}")
         if self.state == "finished":
             raise DatasetError(f"Episode {self.id!r} is finished and cannot be discarded.")
         self._stream.close()
@@ -220,7 +223,7 @@ class EpisodeWriter:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
         """Abort the episode unless it is finished or discarded."""
-        if self.state == "open":
+        if self.state == "open" and self._process == os.getpid():
             self.abort("left without finish" if kind is None else f"{kind.__name__}: {error}")
 
     def _flush(self) -> None:
@@ -244,6 +247,24 @@ class EpisodeWriter:
     def _check_open(self, doing: str) -> None:
         if self.state != "open":
             raise DatasetError(f"Cannot {doing}: episode {self.id!r} is {self.state}.")
+        refuse_fork(self._process, f"{doing} of episode {self.id!r}")
+
+
+def refuse_fork(process: int, doing: str) -> None:
+    """Refuse what a forked process does with a writer of its parent, with which it shares files and what is buffered.
+
+    Args:
+        process: Whose the writer is.
+        doing: What is refused, in words.
+
+    Raises:
+        DatasetError: This is another process.
+    """
+    if os.getpid() != process:
+        raise DatasetError(
+            f"Cannot {doing}: the writer is that of process {process}, and process {os.getpid()} is a fork of it. "
+            "Use DatasetWriter.join here."
+        )
 
 
 def _now() -> str:

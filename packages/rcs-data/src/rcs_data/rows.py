@@ -10,15 +10,15 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from rcs_data.codec import encode_frame
+from rcs_data.codec import encode_frame, is_file
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.flags import FrameFlag, companion
 from rcs_data.info import DatasetInfo
 
 Value = NDArray[Any] | np.generic | float | bool | bytes | None
-"""A value in a row; None where nothing was measured or no image is new. An image may also be given as bytes, as stored
-in another recording with the same feature."""
+"""A value in a row; None where nothing was measured or no image is new. An image may also be the bytes of a file in the
+encoding of its feature."""
 
 _CAPACITY = 64
 
@@ -189,6 +189,11 @@ def _check_value(feature: Feature, value: Value, is_first: bool) -> None:
             "since it is the reset observation, which no action precedes."
         )
     if feature.is_image and isinstance(value, bytes):
+        if not is_file(feature, value):
+            raise InvalidSetup(
+                f"{feature.key!r} is {len(value)} bytes that are no file of its encoding, {feature.encoding!r}; give "
+                f"such a file, whole, or an array, {feature.shape} {feature.dtype}."
+            )
         return
     if isinstance(value, np.ndarray):
         if value.shape != feature.shape or value.dtype != feature.dtype:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 import importlib
 import math
+import os
 import weakref
 from collections.abc import Sequence
 from typing import Any
@@ -122,9 +123,10 @@ def _received(block: Any, dtype: Any, shape: tuple[int, ...], strides: tuple[int
     memory = block.numpy()
     values = memory[: math.prod(shape) * dtype.itemsize]
     # As above: `values` is gone when the last tensor on it is.
-    weakref.finalize(values, _give_back, memory).atexit = False
+    weakref.finalize(values, _give_back, memory, os.getpid()).atexit = False
     return torch.from_numpy(values).view(dtype).as_strided(shape, strides)
 
 
-def _give_back(memory: NDArray[np.uint8]) -> None:
-    memory[-1] = _FREE
+def _give_back(memory: NDArray[np.uint8], receiver: int) -> None:
+    if os.getpid() == receiver:  # and not a fork of it, which is done with its copy of the tensor
+        memory[-1] = _FREE

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
+import os
 from contextlib import ExitStack
 from pathlib import Path
 
 from rcs_data.adopt import Files, adopt
 from rcs_data.closing import Closing
 from rcs_data.durable import disk_errors, remove_folder
-from rcs_data.episode_writer import EpisodeWriter
+from rcs_data.episode_writer import EpisodeWriter, refuse_fork
 from rcs_data.errors import DatasetError
 from rcs_data.info import DatasetInfo, differences
 from rcs_data.journal import Journal
@@ -51,6 +52,7 @@ class DatasetWriter(Closing):
         self._lock = lock
         self._open: list[EpisodeWriter] = []
         self._is_closed = False
+        self._process = os.getpid()
 
     @classmethod
     def open(
@@ -118,8 +120,7 @@ class DatasetWriter(Closing):
             InvalidSetup: The id cannot be the name of a folder.
             DatasetError: An episode has this name, the writer is closed, or the disk fails.
         """
-        if self._is_closed:
-            raise DatasetError(f"Cannot start episode {episode_id!r}: the writer of {self.path} is closed.")
+        self._require_open(f"start episode {episode_id!r}")
         words = self.info.instruction if instruction is None else instruction
         writer = EpisodeWriter(self._journal, self.info, episode_id, seed, words)
         self._open = [other for other in self._open if other.state == "open"]
@@ -138,8 +139,7 @@ class DatasetWriter(Closing):
             CorruptEpisode: The files are not what was written, or not those of this episode of such a dataset.
             DatasetError: An episode has this name, the writer is closed, or the disk fails.
         """
-        if self._is_closed:
-            raise DatasetError(f"Cannot take in episode {episode_id!r}: the writer of {self.path} is closed.")
+        self._require_open(f"take in episode {episode_id!r}")
         adopt(self._journal, self.info, episode_id, files)
 
     def discard_leftover(self, episode_id: str) -> bool:
@@ -178,15 +178,25 @@ class DatasetWriter(Closing):
                 remove_folder(folder, new_trash_folder(self.path, entry.folder))
 
     def close(self) -> None:
-        """Abort the open episodes and give the lock back, whatever fails; calling it twice is harmless."""
+        """Abort the open episodes and give the lock back, whatever fails; calling it twice is harmless.
+
+        In a fork of the process that opened the dataset, nothing is aborted.
+        """
         if self._is_closed:
             return
         self._is_closed = True
+        if self._process != os.getpid():
+            return
         with ExitStack() as last_to_first:
             last_to_first.callback(self._lock.release)
             for episode in self._open:
                 if episode.state == "open":
                     last_to_first.callback(episode.end, "its dataset was closed")
+
+    def _require_open(self, doing: str) -> None:
+        if self._is_closed:
+            raise DatasetError(f"Cannot {doing}: the writer of {self.path} is closed.")
+        refuse_fork(self._process, doing)
 
 
 def _refuse_strangers(root: Path) -> None:
