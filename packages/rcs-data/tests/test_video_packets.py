@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -33,6 +34,7 @@ from rcs_data.about import read_about
 from rcs_data.convert.lerobot import export_lerobot
 from rcs_data.convert.lerobot_import import import_lerobot
 from rcs_data.convert.options import ExportOptions, ImportOptions
+from rcs_data.convert.video import VideoReader
 from rcs_data.durable import sealed, write_file
 from rcs_data.errors import CorruptEpisode, InvalidSetup
 from rcs_data.flags import FrameFlag
@@ -312,6 +314,90 @@ def test_export_to_lerobot_and_back(tmp_path: Path) -> None:
     small = import_lerobot(tmp_path / "out", tmp_path / "small", ImportOptions(video="av1"))
     assert small.info.feature(SIDE).encoding == small.info.feature(WRIST).encoding == "av1"
     assert small.info.feature(DEPTH).encoding == "depth"
+
+
+def muxed(folder: Path, camera: str) -> list[bytes]:
+    """Return the packets of a camera's videos in an export."""
+    packets: list[bytes] = []
+    for path in sorted(folder.glob(f"videos/**/*{camera}/**/*.mp4")):
+        with av.open(str(path)) as source:
+            packets += [bytes(packet) for packet in source.demux(video=0) if packet.pts is not None]
+    return packets
+
+
+@pytest.mark.parametrize("version", ["3.0", "2.1"])
+def test_av1_goes_to_lerobot_and_back_and_there_again_packet_by_packet(tmp_path: Path, version: Any) -> None:
+    for length in (41, 20):
+        record(tmp_path / "set", length, codec="av1")
+    dataset, options = Dataset.open(tmp_path / "set"), ExportOptions(codec="av1", cameras=("side",))
+    export_lerobot(dataset, tmp_path / "out", options, version=version)
+    packets = [data[5:].removeprefix(b"\x12\0") for episode in dataset for data in stored(episode, SIDE)[:-1] if data]
+    assert muxed(tmp_path / "out", "side") == packets
+    back = import_lerobot(tmp_path / "out", tmp_path / "back")
+    assert check(tmp_path / "back", workers=1).is_ok
+    for one, other in zip(dataset, back, strict=True):
+        assert stored(other, SIDE)[:-1] == stored(one, SIDE)[:-1]
+        np.testing.assert_array_equal(other.column(SIDE)[:-1], one.column(SIDE)[:-1])
+    export_lerobot(back, tmp_path / "again", options, version=version)
+    for name in (path.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("*.mp4")):
+        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_videos_of_others_stay_as_they_are(tmp_path: Path, codec: Any) -> None:
+    record(tmp_path / "set", 40, codec="h264")
+    export_lerobot(Dataset.open(tmp_path / "set"), tmp_path / "out", ExportOptions(codec=codec))
+    (tmp_path / "out" / "meta" / "rcs.json").unlink()
+    (video,) = (tmp_path / "out").glob("videos/*side/**/*.mp4")
+    frames = list(VideoReader(video).frames(0.0, 39, 30))
+    back = import_lerobot(tmp_path / "out", tmp_path / "back", ImportOptions(video=codec)).episodes[0]
+    key = next(feature.key for feature in back.info.features if "side" in feature.key and feature.is_image)
+    assert all(map(video_packets.is_packet, filter(None, stored(back, key))))
+    np.testing.assert_array_equal(back.column(key)[:-1], frames)
+    assert check(tmp_path / "back", workers=1).is_ok
+    access = FrameAccess()
+    for row in (38, 3, 17, 2, 1, 0):
+        np.testing.assert_array_equal(access.frame(back, key, row), frames[row])
+    export_lerobot(Dataset.open(tmp_path / "back"), tmp_path / "again", ExportOptions(codec=codec))
+    (again,) = (tmp_path / "again").glob("videos/*side/**/*.mp4")
+    np.testing.assert_array_equal(list(VideoReader(again).frames(0.0, 39, 30)), frames)
+    edit.trim(tmp_path / "back", back.id, first=1)
+    export_lerobot(Dataset.open(tmp_path / "back"), tmp_path / "shorter", ExportOptions(codec=codec))
+    (shorter,) = (tmp_path / "shorter").glob("videos/*side/**/*.mp4")
+    assert min(psnr(a, b) for a, b in zip(VideoReader(shorter).frames(0.0, 38, 30), frames[1:], strict=True)) > 35
+
+
+def test_videos_whose_key_frames_are_far_apart_are_encoded_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record(tmp_path / "set", 40, codec="av1")
+    options = {"g": "12", "bf": "0"}
+    with monkeypatch.context() as patch:
+        patch.setattr("rcs_data.video_codec.OPTIONS", {"h264": options, "av1": {}})
+        patch.setattr("rcs_data.convert.video.OPTIONS", {"h264": options, "av1": {}})
+        export_lerobot(Dataset.open(tmp_path / "set"), tmp_path / "out", ExportOptions(codec="h264", cameras=("side",)))
+    back = import_lerobot(tmp_path / "out", tmp_path / "back", ImportOptions(video="h264")).episodes[0]
+    packets = stored(back, SIDE)[:-1]
+    assert sum(video_packets.follows(data or b"") for data in packets) == 19
+    assert muxed(tmp_path / "out", "side") != [data[5:] for data in packets if data]
+    assert min(psnr(image, picture(row)) for row, image in enumerate(list(back.frames(SIDE))[:-1])) > 30
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_a_damaged_video_is_told_or_was_not_hurt(tmp_path: Path, codec: Any) -> None:
+    record(tmp_path / "set", 12, codec="av1")
+    export_lerobot(Dataset.open(tmp_path / "set"), tmp_path / "out", ExportOptions(codec=codec, cameras=("side",)))
+    (video,) = (tmp_path / "out").glob("videos/*side/**/*.mp4")
+    whole, rng, told = video.read_bytes(), np.random.default_rng(0), 0
+    for number in range(60):
+        damaged = bytearray(whole)
+        damaged[int(rng.integers(len(whole)))] ^= 1 << int(rng.integers(8))
+        video.write_bytes(damaged)
+        try:
+            import_lerobot(tmp_path / "out", tmp_path / f"{number}", ImportOptions(video=codec))
+        except CorruptEpisode:
+            told += 1
+    assert told
 
 
 def test_rows_may_be_given_as_files_of_another_dataset(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.flags import FrameFlag, companion
 from rcs_data.info import DatasetInfo
+from rcs_data.video_packets import is_whole_packet
 
 Value = NDArray[Any] | np.generic | float | bool | bytes | None
 """A value in a row; None where nothing was measured or no image is new. An image may also be the bytes of a file in the
@@ -189,7 +190,7 @@ def _check_value(feature: Feature, value: Value, is_first: bool) -> None:
             "since it is the reset observation, which no action precedes."
         )
     if feature.is_image and isinstance(value, bytes):
-        if not is_file(feature, value):
+        if not is_file(feature, value) and not (feature.video is not None and is_whole_packet(value)):
             raise InvalidSetup(
                 f"{feature.key!r} is {len(value)} bytes that are no file of its encoding, {feature.encoding!r}; give "
                 f"such a file, whole, or an array, {feature.shape} {feature.dtype}."

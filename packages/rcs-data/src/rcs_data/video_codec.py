@@ -27,11 +27,12 @@ from av.video.reformatter import Interpolation, VideoReformatter
 from numpy.typing import NDArray
 
 from rcs_data.errors import CorruptEpisode, DatasetError
-from rcs_data.video_format import VideoCodec, stored_pixel_format
+from rcs_data.video_format import VideoCodec, pixel_format, stored_pixel_format
 
 ENCODERS: dict[VideoCodec, str] = {"h264": "libx264", "av1": "libsvtav1"}
 """FFmpeg's names of the encoders."""
-_DECODERS: dict[VideoCodec, str] = {"h264": "h264", "av1": "libdav1d"}
+DECODERS: dict[VideoCodec, tuple[str, ...]] = {"h264": ("h264",), "av1": ("libdav1d", "av1")}
+"""FFmpeg's names of the decoders; the first is used here."""
 # One thread each, since episodes are encoded in parallel, and the result must not depend on the number of cores.
 OPTIONS: dict[VideoCodec, dict[str, str]] = {
     "h264": {"preset": "superfast", "crf": "18", "g": "2", "bf": "0"},
@@ -145,7 +146,7 @@ def encoded_in_parts(
 
 def open_decoder(shape: tuple[int, ...], codec: VideoCodec) -> Any:
     """Return a decoder of packets with their own headers, which refuses larger images than those of a shape."""
-    decoder: Any = av.CodecContext.create(_DECODERS[codec], "r")
+    decoder: Any = av.CodecContext.create(DECODERS[codec][0], "r")
     most = (shape[0] + _LARGEST_BLOCK) * (shape[1] + _LARGEST_BLOCK)
     decoder.thread_count, decoder.options = 1, {"err_detect": "crccheck+explode", "max_pixels": str(most)}
     return decoder
@@ -161,9 +162,9 @@ def decode_packet(decoder: Any, packet: bytes, shape: tuple[int, ...], codec: Vi
         (frame,) = decoder.decode(av.Packet(packet))
     except (FFmpegError, ValueError) as err:
         raise CorruptEpisode(f"The {len(packet)} bytes of {codec} do not decode to an image: {err}.") from err
-    form = frame.height, frame.width, frame.format.name
-    if form != (*shape[:2], stored_pixel_format(shape[0], shape[1], codec)):
-        raise CorruptEpisode(f"The image is {form}; expected {shape}.")
+    formats = stored_pixel_format(shape[0], shape[1], codec), pixel_format(shape[0], shape[1], codec)
+    if (frame.height, frame.width) != shape[:2] or frame.format.name not in formats:
+        raise CorruptEpisode(f"The image is {frame.height} x {frame.width} {frame.format.name}; expected {shape}.")
     return frame
 
 
@@ -171,7 +172,7 @@ def _encoded(
     encoder: Any, codec: VideoCodec, frames: Iterable[av.VideoFrame]
 ) -> Iterator[tuple[av.VideoFrame, Any, bool]]:
     """Yield each frame, its packet, and whether it decodes to what it was."""
-    decoder: Any = av.CodecContext.create(_DECODERS[codec], "r")
+    decoder: Any = av.CodecContext.create(DECODERS[codec][0], "r")
     decoder.extradata = encoder.extradata
     decoder.thread_count = 1
     given: deque[av.VideoFrame] = deque()

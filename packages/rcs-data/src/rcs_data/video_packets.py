@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -60,6 +61,36 @@ def stored_packet(packet: bytes, is_key: bool) -> bytes:
 def is_packet(data: bytes) -> bool:
     """Return whether a stored image is a packet; otherwise, it is a file."""
     return data[:1] in (_KEY, _NEXT)
+
+
+def is_whole_packet(data: bytes) -> bool:
+    """Return whether bytes are what `stored_packet` returned."""
+    return is_packet(data) and zlib.crc32(data[_HEAD:]) == int.from_bytes(data[1:_HEAD], "little")
+
+
+def bare_packet(data: bytes) -> tuple[bytes, bool]:
+    """Return the packet that is stored, and whether it is a key frame."""
+    return data[_HEAD:], data[:1] == _KEY
+
+
+def kept_packets(
+    feature: Feature, frames: Iterable[tuple[NDArray[np.uint8], bytes, bool]]
+) -> Iterator[bytes | NDArray[np.uint8]]:
+    """Yield images of another video as its packets, where they can be stored; otherwise as they are.
+
+    Args:
+        feature: One of a video with the same codec.
+        frames: Of each image the pixels, the packet that they came from, and whether that is a key frame.
+    """
+    decoder = VideoDecoder(feature)
+    for image, packet, is_key in frames:
+        stored = stored_packet(packet, is_key)
+        with suppress(CorruptEpisode):
+            if np.array_equal(decoder.decode(stored), image):
+                yield stored
+                continue
+        decoder.last = None
+        yield image
 
 
 def follows(data: bytes) -> bool:
@@ -136,7 +167,7 @@ class VideoDecoder:
         before, self.last = self.last, None
         codec, packet = self._feature.video, data[_HEAD:]
         assert codec is not None, "of a video"
-        if not is_packet(data) or zlib.crc32(packet) != int.from_bytes(data[1:_HEAD], "little"):
+        if not is_whole_packet(data):
             raise CorruptEpisode(f"The {len(data)} bytes are not a packet of {codec} as it was written.")
         if follows(data) and before is None:
             raise CorruptEpisode("The key frame before it is missing or damaged.")

@@ -34,8 +34,9 @@ from rcs_data.convert.lerobot_writer import EncodedEpisode, V3Writer, V21Writer,
 from rcs_data.convert.observations import export_report
 from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
-from rcs_data.convert.video import encode_depth_video, encode_video
+from rcs_data.convert.video import copy_video, encode_depth_video, encode_video
 from rcs_data.errors import InvalidSetup
+from rcs_data.feature import Feature
 from rcs_data.output import new_output
 from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.trajectory import step_frames
@@ -136,14 +137,13 @@ class _Job:
             texts["subtask_index"] = np.array([self.subtasks[text] for text in subtasks])
         arrays = self.layout.arrays(episode, index=index, first=first, texts=texts)
         numbers = {name: values for name, values in arrays.items() if self.layout.numbers[name][0] != TEXT}
-        histograms = {name: ImageHistogram(episode.length - 1) for name in self.layout.cameras}
+        histograms: dict[str, ImageHistogram] = {}
         folder = self.root / _TEMPORARY
         folder.mkdir(exist_ok=True)
         videos: dict[str, Path] = {}
         for name, feature in self.layout.cameras.items():
             videos[name] = folder / f"{index}.{name}.mp4"
-            frames = _counted(step_frames(episode, feature.key), histograms[name])
-            encode_video(videos[name], frames, feature.shape, self.layout.fps, self.layout.codec)
+            histograms[name] = self._film(episode, feature, videos[name])
         for camera, feature in self.layout.depths.items():
             path = self.root / depth_path(camera, index)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -158,6 +158,25 @@ class _Job:
             numbers=numbers,
             histograms=histograms,
         )
+
+    def _film(self, episode: EpisodeRecord, feature: Feature, path: Path) -> ImageHistogram:
+        """Write the video of a camera, as it is stored where that can be, and return the histogram of its images."""
+        form = feature.shape, self.layout.fps, self.layout.codec
+        if feature.video == self.layout.codec:
+            histogram = ImageHistogram(episode.length - 1)
+            images = _counted(step_frames(episode, feature.key), histogram)
+            if copy_video(path, _packets(episode, feature.key), images, *form):
+                return histogram
+        histogram = ImageHistogram(episode.length - 1)
+        encode_video(path, _counted(step_frames(episode, feature.key), histogram), *form)
+        return histogram
+
+
+def _packets(episode: EpisodeRecord, key: str) -> Iterator[bytes]:
+    """Yield the image of each step as it is stored; nothing for one that repeats the one before it."""
+    for rows in episode.rows(stop=episode.length - 1, packets=True):
+        for image in rows.column(key):
+            yield image.as_py() or b""
 
 
 def _numbered(episodes: Iterable[EpisodeRecord], layout: LeRobotLayout, key: str) -> dict[str, int]:

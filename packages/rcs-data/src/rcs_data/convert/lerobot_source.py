@@ -76,7 +76,7 @@ class SourceEpisode:
     def images(
         self, name: str, feature: Feature, readers: dict[str, VideoReader], fps: float
     ) -> Iterator[NDArray[np.uint8] | bytes]:
-        """Yield the images of a column one by one: JPEG files as they are where the feature keeps such, else arrays.
+        """Yield the images of a column one by one: as they are where the feature keeps such, else as arrays.
 
         Args:
             name: The column.
@@ -87,8 +87,14 @@ class SourceEpisode:
         Raises:
             CorruptEpisode: An image is missing, damaged, or of another shape.
         """
-        # A native feature of videos could take the source's packets here, without decoding.
-        for given in self._stored(name) if name not in self.videos else self._decoded(name, readers, fps):
+        if name in self.videos:
+            stored = self._filmed(name, feature, readers, fps)
+        else:
+            stored = self._stored(name)
+        for given in stored:
+            if isinstance(given, bytes) and name in self.videos:  # a packet
+                yield given
+                continue
             if isinstance(given, bytes) and given[:2] == _JPEG[0] and given[-2:] == _JPEG[1]:
                 image = decode_jpeg(given, feature.shape)
                 yield given if feature.encoding == "jpeg" else image
@@ -105,14 +111,16 @@ class SourceEpisode:
             raise CorruptEpisode(f"Episode {self.index} has no column {name!r}, which info.json describes.")
         return self.table.column(name)
 
-    def _decoded(self, name: str, readers: dict[str, VideoReader], fps: float) -> Iterator[NDArray[np.uint8]]:
+    def _filmed(
+        self, name: str, feature: Feature, readers: dict[str, VideoReader], fps: float
+    ) -> Iterator[NDArray[np.uint8] | bytes]:
         place = self.videos[name]
         if name in readers and readers[name].path != place.path:
             readers.pop(name).close()
         if name not in readers:
             refuse_pointer(place.path)
             readers[name] = VideoReader(place.path)
-        yield from readers[name].frames(place.start, len(self.table), fps)
+        yield from readers[name].images(place.start, len(self.table), fps, feature)
 
     def _stored(self, name: str) -> Iterator[bytes]:
         for item in self._column(name):

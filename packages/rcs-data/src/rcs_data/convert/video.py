@@ -14,17 +14,21 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
 import av
 import numpy as np
+from av.bitstream import BitStreamFilterContext
 from av.error import FFmpegError
 from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from rcs_data.errors import CorruptEpisode, DatasetError
+from rcs_data.feature import Feature
 from rcs_data.video_codec import (
+    DECODERS,
     ENCODERS,
     LARGEST_ERROR,
     OPTIONS,
@@ -34,9 +38,16 @@ from rcs_data.video_codec import (
     yuv_frames,
 )
 from rcs_data.video_format import VideoCodec, pixel_format
+from rcs_data.video_packets import bare_packet, is_packet, kept_packets
 
 # Without it, every Matroska file gets a random number.
 _REPRODUCIBLE = {"fflags": "+bitexact"}
+# Packets that may wait for their frames; H.264 reorders at most 16.
+_MOST_REORDERED = 32
+_AV1_DELIMITER = b"\x12\x00"
+"""The OBU before each frame in a stream, which containers leave out."""
+_RAW: dict[VideoCodec, str] = {"h264": "h264", "av1": "obu"}
+"""FFmpeg's names of streams without a container."""
 
 
 def encode_video(
@@ -77,6 +88,72 @@ def _mux(output: Any, stream: Any, packet: Any, pts: int, dts: int, fps: int) ->
     packet.stream, packet.time_base = stream, Fraction(1, fps)
     packet.pts, packet.dts, packet.duration = pts, dts, 1
     output.mux(packet)
+
+
+def copy_video(
+    path: Path,
+    packets: Iterable[bytes],
+    images: Iterable[NDArray[np.uint8]],
+    shape: tuple[int, ...],
+    fps: int,
+    codec: VideoCodec,
+) -> bool:
+    """Write the packets of a dataset as a video, without encoding again; return False where that cannot be.
+
+    It can be where no image is a file or missing, and readers of such exports know the pixel format. Every frame is
+    read again and compared.
+
+    Args:
+        path: The file, ending in ".mp4".
+        packets: Images of a video as a dataset stores them; `b""` for one that repeats the one before it.
+        images: The same images.
+        shape: The shape of each.
+        fps: Frames per second.
+        codec: What they are compressed with.
+
+    Raises:
+        CorruptEpisode: The dataset is damaged.
+        DatasetError: The disk fails.
+    """
+    try:
+        return _copied(path, packets, shape, fps, codec) and _has_images(path, images, fps)
+    except FFmpegError:  # a damaged packet: whoever decodes it tells where
+        return False
+
+
+def _copied(path: Path, packets: Iterable[bytes], shape: tuple[int, ...], fps: int, codec: VideoCodec) -> bool:
+    given = iter(packets)
+    first = next(given, b"")
+    if not is_packet(first) or not bare_packet(first)[1]:
+        return False
+    with (
+        av.open(io.BytesIO(bare_packet(first)[0]), format=_RAW[codec]) as raw,
+        av.open(str(path), "w", options=_REPRODUCIBLE) as output,
+    ):
+        if raw.streams.video[0].codec_context.pix_fmt != pixel_format(shape[0], shape[1], codec):
+            return False
+        stream = output.add_stream_from_template(raw.streams.video[0], opaque=True)
+        for number, stored in enumerate(chain([first], given)):
+            if not is_packet(stored):
+                return False
+            data, is_key = bare_packet(stored)
+            packet = av.Packet(data)
+            packet.is_keyframe = is_key
+            _mux(output, stream, packet, number, number, fps)
+    return True
+
+
+def _has_images(path: Path, images: Iterable[NDArray[np.uint8]], fps: int) -> bool:
+    reader = VideoReader(path)
+    try:
+        count = 0
+        for count, image in enumerate(images, 1):
+            if not np.array_equal(next(reader.frames((count - 1) / fps, 1, fps)), image):
+                return False
+    finally:
+        reader.close()
+    check_video(path, count, fps)
+    return True
 
 
 def check_video(path: Path, frames: int, fps: int) -> None:
@@ -180,8 +257,8 @@ class VideoReader:
             self._stream = self._source.streams.video[0]
         except (FFmpegError, IndexError) as err:
             raise CorruptEpisode(f"{path} is missing or not a video: {err}.") from err
-        self._frames = self._source.decode(self._stream)
-        self._next: av.VideoFrame | None = None
+        self._frames = self._decoded()
+        self._next: tuple[av.VideoFrame, Any] | None = None
         self._reformatter = VideoReformatter()
         self._step()
 
@@ -196,15 +273,88 @@ class VideoReader:
         Raises:
             CorruptEpisode: No frame is within half a period of a time.
         """
-        if self._next is None or _time(self._next) > start + 0.5 / fps:
+        for frame, _ in self._at_times(start, count, fps):
+            yield rgb_image(frame, self._reformatter)
+
+    def images(self, start: float, count: int, fps: float, feature: Feature) -> Iterator[NDArray[np.uint8] | bytes]:
+        """Yield the same frames as a dataset stores them: the packets of this video where that can be, else arrays.
+
+        It can be where the codec is the same, every second frame at least is a key frame, and each packet gives the
+        same pixels by itself, or after the key frame before it.
+
+        Args:
+            start: The time of the first [s].
+            count: Number of frames.
+            fps: Frames per second.
+            feature: What they become.
+
+        Raises:
+            CorruptEpisode: No frame is within half a period of a time.
+        """
+        codec = self._stream.codec_context.name
+        try:
+            same = feature.video is not None and codec in DECODERS[feature.video]
+            is_kept = same and self._has_keys(start, count, fps)
+        except FFmpegError:  # whoever decodes it tells where
+            is_kept = False
+        if not is_kept:
+            yield from self.frames(start, count, fps)
+            return
+        given = self._at_times(start, count, fps)
+        yield from kept_packets(
+            feature, ((rgb_image(frame, self._reformatter), *self._bare(packet)) for frame, packet in given)
+        )
+
+    def _at_times(self, start: float, count: int, fps: float) -> Iterator[tuple[av.VideoFrame, Any]]:
+        """Yield frames at a constant rate, and the packets that they came in."""
+        if self._next is None or _time(self._next[0]) > start + 0.5 / fps:
             self._seek(start)
         for i in range(count):
             time = start + i / fps
-            while self._next is not None and _time(self._next) < time - 0.5 / fps:
+            while self._next is not None and _time(self._next[0]) < time - 0.5 / fps:
                 self._step()
-            if self._next is None or abs(_time(self._next) - time) > 0.5 / fps:
+            if self._next is None or abs(_time(self._next[0]) - time) > 0.5 / fps:
                 raise CorruptEpisode(f"The video {self.path} has no frame at {time:.4f} s.")
-            yield rgb_image(self._next, self._reformatter)
+            yield self._next
+
+    def _decoded(self) -> Iterator[tuple[av.VideoFrame, Any]]:
+        waiting: dict[int | None, Any] = {}
+        for packet in self._source.demux(self._stream):
+            if len(waiting) > _MOST_REORDERED:
+                waiting.clear()
+            if packet.pts is not None:
+                waiting[packet.pts] = packet
+            for frame in packet.decode():
+                yield frame, waiting.pop(frame.pts, None)
+
+    def _has_keys(self, start: float, count: int, fps: float) -> bool:
+        """Return whether the first and every second of some frames at least are key frames; decodes nothing."""
+        first, end = start - 0.5 / fps, start + (count - 0.5) / fps
+        keys: dict[float, bool] = {}
+        with av.open(str(self.path)) as source:
+            stream: Any = source.streams.video[0]
+            source.seek(max(0, round(start / (stream.time_base or Fraction(1, 1000)))), stream=stream, backward=True)
+            for packet in source.demux(stream):
+                time = 0.0 if packet.pts is None else float(packet.pts * packet.time_base)
+                if packet.pts is None or (packet.dts is not None and packet.dts * packet.time_base > end):
+                    break
+                if first <= time <= end:
+                    keys[time] = packet.is_keyframe
+        in_order = [keys[time] for time in sorted(keys)]
+        return len(in_order) == count and in_order[0] and all(one or other for one, other in pairwise(in_order))
+
+    def _bare(self, packet: Any) -> tuple[bytes, bool]:
+        """Return a packet as it stands in a stream without a container, and whether it is a key frame."""
+        if packet is None:
+            return b"", False
+        data = bytes(packet)
+        if self._stream.codec_context.name in DECODERS["av1"]:
+            return data if data.startswith(_AV1_DELIMITER) else _AV1_DELIMITER + data, packet.is_keyframe
+        try:
+            changed = BitStreamFilterContext("h264_mp4toannexb", self._stream).filter(av.Packet(data))
+        except FFmpegError:
+            return b"", False
+        return b"".join(map(bytes, changed)), packet.is_keyframe
 
     def close(self) -> None:
         """Close the file; calling it twice is harmless."""
@@ -218,8 +368,11 @@ class VideoReader:
 
     def _seek(self, time: float) -> None:
         base = self._stream.time_base or Fraction(1, 1000)
-        self._source.seek(max(0, round(time / base)), stream=self._stream, backward=True)
-        self._frames = self._source.decode(self._stream)
+        try:
+            self._source.seek(max(0, round(time / base)), stream=self._stream, backward=True)
+        except FFmpegError as err:
+            raise CorruptEpisode(f"Cannot find {time:.4f} s in the video {self.path}: {err}.") from err
+        self._frames = self._decoded()
         self._step()
 
 
