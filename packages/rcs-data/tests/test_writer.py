@@ -223,3 +223,19 @@ def test_a_fork_has_no_part_in_what_its_parent_records(
         episode.finish(True)
     assert [(each.id, each.length) for each in Dataset.open(tmp_path)] == [("a", 4)]
     assert check(tmp_path).is_ok
+
+
+def test_a_program_may_change_its_folder_meanwhile(
+    tmp_path: Path, make_info: MakeInfo, make_rows: MakeRows, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "elsewhere").mkdir()
+    with DatasetWriter.open("set", make_info()) as writer, writer.episode("a", seed=0) as episode:
+        for row in make_rows(3):
+            episode.add(row, np.zeros(STATE))
+        monkeypatch.chdir("elsewhere")
+        episode.finish(True)
+    monkeypatch.chdir(tmp_path)
+    dataset = Dataset.open("set")
+    monkeypatch.chdir("elsewhere")
+    assert dataset["a"].column("observation/joints").shape == (3, 3)

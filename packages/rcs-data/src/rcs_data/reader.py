@@ -45,7 +45,7 @@ class Dataset:
             DatasetError: There is no dataset, or its layout is of another version.
             CorruptEpisode: The index is damaged.
         """
-        root = Path(path)
+        root = Path(path).absolute()  # a program may change its folder
         return cls(root, Journal(root).state)
 
     def digest(self) -> str:

@@ -71,7 +71,7 @@ class DatasetWriter(Closing):
                 lists how); the folder contains something else; or the disk fails.
             CorruptEpisode: The index is damaged.
         """
-        root = Path(path)
+        root = Path(path).absolute()
         with disk_errors("make the dataset", root):
             root.mkdir(parents=True, exist_ok=True)
             if not has_dataset(root):
@@ -105,7 +105,7 @@ class DatasetWriter(Closing):
             DatasetError: There is no dataset, or no process is writing to it.
             CorruptEpisode: The index is damaged.
         """
-        journal = Journal(Path(path))
+        journal = Journal(Path(path).absolute())
         return cls(journal, DatasetLock.worker(journal.root), RecoverReport())
 
     def episode(self, episode_id: str, *, seed: int | None, instruction: str | None = None) -> EpisodeWriter:
