@@ -97,3 +97,11 @@ def test_a_merge_removes_what_a_killed_merge_left(dataset: Path, tmp_path: Path)
     edit.merge([dataset], tmp_path / "merged")
     assert len(Dataset.open(tmp_path / "merged")) == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset", "merged"]
+
+
+def test_nothing_is_put_among_the_episodes_of_a_dataset(dataset: Path) -> None:
+    before = sorted(dataset.rglob("*"))
+    for place in (dataset / "episodes" / "more", dataset / "episodes" / "000000" / "deep" / "more"):
+        with pytest.raises(DatasetError, match="among the episodes of"), new_output(place):
+            pass
+    assert sorted(dataset.rglob("*")) == before

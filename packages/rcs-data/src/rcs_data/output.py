@@ -16,6 +16,7 @@ from pathlib import Path
 
 from rcs_data.durable import disk_errors, remove_tree, sync_folder
 from rcs_data.errors import DatasetError
+from rcs_data.layout import EPISODES_FOLDER, has_dataset
 from rcs_data.lock import DatasetLock, try_lock
 
 OnProgress = Callable[[int, int], object]
@@ -125,11 +126,14 @@ def remove_leftovers(target: Path) -> list[Path]:
 
 
 def refuse_existing(target: Path) -> None:
-    """Raise unless a path is free: nothing there, or an empty folder.
+    """Raise unless a path is free: nothing there, or an empty folder, and not among the episodes of a dataset.
 
     Raises:
-        DatasetError: Something is there.
+        DatasetError: Something is there, or the place is a dataset's.
     """
+    for folder in target.absolute().parents:
+        if folder.name == EPISODES_FOLDER and has_dataset(folder.parent):
+            raise DatasetError(f"{target} is among the episodes of {folder.parent}. Choose another place.")
     if target.is_symlink() or (target.exists() and not target.is_dir()) or (target.is_dir() and any(target.iterdir())):
         raise DatasetError(f"{target} exists already. Choose another place, or remove it.")
 

@@ -95,3 +95,11 @@ def test_what_makes_no_sense_is_refused(dataset: Path, tmp_path: Path) -> None:
         edit.split(dataset, tmp_path, episodes={"a": ["x"]})
     with pytest.raises(InvalidSetup, match="at least one"):
         edit.merge([], tmp_path / "out")
+
+
+def test_a_split_is_whole_or_nothing(dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "out" / "val").mkdir(parents=True)
+    (tmp_path / "out" / "val" / "notes.txt").write_text("mine")
+    with pytest.raises(DatasetError, match="exists already"):
+        edit.split(dataset, tmp_path / "out", parts={"train": 0.5, "val": 0.5})
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["val"]

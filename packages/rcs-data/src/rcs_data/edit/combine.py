@@ -14,7 +14,7 @@ from rcs_data.edit.transaction import making
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.info import MERGED, DatasetInfo, differences, feature_differences, shared_setup
 from rcs_data.layout import check_name, name_of
-from rcs_data.output import OnProgress
+from rcs_data.output import OnProgress, refuse_existing
 from rcs_data.reader import Dataset, EpisodeRecord
 
 # Fields that may differ between merged datasets.
@@ -109,6 +109,7 @@ def split(
         what = "a part"
     for name in chosen:
         check_name(name, what)
+        refuse_existing(Path(out) / name)
     made: dict[str, Dataset] = {}
     for name, (info, kept) in chosen.items():
         with making(Path(out) / name, info) as part:
@@ -134,7 +135,10 @@ def source_names(datasets: Sequence[Dataset]) -> list[str]:
 def _require_fit(name: str, first: Dataset, other_name: str, other: Dataset) -> None:
     if lines := feature_differences(first.info, other.info, names=(name, other_name)):
         text = "\n  ".join(lines)
-        raise DatasetError(f"{name} and {other_name} do not fit each other; `mix` can map them. Differences:\n  {text}")
+        raise DatasetError(
+            f"{name} and {other_name} do not fit each other; `mix` fits rates, sizes and names of cameras. "
+            f"Differences:\n  {text}"
+        )
 
 
 def _merged_info(names: Sequence[str], datasets: Sequence[Dataset]) -> DatasetInfo:
