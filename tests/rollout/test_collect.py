@@ -181,6 +181,16 @@ def test_a_changed_state_is_found_by_replay(dataset: Path) -> None:
     episode.sim_state = lambda: states  # pyright: ignore[reportAttributeAccessIssue]  one bit of one number
     result = replay_episode(assemble(resolve(rcs.Setup())), episode)
     assert result.first_difference == 40
+    assert result.begins_at_reset
+
+
+def test_of_a_trimmed_episode_replay_says_that_it_begins_in_motion(dataset: Path, tmp_path: Path) -> None:
+    path = shutil.copytree(dataset, tmp_path / "trimmed")
+    edit.trim(path, Dataset.open(path).episodes[0].id, first=20)
+    first, *others = replay(path)
+    assert not first.is_equal
+    assert not first.begins_at_reset
+    assert all(result.is_equal and result.begins_at_reset for result in others)
 
 
 def test_only_success_keeps_trying_until_there_are_enough(tmp_path: Path) -> None:

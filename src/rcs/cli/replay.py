@@ -157,8 +157,9 @@ class ReplayCommand:
         if self.kind == "check":
             for result in ordered:
                 if not result.is_equal:
+                    why = "" if result.begins_at_reset else "; it does not begin at a reset, as after a trim"
                     console.print(
-                        f"episode {result.episode_id}: state {result.first_difference} differs", highlight=False
+                        f"episode {result.episode_id}: state {result.first_difference} differs{why}", highlight=False
                     )
             steps, equal = sum(result.steps for result in ordered), sum(result.is_equal for result in ordered)
             told = f"{equal} of {len(ordered)} episodes bit-equal ({steps} steps in {seconds:.1f} s)"

@@ -32,6 +32,9 @@ class ReplayResult:
     steps: int
     first_difference: int | None
     """Row of the first state that differs in any bit; None when all are equal."""
+    begins_at_reset: bool = True
+    """Whether the first state is that after a reset with the episode's seed, where a state differs. After another, such
+    as that of a trimmed episode, what the arm was about to do is not known."""
 
     @property
     def is_equal(self) -> bool:
@@ -78,7 +81,13 @@ def replay_episode(env: Env, episode: EpisodeRecord) -> ReplayResult:
         if not is_equal or (step.is_over and step.row < most):
             first_difference = step.row
             break
-    return ReplayResult(episode_id=episode.id, steps=most, first_difference=first_difference)
+    begins_at_reset = True
+    if first_difference is not None:
+        env.reset(seed=episode.seed)
+        begins_at_reset = env.scenario.world.states().tobytes() == states[0].tobytes()
+    return ReplayResult(
+        episode_id=episode.id, steps=most, first_difference=first_difference, begins_at_reset=begins_at_reset
+    )
 
 
 @dataclass(frozen=True)
