@@ -163,7 +163,7 @@ def publish(journal: Journal, episode_id: str) -> Path:
     with disk_errors(f"publish episode {episode_id!r}", opened):
         for name in (ROWS_FILE, ABORTED_FILE):
             (opened / name).unlink(missing_ok=True)
-        final = free_folder(root, episode_id)
+        final = free_folder(root, episode_id, journal.state.removed)
         opened.rename(final)
         sync_folder(final.parent)
         journal.add(about, final.name)

@@ -15,7 +15,7 @@ from typing_extensions import Self
 
 from rcs_data.about import MOST_SEED
 from rcs_data.compact import compact, library_versions
-from rcs_data.durable import as_json, disk_errors, remove_folder, sealed, write_file
+from rcs_data.durable import as_json, disk_errors, remove_folder, remove_tree, sealed, write_file
 from rcs_data.episode_record import EpisodeRecord
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.info import DatasetInfo
@@ -90,7 +90,11 @@ class EpisodeWriter:
             if episode_id in journal.refresh().episodes:
                 self._folder.rmdir()
                 raise DatasetError(f"There already is an episode {episode_id!r} in {journal.root}; choose another id.")
-            self._stream = StreamWriter(self._folder / ROWS_FILE, info.stream_schema, header)
+            try:
+                self._stream = StreamWriter(self._folder / ROWS_FILE, info.stream_schema, header)
+            except BaseException:  # a full disk
+                remove_tree(self._folder)
+                raise
         self._flushed_at = time.monotonic()
 
     @property

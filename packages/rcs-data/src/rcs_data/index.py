@@ -123,6 +123,8 @@ class _Former:
     edit: Edit
     entries: dict[str, Entry | None]
     info: DatasetInfo | None
+    added: set[str]
+    """Ids of episodes that were recorded since, and are there."""
 
 
 @dataclass
@@ -139,8 +141,6 @@ class State:
     """Content hashes of episodes that were removed for good, by folder."""
     former: list[_Former] = field(default_factory=list[_Former])
     """What can be undone, oldest first."""
-    _since: bool = False
-    """Whether episodes were recorded since the last edit that can be undone."""
 
     @property
     def last_number(self) -> int:
@@ -175,12 +175,19 @@ class State:
         """Raise if undoing the last edit would lose what was recorded since.
 
         Raises:
-            DatasetError: Rows of another form were recorded since.
+            DatasetError: Rows of another form were recorded since, or episodes of the same ids as those that return.
         """
-        if self._since and self.former[-1].info is not None:
+        last = self.former[-1]
+        if last.added and last.info is not None:
             raise DatasetError(
-                f"Episodes were recorded into {root} since {self.former[-1].edit.command!r}, and they do not fit what "
+                f"Episodes were recorded into {root} since {last.edit.command!r}, and they do not fit what "
                 "the dataset was before. Split them off first, or delete what you do not want."
+            )
+        if twice := sorted(name for name in last.added if last.entries.get(name) is not None):
+            raise DatasetError(
+                f"Episodes {', '.join(twice[:5])} were recorded into {root} since {last.edit.command!r}, which undo "
+                "would bring back under the same ids. Split them off, and take them out with "
+                "DatasetWriter.remove_episode, first."
             )
 
     def take(self, line: dict[str, Any]) -> None:
@@ -203,13 +210,16 @@ class State:
         if entry.id in self.episodes:
             raise InvalidSetup(f"episode {entry.id!r} was added twice")
         self.episodes[entry.id] = entry
-        self._since = True
+        if self.former:
+            self.former[-1].added.add(entry.id)
 
     def _remove(self, value: Any) -> None:
         entry = self.episodes.pop(value, None) if isinstance(value, str) else None
         if entry is None:
             raise InvalidSetup(f"{value!r:.80} was removed and not there")
         self.removed[entry.folder] = entry.content_hash
+        for one in self.former:
+            one.added.discard(entry.id)
 
     def _edit(self, value: Any) -> None:
         edit, changes = _edit_of(value), _changes_of(value)
@@ -230,9 +240,8 @@ class State:
             self.episodes[name] = replace(entry, instruction=changes.instruction)
         before = None if changes.info is None else self.info
         self.info = changes.info or self.info
-        self.former.append(_Former(edit, former, before))
+        self.former.append(_Former(edit, former, before, set()))
         self.history.append(replace(edit, episodes=len(self.episodes)))
-        self._since = False
 
     def _undo(self, value: Any) -> None:
         edit = _edit_of(value)
@@ -245,6 +254,8 @@ class State:
             else:
                 self.episodes[name] = entry
         self.info = undone.info or self.info
+        if self.former:  # what came after the later edit came after this one
+            self.former[-1].added.update(undone.added)
         self.history.append(replace(edit, episodes=len(self.episodes)))
 
     def _gone(self, value: Any) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import secrets
+from collections.abc import Collection
 from pathlib import Path
 
 from rcs_data.errors import InvalidSetup
@@ -25,7 +27,9 @@ QUARANTINE_FOLDER = "quarantine"
 _OPEN = ".open-"
 _LONGEST_NAME = 200
 _DISCARDED = ".discarded-"
-_WRITTEN = "@"
+_WRITTEN, _AGAIN = "@", "+"
+_OF_ANOTHER = re.compile(r".*[@+][0-9]+")
+_BY_AN_EDIT = re.compile(r".+@([0-9]+)")
 
 
 def is_name(text: str) -> bool:
@@ -68,12 +72,15 @@ def name_of(folder: Path) -> str:
 
 
 def check_episode_id(episode_id: str) -> None:
-    """Refuse an id that cannot name a folder.
+    """Refuse an id that cannot name a folder, or looks like the folder of another episode.
 
     Raises:
-        InvalidSetup: The id is empty, too long, starts with a dot or has a slash or a control character.
+        InvalidSetup: The id is empty, too long, starts with a dot, has a slash or a control character, or ends in "@"
+            or "+" and a number.
     """
     check_name(episode_id, "an episode")
+    if _OF_ANOTHER.fullmatch(episode_id):
+        raise InvalidSetup(f"{episode_id!r} cannot name an episode: it must not end in '@' or '+' and a number.")
 
 
 def links_out(root: Path) -> list[Path]:
@@ -109,13 +116,19 @@ def episode_folder(root: Path, name: str) -> Path:
     return root / EPISODES_FOLDER / name
 
 
-def free_folder(root: Path, episode_id: str) -> Path:
-    """Return the folder for a recorded episode: its id, with a number if a deleted episode has that."""
+def free_folder(root: Path, episode_id: str, removed: Collection[str]) -> Path:
+    """Return the folder for a recorded episode: its id, with a number if another episode has that, or had.
+
+    Args:
+        root: The dataset's folder.
+        episode_id: The episode.
+        removed: Names of folders that were removed; readers may still know what was in them.
+    """
     folder = episode_folder(root, episode_id)
     number = 0
-    while folder.exists():
+    while folder.name in removed or folder.exists():
         number += 1
-        folder = episode_folder(root, f"{episode_id}+{number}")
+        folder = episode_folder(root, f"{episode_id}{_AGAIN}{number}")
     return folder
 
 
@@ -132,6 +145,12 @@ def new_trash_folder(root: Path, episode_id: str) -> Path:
 def written_folder(episode_id: str, number: int) -> str:
     """Return the name of the folder that the edit of a number writes for an episode."""
     return f"{episode_id}{_WRITTEN}{number}"
+
+
+def edit_number(folder: str) -> int:
+    """Return the number of the edit that wrote a folder, given its name; 0 if it was recorded."""
+    found = _BY_AN_EDIT.fullmatch(folder)
+    return int(found[1]) if found else 0
 
 
 def folder_names(root: Path) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -21,6 +20,7 @@ from rcs_data.layout import (
     EPISODE_FILE,
     JOURNAL_FILE,
     ROWS_FILE,
+    edit_number,
     episode_folder,
     folder_names,
     new_trash_folder,
@@ -140,12 +140,9 @@ def stray_folders(root: Path, state: State) -> tuple[list[Path], list[Path]]:
         if name in known:
             continue
         folder = episode_folder(root, name)
-        is_garbage = _WRITTEN_BY_AN_EDIT.fullmatch(name) is not None or _was_removed(folder, state)
+        is_garbage = edit_number(name) > 0 or _was_removed(folder, state)
         (garbage if is_garbage else unlisted).append(folder)
     return garbage, unlisted
-
-
-_WRITTEN_BY_AN_EDIT = re.compile(r".+@[0-9]+")
 
 
 def _was_removed(folder: Path, state: State) -> bool:
@@ -166,9 +163,12 @@ def _settle(journal: Journal, info: DatasetInfo, episode_id: str, leftovers: Lef
     with disk_errors(f"recover episode {episode_id!r}", folder):
         (folder / f"{EPISODE_FILE}.tmp").unlink(missing_ok=True)
         (folder / f"{ABORTED_FILE}.tmp").unlink(missing_ok=True)
-    if episode_id in journal.state.episodes:
-        raise CorruptEpisode(f"there is a complete episode of the same name beside {folder}")
-    if (folder / EPISODE_FILE).exists():
+    if leftovers == "recover" and episode_id in journal.state.episodes:
+        raise CorruptEpisode(
+            f"there is a complete episode of the same name beside {folder}; `rcs-data check --repair` puts this one "
+            "into quarantine"
+        )
+    if (folder / EPISODE_FILE).exists() and episode_id not in journal.state.episodes:
         publish(journal, episode_id)
         return "published"
     has_rows = (folder / ROWS_FILE).exists()

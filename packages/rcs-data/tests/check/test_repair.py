@@ -214,3 +214,51 @@ def test_an_episode_of_a_newer_layout_is_no_damage_to_be_mended(dataset: Path) -
     assert not repair(dataset).mendings
     assert path.read_bytes() == newer
     assert open_folder(dataset, "x").name == ".open-x"
+
+
+def contents(dataset: Path) -> dict[str, tuple[str, int]]:
+    return {episode.id: (episode.content_hash, episode.length) for episode in Dataset.open(dataset)}
+
+
+@pytest.mark.parametrize("is_pruned", [True, False])
+def test_edited_episodes_survive_the_loss_of_the_index(dataset: Path, is_pruned: bool) -> None:
+    edit.resize(dataset, (12, 8))
+    edit.trim(dataset, ID, first=1)
+    if is_pruned:
+        edit.prune(dataset)
+    before, info = contents(dataset), Dataset.open(dataset).info
+    (dataset / INDEX).unlink()
+    mendings = repair(dataset).mendings
+    assert (contents(dataset), Dataset.open(dataset).info) == (before, info)
+    assert not check(dataset).damage
+    assert not any(mending.what == "removed" for mending in mendings)
+    assert sum(mending.what == "quarantined" for mending in mendings) == (0 if is_pruned else 4)
+    assert not repair(dataset).mendings
+
+
+def test_a_damaged_line_costs_no_edited_episode(dataset: Path) -> None:
+    edit.rename_camera(dataset, "wrist", "hand")
+    edit.prune(dataset)
+    before = contents(dataset)
+    lines = (dataset / INDEX).read_bytes().split(b"\n")
+    place = next(number for number, line in enumerate(lines) if ID.encode() in line)
+    lines[place] = lines[place].replace(b'"length"', b'"lengtj"')
+    (dataset / INDEX).write_bytes(b"\n".join(lines))
+    assert any(mending.what == "restored" and mending.episode == ID for mending in repair(dataset).mendings)
+    assert contents(dataset) == before
+    assert not check(dataset).damage
+
+
+@pytest.mark.parametrize("later", ["trim", "delete"])
+def test_the_line_of_an_edit_that_others_followed_is_made_up_for(dataset: Path, later: str) -> None:
+    edit.resample(dataset, 15.0)
+    edit.trim(dataset, ID, first=1) if later == "trim" else edit.delete(dataset, [ID])
+    before, info = contents(dataset), Dataset.open(dataset).info
+    lines = (dataset / INDEX).read_bytes().split(b"\n")
+    place = next(number for number, line in enumerate(lines) if b'"resample"' in line)
+    lines[place] = lines[place].replace(b'"resample"', b'"resamplf"')
+    (dataset / INDEX).write_bytes(b"\n".join(lines))
+    repair(dataset)
+    assert (contents(dataset), Dataset.open(dataset).info) == (before, info)
+    assert not check(dataset).damage
+    assert not repair(dataset).mendings

@@ -6,9 +6,11 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord, check, edit, recover
 from rcs_data.errors import DatasetError, InvalidSetup
 from rcs_data.lock import DatasetLock
@@ -85,13 +87,18 @@ def test_after_an_undo_another_edit_can_be_made_and_undone(dataset: Path) -> Non
     assert state(dataset) == before
 
 
+def first_row(episode: EpisodeRecord) -> tuple[dict[str, Any], NDArray[np.float64]]:
+    """Return an episode's first row and state, as they are recorded."""
+    features = episode.info.features
+    row = {f.key: None if f.can_be_held and f.is_image else episode.column(f.key)[0] for f in features}
+    given = {key: value for key, value in row.items() if not key.startswith(("action", "executed", "reward"))}
+    return {**given, "time/period": None}, episode.sim_state()[0]
+
+
 def record(writer: DatasetWriter, name: str, like: EpisodeRecord) -> None:
     """Record an episode of one row, that of another one's start."""
-    features = like.info.features
-    row = {f.key: None if f.can_be_held and f.is_image else like.column(f.key)[0] for f in features}
-    given = {key: value for key, value in row.items() if not key.startswith(("action", "executed", "reward"))}
     with writer.episode(name, seed=1) as episode:
-        episode.add({**given, "time/period": None}, like.sim_state()[0])
+        episode.add(*first_row(like))
         episode.finish(True)
 
 
@@ -111,7 +118,7 @@ def test_what_was_recorded_since_an_edit_is_not_lost_by_an_undo(dataset: Path) -
     assert "newer" in Dataset.open(dataset)
 
 
-def test_the_id_of_a_deleted_episode_is_free_and_the_episode_comes_back_by_undo(dataset: Path) -> None:
+def test_the_id_of_a_deleted_episode_is_free_and_neither_episode_is_lost(dataset: Path) -> None:
     before = Dataset.open(dataset)["000001"].content_hash
     edit.delete(dataset, ["000001"])
     with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
@@ -120,9 +127,54 @@ def test_the_id_of_a_deleted_episode_is_free_and_the_episode_comes_back_by_undo(
     assert check(dataset).is_ok
     edit.delete(dataset, ["000001"])
     edit.undo(dataset)
+    with pytest.raises(DatasetError, match=r"000001 were recorded into .* since 'delete'.* under the same ids"):
+        edit.undo(dataset)
+    assert Dataset.open(dataset)["000001"].length == 1
+    with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
+        writer.remove_episode("000001")
     edit.undo(dataset)
     assert Dataset.open(dataset)["000001"].content_hash == before
     assert check(dataset).is_ok
+
+
+@pytest.mark.parametrize("later", ["delete", "relabel"])
+def test_what_was_recorded_is_remembered_through_later_edits(dataset: Path, later: str) -> None:
+    edit.rename_camera(dataset, "wrist", "hand")
+    with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
+        record(writer, "new", Dataset.open(dataset).episodes[0])
+    edit.delete(dataset, ["000001"]) if later == "delete" else edit.relabel(dataset, "push", episodes=["000001"])
+    edit.undo(dataset)
+    with pytest.raises(DatasetError, match="do not fit what the dataset was before"):
+        edit.undo(dataset)
+    assert check(dataset).is_ok
+
+
+def test_undo_leaves_nothing_behind(dataset: Path) -> None:
+    before = sorted((dataset / "episodes").rglob("*"))
+    edit.trim(dataset, "000001", first=1)
+    edit.undo(dataset)
+    assert sorted((dataset / "episodes").rglob("*")) == before
+    assert not any(finding.kind in ("left_over", "unlisted") for finding in check(dataset).findings)
+
+
+def test_ids_that_look_like_folders_of_edits_are_refused(dataset: Path) -> None:
+    info = Dataset.open(dataset).info
+    with DatasetWriter.open(dataset, info, resume=True) as writer:
+        for name in ("000001@1", "a+2", "@@3"):
+            with pytest.raises(InvalidSetup, match="must not end in '@' or '\\+' and a number"):
+                writer.episode(name, seed=0)
+        record(writer, "take@one", Dataset.open(dataset).episodes[0])
+
+
+def test_undo_waits_for_what_a_killed_recording_left_open(dataset: Path) -> None:
+    edit.delete(dataset, ["000001"])
+    with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
+        writer.episode("000001", seed=0).add(*first_row(Dataset.open(dataset).episodes[0]))
+    with pytest.raises(DatasetError, match="run recover first"):
+        edit.undo(dataset)
+    recover(dataset)
+    with pytest.raises(DatasetError, match="under the same ids"):
+        edit.undo(dataset)
 
 
 def test_a_hundred_edits_add_a_line_each(dataset: Path) -> None:

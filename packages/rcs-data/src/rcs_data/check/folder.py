@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -55,32 +56,46 @@ def check_index(root: Path) -> tuple[State | None, list[Finding]]:
             state = Journal(root).state
         except CorruptEpisode as err:
             findings.append(Finding("damage", "altered", None, JOURNAL_FILE, str(err)))
-            state = whole_lines(root)[0]
+            state = whole_lines(root).state
     else:
         message = "missing; `rcs-data check --repair` makes it anew from the episodes"
         findings.append(Finding("damage", "missing", None, JOURNAL_FILE, message))
     return state, [*findings, *_check_description(root, state)]
 
 
-def whole_lines(root: Path) -> tuple[State | None, int]:
-    """Return what the index says without its damaged lines, and the number of those; None if the first is damaged.
+@dataclass
+class WholeLines:
+    """What the index says without its damaged lines."""
+
+    state: State | None
+    """The sum of the others; None if neither the first of them nor `dataset.json` says what the episodes share."""
+    damaged: int = 0
+    """How many are damaged."""
+    folders: set[str] = field(default_factory=set[str])
+    """The folders that the others name, also of episodes that are gone since."""
+
+
+def whole_lines(root: Path) -> WholeLines:
+    """Read an index that may be damaged, or missing.
 
     Raises:
         DatasetError: The layout is of another version.
     """
-    state: State | None = described(root)
-    damaged = 0
+    found = WholeLines(described(root))
+    if not (root / JOURNAL_FILE).exists():
+        return found
     for number, line in enumerate(read_bytes(root / JOURNAL_FILE).split(b"\n")[:-1]):
         body = checked_line(line)
         try:
             values = parsed_json(b"" if body is None else body, root / JOURNAL_FILE)
             if number == 0:
-                state = State(DatasetInfo.from_json(values["dataset"]))
-            elif state is not None:
-                state.take(values)
+                found.state = State(DatasetInfo.from_json(values["dataset"]))
+            elif found.state is not None:
+                found.state.take(values)
+                found.folders |= found.state.folders()
         except (CorruptEpisode, InvalidSetup, KeyError, AttributeError):
-            damaged += 1
-    return state, damaged
+            found.damaged += 1
+    return found
 
 
 def described(root: Path) -> State | None:

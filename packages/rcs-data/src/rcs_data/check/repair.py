@@ -11,14 +11,23 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from rcs_data.about import read_about
 from rcs_data.check.dataset import Depth, check
-from rcs_data.check.folder import check_index, described, whole_lines
+from rcs_data.check.folder import WholeLines, check_index, described, whole_lines
 from rcs_data.check.report import counted
 from rcs_data.durable import disk_errors, sync_folder
 from rcs_data.errors import CorruptEpisode, DatasetError
-from rcs_data.index import Changes
+from rcs_data.index import Changes, Entry, State
 from rcs_data.journal import Journal, write_state
-from rcs_data.layout import JOURNAL_FILE, QUARANTINE_FOLDER, episode_folder, episodes_folder, has_dataset, open_folder
+from rcs_data.layout import (
+    JOURNAL_FILE,
+    QUARANTINE_FOLDER,
+    edit_number,
+    episode_folder,
+    episodes_folder,
+    has_dataset,
+    open_folder,
+)
 from rcs_data.lock import DatasetLock
 from rcs_data.output import OnProgress, remove_leftovers
 from rcs_data.recover import settle_leftovers, stray_folders, write_description
@@ -101,12 +110,14 @@ def _mend_index(root: Path) -> list[Mending]:
     mendings: list[Mending] = []
     findings = check_index(root)[1]
     if any(finding.file == JOURNAL_FILE for finding in findings):
-        state, count = whole_lines(root) if (root / JOURNAL_FILE).exists() else (described(root), 0)
-        if state is None:
+        lines = whole_lines(root)
+        if lines.state is None:
             return []
+        mendings += _take_lost_edits(root, lines, lines.state)
+        count = lines.damaged
         if not episodes_folder(root).is_dir():
             episodes_folder(root).mkdir()
-        write_state(root, state)
+        write_state(root, lines.state)
         what = f"the index without {counted(count, 'damaged line')}" if count else "the index, from dataset.json"
         mendings.append(
             _done("restored", f"{what}; episodes that it does not have any more are taken from their folders")
@@ -115,6 +126,37 @@ def _mend_index(root: Path) -> list[Mending]:
         mendings.append(_done("restored", "dataset.json, from the index"))
     if findings:
         write_description(root, Journal(root).state.info)
+    return mendings
+
+
+def _take_lost_edits(root: Path, lines: WholeLines, state: State) -> list[Mending]:
+    """Add to what the index says what its lost lines did: the newest folders that edits wrote, and what is shared.
+
+    Folders of edits that stay unlisted are put aside; nothing tells whether they are garbage.
+    """
+    told = described(root)
+    state.info = state.info if told is None else told.info
+    deleted = {name for one in state.former for name in one.entries} - set(state.episodes)
+    mendings: list[Mending] = []
+    for folder in sorted(stray_folders(root, state)[0], key=lambda folder: edit_number(folder.name)):
+        try:
+            entry = Entry.of(read_about(folder), folder.name, state.info)
+        except (CorruptEpisode, DatasetError):
+            entry = None
+        present = None if entry is None else state.episodes.get(entry.id)
+        is_newer = edit_number(folder.name) > (-1 if present is None else edit_number(present.folder))
+        if entry is not None and is_newer and entry.id not in deleted and folder.name not in lines.folders:
+            state.episodes[entry.id] = entry
+            mendings.append(Mending(what="restored", episode=entry.id, message=f"from {folder.name}"))
+    kept = {entry.folder for entry in state.episodes.values()}
+    former = [episode_folder(root, entry.folder) for entry in state.former_entries() if entry.folder not in kept]
+    for folder in filter(Path.is_dir, former):
+        _move(root, folder)
+        mendings.append(_done("quarantined", f"{folder.name}, a former episode; undo cannot bring it back"))
+    for folder in stray_folders(root, state)[0]:
+        if folder.name not in kept:
+            _move(root, folder)
+            mendings.append(_done("quarantined", f"{folder.name}, of an edit whose line in the index is lost"))
     return mendings
 
 

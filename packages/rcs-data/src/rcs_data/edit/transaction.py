@@ -69,8 +69,8 @@ class Transaction:
             OSError: The disk is full or fails.
         """
         folder = episode_folder(self.dataset.path, written_folder(episode.id, self._number))
-        self._folders.append(folder)
         folder.mkdir()
+        self._folders.append(folder)
         self._written[episode.id] = _written(folder, self.info, episode, rows, {})
 
     def commit(self, journal: Journal, command: str, arguments: Mapping[str, Any]) -> None:
@@ -120,8 +120,7 @@ def editing(
     """
     root = Path(path)
     with locked(root) as journal, disk_errors(command, root):
-        if still_open := open_ids(root):
-            raise DatasetError(f"Episodes {still_open} of {root} were left open by a recording; run recover first.")
+        _refuse_open(root)
         for folder in stray_folders(root, journal.state)[0]:
             remove_tree(folder)
         info = new_info(journal.state.info)
@@ -133,6 +132,11 @@ def editing(
             transaction.abandon(journal)
             raise
         write_description(root, info)
+
+
+def _refuse_open(root: Path) -> None:
+    if still_open := open_ids(root):
+        raise DatasetError(f"Episodes {still_open} of {root} were left open by a recording; run recover first.")
 
 
 @contextlib.contextmanager
@@ -235,12 +239,14 @@ def undo(path: str | Path) -> Edit:
         path: The dataset.
 
     Raises:
-        DatasetError: There is nothing to undo, the former episodes are gone, what was recorded since does not fit, or
-            another process writes to the dataset; nothing changes.
+        DatasetError: There is nothing to undo, the former episodes are gone, what was recorded since does not fit or
+            has the ids of what returns, an episode of a killed recording is still open, or another process writes to
+            the dataset; nothing changes.
         CorruptEpisode: The dataset is damaged.
     """
     root = Path(path)
     with locked(root) as journal, disk_errors("undo", root):
+        _refuse_open(root)
         gone = [one.id for one in journal.state.returning() if not episode_folder(root, one.folder).exists()]
         if gone:
             edit = journal.state.undoable()
@@ -250,6 +256,8 @@ def undo(path: str | Path) -> Edit:
             )
         edit = journal.undo()
         write_description(root, journal.state.info)
+        for folder in stray_folders(root, journal.state)[0]:
+            remove_tree(folder)
     return edit
 
 
