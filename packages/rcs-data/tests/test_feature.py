@@ -45,3 +45,10 @@ def test_what_cannot_be_stored_is_refused(changes: dict[str, Any], message: str)
 def test_a_description_with_an_unknown_field_is_refused() -> None:
     with pytest.raises(InvalidSetup, match="Not a description"):
         Feature.from_json({"key": "reward", "shape": [], "dtype": "float64", "colour": "red"})
+
+
+@pytest.mark.parametrize("key", ["action/joints", "executed/joints", "reward", "terminated", "truncated", "time/x"])
+def test_what_happens_in_each_row_is_not_held(key: str) -> None:
+    dtype = "bool" if key in ("terminated", "truncated") else "float64"
+    with pytest.raises(InvalidSetup, match="happens in each row anew, and must be plain"):
+        Feature(key=key, shape=(), dtype=dtype, encoding="held")

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, Windows
 from rcs_data.errors import CorruptEpisode, InvalidSetup
-from rcs_data.trajectory import step_frames, trajectory
+from rcs_data.trajectory import state_layout, step_frames, trajectory
 
 STEPS = (5, 0, 9, 1, 2)
 RGB, DEPTH = "observation/frames/wrist/rgb", "observation/frames/wrist/depth"
@@ -233,3 +233,14 @@ def test_a_damaged_episode_is_named_and_the_others_are_read(tmp_path: Path) -> N
     with pytest.raises(CorruptEpisode, match=r"Cannot read .*000000/steps\.parquet"):
         windows[0]
     assert windows[3]["episode"] == "000001"
+
+
+@pytest.mark.parametrize("key", ["action/joints", "executed/joints", "reward"])
+def test_what_is_unknown_at_the_reset_is_no_state(key: str) -> None:
+    features = (
+        Feature(key="observation/joints", shape=(2,), dtype="float64"),
+        Feature(key=key, shape=(), dtype="float64"),
+    )
+    info = DatasetInfo(frequency=10.0, features=features, setup={}, instruction="")
+    with pytest.raises(InvalidSetup, match="before the first step, it has no value"):
+        state_layout(info, ("observation/joints", key))

@@ -24,6 +24,7 @@ DTYPES = (
 )  # fmt: skip
 
 # No action precedes a reset, so these have no value in the first row of an episode.
+_EVENTS = ("terminated", "truncated")
 _UNKNOWN_AT_RESET = ("action/", "executed/", "reward")
 # These may be absent at a reset.
 _OPTIONAL_AT_RESET = ("terminated", "truncated", "time/")
@@ -91,6 +92,11 @@ class Feature:
             raise InvalidSetup(f"Feature {self.key!r} is a time and must be a single float64, not {self._form}.")
         if self.is_flags and (self.dtype != "uint8" or self.shape != () or self.encoding != "plain"):
             raise InvalidSetup(f"Feature {self.key!r} has flags and must be a single plain uint8, not {self._form}.")
+        if self.encoding == "held" and (self.is_unknown_at_reset or self.is_time or self.key in _EVENTS):
+            raise InvalidSetup(
+                f"Feature {self.key!r} happens in each row anew, and must be plain; held is for what lasts, such as a "
+                "camera's matrices."
+            )
         if self.limits is not None and self.shape != (len(self.limits.names),):
             raise InvalidSetup(
                 f"Feature {self.key!r} is {self._form} and has limits of {len(self.limits.names)} joints."

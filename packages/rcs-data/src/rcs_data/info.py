@@ -68,6 +68,9 @@ class DatasetInfo:
         """Check every field."""
         object.__setattr__(self, "features", tuple(self.features))
         _check_types(self)
+        for name in ("frequency", "jpeg_quality", "sim_state_size"):
+            if isinstance(value := getattr(self, name), np.generic):  # which is no JSON
+                object.__setattr__(self, name, value.item())
         if not _MIN_FREQUENCY <= self.frequency <= _MAX_FREQUENCY:
             raise InvalidSetup(f"frequency is {self.frequency}; it must be from {_MIN_FREQUENCY} to {_MAX_FREQUENCY}.")
         keys = Counter(feature.key for feature in self.features)

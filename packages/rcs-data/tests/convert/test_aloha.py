@@ -17,6 +17,23 @@ from rcs_data.errors import CorruptEpisode, InvalidSetup
 STEPS = 5
 
 
+def test_numbers_of_episodes_are_those_of_their_files(tmp_path: Path) -> None:
+    for i in (0, 1, 3, 10):
+        _episode(tmp_path / f"in/episode_{i}.hdf5", seed=i)
+    back = import_aloha(tmp_path / "in", tmp_path / "back", ImportOptions(episodes=("3", "10-")))
+    assert [(e.id, e.outcome["imported"]["file"]) for e in back] == [
+        ("000003", "episode_3.hdf5"),
+        ("000010", "episode_10.hdf5"),
+    ]
+    with pytest.raises(InvalidSetup, match="'2' names no episode"):
+        import_aloha(tmp_path / "in", tmp_path / "other", ImportOptions(episodes=("2",)))
+    (tmp_path / "in" / "episode_0.hdf5").write_bytes(b"damaged")
+    with pytest.raises(CorruptEpisode):
+        import_aloha(tmp_path / "in", tmp_path / "other")
+    rest = import_aloha(tmp_path / "in", tmp_path / "rest", ImportOptions(allow_missing=True))
+    assert [episode.id for episode in rest] == ["000001", "000003", "000010"]
+
+
 @pytest.mark.parametrize("compressed", [False, True])
 def test_episodes_become_a_dataset_that_windows_read(tmp_path: Path, compressed: bool) -> None:
     truth = {i: _episode(tmp_path / f"in/episode_{i}.hdf5", seed=i, compressed=compressed) for i in (0, 2, 10)}

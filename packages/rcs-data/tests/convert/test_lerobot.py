@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from numpy.typing import NDArray
-from rcs_data import Dataset
+from rcs_data import Dataset, edit
 from rcs_data.convert import lerobot
 from rcs_data.convert.lerobot import depth_path, export_lerobot
 from rcs_data.convert.lerobot_layout import lerobot_layout
@@ -347,3 +347,11 @@ def test_progress_counts_all_steps(source: Dataset, tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     export_lerobot(source, tmp_path / "out", ExportOptions(on_progress=lambda done, total: told.append((done, total))))
     assert told == [(6, 21), (13, 21), (21, 21)]
+
+
+def test_what_has_no_step_is_left_out_and_named(source: Dataset, tmp_path: Path) -> None:
+    name = source.episodes[1].id
+    edit.trim(source.path, name, last=0)
+    report = export_lerobot(Dataset.open(source.path), tmp_path / "out", ExportOptions(cameras=()))
+    assert report.episodes == 2
+    assert any(f"one row and so no step: {name}" in note for note in report.notes)

@@ -1,10 +1,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from rcs_data import Dataset, check, edit
+from rcs_data import Dataset, DatasetInfo, check, edit
 from rcs_data.errors import InvalidSetup
 
 RGB, INTRINSICS = "observation/frames/wrist/rgb", "observation/frames/wrist/intrinsics"
@@ -72,3 +73,18 @@ def test_relabelling_some_changes_those_and_relabelling_all_what_is_to_come(data
     opened = Dataset.open(dataset)
     assert {e.instruction for e in opened.episodes} == {opened.info.instruction} == {"push"}
     assert check(dataset).is_ok
+
+
+@pytest.mark.parametrize("instruction", [float("nan"), 5, None, ["a"], "pick \udcff"])
+def test_an_instruction_that_is_no_text_is_refused(dataset: Path, ids: list[str], instruction: Any) -> None:
+    for chosen in (None, ids[:1]):
+        with pytest.raises(InvalidSetup):
+            edit.relabel(dataset, instruction, episodes=chosen)
+    assert Dataset.open(dataset).history == ()
+
+
+def test_numbers_of_numpy_are_numbers(dataset: Path) -> None:
+    edit.trim(dataset, "000000", first=np.int64(1))  # pyright: ignore[reportArgumentType]
+    edit.resample(dataset, np.float32(15))  # pyright: ignore[reportArgumentType]
+    assert Dataset.open(dataset).info.frequency == 15.0
+    assert DatasetInfo(frequency=np.int64(10), features=Dataset.open(dataset).info.features, setup={}, instruction="")

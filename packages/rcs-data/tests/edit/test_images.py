@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from rcs_data import Dataset, check, edit
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, check, edit
+from rcs_data.edit.images import resized
 from rcs_data.errors import InvalidSetup
 from rcs_data.flags import FrameFlag
 
@@ -40,9 +42,42 @@ def test_half_the_size_is_the_mean_of_four_pixels_and_half_the_focal_length(data
     means = colour.reshape(13, 8, 2, 12, 2, 3).mean(axis=(2, 4))
     np.testing.assert_allclose(after.column(RGB), means, atol=3)
     np.testing.assert_array_equal(after.column(DEPTH), depth[:, ::2, ::2])
-    np.testing.assert_array_equal(after.column(INTRINSICS), matrices * np.array([[0.5], [0.5], [1]]))
+    # A point in the middle of four pixels, here (9.5, 3.5), is the centre of the new one, (4.5, 1.5).
+    seen = np.linalg.solve(matrices, np.array([9.5, 3.5, 1.0])[:, None])
+    np.testing.assert_allclose((after.column(INTRINSICS) @ seen)[..., 0], np.tile([4.5, 1.5, 1.0], (13, 1)), atol=1e-12)
     assert (np.diff(after.image_numbers([RGB])[RGB]) == 0).sum() == 4  # repeats stay repeats
     assert after.steps([INTRINSICS]).column(INTRINSICS).null_count == 10
+
+
+@pytest.mark.parametrize("size", [(8, 4), (24, 8), (96, 64), (7, 5)])
+def test_depth_is_what_lies_nearest_to_the_centre_of_a_pixel(dataset: Path, size: tuple[int, int]) -> None:
+    before = Dataset.open(dataset)["000000"].column(DEPTH)
+    edit.resize(dataset, (np.int64(size[0]), np.int64(size[1])))  # pyright: ignore[reportArgumentType]
+    after = Dataset.open(dataset)["000000"].column(DEPTH)
+    for axis, (new, old) in enumerate(zip(after.shape[1:], before.shape[1:], strict=True), 1):
+        centres = (np.arange(new) + 0.5) * old / new - 0.5
+        before = before.take(np.abs(centres[:, None] - np.arange(old)).argmin(axis=1), axis=axis)
+    np.testing.assert_array_equal(after, before)
+
+
+def test_only_frames_of_cameras_change_their_size(tmp_path: Path) -> None:
+    shapes: dict[str, Any] = {"observation/frames/wrist/rgb": (16, 16, 3), "touch/left": (8, 8)}
+    features = (
+        *(Feature(key=key, shape=shape, dtype="uint8" if len(shape) == 3 else "uint16",
+                  encoding="jpeg" if len(shape) == 3 else "depth") for key, shape in shapes.items()),
+        Feature(key="calib/intrinsics", shape=(3, 3), dtype="float64"),
+    )  # fmt: skip
+    info = DatasetInfo(frequency=10.0, features=features, setup={}, instruction="")
+    with DatasetWriter.open(tmp_path / "set", info) as writer, writer.episode("a", seed=0) as episode:
+        episode.add({f.key: np.ones(f.shape, f.numpy_dtype) for f in features})
+        episode.finish(True)
+    edit.resize(tmp_path / "set", (4, 4))
+    after = Dataset.open(tmp_path / "set")["a"]
+    assert [after.column(key).shape[1:3] for key in shapes] == [(4, 4), (8, 8)]
+    np.testing.assert_array_equal(after.column("calib/intrinsics"), np.ones((1, 3, 3)))
+    wrong = Feature(key="observation/frames/wrist/intrinsics", shape=(4,), dtype="float64")
+    with pytest.raises(InvalidSetup, match=r"is \(4,\); only intrinsics of \(3, 3\)"):
+        resized(DatasetInfo(frequency=10.0, features=(*features, wrong), setup={}, instruction=""), (4, 4))
 
 
 def test_the_same_size_changes_no_bit(dataset: Path) -> None:

@@ -150,3 +150,13 @@ def test_a_part_can_be_written_in_one_word(text: str, part: Part) -> None:
 def test_a_word_that_is_no_part_is_refused() -> None:
     with pytest.raises(InvalidSetup, match="DATASET:143"):
         parse_part("sim:many")
+
+
+@pytest.mark.parametrize("total", [-4, 0])
+def test_a_total_is_a_number_of_episodes(tmp_path: Path, real: Path, total: int) -> None:
+    with pytest.raises(InvalidSetup, match=f"a total of {total} episodes"):
+        edit.mix([Part(path=real, share=1.0)], tmp_path / "out", total=total)
+    with pytest.raises(InvalidSetup, match="a finite share"):
+        Part(path=real, share=float("inf"))
+    with pytest.raises(InvalidSetup, match="The seed is -1"):
+        edit.mix([Part(path=real)], tmp_path / "out", seed=-1)

@@ -74,11 +74,22 @@ def import_aloha(source: str | Path, out: str | Path, options: ImportOptions | N
     files = _files(Path(source))
     if not files:
         raise InvalidSetup(f"{source} has no files of ALOHA, such as episode_0.hdf5.")
-    chosen = selected_numbers(options.episodes, range(len(files)))
-    with hdf5.reading_hdf5(files[chosen[0]]) as file:
-        info, paths = _plan(file, options)
+    chosen = selected_numbers(options.episodes, files)
+    info, paths = _plan_of_first([files[i] for i in chosen], options)
     info = kept_info(info, options)
     return import_episodes(out, info, ((i, partial(_record, files[i], i, info, paths)) for i in chosen), options)
+
+
+def _plan_of_first(files: list[Path], options: ImportOptions) -> tuple[DatasetInfo, dict[str, str]]:
+    """Return the plan of the first file, or with `allow_missing` of the first one that can be read."""
+    for number, path in enumerate(files, 1):
+        try:
+            with hdf5.reading_hdf5(path) as file:
+                return _plan(file, options)
+        except CorruptEpisode:
+            if not options.allow_missing or number == len(files):
+                raise
+    raise AssertionError("there is a file")
 
 
 def _record(path: Path, index: int, info: DatasetInfo, paths: dict[str, str], writer: DatasetWriter) -> Iterator[int]:
@@ -92,12 +103,12 @@ def _record(path: Path, index: int, info: DatasetInfo, paths: dict[str, str], wr
         yield from record_steps(writer, steps, columns, about)
 
 
-def _files(path: Path) -> list[Path]:
-    """Return the file, or those of a folder, "episode_10" after "episode_9"."""
+def _files(path: Path) -> dict[int, Path]:
+    """Return the file as number 0, or those of a folder by their numbers."""
     if path.is_file():
-        return [path]
+        return {0: path}
     stems = hdf5.by_number(file.stem for file in path.glob("episode_*.hdf5") if file.is_file())
-    return [path / f"{stem}.hdf5" for stem in stems]
+    return {number: path / f"{stem}.hdf5" for number, stem in stems.items()}
 
 
 def _plan(file: Any, options: ImportOptions) -> tuple[DatasetInfo, dict[str, str]]:

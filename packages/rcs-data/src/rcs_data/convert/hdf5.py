@@ -105,9 +105,11 @@ def checked_array(group: Any, path: str, feature: Feature, count: int) -> Any:
     return values
 
 
-def by_number(names: Iterable[str]) -> list[str]:
-    """Return names that end in a number in its order, "demo_10" after "demo_9"."""
-    return sorted(names, key=lambda name: (int((re.findall(r"\d+$", name) or ["0"])[0]), name))
+def by_number(names: Iterable[str]) -> dict[int, str]:
+    """Return names by the numbers in which they end, "demo_10" after "demo_9"; by their places where one has none."""
+    given = sorted(names)
+    numbers = {int(found[0]): name for name in given if (found := re.findall(r"\d+$", name))}
+    return dict(sorted(numbers.items())) if len(numbers) == len(given) else dict(enumerate(given))
 
 
 def rows_of(values: Any, feature: Feature) -> Iterator[NDArray[Any]]:

@@ -111,7 +111,7 @@ def export_lerobot(
         }
         write_json(root / RCS_FILE, about)
     images = firsts[-1] * (len(layout.cameras) + len(layout.depths))
-    return export_report(Path(out), episodes, images, _notes(dataset, layout))
+    return export_report(Path(out), dataset, options, episodes, images, _notes(dataset, layout))
 
 
 _TEMPORARY = "encoding"

@@ -84,7 +84,7 @@ def export_mcap(dataset: Dataset, out: str | Path, options: ExportOptions | None
             done += episode.length
             if options.on_progress is not None:
                 options.on_progress(done, total)
-    return export_report(Path(out), episodes, images)
+    return export_report(Path(out), dataset, options, episodes, images)
 
 
 def _write(writer: Any, episode: EpisodeRecord, info: DatasetInfo) -> int:

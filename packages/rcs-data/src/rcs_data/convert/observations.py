@@ -7,12 +7,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rcs_data.convert.options import ExportOptions, ExportReport, ImportOptions, selected_cameras, stored_as
+from rcs_data.convert.options import (
+    ExportOptions,
+    ExportReport,
+    ImportOptions,
+    no_step_notes,
+    selected_cameras,
+    stored_as,
+)
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
 from rcs_data.output import size_on_disk
-from rcs_data.reader import EpisodeRecord
+from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.trajectory import FRAMES, OBSERVATION, VectorLayout
 
 ACTION_DICT = "action_dict/"
@@ -89,13 +96,23 @@ def camera_feature(camera: str, shape: tuple[int, ...], dtype: str, options: Imp
 
 
 def export_report(
-    path: Path, episodes: Sequence[EpisodeRecord], frames: int, notes: Iterable[str] = ()
+    path: Path,
+    dataset: Dataset,
+    options: ExportOptions,
+    episodes: Sequence[EpisodeRecord],
+    frames: int,
+    notes: Iterable[str] = (),
 ) -> ExportReport:
     """Return the result of an export: the file or folder, its episodes, number of images and what was left out."""
     steps = sum(episode.length - 1 for episode in episodes)
     size = size_on_disk(path)
     return ExportReport(
-        path=path, episodes=len(episodes), steps=steps, frames=frames, bytes_written=size, notes=tuple(notes)
+        path=path,
+        episodes=len(episodes),
+        steps=steps,
+        frames=frames,
+        bytes_written=size,
+        notes=(*no_step_notes(dataset, options), *notes),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -150,6 +150,12 @@ def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[Episode
             f"None of the {len(chosen)} chosen episodes of {dataset.path} is one {wanted} a step to export."
         )
     return tuple(kept)
+
+
+def no_step_notes(dataset: Dataset, options: ExportOptions) -> Iterator[str]:
+    """Yield a note if chosen episodes have no step, and so are left out."""
+    if short := [e.id for e in dataset.episodes if e.length < 2 and e.id in (options.episodes or [e.id])]:
+        yield f"Left out, because they have one row and so no step: {', '.join(short[:5])}{' …' * (len(short) > 5)}."
 
 
 def selected_numbers(ranges: Sequence[str] | None, known: Iterable[int]) -> list[int]:

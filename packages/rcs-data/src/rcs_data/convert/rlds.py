@@ -115,7 +115,7 @@ def export_rlds(dataset: Dataset, out: str | Path, options: ExportOptions | None
     images = sum(1 for column in columns.values() if "image" in column.spec)
     narrowed = any(feature.dtype == "float64" for feature in observed(info))
     notes = ("64-bit numbers became float32, the only float type of the format.",) if narrowed else ()
-    return export_report(target / VERSION, episodes, images * total, notes)
+    return export_report(target / VERSION, dataset, options, episodes, images * total, notes)
 
 
 def _columns(

@@ -126,7 +126,9 @@ def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions |
             file[f"mask/{name}"] = np.array([f"demo_{i}" for i in members], "S")
     is_fit = options.normalise or (low.min() >= -1 and high.max() <= 1)
     notes = () if is_fit else (_range_note(low.min(), high.max()),)
-    return export_report(Path(out), episodes, total * sum(feature.is_image for feature in parts), notes)
+    return export_report(
+        Path(out), dataset, options, episodes, total * sum(feature.is_image for feature in parts), notes
+    )
 
 
 def _write_demo(

@@ -68,9 +68,9 @@ def import_robomimic(source: str | Path, out: str | Path, options: ImportOptions
     options = options or ImportOptions()
     with hdf5.reading_hdf5(Path(source)) as file:
         names = _demo_names(file)
-        plan = (_own_plan if RCS in file["data"].attrs else _foreign_plan)(file, names, options)
+        plan = (_own_plan if RCS in file["data"].attrs else _foreign_plan)(file, [*names.values()], options)
         plan = replace(plan, info=kept_info(plan.info, options))
-        chosen = selected_numbers(options.episodes, range(len(names)))
+        chosen = selected_numbers(options.episodes, names)
         episodes = ((i, partial(_record, file, names[i], i, plan)) for i in chosen)
         steps = 0 if options.allow_missing else sum(_steps(file["data"][names[i]]) for i in chosen)
         return import_episodes(out, plan.info, episodes, options, steps)
@@ -84,8 +84,8 @@ def _record(file: Any, name: str, index: int, plan: _Plan, writer: DatasetWriter
     return record_steps(writer, steps, columns, _about(file, name, index, plan), states)
 
 
-def _demo_names(file: Any) -> list[str]:
-    names = hdf5.by_number(file["data"]) if "data" in file and hasattr(file["data"], "keys") else []
+def _demo_names(file: Any) -> dict[int, str]:
+    names = hdf5.by_number(file["data"]) if "data" in file and hasattr(file["data"], "keys") else {}
     if not names:
         raise InvalidSetup(f"{file.filename} is not a file for robomimic: it has no episodes in a group 'data'.")
     return names

@@ -155,10 +155,21 @@ def own_parts(names: Sequence[str], datasets: Sequence[Dataset]) -> dict[str, di
     return {name: {field: getattr(info, field) for field in _OWN} for name, info in infos}
 
 
+def require_seed(seed: int) -> None:
+    """Refuse what is no seed.
+
+    Raises:
+        InvalidSetup: It is negative.
+    """
+    if seed < 0:
+        raise InvalidSetup(f"The seed is {seed}; valid is a whole number from 0.")
+
+
 def _drawn(dataset: Dataset, parts: Mapping[str, float], seed: int) -> dict[str, list[str]]:
     total = sum(parts.values())
     if not parts or min(parts.values()) < 0 or not abs(total - 1) <= 1e-6:  # NaN compares false
         raise InvalidSetup(f"The shares {dict(parts)} sum up to {total:g}; they must not be negative and sum up to 1.")
+    require_seed(seed)
     ids = [episode.id for episode in dataset.episodes]
     order = np.random.default_rng(seed).permutation(len(ids))
     ends = np.rint(np.cumsum(list(parts.values())) * len(ids)).astype(int)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from operator import index
 from pathlib import Path
 
 from rcs_data.edit.rows import take_rows
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
 from rcs_data.reader import Dataset
+from rcs_data.text import check_text
 
 
 def delete(path: str | Path, episodes: Iterable[str]) -> None:
@@ -53,6 +55,7 @@ def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> N
         CorruptEpisode: The episode is damaged; nothing changes.
         DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
     """
+    first, last = index(first), index(last)  # NumPy's are no JSON
     with editing(path, "trim", {"episode": episode, "first": first, "last": last}) as edit:
         require_ids(edit.dataset, [episode])
         record = edit.dataset[episode]
@@ -72,6 +75,7 @@ def relabel(path: str | Path, instruction: str, *, episodes: Iterable[str] | Non
         InvalidSetup: There is no such episode; nothing changes.
         DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
     """
+    check_text(instruction, "The instruction")
     ids = None if episodes is None else sorted(set(episodes))
     arguments = {"instruction": instruction, "episodes": ids}
     is_all = ids is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from operator import index
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,7 @@ def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress |
         CorruptEpisode: An episode is damaged; nothing changes.
         DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
     """
+    size = (index(size[0]), index(size[1]))  # NumPy's are no JSON
     with editing(path, "resize", {"size": list(size)}, new_info=lambda info: resized(info, size)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
@@ -110,10 +112,21 @@ def resized(info: DatasetInfo, size: tuple[int, int]) -> DatasetInfo:
         raise InvalidSetup(f"size is {width} x {height}; width and height must be from 1 to 16384 pixels.")
     if not cameras_of(info):
         raise InvalidSetup("The dataset has no camera frames to resize.")
+    if wrong := [f for f in info.features if _is_matrix(f) and f.shape != (3, 3)]:
+        raise InvalidSetup(
+            f"{wrong[0].key!r} is {wrong[0].shape}; only intrinsics of (3, 3) can be scaled with frames."
+        )
     return replace(
         info,
-        features=tuple(replace(f, shape=(height, width, *f.shape[2:])) if f.is_image else f for f in info.features),
+        features=tuple(
+            replace(f, shape=(height, width, *f.shape[2:])) if f.is_image and camera_of(f.key) is not None else f
+            for f in info.features
+        ),
     )
+
+
+def _is_matrix(feature: Feature) -> bool:
+    return feature.key.endswith("/intrinsics") and camera_of(feature.key) is not None
 
 
 def with_size(rows: pa.Table, before: DatasetInfo, info: DatasetInfo) -> pa.Table:
@@ -131,7 +144,7 @@ def with_size(rows: pa.Table, before: DatasetInfo, info: DatasetInfo) -> pa.Tabl
                 for image in column
             ]
             columns.append(pa.array(images, type=pa.binary()))
-        elif feature is not None and feature.key.endswith("/intrinsics"):
+        elif feature is not None and _is_matrix(feature):
             columns.append(_scaled_intrinsics(column, feature, before, info))
         else:
             columns.append(column)
@@ -150,8 +163,11 @@ def scaled(image: NDArray[Any], feature: Feature) -> NDArray[Any]:
     if image.ndim == 3:
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
         return VideoReformatter().reformat(frame, width, height, interpolation="AREA", **ONE_THREAD).to_ndarray()
-    rows = (np.arange(height) * image.shape[0] // height).astype(np.intp)
-    columns = (np.arange(width) * image.shape[1] // width).astype(np.intp)
+    # The reading nearest to the centre of each new pixel; of two, the first.
+    rows, columns = (
+        np.ceil((np.arange(new) + 0.5) * old / new - 1).astype(np.intp)
+        for new, old in zip((height, width), image.shape, strict=True)
+    )
     return np.ascontiguousarray(image[rows[:, None], columns])
 
 
@@ -160,12 +176,12 @@ def _scaled_intrinsics(column: pa.Array, feature: Feature, old: DatasetInfo, new
     if not frames:
         return column
     before, after = frames[0].shape, new.feature(frames[0].key).shape
-    scale = np.ones((3, 3))
-    scale[0] *= after[1] / before[1]
-    scale[1] *= after[0] / before[0]
+    # Centres of pixels have whole numbers: x becomes (x + 0.5) * scale - 0.5.
+    across, down = after[1] / before[1], after[0] / before[0]
+    scaling = np.array([[across, 0, (across - 1) / 2], [0, down, (down - 1) / 2], [0, 0, 1]])
     is_null = column.is_null()
     values = column.values.slice(column.offset * 9, len(column) * 9).to_numpy(zero_copy_only=False)
-    numbers = (values.reshape(-1, 9) * scale.reshape(-1)).astype(feature.numpy_dtype)
+    numbers = (scaling @ values.reshape(-1, 3, 3)).astype(feature.numpy_dtype)
     return pa.FixedSizeListArray.from_arrays(pa.array(numbers.reshape(-1)), 9, mask=is_null)
 
 

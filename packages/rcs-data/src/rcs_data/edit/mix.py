@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from rcs_data.edit.combine import gathered, own_parts, source_names
+from rcs_data.edit.combine import gathered, own_parts, require_seed, source_names
 from rcs_data.edit.images import cameras_of, renamed, resized, with_names, with_size
 from rcs_data.edit.rate import at_rate, resampled
 from rcs_data.edit.transaction import making
@@ -34,8 +35,10 @@ class Part:
     def __post_init__(self) -> None:
         if self.episodes is not None and self.share is not None:
             raise InvalidSetup(f"{self.path}: give a number of episodes or a share, not both.")
-        if (self.episodes is not None and self.episodes < 0) or (self.share is not None and not self.share > 0):
-            raise InvalidSetup(f"{self.path}: expected 0 or more episodes, or a share above 0.")
+        if (self.episodes is not None and self.episodes < 0) or (
+            self.share is not None and not 0 < self.share < math.inf
+        ):
+            raise InvalidSetup(f"{self.path}: expected 0 or more episodes, or a finite share above 0.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +83,7 @@ def mix(
     """
     if not parts:
         raise InvalidSetup("There is nothing to mix; give at least one dataset.")
+    require_seed(seed)
     how = mapping or Harmonise()
     datasets = [Dataset.open(part.path) for part in parts]
     names = source_names(datasets)
@@ -134,6 +138,8 @@ def _numbers(parts: Sequence[Part], datasets: Sequence[Dataset], total: int | No
         raise InvalidSetup("With shares, every part needs one, and the mix a total number of episodes.")
     if total is not None and not has_shares:
         raise InvalidSetup(f"A total of {total} episodes needs a share for each part.")
+    if total is not None and total < 1:
+        raise InvalidSetup(f"The mix has a total of {total} episodes; valid is a whole number from 1.")
     if total is not None:
         weights = np.array(shares, np.float64)
         ends = np.rint(np.cumsum(weights / weights.sum()) * total).astype(int)

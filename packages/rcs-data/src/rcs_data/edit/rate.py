@@ -41,6 +41,7 @@ def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | No
         CorruptEpisode: An episode is damaged; nothing changes.
         DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
     """
+    frequency = float(frequency)  # NumPy's are no JSON
     with editing(path, "resample", {"frequency": frequency}, new_info=lambda info: at_rate(info, frequency)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):

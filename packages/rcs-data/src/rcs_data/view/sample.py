@@ -71,6 +71,8 @@ def write_sample(
     """
     if count < 1:
         raise InvalidSetup(f"count is {count}; it must be at least 1.")
+    if seed < 0:
+        raise InvalidSetup(f"The seed is {seed}; valid is a whole number from 0.")
     chosen = np.random.default_rng(seed).choice(len(windows), min(count, len(windows)), replace=False, shuffle=False)
     drawn = [windows[int(index)] for index in np.sort(chosen)]
     statistics = windows.statistics(on_progress)
