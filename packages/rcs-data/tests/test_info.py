@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from rcs_data import SCHEMA_VERSION, DatasetInfo, Feature
 from rcs_data.errors import DatasetError, InvalidSetup
@@ -59,6 +60,7 @@ def test_another_order_of_the_features_is_a_difference(make_info: MakeInfo) -> N
         {"frequency": math.nan},
         {"features": ()},
         {"features": (Feature(key="reward", shape=(), dtype="float64"),) * 2},
+        {"frequency": np.complex128(10)},
         {"jpeg_quality": 0},
         {"jpeg_subsampling": "411"},
         {"sim_state_size": 0},
@@ -69,6 +71,14 @@ def test_another_order_of_the_features_is_a_difference(make_info: MakeInfo) -> N
 def test_an_info_that_makes_no_sense_is_refused(make_info: MakeInfo, changes: dict[str, Any]) -> None:
     with pytest.raises(InvalidSetup):
         make_info(**changes)
+
+
+def test_numbers_of_numpy_become_pythons(make_info: MakeInfo) -> None:
+    changes: dict[str, Any] = {"frequency": 10, "jpeg_quality": 90, "sim_state_size": 3}
+    given = {name: np.int64(value) for name, value in changes.items()}
+    assert json.dumps(make_info(**given).to_json()) == json.dumps(make_info(**changes).to_json())
+    for kind in (np.float32, np.longdouble):
+        assert json.loads(json.dumps(make_info(frequency=kind(0.5)).to_json()))["frequency"] == 0.5
 
 
 def test_a_newer_layout_is_refused_with_the_remedy(make_info: MakeInfo) -> None:

@@ -235,12 +235,12 @@ def test_a_damaged_episode_is_named_and_the_others_are_read(tmp_path: Path) -> N
     assert windows[3]["episode"] == "000001"
 
 
-@pytest.mark.parametrize("key", ["action/joints", "executed/joints", "reward"])
+@pytest.mark.parametrize("key", ["action/joints", "executed/joints", "reward", "time/period"])
 def test_what_is_unknown_at_the_reset_is_no_state(key: str) -> None:
     features = (
         Feature(key="observation/joints", shape=(2,), dtype="float64"),
         Feature(key=key, shape=(), dtype="float64"),
     )
     info = DatasetInfo(frequency=10.0, features=features, setup={}, instruction="")
-    with pytest.raises(InvalidSetup, match="before the first step, it has no value"):
+    with pytest.raises(InvalidSetup, match="before the first step, it may have no value"):
         state_layout(info, ("observation/joints", key))

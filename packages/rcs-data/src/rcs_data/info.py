@@ -70,7 +70,7 @@ class DatasetInfo:
         _check_types(self)
         for name in ("frequency", "jpeg_quality", "sim_state_size"):
             if isinstance(value := getattr(self, name), np.generic):  # which is no JSON
-                object.__setattr__(self, name, value.item())
+                object.__setattr__(self, name, int(value) if isinstance(value, np.integer) else float(value))
         if not _MIN_FREQUENCY <= self.frequency <= _MAX_FREQUENCY:
             raise InvalidSetup(f"frequency is {self.frequency}; it must be from {_MIN_FREQUENCY} to {_MAX_FREQUENCY}.")
         keys = Counter(feature.key for feature in self.features)
@@ -177,7 +177,7 @@ def _check_types(info: DatasetInfo) -> None:
     def refuse(name: str, valid: str) -> None:
         raise InvalidSetup(f"{name} is {getattr(info, name)!r:.80}; it must be {valid}.")
 
-    if isinstance(info.frequency, bool) or not isinstance(info.frequency, int | float | np.number):
+    if isinstance(info.frequency, bool) or not isinstance(info.frequency, int | float | np.integer | np.floating):
         refuse("frequency", "a number")
     if not all(isinstance(feature, Feature) for feature in info.features):
         refuse("features", "features")

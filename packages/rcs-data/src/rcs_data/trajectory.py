@@ -78,12 +78,12 @@ def state_layout(info: DatasetInfo, keys: Sequence[str] | None = None) -> Vector
         keys: Other features, such as ("observation/tquat", "observation/gripper"); None for the default.
 
     Raises:
-        InvalidSetup: A key is unknown, an image, or not known at the reset, as actions are; or there is nothing to
-            join.
+        InvalidSetup: A key is unknown, an image, or may be unknown at the reset, as actions and times; or there is
+            nothing to join.
     """
     layout = _layout(info, OBSERVATION, _STATE_NAMES, keys)
-    if unknown := [feature.key for feature in layout.features if feature.is_unknown_at_reset]:
-        raise InvalidSetup(f"{unknown[0]!r} cannot be part of a state: before the first step, it has no value.")
+    if unknown := [feature.key for feature in layout.features if feature.is_unknown_at_reset or feature.is_time]:
+        raise InvalidSetup(f"{unknown[0]!r} cannot be part of a state: before the first step, it may have no value.")
     return layout
 
 

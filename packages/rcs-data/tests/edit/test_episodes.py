@@ -88,3 +88,9 @@ def test_numbers_of_numpy_are_numbers(dataset: Path) -> None:
     edit.resample(dataset, np.float32(15))  # pyright: ignore[reportArgumentType]
     assert Dataset.open(dataset).info.frequency == 15.0
     assert DatasetInfo(frequency=np.int64(10), features=Dataset.open(dataset).info.features, setup={}, instruction="")
+
+
+@pytest.mark.parametrize("first", [1.0, "1", None, True])
+def test_what_is_no_whole_number_is_no_row(dataset: Path, first: Any) -> None:
+    with pytest.raises(InvalidSetup, match=r"first is .*; it must be a whole number"):
+        edit.trim(dataset, "000000", first=first)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature, check, edit
+from rcs_data.edit import Harmonise, Part
 from rcs_data.edit.images import resized
 from rcs_data.errors import InvalidSetup
 from rcs_data.flags import FrameFlag
@@ -90,3 +91,33 @@ def test_the_same_size_changes_no_bit(dataset: Path) -> None:
 def test_a_size_that_makes_no_sense_is_refused(dataset: Path, size: tuple[int, int]) -> None:
     with pytest.raises(InvalidSetup, match="must be from 1"):
         edit.resize(dataset, size)
+
+
+@pytest.mark.parametrize("size", [(12.0, 8), (12,), (1, 2, 3), "88", 8, None])
+def test_what_is_no_width_and_height_is_no_size(dataset: Path, size: Any) -> None:
+    with pytest.raises(InvalidSetup, match=r"size is .*; it must be width and height"):
+        edit.resize(dataset, size)
+
+
+def test_intrinsics_of_another_shape_can_stay_or_be_left_out(tmp_path: Path) -> None:
+    features = (
+        Feature(key=RGB, shape=(16, 24, 3), dtype="uint8", encoding="lossless"),
+        Feature(key=INTRINSICS, shape=(4,), dtype="float64"),
+    )
+    info = DatasetInfo(frequency=30.0, features=features, setup={}, instruction="")
+    with DatasetWriter.open(tmp_path / "set", info) as writer, writer.episode("a", seed=0) as episode:
+        episode.add({f.key: np.ones(f.shape, f.numpy_dtype) for f in features})
+        episode.finish(None)
+    digest = Dataset.open(tmp_path / "set").digest()
+    edit.resize(tmp_path / "set", (24, 16))
+    assert Dataset.open(tmp_path / "set").digest() == digest
+    how = Harmonise(size=(12, 8), drop=(INTRINSICS,))
+    mixed = edit.mix([Part(path=tmp_path / "set")], tmp_path / "mix", mapping=how)
+    assert mixed["a"].column(RGB).shape == (1, 8, 12, 3)
+
+
+def test_intrinsics_follow_the_frames_that_a_mix_keeps(tmp_path: Path, dataset: Path) -> None:
+    mixed = edit.mix([Part(path=dataset)], tmp_path / "mix", mapping=Harmonise(size=(12, 8), drop=(RGB,)))
+    edit.resize(dataset, (12, 8))
+    for scaled, mapped in zip(Dataset.open(dataset), mixed, strict=True):
+        np.testing.assert_array_equal(mapped.column(INTRINSICS), scaled.column(INTRINSICS))

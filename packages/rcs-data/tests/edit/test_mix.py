@@ -160,3 +160,21 @@ def test_a_total_is_a_number_of_episodes(tmp_path: Path, real: Path, total: int)
         Part(path=real, share=float("inf"))
     with pytest.raises(InvalidSetup, match="The seed is -1"):
         edit.mix([Part(path=real)], tmp_path / "out", seed=-1)
+
+
+def test_numbers_of_numpy_are_numbers(tmp_path: Path, real: Path) -> None:
+    parts = [Part(path=real, episodes=np.int64(2))]  # pyright: ignore[reportArgumentType]
+    mixed = mix(parts, tmp_path / "a", seed=np.int64(5))  # pyright: ignore[reportArgumentType]
+    assert mixed.digest() == mix([Part(path=real, episodes=2)], tmp_path / "b", seed=5).digest()
+
+
+def test_numbers_of_episodes_are_whole(tmp_path: Path, real: Path) -> None:
+    with pytest.raises(InvalidSetup, match=r"total is 2.5; it must be a whole number"):
+        mix([Part(path=real, share=1.0)], tmp_path / "out", total=2.5)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InvalidSetup, match=r"is 1.5; it must be a whole number"):
+        Part(path=real, episodes=1.5)  # pyright: ignore[reportArgumentType]
+
+
+def test_large_shares_are_shares(tmp_path: Path, real: Path, sim: Path) -> None:
+    mixed = mix([Part(path=real, share=1e308), Part(path=sim, share=1e308)], tmp_path / "mix", total=6)
+    assert mixed.info.origin["mix"]["parts"] == {"real": 3, "sim": 3}

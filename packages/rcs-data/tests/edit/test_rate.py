@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from rcs_data.flags import FrameFlag
 if TYPE_CHECKING:
     from conftest import MakeDataset
 
-RGB = "observation/frames/wrist/rgb"
+RGB, INTRINSICS = "observation/frames/wrist/rgb", "observation/frames/wrist/intrinsics"
 
 
 @given(st.integers(0, 2000), st.floats(1.001, 50))
@@ -74,4 +74,17 @@ def test_a_frame_is_what_was_seen_and_a_repeat_only_where_nothing_new_came(datas
 @pytest.mark.parametrize("frequency", [30, 31, 0, -5])
 def test_only_a_lower_rate_is_possible(dataset: Path, frequency: float) -> None:
     with pytest.raises(InvalidSetup, match="valid is above 0 and below"):
+        edit.resample(dataset, frequency)
+
+
+def test_a_held_value_is_that_of_its_row(dataset: Path) -> None:
+    before = [episode.column(INTRINSICS) for episode in Dataset.open(dataset)]
+    edit.resample(dataset, 5)
+    for matrices, after in zip(before, Dataset.open(dataset), strict=True):
+        np.testing.assert_array_equal(after.column(INTRINSICS), matrices[kept_rows(len(matrices), 6)])
+
+
+@pytest.mark.parametrize("frequency", ["5", None, True, [5]])
+def test_what_is_no_number_is_no_rate(dataset: Path, frequency: Any) -> None:
+    with pytest.raises(InvalidSetup, match=r"frequency is .*; it must be a number"):
         edit.resample(dataset, frequency)

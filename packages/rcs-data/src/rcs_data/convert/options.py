@@ -142,19 +142,26 @@ def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[Episode
         raise InvalidSetup(
             f"There is no episode {', '.join(unknown)} in {dataset.path}, which has {len(known)} episodes."
         )
-    chosen = [known[i] for i in ids] if ids is not None else list(known.values())
-    kept = [e for e in chosen if e.length > 1 and (e.success is True or not options.success_only)]
+    kept = tuple(episode for episode in _wanted(dataset, options) if episode.length > 1)
     if not kept:
         wanted = "that succeeded and has" if options.success_only else "with"
+        why = "".join(f" {note}" for note in no_step_notes(dataset, options))
+        number = len(known if ids is None else ids)
         raise InvalidSetup(
-            f"None of the {len(chosen)} chosen episodes of {dataset.path} is one {wanted} a step to export."
+            f"None of the {number} chosen episodes of {dataset.path} is one {wanted} a step to export.{why}"
         )
-    return tuple(kept)
+    return kept
+
+
+def _wanted(dataset: Dataset, options: ExportOptions) -> list[EpisodeRecord]:
+    """Return the chosen episodes, with and without steps."""
+    chosen = dataset.episodes if options.episodes is None else [dataset[i] for i in options.episodes]
+    return [episode for episode in chosen if episode.success is True or not options.success_only]
 
 
 def no_step_notes(dataset: Dataset, options: ExportOptions) -> Iterator[str]:
     """Yield a note if chosen episodes have no step, and so are left out."""
-    if short := [e.id for e in dataset.episodes if e.length < 2 and e.id in (options.episodes or [e.id])]:
+    if short := [episode.id for episode in _wanted(dataset, options) if episode.length < 2]:
         yield f"Left out, because they have one row and so no step: {', '.join(short[:5])}{' …' * (len(short) > 5)}."
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from operator import index
 from pathlib import Path
 
+from rcs_data.edit.arguments import whole_number
 from rcs_data.edit.rows import take_rows
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
@@ -51,11 +51,11 @@ def trim(path: str | Path, episode: str, *, first: int = 0, last: int = -1) -> N
         last: The row that becomes the last; negative numbers count from the end, -1 being the last.
 
     Raises:
-        InvalidSetup: There is no such episode, or no row would stay; nothing changes.
+        InvalidSetup: There is no such episode, a row is not a whole number, or none would stay; nothing changes.
         CorruptEpisode: The episode is damaged; nothing changes.
         DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
     """
-    first, last = index(first), index(last)  # NumPy's are no JSON
+    first, last = whole_number(first, "first"), whole_number(last, "last")
     with editing(path, "trim", {"episode": episode, "first": first, "last": last}) as edit:
         require_ids(edit.dataset, [episode])
         record = edit.dataset[episode]

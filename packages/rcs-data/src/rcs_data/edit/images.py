@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from operator import index
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from rcs_data.codec import decode_frame, encode_frame
+from rcs_data.content import flat_numbers
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
 from rcs_data.feature import Feature
@@ -88,12 +88,12 @@ def resize(path: str | Path, size: tuple[int, int], *, on_progress: OnProgress |
         on_progress: Called with the number of episodes done and of all.
 
     Raises:
-        InvalidSetup: The size is not valid, or there is no camera; nothing changes.
+        InvalidSetup: The size is not valid, there is no camera, or intrinsics are not (3, 3) matrices; nothing changes.
         CorruptEpisode: An episode is damaged; nothing changes.
         DatasetError: Another process writes to the dataset, or the disk fails; nothing changes.
     """
-    size = (index(size[0]), index(size[1]))  # NumPy's are no JSON
-    with editing(path, "resize", {"size": list(size)}, new_info=lambda info: resized(info, size)) as edit:
+    pixels = _pixels(size)
+    with editing(path, "resize", {"size": list(pixels)}, new_info=lambda info: resized(info, pixels)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):
             edit.write(episode, (with_size(rows, episode.info, edit.info) for rows in episode.rows()))
@@ -105,28 +105,33 @@ def resized(info: DatasetInfo, size: tuple[int, int]) -> DatasetInfo:
     """Return the info with resized frames.
 
     Raises:
-        InvalidSetup: The size is not valid, or there is no camera.
+        InvalidSetup: The size is not valid, there is no camera, or intrinsics are not (3, 3) matrices.
     """
-    width, height = size
-    if min(size) < 1 or max(size) > 16384:
+    width, height = _pixels(size)
+    if min(width, height) < 1 or max(width, height) > 16384:
         raise InvalidSetup(f"size is {width} x {height}; width and height must be from 1 to 16384 pixels.")
     if not cameras_of(info):
         raise InvalidSetup("The dataset has no camera frames to resize.")
-    if wrong := [f for f in info.features if _is_matrix(f) and f.shape != (3, 3)]:
-        raise InvalidSetup(
-            f"{wrong[0].key!r} is {wrong[0].shape}; only intrinsics of (3, 3) can be scaled with frames."
-        )
-    return replace(
-        info,
-        features=tuple(
-            replace(f, shape=(height, width, *f.shape[2:])) if f.is_image and camera_of(f.key) is not None else f
-            for f in info.features
-        ),
-    )
+    features = tuple(replace(f, shape=(height, width, *f.shape[2:])) if _is_frame(f) else f for f in info.features)
+    after = replace(info, features=features)
+    for feature in info.features:
+        if feature.shape != (3, 3) and _factors(feature.key, info, after):
+            raise InvalidSetup(
+                f"{feature.key!r} is {feature.shape}; only intrinsics of (3, 3) can be scaled with frames. "
+                "Leave it out with mix (drop)."
+            )
+    return after
 
 
-def _is_matrix(feature: Feature) -> bool:
-    return feature.key.endswith("/intrinsics") and camera_of(feature.key) is not None
+def _pixels(size: object) -> tuple[int, int]:
+    given = tuple(size) if isinstance(size, tuple | list | np.ndarray) else ()
+    if len(given) != 2 or not all(isinstance(n, int | np.integer) for n in given):
+        raise InvalidSetup(f"size is {size!r:.80}; it must be width and height, two whole numbers [px].")
+    return int(given[0]), int(given[1])
+
+
+def _is_frame(feature: Feature) -> bool:
+    return feature.is_image and camera_of(feature.key) is not None
 
 
 def with_size(rows: pa.Table, before: DatasetInfo, info: DatasetInfo) -> pa.Table:
@@ -144,8 +149,9 @@ def with_size(rows: pa.Table, before: DatasetInfo, info: DatasetInfo) -> pa.Tabl
                 for image in column
             ]
             columns.append(pa.array(images, type=pa.binary()))
-        elif feature is not None and _is_matrix(feature):
-            columns.append(_scaled_intrinsics(column, feature, before, info))
+        # A mix may have one of another shape, which it leaves out.
+        elif feature is not None and feature.shape == (3, 3) and (factors := _factors(feature.key, before, info)):
+            columns.append(_scaled_intrinsics(column, feature, factors))
         else:
             columns.append(column)
     fields = [*(feature.arrow_field for feature in info.features), *list(rows.schema)[len(info.features) :]]
@@ -171,18 +177,22 @@ def scaled(image: NDArray[Any], feature: Feature) -> NDArray[Any]:
     return np.ascontiguousarray(image[rows[:, None], columns])
 
 
-def _scaled_intrinsics(column: pa.Array, feature: Feature, old: DatasetInfo, new: DatasetInfo) -> pa.Array:
-    frames = [f for f in old.features if f.is_image and camera_of(f.key) == camera_of(feature.key)]
-    if not frames:
-        return column
-    before, after = frames[0].shape, new.feature(frames[0].key).shape
+def _factors(key: str, old: DatasetInfo, new: DatasetInfo) -> tuple[float, float] | None:
+    """Return by what to scale a camera's intrinsics across and down; None for others, or where its frames stay."""
+    if key.endswith("/intrinsics"):
+        for feature in old.features:
+            after = new.feature(feature.key).shape
+            if _is_frame(feature) and camera_of(feature.key) == camera_of(key) and feature.shape != after:
+                return after[1] / feature.shape[1], after[0] / feature.shape[0]
+    return None
+
+
+def _scaled_intrinsics(column: pa.Array, feature: Feature, factors: tuple[float, float]) -> pa.Array:
     # Centres of pixels have whole numbers: x becomes (x + 0.5) * scale - 0.5.
-    across, down = after[1] / before[1], after[0] / before[0]
+    across, down = factors
     scaling = np.array([[across, 0, (across - 1) / 2], [0, down, (down - 1) / 2], [0, 0, 1]])
-    is_null = column.is_null()
-    values = column.values.slice(column.offset * 9, len(column) * 9).to_numpy(zero_copy_only=False)
-    numbers = (scaling @ values.reshape(-1, 3, 3)).astype(feature.numpy_dtype)
-    return pa.FixedSizeListArray.from_arrays(pa.array(numbers.reshape(-1)), 9, mask=is_null)
+    numbers = (scaling @ flat_numbers(column).reshape(-1, 3, 3)).astype(feature.numpy_dtype)
+    return pa.FixedSizeListArray.from_arrays(pa.array(numbers.reshape(-1)), 9, mask=column.is_null())
 
 
 def _renamed_key(key: str, names: Mapping[str, str]) -> str:

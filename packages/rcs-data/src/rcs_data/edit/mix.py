@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from rcs_data.edit.arguments import number, whole_number
 from rcs_data.edit.combine import gathered, own_parts, require_seed, source_names
 from rcs_data.edit.images import cameras_of, renamed, resized, with_names, with_size
 from rcs_data.edit.rate import at_rate, resampled
@@ -35,9 +36,11 @@ class Part:
     def __post_init__(self) -> None:
         if self.episodes is not None and self.share is not None:
             raise InvalidSetup(f"{self.path}: give a number of episodes or a share, not both.")
-        if (self.episodes is not None and self.episodes < 0) or (
-            self.share is not None and not 0 < self.share < math.inf
-        ):
+        # The origin of the mix names the number.
+        if self.episodes is not None:
+            object.__setattr__(self, "episodes", whole_number(self.episodes, f"The number of episodes of {self.path}"))
+        has_no_share = self.share is not None and not 0 < number(self.share, f"The share of {self.path}") < math.inf
+        if has_no_share or (self.episodes is not None and self.episodes < 0):
             raise InvalidSetup(f"{self.path}: expected 0 or more episodes, or a finite share above 0.")
 
 
@@ -83,6 +86,7 @@ def mix(
     """
     if not parts:
         raise InvalidSetup("There is nothing to mix; give at least one dataset.")
+    seed = whole_number(seed, "The seed")
     require_seed(seed)
     how = mapping or Harmonise()
     datasets = [Dataset.open(part.path) for part in parts]
@@ -92,8 +96,8 @@ def mix(
     numbers = _numbers(parts, datasets, total)
     infos = _brought_together(names, datasets, how)
     chosen = [
-        _drawn(dataset, number, np.random.default_rng([seed, i]))
-        for i, (dataset, number) in enumerate(zip(datasets, numbers, strict=True))
+        _drawn(dataset, count, np.random.default_rng([seed, i]))
+        for i, (dataset, count) in enumerate(zip(datasets, numbers, strict=True))
     ]
     setup = shared_setup([dataset.info.setup for dataset in datasets])
     origin: dict[str, Any] = {
@@ -138,17 +142,18 @@ def _numbers(parts: Sequence[Part], datasets: Sequence[Dataset], total: int | No
         raise InvalidSetup("With shares, every part needs one, and the mix a total number of episodes.")
     if total is not None and not has_shares:
         raise InvalidSetup(f"A total of {total} episodes needs a share for each part.")
-    if total is not None and total < 1:
+    if total is not None and whole_number(total, "total") < 1:
         raise InvalidSetup(f"The mix has a total of {total} episodes; valid is a whole number from 1.")
     if total is not None:
         weights = np.array(shares, np.float64)
+        weights /= weights.max()  # so that the sum of very large ones is finite
         ends = np.rint(np.cumsum(weights / weights.sum()) * total).astype(int)
         numbers = [int(n) for n in np.diff(ends, prepend=0)]
     else:
         numbers = [len(d) if part.episodes is None else part.episodes for part, d in zip(parts, datasets, strict=True)]
-    for number, dataset in zip(numbers, datasets, strict=True):
-        if number > len(dataset):
-            raise InvalidSetup(f"Expected at most {len(dataset)} episodes of {dataset.path}; got {number}.")
+    for count, dataset in zip(numbers, datasets, strict=True):
+        if count > len(dataset):
+            raise InvalidSetup(f"Expected at most {len(dataset)} episodes of {dataset.path}; got {count}.")
     return numbers
 
 
@@ -162,12 +167,13 @@ def _brought_together(names: Sequence[str], datasets: Sequence[Dataset], how: Ha
     infos: list[DatasetInfo] = []
     for name, dataset in zip(names, datasets, strict=True):
         info = renamed(dataset.info, how.rename.get(name, {}))
+        kept = [f for f in info.features if not any(f.key == key or f.key.startswith(f"{key}/") for key in how.drop)]
+        info = replace(info, features=tuple(kept))
         if how.frequency is not None and info.frequency != how.frequency:
             info = at_rate(info, how.frequency)
         if how.size is not None and cameras_of(info):
             info = resized(info, how.size)
-        kept = [f for f in info.features if not any(f.key == key or f.key.startswith(f"{key}/") for key in how.drop)]
-        infos.append(replace(info, features=tuple(kept)))
+        infos.append(info)
     if how.common:
         shared = set.intersection(*({feature.key for feature in info.features} for info in infos))
         infos = [replace(info, features=tuple(f for f in info.features if f.key in shared)) for info in infos]

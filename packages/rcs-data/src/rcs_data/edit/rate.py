@@ -14,6 +14,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from rcs_data.content import flat_numbers
+from rcs_data.edit.arguments import number
 from rcs_data.edit.rows import take_rows
 from rcs_data.edit.transaction import editing
 from rcs_data.errors import InvalidSetup
@@ -37,11 +38,11 @@ def resample(path: str | Path, frequency: float, *, on_progress: OnProgress | No
         on_progress: Called with the number of episodes done and of all.
 
     Raises:
-        InvalidSetup: The rate is not lower than the dataset's; nothing changes.
+        InvalidSetup: The rate is not a number, or not lower than the dataset's; nothing changes.
         CorruptEpisode: An episode is damaged; nothing changes.
         DatasetError: Somebody writes to the dataset, or the disk fails; nothing changes.
     """
-    frequency = float(frequency)  # NumPy's are no JSON
+    frequency = number(frequency, "frequency")
     with editing(path, "resample", {"frequency": frequency}, new_info=lambda info: at_rate(info, frequency)) as edit:
         episodes = edit.dataset.episodes
         for i, episode in enumerate(episodes):

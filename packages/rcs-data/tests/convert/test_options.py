@@ -1,0 +1,48 @@
+"""What every export says about the episodes that it leaves out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
+from rcs_data.convert import ExportOptions, export_lerobot, export_rlds, export_robomimic
+from rcs_data.convert.mcap import export_mcap
+from rcs_data.errors import InvalidSetup
+
+EXPORTS = [export_lerobot, export_rlds, export_robomimic, pytest.param(export_mcap, marks=pytest.mark.extras)]
+
+
+@pytest.fixture
+def uneven(tmp_path: Path) -> Dataset:
+    """Episodes of 4, 1, 1 and 3 rows; the third failed."""
+    features = tuple(Feature(key=f"{part}/joints", shape=(2,), dtype="float64") for part in ("observation", "action"))
+    info = DatasetInfo(frequency=30.0, features=features, setup={}, instruction="pick")
+    with DatasetWriter.open(tmp_path / "uneven", info) as writer:
+        for name, rows in (("a", 4), ("b", 1), ("c", 1), ("d", 3)):
+            with writer.episode(name, seed=0) as episode:
+                for row in range(rows):
+                    episode.add({f.key: np.full(2, row / 4) for f in (features if row else features[:1])})
+                episode.finish(name != "c")
+    return Dataset.open(tmp_path / "uneven")
+
+
+@pytest.mark.parametrize("export", EXPORTS)
+def test_chosen_episodes_without_a_step_are_left_out_and_named(uneven: Dataset, tmp_path: Path, export: Any) -> None:
+    def left_out(**choices: Any) -> tuple[int, list[str]]:
+        report = export(uneven, tmp_path / f"out{len([*tmp_path.iterdir()])}", ExportOptions(cameras=(), **choices))
+        return report.episodes, [note.rpartition(": ")[2] for note in report.notes if "no step" in note]
+
+    assert left_out(episodes=("a", "d")) == (2, [])
+    assert left_out(episodes=("d", "b")) == (1, ["b."])
+    assert left_out() == (2, ["b, c."])
+    assert left_out(success_only=True) == (2, ["b."])
+
+
+@pytest.mark.parametrize("export", EXPORTS)
+def test_where_nothing_is_left_the_error_names_what_was_chosen(uneven: Dataset, tmp_path: Path, export: Any) -> None:
+    with pytest.raises(InvalidSetup, match="no step: b, c"):
+        export(uneven, tmp_path / "out", ExportOptions(episodes=("b", "c")))
+    assert not (tmp_path / "out").exists()
