@@ -118,9 +118,10 @@ class _Reading:
             if came is None
             else EpisodeAbout.of_provenance(came, imported)
         )
-        words = (about.instruction, *tasks[:1], self.options.instruction, writer.info.instruction)
+        words = (*tasks[:1], self.options.instruction, writer.info.instruction)
+        instruction = next(filter(None, words), "") if came is None else about.instruction
         outcome = {**about.outcome, LABELS: texts} if texts else about.outcome
-        about = replace(about, instruction=next(filter(None, words), ""), outcome=outcome)
+        about = replace(about, instruction=instruction, outcome=outcome)
         return record_steps(writer, len(table), columns, about)
 
 

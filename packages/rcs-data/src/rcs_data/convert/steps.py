@@ -19,11 +19,12 @@ from rcs_data.convert.observations import is_done
 from rcs_data.convert.options import ImportOptions
 from rcs_data.errors import CorruptEpisode
 from rcs_data.feature import Feature
-from rcs_data.flags import FrameFlag
+from rcs_data.flags import FrameFlag, companion
 from rcs_data.info import DatasetInfo
 from rcs_data.output import new_output
 from rcs_data.reader import Dataset
 from rcs_data.rows import Value
+from rcs_data.video_packets import is_packet
 from rcs_data.writer import DatasetWriter
 
 _PROGRESS_ROWS = 32
@@ -135,12 +136,17 @@ def record_steps(
         CorruptEpisode: A column has fewer values than there are steps.
     """
     given = [(column, iter(column.values)) for column in columns]
+    features = [column.feature for column, _ in given]
+    flagged = {f.key: flags for f in features if f.is_image and (flags := companion(f.key, features, "flags"))}
     row: dict[str, Value] = {}
     with ExitStack() as on_error:
         episode = writer.episode(about.id, seed=about.seed, instruction=about.instruction)
         on_error.callback(episode.discard)
         for i in range(steps + 1):
             row = {column.feature.key: _value(column, values, i, steps, row) for column, values in given}
+            for key, flags in flagged.items():
+                if i and _is_repeated(row[key], row[flags]):
+                    row[key] = None
             episode.add(row, None if states is None else states[i])
             yield i
         repeated = [c.feature.key for c, _ in given if c.last is None and not c.is_whole and not is_done(c.feature)]
@@ -169,6 +175,12 @@ def _value(column: StepColumn, values: Iterator[Any], row: int, steps: int, befo
     value = np.asarray(value, feature.numpy_dtype).reshape(feature.shape)[()]
     unknown = (row == 0 and feature.is_unknown_at_reset) or (feature.is_time and not np.isfinite(value))
     return None if unknown else value
+
+
+def _is_repeated(image: Value, flags: Value) -> bool:
+    """Return whether an image is that of the row before. A packet counts as new: the next one may need it."""
+    is_flagged = flags is not None and bool(int(np.asarray(flags)) & FrameFlag.REPEATED)
+    return is_flagged and not (isinstance(image, bytes) and is_packet(image))
 
 
 _ENDED = object()
