@@ -21,7 +21,15 @@ def test_figures_and_films_are_on_the_page_and_words_are_words(tmp_path: Path) -
     setup = SimpleNamespace(task="PickCuboid", robot="fr3", frequency=30.0, stepping="async", cameras=(EVIL,))
     evaluation = SimpleNamespace(setup=setup, agent_name=f"vla://{EVIL}", seed=0, first_seed=0, out=tmp_path)
     results = [
-        SimpleNamespace(seed=i, success=i > 0, failure=EVIL if i == 0 else None, steps=9, reward=0.5) for i in (0, 1)
+        SimpleNamespace(
+            seed=i,
+            success=i > 0,
+            failure="policy" if i == 0 else None,
+            message=EVIL if i == 0 else None,
+            steps=9,
+            reward=0.5,
+        )
+        for i in (0, 1)
     ]
     summary = SimpleNamespace(
         interval=(0.1, 0.9), successes=1, judged=2, failures=Counter([EVIL]), results=results,
@@ -32,5 +40,12 @@ def test_figures_and_films_are_on_the_page_and_words_are_words(tmp_path: Path) -
     assert "<img" not in text
     assert text.count("<video") == 1
     assert 'src="000001.mp4"' in text
-    for words in ("Success in 1 of 2 judged", "<b>50.0 %</b>", "10.0 to 90.0 %", "left:50.00%", "<td>failure</td>"):
+    for words in (
+        "Success in 1 of 2 judged",
+        "<b>50.0 %</b>",
+        "10.0 to 90.0 %",
+        "left:50.00%",
+        "<td>failure</td>",
+        "policy: &lt;img",
+    ):
         assert words in text

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
-from rcs_data.convert import ExportOptions, export_lerobot, export_rlds, export_robomimic
+from rcs_data.convert import ExportOptions, ImportOptions, export_lerobot, export_rlds, export_robomimic
 from rcs_data.convert.mcap import export_mcap
 from rcs_data.errors import InvalidSetup
 
@@ -46,3 +46,26 @@ def test_where_nothing_is_left_the_error_names_what_was_chosen(uneven: Dataset, 
     with pytest.raises(InvalidSetup, match="no step: b, c"):
         export(uneven, tmp_path / "out", ExportOptions(episodes=("b", "c")))
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("export", "choices", "told"),
+    [
+        (export_lerobot, {"normalise": True}, "LeRobot has no use for normalise"),
+        (export_robomimic, {"extra": ("nope",), "codec": "av1"}, "robomimic has no use for extra, codec"),
+        (export_rlds, {"fps": 30}, "RLDS has no use for fps"),
+    ],
+)
+def test_options_that_a_format_does_not_use_are_refused(
+    uneven: Dataset, tmp_path: Path, export: Any, choices: Any, told: str
+) -> None:
+    with pytest.raises(InvalidSetup, match=told):
+        export(uneven, tmp_path / "out", ExportOptions(**choices))
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_of_imports_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(InvalidSetup, match="choose one of lossless and video"):
+        ImportOptions(lossless=True, video="h264")
+    with pytest.raises(InvalidSetup, match="frequency is 0"):
+        ImportOptions(frequency=0)

@@ -32,7 +32,7 @@ from rcs_data.convert.lerobot_layout import (
 from rcs_data.convert.lerobot_stats import ImageHistogram, episode_stats
 from rcs_data.convert.lerobot_writer import EncodedEpisode, V3Writer, V21Writer, write_json, write_json_lines
 from rcs_data.convert.observations import export_report
-from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
+from rcs_data.convert.options import ExportOptions, ExportReport, refuse_unused, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.convert.video import copy_video, encode_depth_video, encode_video
 from rcs_data.errors import InvalidSetup
@@ -70,6 +70,7 @@ def export_lerobot(
         CorruptEpisode: An episode is damaged.
     """
     options = options or ExportOptions()
+    refuse_unused(options, "LeRobot", ("state", "action", "extra", "robot_type", "fps", "codec"))
     if version not in ("3.0", "2.1") or (gr00t and version != "2.1"):
         raise InvalidSetup(f"LeRobot v{version} cannot be written{' for GR00T, which reads 2.1' * gr00t}.")
     episodes = selected_episodes(dataset, options)

@@ -32,7 +32,7 @@ from rcs_data.convert.mcap_messages import (
     encode,
 )
 from rcs_data.convert.observations import FrameKey, export_report, kept_info
-from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
+from rcs_data.convert.options import ExportOptions, ExportReport, refuse_unused, selected_episodes
 from rcs_data.convert.png import as_png
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.errors import MissingDependency
@@ -65,6 +65,7 @@ def export_mcap(dataset: Dataset, out: str | Path, options: ExportOptions | None
     except ImportError as err:
         raise MissingDependency("MCAP files need mcap: pip install 'rcs-data[mcap]'.") from err
     options = options or ExportOptions()
+    refuse_unused(options, "MCAP", ("compress",))
     episodes = selected_episodes(dataset, options)
     info = kept_info(dataset.info, options)
     compression = mcap.CompressionType.ZSTD if options.compress else mcap.CompressionType.NONE

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import get_args
 
@@ -92,6 +92,13 @@ class ImportOptions:
     on_note: Callable[[str], object] | None = None
     """Called with a sentence for each episode that was left out."""
 
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.lossless and self.video is not None:
+            raise InvalidSetup(f"Images are stored without loss or as {self.video}; choose one of lossless and video.")
+        if self.frequency is not None and not self.frequency > 0:
+            raise InvalidSetup(f"frequency is {self.frequency}; valid is a number above 0.")
+
 
 @dataclass(frozen=True, kw_only=True)
 class ExportReport:
@@ -120,6 +127,25 @@ def stored_as(feature: Feature, options: ImportOptions) -> Feature:
     if feature.colour is None:
         return feature
     return replace(feature, encoding="lossless" if options.lossless else options.video or feature.encoding)
+
+
+def refuse_unused(options: ExportOptions, format_: str, used: Collection[str]) -> None:
+    """Refuse options that a format has no use for.
+
+    Args:
+        options: The options.
+        format_: What to call the format.
+        used: Those of the format, besides those that all have.
+
+    Raises:
+        InvalidSetup: One of the others is given.
+    """
+    known = {*used, "episodes", "success_only", "cameras", "workers", "on_progress"}
+    given = [one.name for one in fields(options) if one.name not in known and getattr(options, one.name) != one.default]
+    if given:
+        raise InvalidSetup(
+            f"{format_} has no use for {', '.join(given)}; leave it out. It takes {', '.join(sorted(known))}."
+        )
 
 
 def selected_episodes(dataset: Dataset, options: ExportOptions) -> tuple[EpisodeRecord, ...]:

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs_data.convert.observations import FrameKey, describe_layout, export_report, is_done, kept_info, named, observed
-from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
+from rcs_data.convert.options import ExportOptions, ExportReport, refuse_unused, selected_episodes
 from rcs_data.convert.png import as_png
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.convert.rlds_features import Spec, features_json, image, numbers, tensor, text
@@ -76,6 +76,7 @@ def export_rlds(dataset: Dataset, out: str | Path, options: ExportOptions | None
         DatasetError: An export of that name exists, or the disk fails.
     """
     options = options or ExportOptions()
+    refuse_unused(options, "RLDS", ("state", "action", "extra", "name", "splits", "shard_mb"))
     episodes = selected_episodes(dataset, options)
     info = kept_info(dataset.info, options)
     state, action = state_layout(info, options.state), action_layout(info, options.action)

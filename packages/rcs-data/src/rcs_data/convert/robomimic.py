@@ -37,7 +37,7 @@ from rcs_data.convert.observations import (
     named,
     observed,
 )
-from rcs_data.convert.options import ExportOptions, ExportReport, selected_episodes
+from rcs_data.convert.options import ExportOptions, ExportReport, refuse_unused, selected_episodes
 from rcs_data.convert.provenance import episode_provenance
 from rcs_data.feature import Feature
 from rcs_data.info import DatasetInfo
@@ -83,6 +83,7 @@ def export_robomimic(dataset: Dataset, out: str | Path, options: ExportOptions |
     """
     h5py = load_h5py()
     options = options or ExportOptions()
+    refuse_unused(options, "robomimic", ("state", "action", "compress", "normalise"))
     episodes = selected_episodes(dataset, options)
     info = kept_info(dataset.info, options)
     # Only observed images have a place.
