@@ -1,6 +1,9 @@
 // What a world calls while it steps: callbacks, and the view that they are given.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/vector.h>
+
+#include <string>
 
 #include "arrays.hpp"
 #include "gil.hpp"
@@ -52,6 +55,71 @@ View<double> data_view(const PyStepView& given, double* mjData::* first, mjtSize
   const rcs::StepView& view = given.get();
   const std::size_t shape[2] = {static_cast<std::size_t>(view.model->*size), width};
   return View<double>(view.data->*first, width ? 2 : 1, shape, keeper(*view.memory));
+}
+
+using Memory = In<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+double* memory_of(const rcs::Trajectory& trajectory, const Memory& memory) {
+  if (memory.shape(0) != static_cast<std::size_t>(rcs::Trajectory::size(trajectory.dof())))
+    throw rcs::InvalidSetup("trajectory: the memory has " + std::to_string(memory.shape(0)) + " numbers, valid are " +
+                            std::to_string(rcs::Trajectory::size(trajectory.dof())));
+  return memory.data();
+}
+
+std::span<const double> of_joints(const rcs::Trajectory& trajectory, const Vector& values) {
+  if (values.shape(0) != static_cast<std::size_t>(trajectory.dof()))
+    throw rcs::InvalidSetup("trajectory: " + std::to_string(values.shape(0)) + " numbers were given for " +
+                            std::to_string(trajectory.dof()) + " joints");
+  return to_span(values);
+}
+
+void bind_trajectory(nb::module_& m) {
+  nb::class_<rcs::Trajectory>(m, "Trajectory",
+                              "The law of motion of an arm, in memory of the caller: what its joints do between one "
+                              "target and the next. The first `dof` numbers of the memory are the target [rad].")
+      .def(nb::init<rcs::MotionLimits>(), "limits"_a)
+      .def_static("size", &rcs::Trajectory::size, "dof"_a, "Numbers that so many joints take.")
+      .def_prop_ro_static(
+          "POSITION_ROWS", [](nb::handle) { return rcs::Trajectory::position_rows(); },
+          "Rows of `dof` numbers that are joint positions; where the arm stands still, all are equal and the rest is "
+          "0.")
+      .def_prop_ro("dof", &rcs::Trajectory::dof)
+      .def(
+          "follow",
+          [](rcs::Trajectory& t, const Memory& memory, double period, bool is_synchronous, double share) {
+            double* numbers = memory_of(t, memory);
+            if (!(period > 0.0) || !(share > 0.0 && share <= 1.0))
+              throw rcs::InvalidSetup("trajectory: valid are a period above 0 and a share of the acceleration up to 1");
+            if (t.is_asked(numbers)) t.follow(numbers, {period, period, 0.0, is_synchronous}, share);
+          },
+          "memory"_a, "period"_a, "is_synchronous"_a = false, "share"_a = 1.0,
+          "Plan the motion of a step that lasts `period` [s], or until the target is reached, with a share of the "
+          "acceleration.")
+      .def(
+          "brake",
+          [](rcs::Trajectory& t, const Memory& memory, const Vector& joints, const Vector& velocities) {
+            t.brake(memory_of(t, memory), of_joints(t, joints), of_joints(t, velocities), 1.0);
+          },
+          "memory"_a, "joints"_a, "velocities"_a,
+          "Begin to brake to rest from these positions [rad] and velocities [rad/s].")
+      .def(
+          "advance",
+          [](rcs::Trajectory& t, const Memory& memory, double time) { t.advance(memory_of(t, memory), time); },
+          "memory"_a, "time"_a, "Let time pass [s].")
+      .def(
+          "state",
+          [](rcs::Trajectory& t, const Memory& memory, double ahead) {
+            t.look(memory_of(t, memory), ahead);
+            std::vector<double> all;
+            for (const auto values : {t.position(), t.velocity(), t.acceleration()})
+              all.insert(all.end(), values.begin(), values.end());
+            return to_array(all, {3, static_cast<std::size_t>(t.dof())});
+          },
+          "memory"_a, "ahead"_a = 0.0,
+          "Position, velocity and acceleration after so many seconds of the present plan, (3, dof).")
+      .def(
+          "remaining", [](rcs::Trajectory& t, const Memory& memory) { return t.remaining(memory_of(t, memory)); },
+          "memory"_a, "Time until the joints stand [s]; of a stream, until the plan is used up.");
 }
 
 }  // namespace
@@ -112,7 +180,10 @@ void bind_callback(nb::module_& m) {
       .def(nb::init<std::vector<double>, std::vector<double>, std::vector<double>, std::vector<double>,
                     std::vector<double>>(),
            "lower"_a, "upper"_a, "velocity"_a, "acceleration"_a, "jerk"_a,
-           "Positions in rad, then rad/s, rad/s^2 and rad/s^3.");
+           "Positions in rad, then rad/s, rad/s^2 and rad/s^3.")
+      .def("lead", &rcs::MotionLimits::lead, "period"_a,
+           "How far a target may lead each joint [rad], when targets come every `period` [s].");
+  bind_trajectory(m);
   nb::class_<rcs::Motion, rcs::StepCallback>(
       m, "Motion",
       "Moves position servos of some joints to a target in `mjData.userdata`, within limits of velocity, acceleration "
@@ -120,11 +191,6 @@ void bind_callback(nb::module_& m) {
       .def(nb::init<std::vector<int>, std::vector<int>, int, rcs::MotionLimits, int>(), "joints"_a, "actuators"_a,
            "address"_a, "limits"_a, "copies"_a,
            "Joint and actuator ids, base to tip, and the first of the numbers in the user data.")
-      .def_static("size", &rcs::Motion::size, "dof"_a, "Numbers of user data that so many joints take.")
-      .def_prop_ro_static(
-          "POSITION_ROWS", [](nb::handle) { return rcs::Motion::position_rows(); },
-          "Rows of `dof` numbers that are joint positions; where the arm stands still, all are equal and the rest is "
-          "0.")
       .def_prop_ro("dof", &rcs::Motion::dof)
       .def_prop_ro("address", &rcs::Motion::address)
       .def(

@@ -173,6 +173,17 @@ void bind_world(nb::module_& m) {
       .def_prop_ro("is_batch", &rcs::World::is_batch, "False for a world on the user's own data.")
       .def("add_motion", &rcs::World::add_motion, "motion"_a,
            "Have a motion lead its joints in every step. Where there is one with the same user data, that is returned.")
+      .def(
+          "preview",
+          [](rcs::World& w, const std::shared_ptr<rcs::Motion>& motion, const Vector& target, int copy, double tick) {
+            const std::vector<double> positions = w.preview(motion, copy, to_span(target), tick);
+            const auto dof = static_cast<std::size_t>(motion->dof());
+            return to_array(positions, {positions.size() / dof, dof});
+          },
+          "motion"_a, "target"_a, "copy"_a, "tick"_a,
+          "What the next step to a target (dof,) [rad] would do: where the joints are led to (n, dof), from now to the end "
+          "of the step and while they brake to rest from there, at most every `tick` [s] and at the same times for all "
+          "motions; in a synchronous step, until they stand. Nothing changes.")
       .def("on_period", &rcs::World::on_period, "callback"_a, "period"_a,
            "Call every `period` seconds of simulated time.")
       .def("converge_when", &rcs::World::converge_when, "callback"_a,

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <ruckig/ruckig.hpp>
+#include <limits>
 #include <string>
 #include <utility>
 
@@ -12,99 +12,33 @@ namespace rcs {
 
 namespace {
 
-// Rows of `dof` numbers in the user data of a copy. What is planned follows from the last five and the numbers behind.
-enum Row { kTarget, kLast, kStream, kPosition, kVelocity, kAcceleration, kAim, kEnd, kRows };
-// After the rows: time since the plan's start, and its least duration.
-enum Number { kElapsed, kLeast };
-
-// As libfranka, which stays that much below the limits that its robot checks (rate_limiting.h, kLimitEps).
-constexpr double kMargin = 1e-3;
-// How far a stream that ends abruptly may be overshot [rad], up to this share of the velocity limit; none at twice of
-// it.
-constexpr double kOvershoot = 0.03;
-constexpr double kSlow = 0.5;
-// Steps within which a stream of targets is met. Only the first is made before the next target comes: what a noisy
-// target asks for is met in part, at a fraction of the acceleration.
-constexpr double kHorizon = 2.0;
-// What rounding makes of the end of a trajectory [rad].
-constexpr double kRounding = 1e-6;
 // At rest, for arrival: ten times below what a person sees, ten times above what a servo jitters.
 constexpr double kPositionTolerance = 1e-3;  // rad
 constexpr double kVelocityTolerance = 1e-2;  // rad/s
-
-// Way [rad] to a stop from a speed, at limited acceleration and jerk: half of what the speed makes in that time.
-double braking_distance(double speed, double acceleration, double jerk) {
-  const double time = speed * jerk >= acceleration * acceleration ? speed / acceleration + acceleration / jerk
-                                                                  : 2.0 * std::sqrt(speed / jerk);
-  return 0.5 * speed * time;
-}
-
-// The speed whose braking distance is `distance`.
-double braking_speed(double distance, double acceleration, double jerk) {
-  if (distance <= 0.0) return 0.0;
-  const double lag = acceleration / jerk;
-  const double speed = 0.5 * acceleration * (std::sqrt(lag * lag + 8.0 * distance / acceleration) - lag);
-  return speed * jerk >= acceleration * acceleration ? speed : std::cbrt(distance * distance * jerk);
-}
-
-// The smaller of two numbers of the same sign, else 0.
-double minmod(double a, double b) {
-  if (a > 0.0 && b > 0.0) return std::min(a, b);
-  if (a < 0.0 && b < 0.0) return std::max(a, b);
-  return 0.0;
-}
+// An arm that is farther from where it is led to is kept from following [rad]: a servo of ours lags by less than a tenth.
+constexpr double kAstray = 0.2;
+// Places of a motion at which torques are looked at.
+constexpr int kPlaces = 12;
+// Part of the torque that motions may ask for; the rest is for the servos to correct with.
+constexpr double kUsable = 0.9;
+// A motion whose accelerations take less than this part of the torque is not looked at closely: gravity leaves more.
+constexpr double kHarmless = 0.2;
+// The least share of the acceleration, where gravity alone takes all the torque.
+constexpr double kLeastShare = 0.1;
 
 }  // namespace
 
-void MotionLimits::check(int dof) const {
-  const auto n = static_cast<std::size_t>(dof);
-  for (const auto* values : {&lower, &upper, &velocity, &acceleration, &jerk})
-    if (values->size() != n)
-      throw InvalidSetup("motion limits: each needs one value per joint, " + std::to_string(n) + ", not " +
-                         std::to_string(values->size()));
-  for (std::size_t i = 0; i < n; ++i)
-    if (!(lower[i] < upper[i])) throw InvalidSetup("motion limits: every lower limit must be below the upper one");
-  for (const auto* values : {&velocity, &acceleration, &jerk})
-    for (const double value : *values)
-      if (!(value > 0.0)) throw InvalidSetup("motion limits: velocity, acceleration and jerk must be positive");
-}
+struct Motion::Copy {
+  explicit Copy(const MotionLimits& limits) : trajectory(limits), gain(limits.lower.size()), lag(limits.lower.size()) {}
 
-// A planned trajectory, and what it was planned for. Another copy's state, or a restored one, makes it plan anew.
-struct Motion::Plan {
-  explicit Plan(int dof)
-      : ruckig(static_cast<std::size_t>(dof)),
-        input(static_cast<std::size_t>(dof)),
-        trajectory(static_cast<std::size_t>(dof)) {
-    const auto n = static_cast<std::size_t>(dof);
-    for (auto* values : {&position, &velocity, &acceleration, &lag, &gain, &aim, &end}) values->assign(n, 0.0);
-  }
-
-  bool compute() {
-    const ruckig::Result result = ruckig.calculate(input, trajectory);
-    return result == ruckig::Result::Working || result == ruckig::Result::Finished;
-  }
-  double duration() const { return is_still ? 0.0 : trajectory.get_duration(); }
-  void at(double time) {
-    if (is_still) {
-      position = input.current_position;
-      std::ranges::fill(velocity, 0.0);
-      std::ranges::fill(acceleration, 0.0);
-    } else {
-      trajectory.at_time(time, position, velocity, acceleration);
-    }
-  }
-
-  ruckig::Ruckig<ruckig::DynamicDOFs> ruckig;
-  ruckig::InputParameter<ruckig::DynamicDOFs> input;
-  ruckig::Trajectory<ruckig::DynamicDOFs> trajectory;
-  std::vector<double> source;  // the numbers that it was computed from
-  bool is_still = true;        // it starts where it ends
-  std::vector<double> position, velocity, acceleration;
-  std::vector<double> lag;       // of the servo [s]
-  std::vector<double> gain;      // of the servo [Nm/rad]
-  std::vector<double> force;     // that the acceleration takes [Nm], of all degrees of freedom of the model
-  std::vector<double> wanted;    // acceleration, of all degrees of freedom
-  std::vector<double> aim, end;  // where to, at which velocity
+  Trajectory trajectory;
+  std::vector<double> gain;       // of the servo [Nm/rad]
+  std::vector<double> lag;        // of the servo [s]
+  std::vector<double> force;      // that the acceleration takes [Nm], of all degrees of freedom of the model
+  std::vector<double> wanted;     // acceleration, of all degrees of freedom
+  std::vector<double> measured;   // positions, then velocities, of the joints
+  std::vector<double> memory;     // of a plan that is tried
+  std::vector<double> qpos, qvel, speed, bias, still;  // of the model, while a motion is looked at
 };
 
 Motion::Motion(std::vector<int> joints, std::vector<int> actuators, int address, MotionLimits limits, int copies)
@@ -114,35 +48,19 @@ Motion::Motion(std::vector<int> joints, std::vector<int> actuators, int address,
                        " joints and " + std::to_string(actuators_.size()) + " actuators");
   if (copies < 1) throw InvalidSetup("motion: copies must be at least 1, not " + std::to_string(copies));
   limits_.check(dof());
-  for (int copy = 0; copy < copies; ++copy) {
-    plans_.push_back(std::make_unique<Plan>(dof()));
-    auto& input = plans_.back()->input;
-    input.synchronization = ruckig::Synchronization::Phase;
-    for (std::size_t i = 0; i < joints_.size(); ++i) {
-      input.max_velocity[i] = (1.0 - kMargin) * limits_.velocity[i];
-      input.max_acceleration[i] = (1.0 - kMargin) * limits_.acceleration[i];
-      input.max_jerk[i] = (1.0 - kMargin) * limits_.jerk[i];
-    }
-  }
+  for (int copy = 0; copy < copies; ++copy) copies_.push_back(std::make_unique<Copy>(limits_));
 }
 
 Motion::~Motion() = default;
 
-void Motion::stand(std::span<double> user, std::span<const double> joints) {
-  std::ranges::fill(user, 0.0);
-  for (const int row : position_rows()) std::ranges::copy(joints, user.begin() + row * std::ssize(joints));
-}
-
-std::vector<int> Motion::position_rows() { return {kTarget, kLast, kPosition, kAim}; }
-
 void Motion::check(const mjModel* model, int copies) const {
-  if (static_cast<std::size_t>(copies) > plans_.size())
-    throw InvalidSetup("motion: it is for " + std::to_string(plans_.size()) + " copies, the world has " +
+  if (static_cast<std::size_t>(copies) > copies_.size())
+    throw InvalidSetup("motion: it is for " + std::to_string(copies_.size()) + " copies, the world has " +
                        std::to_string(copies));
-  if (address_ < 0 || address_ + size(dof()) > model->nuserdata)
+  if (address_ < 0 || address_ + Trajectory::size(dof()) > model->nuserdata)
     throw InvalidSetup("motion: it needs the user data " + std::to_string(address_) + " to " +
-                       std::to_string(address_ + size(dof())) + ", the model has " + std::to_string(model->nuserdata) +
-                       " numbers of it");
+                       std::to_string(address_ + Trajectory::size(dof())) + ", the model has " +
+                       std::to_string(model->nuserdata) + " numbers of it");
   for (std::size_t i = 0; i < joints_.size(); ++i) {
     if (joints_[i] < 0 || joints_[i] >= model->njnt || actuators_[i] < 0 || actuators_[i] >= model->nu)
       throw InvalidSetup("motion: a joint or an actuator is not in the model");
@@ -154,177 +72,225 @@ void Motion::check(const mjModel* model, int copies) const {
   }
 }
 
-// The trajectory that the user data of a copy ask for.
-Motion::Plan& Motion::plan(const double* user, int copy) {
-  Plan& plan = *plans_[static_cast<std::size_t>(copy)];
-  const std::size_t n = joints_.size();
-  const double* first = user + kPosition * n;
-  const std::size_t count = (kRows - kPosition) * n;
-  const double least = user[kRows * n + kLeast];
-  if (plan.source.size() == count + 1 && std::equal(first, first + count, plan.source.begin()) &&
-      plan.source.back() == least)
-    return plan;
-  plan.source.assign(first, first + count);
-  plan.source.push_back(least);
-  auto& input = plan.input;
-  plan.is_still = true;
-  for (std::size_t i = 0; i < n; ++i) {
-    input.current_position[i] = user[kPosition * n + i];
-    input.current_velocity[i] = user[kVelocity * n + i];
-    input.current_acceleration[i] = user[kAcceleration * n + i];
-    input.target_position[i] = user[kAim * n + i];
-    input.target_velocity[i] = user[kEnd * n + i];
-    plan.is_still = plan.is_still && input.current_velocity[i] == 0.0 && input.current_acceleration[i] == 0.0 &&
-                    input.target_velocity[i] == 0.0 && input.target_position[i] == input.current_position[i];
-  }
-  if (plan.is_still) return plan;
-  input.control_interface = ruckig::ControlInterface::Position;
-  if (least > 0.0)
-    input.minimum_duration = least;
-  else
-    input.minimum_duration.reset();
-  if (plan.compute()) return plan;
-  // Rounding may leave no trajectory of that duration, or to that speed: what is always left is to come to rest.
-  input.minimum_duration.reset();
-  if (plan.compute()) return plan;
-  std::ranges::fill(input.target_velocity, 0.0);
-  if (plan.compute()) return plan;
-  input.control_interface = ruckig::ControlInterface::Velocity;
-  if (!plan.compute()) plan.is_still = true;
-  return plan;
+namespace {
+
+// Torque that a joint's motor has [Nm]; infinite where the model has no limit.
+double torque_limit(const mjModel* model, int joint, int actuator) {
+  double limit = std::numeric_limits<double>::infinity();
+  if (model->jnt_actfrclimited[joint])
+    limit = std::min(-model->jnt_actfrcrange[2 * joint], model->jnt_actfrcrange[2 * joint + 1]);
+  if (model->actuator_forcelimited[actuator])
+    limit = std::min({limit, -model->actuator_forcerange[2 * actuator], model->actuator_forcerange[2 * actuator + 1]});
+  return limit;
 }
 
-// Begin a new plan at the present point of the old one, as evaluated.
-void Motion::start(double* user, const Plan& plan) const {
-  const std::size_t n = joints_.size();
-  std::ranges::copy(plan.position, user + kPosition * n);
-  std::ranges::copy(plan.velocity, user + kVelocity * n);
-  std::ranges::copy(plan.acceleration, user + kAcceleration * n);
-  user[kRows * n + kElapsed] = user[kRows * n + kLeast] = 0.0;
+}  // namespace
+
+// What the motors exert beside what accelerations take [Nm], of all degrees of freedom: against the forces of speed, and
+// against gravity, that of a load included.
+void Motion::know_bias(const mjModel* model, mjData* data, Copy& copy) {
+  const auto nv = static_cast<std::size_t>(model->nv);
+  copy.bias.resize(nv);
+  copy.still.resize(nv);
+  copy.speed.assign(data->qvel, data->qvel + nv);
+  mj_comVel(model, data);
+  mj_rne(model, data, 0, copy.bias.data());
+  std::fill_n(data->qvel, nv, 0.0);
+  mj_comVel(model, data);
+  mj_rne(model, data, 0, copy.still.data());
+  mj_passive(model, data);
+  std::ranges::copy(copy.speed, data->qvel);
+  for (std::size_t k = 0; k < nv; ++k) copy.bias[k] += data->qfrc_gravcomp[k] - copy.still[k];
 }
 
-void Motion::follow(double* user, const Step& step, Plan& plan) {
+// What the planned motion may have of its acceleration, by inverse dynamics. One that goes far before it is planned anew
+// is looked at where it leads; others with the inertia that the arm has where it is.
+double Motion::share_of_acceleration(const mjModel* model, mjData* data, const double* memory, Copy& copy,
+                                     bool is_far) {
   const std::size_t n = joints_.size();
-  double *target = user + kTarget * n, *last = user + kLast * n, *stream = user + kStream * n;
-  double most = 1.0;  // of the velocity limit
-  for (std::size_t i = 0; i < n; ++i) {
-    target[i] = std::clamp(target[i], limits_.lower[i], limits_.upper[i]);
-    const double velocity = step.is_synchronous ? 0.0 : (target[i] - last[i]) / step.period;
-    plan.end[i] = minmod(velocity, stream[i]);
-    most = std::max(most, std::abs(plan.end[i]) / plan.input.max_velocity[i]);
-    stream[i] = velocity;
-    last[i] = target[i];
+  const double duration = copy.trajectory.remaining(memory);
+  double share = 1.0;
+  bool is_known = false;
+  if (is_far) {
+    copy.qpos.assign(data->qpos, data->qpos + model->nq);
+    copy.qvel.assign(data->qvel, data->qvel + model->nv);
   }
-  double lag = step.is_synchronous ? 0.0 : step.rest;
-  double behind = 0.0;  // the time by which all joints stay behind
-  for (std::size_t i = 0; i < n; ++i) {
-    plan.end[i] /= most;
-    const double acceleration = plan.input.max_acceleration[i], jerk = plan.input.max_jerk[i];
-    const double room = plan.end[i] > 0.0 ? limits_.upper[i] - target[i] : target[i] - limits_.lower[i];
-    const double speed = std::min(std::abs(plan.end[i]), braking_speed(room, acceleration, jerk));
-    plan.end[i] = std::copysign(speed, plan.end[i]);
-    if (speed == 0.0) continue;
-    const double fast = speed / (kSlow * plan.input.max_velocity[i]);
-    const double overshoot = kOvershoot * std::clamp(2.0 - fast, 0.0, 1.0);
-    behind = std::max(behind, (braking_distance(speed, acceleration, jerk) - overshoot) / speed);
+  for (int place = 0; place <= kPlaces; ++place) {
+    copy.trajectory.look(memory, duration * place / kPlaces);
+    for (std::size_t i = 0; i < n; ++i)
+      copy.wanted[static_cast<std::size_t>(model->jnt_dofadr[joints_[i]])] = copy.trajectory.acceleration()[i];
+    if (is_far) {
+      for (std::size_t i = 0; i < n; ++i) {
+        data->qpos[model->jnt_qposadr[joints_[i]]] = copy.trajectory.position()[i];
+        data->qvel[model->jnt_dofadr[joints_[i]]] = copy.trajectory.velocity()[i];
+      }
+      look_at_inertia(model, data);
+      is_known = false;
+    }
+    mj_mulM(model, data, copy.force.data(), copy.wanted.data());
+    for (std::size_t i = 0; i < n; ++i) {
+      const auto dof = static_cast<std::size_t>(model->jnt_dofadr[joints_[i]]);
+      const double limit = kUsable * torque_limit(model, joints_[i], actuators_[i]), force = copy.force[dof];
+      if (std::abs(force) <= kHarmless * limit) continue;
+      if (!is_known) know_bias(model, data, copy);
+      is_known = true;
+      const double speed = copy.trajectory.velocity()[i];
+      const double friction = speed == 0.0 ? 0.0 : std::copysign(model->dof_frictionloss[dof], speed);
+      const double other = copy.bias[dof] + model->dof_damping[dof] * speed + friction;
+      share = std::min(share, (limit - std::copysign(1.0, force) * other) / std::abs(force));
+    }
   }
-  const double ahead = step.is_synchronous ? 0.0 : (kHorizon - 1.0) * step.period;
-  bool is_same = true;
-  for (std::size_t i = 0; i < n; ++i) {
-    plan.aim[i] = target[i] + plan.end[i] * (ahead - behind - lag);
-    is_same = is_same && plan.aim[i] == user[kAim * n + i] && plan.end[i] == user[kEnd * n + i];
+  if (is_far) {
+    std::ranges::copy(copy.qpos, data->qpos);
+    std::ranges::copy(copy.qvel, data->qvel);
+    look_at_inertia(model, data);
   }
-  if (is_same) return;
-  start(user, plan);
-  std::ranges::copy(plan.aim, user + kAim * n);
-  std::ranges::copy(plan.end, user + kEnd * n);
-  user[kRows * n + kLeast] = step.is_synchronous ? 0.0 : step.duration + ahead;
+  return std::max(share, kLeastShare);
 }
 
-void Motion::begin(const mjModel* model, mjData* data, int copy, const Step& step) {
-  double* user = data->userdata + address_;
-  const std::size_t n = joints_.size();
-  bool is_new = false;
-  for (std::size_t i = 0; i < n; ++i)
-    is_new = is_new || user[kTarget * n + i] != user[kLast * n + i] || user[kStream * n + i] != 0.0;
-  Plan& now = plan(user, copy);
-  // A plan that could not be made has ended elsewhere.
-  for (std::size_t i = 0; i < n && now.is_still; ++i) is_new = is_new || user[kAim * n + i] != user[kTarget * n + i];
-  if (is_new) {
-    now.at(user[kRows * n + kElapsed]);
-    follow(user, step, now);
-    plan(user, copy);
-  }
-  for (std::size_t i = 0; i < n; ++i) {
-    const int actuator = actuators_[i];
-    const double* bias = model->actuator_biasprm + actuator * mjNBIAS;
-    now.gain[i] = -bias[1];
-    now.lag[i] = (model->dof_damping[model->jnt_dofadr[joints_[i]]] - bias[2]) / now.gain[i];
-  }
-  if (now.is_still) return;
-  now.wanted.assign(static_cast<std::size_t>(model->nv), 0.0);
-  now.force.resize(static_cast<std::size_t>(model->nv));
-  // The inertia matrix that is there may be of another copy.
+// The inertia matrix that is there may be of another copy.
+void Motion::look_at_inertia(const mjModel* model, mjData* data) {
   mj_kinematics(model, data);
   mj_comPos(model, data);
   mj_makeM(model, data);
 }
 
-void Motion::advance(const mjModel* model, mjData* data, int copy) {
-  double* user = data->userdata + address_;
+// Plan a step, within the torques of the motors.
+void Motion::plan(const mjModel* model, mjData* data, double* memory, Copy& copy, const Step& step) {
+  Trajectory& trajectory = copy.trajectory;
   const std::size_t n = joints_.size();
-  Plan& now = *plans_[static_cast<std::size_t>(copy)];
-  if (now.is_still) {
-    for (std::size_t i = 0; i < n; ++i) data->ctrl[actuators_[i]] = now.input.current_position[i];
+  copy.wanted.assign(static_cast<std::size_t>(model->nv), 0.0);
+  copy.force.resize(static_cast<std::size_t>(model->nv));
+  if (trajectory.is_told_to_hold(memory)) {
+    look_at_inertia(model, data);
+    return brake(model, data, memory, copy, measured(model, data, copy).first(n), measured(model, data, copy).last(n));
+  }
+  const bool is_asked = trajectory.is_asked(memory);
+  if (is_asked) {
+    trajectory.look(memory, 0.0);
+    const auto joints = measured(model, data, copy).first(n);
+    bool is_astray = false;
+    for (std::size_t i = 0; i < n; ++i)
+      is_astray = is_astray || std::abs(joints[i] - trajectory.position()[i]) > kAstray;
+    if (is_astray) {
+      copy.memory.assign(memory, memory + n);  // the target
+      Trajectory::stand({memory, static_cast<std::size_t>(Trajectory::size(dof()))}, joints);
+      std::ranges::copy(copy.memory, memory);
+    }
+    copy.memory.assign(memory, memory + Trajectory::size(dof()));
+    trajectory.follow(memory, step, 1.0);
+  }
+  if (trajectory.is_still(memory)) return;
+  look_at_inertia(model, data);
+  if (!is_asked) return;
+  const double share = share_of_acceleration(model, data, memory, copy, step.is_synchronous);
+  if (share == 1.0) return;
+  std::ranges::copy(copy.memory, memory);
+  trajectory.follow(memory, step, share);
+}
+
+// Brake within the torques of the motors; the inertia of the present place has been looked at.
+void Motion::brake(const mjModel* model, mjData* data, double* memory, Copy& copy, std::span<const double> joints,
+                   std::span<const double> velocities) {
+  copy.trajectory.brake(memory, joints, velocities, 1.0);
+  const double share = share_of_acceleration(model, data, memory, copy, false);
+  if (share < 1.0) copy.trajectory.brake(memory, joints, velocities, share);
+}
+
+// Positions, then velocities, of the joints.
+std::span<const double> Motion::measured(const mjModel* model, const mjData* data, Copy& copy) const {
+  const std::size_t n = joints_.size();
+  copy.measured.resize(2 * n);
+  for (std::size_t i = 0; i < n; ++i) {
+    copy.measured[i] = data->qpos[model->jnt_qposadr[joints_[i]]];
+    copy.measured[n + i] = data->qvel[model->jnt_dofadr[joints_[i]]];
+  }
+  return copy.measured;
+}
+
+void Motion::begin(const mjModel* model, mjData* data, int copy, const Step& step) {
+  Copy& now = *copies_[static_cast<std::size_t>(copy)];
+  plan(model, data, data->userdata + address_, now, step);
+  for (std::size_t i = 0; i < joints_.size(); ++i) {
+    const int actuator = actuators_[i];
+    const double* bias = model->actuator_biasprm + actuator * mjNBIAS;
+    now.gain[i] = -bias[1];
+    now.lag[i] = (model->dof_damping[model->jnt_dofadr[joints_[i]]] - bias[2]) / now.gain[i];
+  }
+}
+
+void Motion::advance(const mjModel* model, mjData* data, int copy) {
+  Copy& now = *copies_[static_cast<std::size_t>(copy)];
+  Trajectory& trajectory = now.trajectory;
+  double* memory = data->userdata + address_;
+  if (trajectory.is_told_to_hold(memory)) plan(model, data, memory, now, {});  // by another thread, during this step
+  const bool was_still = trajectory.is_still(memory);
+  trajectory.advance(memory, model->opt.timestep);
+  const std::size_t n = joints_.size();
+  if (was_still) {
+    for (std::size_t i = 0; i < n; ++i) data->ctrl[actuators_[i]] = trajectory.position()[i];
     return;
   }
-  double& elapsed = user[kRows * n + kElapsed];
-  elapsed += model->opt.timestep;
-  now.at(elapsed);
-  bool is_over = elapsed >= now.trajectory.get_duration();
-  for (std::size_t i = 0; i < n; ++i) now.wanted[model->jnt_dofadr[joints_[i]]] = now.acceleration[i];
+  for (std::size_t i = 0; i < n; ++i) now.wanted[model->jnt_dofadr[joints_[i]]] = trajectory.acceleration()[i];
   mj_mulM(model, data, now.force.data(), now.wanted.data());
   for (std::size_t i = 0; i < n; ++i) {
-    const double position = std::clamp(now.position[i], limits_.lower[i], limits_.upper[i]);
+    const double position = std::clamp(trajectory.position()[i], limits_.lower[i], limits_.upper[i]);
     const double force = now.force[model->jnt_dofadr[joints_[i]]];
-    data->ctrl[actuators_[i]] = position + now.lag[i] * now.velocity[i] + force / now.gain[i];
-    is_over = is_over && now.input.target_velocity[i] == 0.0;
+    data->ctrl[actuators_[i]] = position + now.lag[i] * trajectory.velocity()[i] + force / now.gain[i];
   }
-  if (!is_over) return;
-  // From here on it stands still: where the trajectory was to end, not where rounding has led it.
-  for (std::size_t i = 0; i < n; ++i) {
-    const double target = user[kTarget * n + i];
-    const double position = std::abs(target - now.position[i]) < kRounding ? target : now.position[i];
-    user[kPosition * n + i] = user[kAim * n + i] = position;
-    user[kVelocity * n + i] = user[kAcceleration * n + i] = user[kEnd * n + i] = 0.0;
+}
+
+std::vector<double> Motion::preview(const mjModel* model, mjData* data, int copy, const Step& step,
+                                    std::span<const double> target, double tick) {
+  Copy& now = *copies_[static_cast<std::size_t>(copy)];
+  Trajectory& trajectory = now.trajectory;
+  const double* memory = data->userdata + address_;
+  std::vector<double> tried(memory, memory + Trajectory::size(dof()));
+  std::ranges::copy(target, tried.begin());
+  tried.back() = 0.0;
+  plan(model, data, tried.data(), now, step);
+  std::vector<double> positions;
+  const auto add = [&](int first, double until, double pace) {
+    const int last = static_cast<int>(std::ceil(until / pace - 1e-9));
+    for (int k = first; k <= last; ++k) {
+      trajectory.look(tried.data(), k * pace);
+      positions.insert(positions.end(), trajectory.position().begin(), trajectory.position().end());
+    }
+  };
+  if (step.is_synchronous) {
+    add(0, trajectory.remaining(tried.data()), tick);
+    return positions;
   }
-  user[kRows * n + kElapsed] = user[kRows * n + kLeast] = 0.0;
-  plan(user, copy);
+  const double pace = step.duration / std::ceil(step.duration / tick);  // the same for all motions
+  add(0, step.duration, pace);
+  const std::vector<double> joints(positions.end() - dof(), positions.end());
+  const std::vector<double> velocities(trajectory.velocity().begin(), trajectory.velocity().end());
+  look_at_inertia(model, data);
+  brake(model, data, tried.data(), now, joints, velocities);
+  add(1, trajectory.remaining(tried.data()), pace);
+  return positions;
 }
 
 std::vector<double> Motion::state(const mjData* data, int copy) {
-  const double* user = data->userdata + address_;
-  Plan& now = plan(user, copy);
-  now.at(user[kRows * joints_.size() + kElapsed]);
-  std::vector<double> all = now.position;
-  all.insert(all.end(), now.velocity.begin(), now.velocity.end());
-  all.insert(all.end(), now.acceleration.begin(), now.acceleration.end());
+  Trajectory& trajectory = copies_[static_cast<std::size_t>(copy)]->trajectory;
+  trajectory.look(data->userdata + address_, 0.0);
+  std::vector<double> all;
+  for (const auto values : {trajectory.position(), trajectory.velocity(), trajectory.acceleration()})
+    all.insert(all.end(), values.begin(), values.end());
   return all;
 }
 
 double Motion::remaining(const mjData* data, int copy) {
-  const double* user = data->userdata + address_;
-  const Plan& now = plan(user, copy);
-  return std::max(now.duration() - user[kRows * joints_.size() + kElapsed], 0.0);
+  return copies_[static_cast<std::size_t>(copy)]->trajectory.remaining(data->userdata + address_);
 }
 
 bool Motion::call(const StepView& view) {
-  const double* user = view.data->userdata + address_;
-  if (!plans_[static_cast<std::size_t>(view.copy)]->is_still) return false;
+  const double* memory = view.data->userdata + address_;
+  if (!copies_[static_cast<std::size_t>(view.copy)]->trajectory.is_still(memory)) return false;
   for (std::size_t i = 0; i < joints_.size(); ++i) {
     const double position = view.data->qpos[view.model->jnt_qposadr[joints_[i]]];
     const double velocity = view.data->qvel[view.model->jnt_dofadr[joints_[i]]];
-    if (!(std::abs(position - user[kTarget * joints_.size() + i]) <= kPositionTolerance)) return false;
+    if (!(std::abs(position - memory[i]) <= kPositionTolerance)) return false;
     if (std::abs(velocity) > kVelocityTolerance) return false;
   }
   return true;

@@ -28,15 +28,16 @@ template bool clip_rows<float>(std::span<const float>, std::span<const float>, s
                                std::span<float>);
 
 bool limit_rows(std::span<const double> asked, std::span<const double> last, std::span<const double> measured,
-                std::span<const double> max_step, double max_lead, double rounding, std::span<double> target,
-                std::span<bool> is_cut) {
+                std::span<const double> max_step, std::span<const double> max_lead, double rounding,
+                std::span<double> target, std::span<bool> is_cut) {
   const std::size_t width = max_step.size();
   // Written so that NaN, for which every comparison is false, is refused.
   for (const double step : max_step)
     if (!(step >= 0.0))
       throw InvalidSetup("limit_rows: max_step must not be negative or NaN, one is " + std::to_string(step));
-  if (!(max_lead >= 0.0))
-    throw InvalidSetup("limit_rows: max_lead must not be negative or NaN, it is " + std::to_string(max_lead));
+  for (const double lead : max_lead)
+    if (!(lead >= 0.0))
+      throw InvalidSetup("limit_rows: max_lead must not be negative or NaN, one is " + std::to_string(lead));
   bool is_any = false;
   for (std::size_t row = 0; row < is_cut.size(); ++row) {
     // From where the last target is, or has to go first when the arm was pushed away: within the lead again, or as far
@@ -44,8 +45,8 @@ bool limit_rows(std::span<const double> asked, std::span<const double> last, std
     double share = 1.0;
     for (std::size_t c = 0; c < width; ++c) {
       const std::size_t i = row * width + c;
-      const double low = std::max(last[i] - max_step[c], measured[i] - max_lead);
-      const double high = std::min(last[i] + max_step[c], measured[i] + max_lead);
+      const double low = std::max(last[i] - max_step[c], measured[i] - max_lead[c]);
+      const double high = std::min(last[i] + max_step[c], measured[i] + max_lead[c]);
       const bool is_pushed = low > high;
       const double from = is_pushed ? std::clamp(measured[i], last[i] - max_step[c], last[i] + max_step[c])
                                     : std::clamp(last[i], low, high);

@@ -59,6 +59,7 @@ ArmState SimArm::do_state() {
 void SimArm::do_command_joints(std::span<const double> joints) {
   for (std::size_t i = 0; i < joints.size(); ++i)
     target()[i] = std::clamp(joints[i], limits().joint_lower[i], limits().joint_upper[i]);
+  target()[Trajectory::size(dof()) - 1] = 0.0;
 }
 
 bool SimArm::do_has_arrived() {
@@ -70,7 +71,10 @@ bool SimArm::do_has_arrived() {
   return true;
 }
 
-void SimArm::do_hold() { Motion::stand({target(), static_cast<std::size_t>(Motion::size(dof()))}, do_state().joints); }
+void SimArm::do_hold() {
+  std::ranges::copy(do_state().joints, target());
+  target()[Trajectory::size(dof()) - 1] = 1.0;
+}
 
 SimGripper::SimGripper(std::string name, double max_width, double max_force, std::shared_ptr<World> world, int copy,
                        std::vector<int> joints, int actuator, GripperMap map)

@@ -181,8 +181,8 @@ std::shared_ptr<Motion> World::add_motion(std::shared_ptr<Motion> motion) {
   check_callback(motion.get());
   for (const auto& other : motions_) {
     if (other->address() == motion->address() && other->dof() == motion->dof()) return other;
-    if (other->address() < motion->address() + Motion::size(motion->dof()) &&
-        motion->address() < other->address() + Motion::size(other->dof()))
+    if (other->address() < motion->address() + Trajectory::size(motion->dof()) &&
+        motion->address() < other->address() + Trajectory::size(other->dof()))
       throw InvalidSetup("world: the user data of a motion overlap those of another");
   }
   motions_.push_back(motion);

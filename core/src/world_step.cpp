@@ -280,6 +280,30 @@ void World::show_copy(const mjModel* model, mjData* data, int copy) {
   }
 }
 
+std::vector<double> World::preview(const std::shared_ptr<Motion>& motion, int copy, std::span<const double> target,
+                                   double tick) {
+  const Taken taken(*this, "preview");
+  check_copy(copy);
+  if (std::ranges::find(motions_, motion) == motions_.end())
+    throw InvalidSetup("world: the motion to preview is not one of this world");
+  if (target.size() != static_cast<std::size_t>(motion->dof()) || !(tick > 0.0))
+    throw InvalidSetup("world: a preview needs a target with one number per joint, " + std::to_string(motion->dof()) +
+                       ", and a tick above 0");
+  Preview asked{motion.get(), target, tick, {}};
+  previewed_ = &asked;
+  run_taken(std::span<const int>(&copy, 1), &World::preview_copy, false);
+  return std::move(asked.positions);
+}
+
+void World::preview_copy(const mjModel* model, mjData* data, int copy) {
+  const Motion::Step step = motion_step(out_->steps[static_cast<std::size_t>(copy)], model->opt.timestep);
+  try {
+    previewed_->positions = previewed_->motion->preview(model, data, copy, step, previewed_->target, previewed_->tick);
+  } catch (...) {
+    fail(copy, std::current_exception());
+  }
+}
+
 void World::read_out(const mjModel* model, const mjData* data, int copy, bool has_forces) {
   const auto index = static_cast<std::size_t>(copy);
   for (std::size_t r = 0; r < pose_readouts_.size(); ++r) {

@@ -1,4 +1,4 @@
-// How joints move to their targets: along trajectories within limits of velocity, acceleration and jerk.
+// How simulated joints are led to their targets: along trajectories, by servos, within their torques.
 #pragma once
 
 #include <mujoco/mujoco.h>
@@ -8,53 +8,27 @@
 #include <vector>
 
 #include "rcs/callback.hpp"
+#include "rcs/trajectory.hpp"
 
 namespace rcs {
 
-/// Limits of a motion, one value per joint.
-struct MotionLimits {
-  std::vector<double> lower;         ///< rad
-  std::vector<double> upper;         ///< rad
-  std::vector<double> velocity;      ///< rad/s
-  std::vector<double> acceleration;  ///< rad/s²
-  std::vector<double> jerk;          ///< rad/s³
-
-  /// Throws `InvalidSetup` unless every vector has `dof` values, ranges ascend and limits are positive.
-  void check(int dof) const;
-};
-
-/// Moves position servos of some joints to a target, in each copy of a world.
+/// Moves position servos of some joints to a target, in each copy of a world, along a `Trajectory`.
 ///
-/// A target that comes to rest is reached along a trajectory that takes the least time, on a straight line in joint
-/// space where the arm starts at rest. A target that goes on from step to step is followed: it is reached when the step
-/// ends, at the speed at which the target moves, so that a stream of small steps is a smooth motion. At higher speeds
-/// the arm stays behind by the distance that it needs to stop, so that a stream that ends is overshot by no more than
-/// 0.03 rad.
+/// A motion that would take more torque than the motors have beside gravity (that of a load they were told of, too) is
+/// made with less acceleration, as much as inverse dynamics ask for. Besides the position, the servo is given the
+/// velocity and the force of the acceleration, so that it does not lag behind. An arm that is kept from following is not
+/// run away from: its trajectory begins anew where it is.
 ///
 /// All that the motion remembers is in the copy's `mjData.userdata`: a state that is saved and restored goes on with
-/// the same bits. Besides the position, the servo is given the velocity, so that it does not lag behind.
+/// the same bits.
 ///
 /// As a callback, it is true when the joints stand at their target.
 class Motion final : public StepCallback {
  public:
-  /// The time of a step.
-  struct Step {
-    double period;        ///< nominal control period [s]
-    double duration;      ///< of this step [s], a multiple of the physics step
-    double rest;          ///< from the end of this step to the nominal one [s]
-    bool is_synchronous;  ///< the step lasts until the target is reached
-  };
-
-  /// Numbers of user data that `dof` joints take.
-  static constexpr int size(int dof) { return 8 * dof + 2; }
-
-  /// Rows of `dof` numbers that are positions; where the joints stand still, all are equal and every other number is 0.
-  static std::vector<int> position_rows();
-  /// Write that, of `size(joints.size())` numbers: the joints stop there at once, whatever their speed.
-  static void stand(std::span<double> user, std::span<const double> joints);
+  using Step = Trajectory::Step;
 
   /// `joints` are hinge or slide joint ids, base to tip, `actuators` their position servos, `address` the first of the
-  /// numbers in `mjData.userdata`. Throws `InvalidSetup` if they do not fit each other.
+  /// `Trajectory::size(joints.size())` numbers in `mjData.userdata`. Throws `InvalidSetup` if they do not fit each other.
   Motion(std::vector<int> joints, std::vector<int> actuators, int address, MotionLimits limits, int copies);
   Motion(const Motion&) = delete;
   Motion& operator=(const Motion&) = delete;
@@ -63,8 +37,10 @@ class Motion final : public StepCallback {
   int dof() const { return static_cast<int>(joints_.size()); }
   int address() const { return address_; }
   const std::vector<int>& joints() const { return joints_; }
+  const MotionLimits& limits() const { return limits_; }
 
-  /// Plan the motion of a step. The target is what was written into the first `dof` numbers.
+  /// Plan the motion of a step. The target is what was written into the first `dof` numbers. Joints that were told to hold
+  /// brake from where they are measured.
   void begin(const mjModel* model, mjData* data, int copy, const Step& step);
   /// Write the controls of the next physics step.
   void advance(const mjModel* model, mjData* data, int copy);
@@ -73,21 +49,31 @@ class Motion final : public StepCallback {
   /// Time until the joints are to stand still [s].
   double remaining(const mjData* data, int copy);
 
+  /// What a step to a target would do: where the joints are led to, `dof` numbers each, from now to the end of the step
+  /// and while they brake to rest from there, at most every `tick` [s] and at the same times for all motions; in a
+  /// synchronous step, until they stand. Nothing changes but what is derived in `data`.
+  std::vector<double> preview(const mjModel* model, mjData* data, int copy, const Step& step,
+                              std::span<const double> target, double tick);
+
   bool call(const StepView& view) override;
   void check(const mjModel* model, int copies) const override;
 
  private:
-  struct Plan;
+  struct Copy;
 
-  Plan& plan(const double* user, int copy);
-  void follow(double* user, const Step& step, Plan& plan);
-  void start(double* user, const Plan& plan) const;
+  void plan(const mjModel* model, mjData* data, double* memory, Copy& copy, const Step& step);
+  void brake(const mjModel* model, mjData* data, double* memory, Copy& copy, std::span<const double> joints,
+             std::span<const double> velocities);
+  double share_of_acceleration(const mjModel* model, mjData* data, const double* memory, Copy& copy, bool is_far);
+  std::span<const double> measured(const mjModel* model, const mjData* data, Copy& copy) const;
+  static void know_bias(const mjModel* model, mjData* data, Copy& copy);
+  static void look_at_inertia(const mjModel* model, mjData* data);
 
   std::vector<int> joints_;
   std::vector<int> actuators_;
   int address_;
   MotionLimits limits_;
-  std::vector<std::unique_ptr<Plan>> plans_;  // one per copy
+  std::vector<std::unique_ptr<Copy>> copies_;
 };
 
 }  // namespace rcs

@@ -72,6 +72,10 @@ class World {
   /// Have a motion lead its joints in every step. One that takes the user data of another is not added: that is
   /// returned.
   std::shared_ptr<Motion> add_motion(std::shared_ptr<Motion> motion);
+  /// What the next step of a copy would do to the joints of a motion; see `Motion::preview`. Throws `InvalidSetup` for a
+  /// motion that is not of this world, or a target of another size.
+  std::vector<double> preview(const std::shared_ptr<Motion>& motion, int copy, std::span<const double> target,
+                              double tick);
   /// Call every `period` seconds of simulated time.
   void on_period(std::shared_ptr<StepCallback> callback, double period);
   /// A synchronous step ends when all of these are true.
@@ -245,6 +249,7 @@ class World {
   void step_copy(const mjModel* model, mjData* data, int copy);
   void refresh_copy(const mjModel* model, mjData* data, int copy);
   void show_copy(const mjModel* model, mjData* data, int copy);
+  void preview_copy(const mjModel* model, mjData* data, int copy);
   void read_out(const mjModel* model, const mjData* data, int copy, bool has_forces);
   template <typename Visit>
   void visit_saved(int copy, Visit visit) const;
@@ -273,6 +278,13 @@ class World {
   bool measures_forces_ = false;
   std::vector<std::shared_ptr<Watcher>> watchers_;
   Watcher* shown_ = nullptr;  // of the call under way
+  struct Preview {
+    Motion* motion;
+    std::span<const double> target;
+    double tick;
+    std::vector<double> positions;
+  };
+  Preview* previewed_ = nullptr;  // of the call under way
   std::vector<PoseReadout> pose_readouts_;
   std::vector<ForceReadout> force_readouts_;
   std::vector<OpeningReadout> opening_readouts_;

@@ -37,7 +37,7 @@ def layers_of(setup: Setup, robot: RobotPlacement, *, threads: int = 1) -> list[
     layers: list[Layer] = []
     is_bounded = setup.stepping != "sync"
     if is_bounded:
-        layers.append(LimitStep(step))
+        layers.append(LimitStep(step, np.array(robot.arm.motion_limits.lead(1.0 / setup.frequency))))
     if control in (TQUAT, XYZRPY):
         kinematics = kinematics_of(robot.arm, robot.end_effector)
         bound = step if is_bounded else None

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs._core import MotionLimits
 from rcs.errors import InvalidSetup
 from rcs.robots.camera_mode import ResolutionMode, choose_rate, find_mode
 from rcs.robots.collision_limits import CollisionLimits
@@ -146,6 +147,12 @@ class ArmDescription(Description):
     def dof(self) -> int:
         """Number of joints."""
         return len(self.joints)
+
+    @property
+    def motion_limits(self) -> MotionLimits:
+        """What bounds the trajectories of the arm."""
+        rates = self.velocity_limit, self.acceleration_limit, self.jerk_limit
+        return MotionLimits(list(self.joint_lower), list(self.joint_upper), *map(list, rates))
 
 
 @dataclass(frozen=True, kw_only=True)

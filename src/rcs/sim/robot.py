@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcs._core import ArmLimits, GripperMap, JointsAtRest, Motion, MotionLimits, SimArm, SimGripper
+from rcs._core import ArmLimits, GripperMap, JointsAtRest, Motion, SimArm, SimGripper, Trajectory
 from rcs.errors import InvalidSetup
 from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.layout import Index, RobotLayout
@@ -34,14 +34,13 @@ class SimRobot:
         self.placement = robot
         self.layout = RobotLayout.of(robot, world.model)
         arm = robot.arm
-        rates = list(arm.velocity_limit), list(arm.acceleration_limit), list(arm.jerk_limit)
-        limits = MotionLimits(list(arm.joint_lower), list(arm.joint_upper), *rates)
         ids, first = self.layout, self.layout.motion
-        self.motion = world.core.add_motion(Motion(ids.joint_ids, ids.actuator_ids, first, limits, world.copies))
+        self.motion = world.core.add_motion(Motion(ids.joint_ids, ids.actuator_ids, first, arm.motion_limits, world.copies))
         """Leads the arm to its targets."""
         assert world.userdata is not None, "the scene has given every arm its user data"
         self._target = world.userdata[..., first : first + arm.dof]
-        self._memory = world.userdata[..., first : first + Motion.size(arm.dof)]
+        self._memory = world.userdata[..., first : first + Trajectory.size(arm.dof)]
+        self._order_to_hold = self._memory[..., -1]
         self.tcp_readout = world.core.read_pose(self.layout.tcp_site, self.layout.base_body)
         """Index of the TCP's pose in `world.poses`."""
         self._opening: int | None = None
@@ -119,6 +118,7 @@ class SimRobot:
     def command_joints(self, joints: NDArray[np.float64]) -> None:
         """Set the joint targets [rad], (*leading, dof); the arm moves there within its limits."""
         self._target[...] = joints
+        self._order_to_hold[...] = 0.0
 
     @property
     def joint_targets(self) -> NDArray[np.float64]:
@@ -126,13 +126,14 @@ class SimRobot:
         return self._target.copy()
 
     def stop(self) -> None:
-        """Stop the arm of every copy where it is, with all the torque that its servos have."""
-        self._stand(self.joints)
+        """Have the arm of every copy brake to rest within its limits, from where it is measured; any thread may."""
+        self._target[...] = self.joints
+        self._order_to_hold[...] = 1.0
 
     def _stand(self, joints: NDArray[np.float64], copies: Copies = None) -> None:
         dof = self.placement.arm.dof
-        self._memory[_at(slice(0, Motion.size(dof)), copies)] = 0.0
-        for row in Motion.POSITION_ROWS:
+        self._memory[_at(slice(0, Trajectory.size(dof)), copies)] = 0.0
+        for row in Trajectory.POSITION_ROWS:
             self._memory[_at(slice(row * dof, (row + 1) * dof), copies)] = joints
 
     def _place(self, joints: NDArray[np.float64], copies: Copies = None) -> None:

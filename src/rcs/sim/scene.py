@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from rcs._core import Motion
+from rcs._core import Trajectory
 from rcs.errors import InvalidSetup
 from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, load, mount_frame
 from rcs.robots.calibration import CameraCalibration
@@ -261,7 +261,7 @@ class Scene:
             # The control of a moving servo leads its target, even where that is a limit; the motion keeps the limits.
             self.spec.actuator(robot.prefix + actuator).ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
         self.spec.add_numeric(name=robot.motion, data=[self.spec.nuserdata])
-        self.spec.nuserdata += Motion.size(robot.arm.dof)
+        self.spec.nuserdata += Trajectory.size(robot.arm.dof)
         self.robots.append(robot)
 
     def add_camera(self, camera: CameraPlacement) -> None:

@@ -17,7 +17,7 @@ SOME = arrays(np.float64, (3, 2), elements=st.floats(-3.0, 3.0))
 
 
 def layer(start: Any) -> LimitStep:
-    made = LimitStep(STEP, max_lead=LEAD)
+    made = LimitStep(STEP, LEAD)
     made.reset({JOINTS: np.asarray(start)})
     return made
 
@@ -123,4 +123,4 @@ def test_after_a_rebase_the_next_target_is_bounded_against_the_measured_joints()
 
 def test_without_a_reset_there_is_nothing_to_limit_against() -> None:
     with pytest.raises(RuntimeError, match="before reset"):
-        LimitStep(STEP).map_action({JOINTS: np.zeros(2)})
+        LimitStep(STEP, LEAD).map_action({JOINTS: np.zeros(2)})

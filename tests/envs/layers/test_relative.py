@@ -101,7 +101,7 @@ class Blocked(Port):
 
 def test_the_target_of_a_blocked_arm_does_not_wind_up() -> None:
     port = Blocked(2)
-    stack = Chain([port], [LimitStep(np.full(2, 0.1), max_lead=0.6), Relative(JOINTS, frequency=30.0, joint_speed=3.0)])
+    stack = Chain([port], [LimitStep(np.full(2, 0.1), 0.6), Relative(JOINTS, frequency=30.0, joint_speed=3.0)])
     stack.reset(stack.measure(), ...)
     for _ in range(100):
         stack.send(stack.map({JOINTS: np.full(2, 0.1)}))

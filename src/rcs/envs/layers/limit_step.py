@@ -25,16 +25,16 @@ class LimitStep(Layer):
 
     memory = ("_target", "_measured", "_is_cut", "_is_limited")
 
-    def __init__(self, max_step: NDArray[np.float64], *, max_lead: float = 0.6) -> None:
+    def __init__(self, max_step: NDArray[np.float64], max_lead: NDArray[np.float64] | float) -> None:
         """Set the bounds.
 
         Args:
             max_step: Largest change of the target per action [rad], shape (dof,).
-            max_lead: Largest distance of the target from the measured joint [rad]; must exceed the servo's lag at full
-                speed.
+            max_lead: Largest distance of the target from the measured joint [rad], shape (dof,), or one for all; see
+                `MotionLimits.lead`. With less, the arm cannot come to its full speed.
         """
         self.max_step = np.asarray(max_step, np.float64)
-        self._max_lead = max_lead
+        self._max_lead = np.array(np.broadcast_to(np.asarray(max_lead, np.float64), self.max_step.shape))
         self._target: NDArray[np.float64] | None = None
         self._measured: NDArray[np.float64] | None = None
         self._is_cut: NDArray[np.bool_] = np.zeros((), np.bool_)  # by the last map_action

@@ -1,0 +1,401 @@
+#include "rcs/trajectory.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <ruckig/ruckig.hpp>
+#include <string>
+#include <utility>
+
+#include "rcs/result.hpp"
+
+namespace rcs {
+
+namespace {
+
+// Rows of `dof` numbers in the memory. What is planned follows from the last five and the numbers behind.
+enum Row { kTarget, kLast, kStream, kPosition, kVelocity, kAcceleration, kAim, kEnd, kRows };
+// After the rows: time since the plan's start; its least duration, or below 0 where it is to brake and no more; and the
+// share by which the acceleration is less than its limit; then the order to hold.
+enum Number { kElapsed, kLeast, kSpared, kHold, kNumbers };
+static_assert(Trajectory::size(1) == int{kRows} + int{kNumbers});
+
+// As libfranka, which stays that much below the limits that its robot checks (rate_limiting.h, kLimitEps).
+constexpr double kMargin = 1e-3;
+// How far a stream that ends abruptly may be overshot [rad], up to this share of the velocity limit; none at twice of
+// it.
+constexpr double kOvershoot = 0.0295;
+// What is promised [rad].
+constexpr double kPromise = 0.0299;
+constexpr double kSlow = 0.5;
+// Steps within which a stream of targets is met. Only the first is made before the next target comes: what a noisy
+// target asks for is met in part, at a fraction of the acceleration.
+constexpr double kHorizon = 2.0;
+// In place of a least duration: all joints brake together, or each alone.
+constexpr double kTogether = -1.0, kAlone = -2.0;
+// Part of the velocity limit at which targets are followed; what is left is for catching up.
+constexpr double kCruise = 0.9995;
+// What rounding makes of the end of a trajectory [rad].
+constexpr double kRounding = 1e-6;
+// Targets may lead by what an arm needs to stop at this share of its acceleration, so that an arm that spares torque is
+// not slowed down.
+constexpr double kSparing = 0.5;
+// Places that a plan is aimed at, each nearer than the one before, until the arm could stop; the last is rest.
+constexpr int kTries = 3;
+// Halvings until a share of the speed is known: to a thousandth.
+constexpr int kHalvings = 10;
+
+// Time [s] from one speed to another, `change` apart, at limited acceleration and jerk.
+double changing_time(double change, double acceleration, double jerk) {
+  return change * jerk >= acceleration * acceleration ? change / acceleration + acceleration / jerk
+                                                      : 2.0 * std::sqrt(change / jerk);
+}
+
+// Way [rad] to a stop from a speed: half of what the speed makes in that time.
+double braking_distance(double speed, double acceleration, double jerk) {
+  return 0.5 * speed * changing_time(speed, acceleration, jerk);
+}
+
+// The speed whose braking distance is `distance`.
+double braking_speed(double distance, double acceleration, double jerk) {
+  if (distance <= 0.0) return 0.0;
+  const double lag = acceleration / jerk;
+  const double speed = 0.5 * acceleration * (std::sqrt(lag * lag + 8.0 * distance / acceleration) - lag);
+  return speed * jerk >= acceleration * acceleration ? speed : std::cbrt(distance * distance * jerk);
+}
+
+// Way [rad] to a stop from a speed that changes: what gaining it needs besides, or what has been braked already.
+double stopping_distance(double speed, double acceleration, double most, double jerk) {
+  const double time = std::abs(acceleration) / jerk;
+  const double peak = speed + 0.5 * acceleration * acceleration / jerk;
+  if (acceleration >= 0.0)
+    return (speed + (0.5 * acceleration - jerk * time / 6.0) * time) * time + braking_distance(peak, most, jerk);
+  return braking_distance(peak, most, jerk) - (peak - jerk * time * time / 6.0) * time;
+}
+
+// The smaller of two numbers of the same sign, else 0.
+double minmod(double a, double b) {
+  if (a > 0.0 && b > 0.0) return std::min(a, b);
+  if (a < 0.0 && b < 0.0) return std::max(a, b);
+  return 0.0;
+}
+
+}  // namespace
+
+void MotionLimits::check(int dof) const {
+  const auto n = static_cast<std::size_t>(dof);
+  for (const auto* values : {&lower, &upper, &velocity, &acceleration, &jerk})
+    if (values->size() != n)
+      throw InvalidSetup("motion limits: each needs one value per joint, " + std::to_string(n) + ", not " +
+                         std::to_string(values->size()));
+  for (std::size_t i = 0; i < n; ++i)
+    if (!(lower[i] < upper[i])) throw InvalidSetup("motion limits: every lower limit must be below the upper one");
+  for (const auto* values : {&velocity, &acceleration, &jerk})
+    for (const double value : *values)
+      if (!(value > 0.0)) throw InvalidSetup("motion limits: velocity, acceleration and jerk must be positive");
+}
+
+std::vector<double> MotionLimits::lead(double period) const {
+  if (!(period > 0.0)) throw InvalidSetup("motion limits: the period must be positive");
+  std::vector<double> lead(velocity.size());
+  for (std::size_t i = 0; i < lead.size(); ++i)
+    lead[i] =
+        braking_distance(velocity[i], kSparing * acceleration[i], jerk[i]) + kHorizon * period * velocity[i];
+  return lead;
+}
+
+// A planned trajectory, and what it was planned for. Another memory, or a restored one, makes it plan anew.
+struct Trajectory::Plan {
+  explicit Plan(std::size_t dof) : ruckig(dof), input(dof), trajectory(dof) {
+    for (auto* values : {&position, &velocity, &acceleration, &aim, &end, &lead, &room}) values->assign(dof, 0.0);
+  }
+
+  bool compute() {
+    const ruckig::Result result = ruckig.calculate(input, trajectory);
+    return result == ruckig::Result::Working || result == ruckig::Result::Finished;
+  }
+  double duration() const { return is_still ? 0.0 : trajectory.get_duration(); }
+  void at(double time) {
+    if (is_still) {
+      position = input.current_position;
+      std::ranges::fill(velocity, 0.0);
+      std::ranges::fill(acceleration, 0.0);
+    } else {
+      trajectory.at_time(time, position, velocity, acceleration);
+    }
+  }
+
+  ruckig::Ruckig<ruckig::DynamicDOFs> ruckig;
+  ruckig::InputParameter<ruckig::DynamicDOFs> input;
+  ruckig::Trajectory<ruckig::DynamicDOFs> trajectory;
+  std::vector<double> source;  // the numbers that it was computed from
+  bool is_still = true;        // it starts where it ends
+  std::vector<double> position, velocity, acceleration;
+  std::vector<double> aim, end;  // where to, at which velocity
+  std::vector<double> room;      // to the end of the range, from the target on
+  std::vector<double> lead;      // by which the target, where it is in mid-horizon, leads each joint
+};
+
+Trajectory::Trajectory(MotionLimits limits) : limits_(std::move(limits)) {
+  limits_.check(dof());
+  plan_ = std::make_unique<Plan>(limits_.lower.size());
+  auto& input = plan_->input;
+  for (std::size_t i = 0; i < limits_.lower.size(); ++i) {
+    input.max_velocity[i] = (1.0 - kMargin) * limits_.velocity[i];
+    input.max_acceleration[i] = (1.0 - kMargin) * limits_.acceleration[i];
+    input.max_jerk[i] = (1.0 - kMargin) * limits_.jerk[i];
+  }
+}
+
+Trajectory::~Trajectory() = default;
+
+std::vector<int> Trajectory::position_rows() { return {kTarget, kLast, kPosition, kAim}; }
+
+void Trajectory::stand(std::span<double> memory, std::span<const double> joints) {
+  std::ranges::fill(memory, 0.0);
+  for (const int row : position_rows()) std::ranges::copy(joints, memory.begin() + row * std::ssize(joints));
+}
+
+std::span<const double> Trajectory::position() const { return plan_->position; }
+std::span<const double> Trajectory::velocity() const { return plan_->velocity; }
+std::span<const double> Trajectory::acceleration() const { return plan_->acceleration; }
+
+// The plan that the memory asks for.
+Trajectory::Plan& Trajectory::plan(const double* memory) {
+  Plan& plan = *plan_;
+  const std::size_t n = limits_.lower.size();
+  const double* first = memory + kPosition * n;
+  const std::size_t count = (kRows - kPosition) * n;
+  const double least = memory[kRows * n + kLeast], spared = memory[kRows * n + kSpared];
+  if (plan.source.size() == count + 2 && std::equal(first, first + count, plan.source.begin()) &&
+      plan.source[count] == least && plan.source[count + 1] == spared)
+    return plan;
+  plan.source.assign(first, first + count);
+  plan.source.push_back(least);
+  plan.source.push_back(spared);
+  auto& input = plan.input;
+  plan.is_still = true;
+  for (std::size_t i = 0; i < n; ++i) {
+    input.current_position[i] = memory[kPosition * n + i];
+    input.current_velocity[i] = memory[kVelocity * n + i];
+    input.current_acceleration[i] = memory[kAcceleration * n + i];
+    input.target_position[i] = memory[kAim * n + i];
+    input.target_velocity[i] = memory[kEnd * n + i];
+    input.max_acceleration[i] = (1.0 - kMargin) * (1.0 - spared) * limits_.acceleration[i];
+    // The speed that the joint comes to while its acceleration ends: where that is the limit but for rounding, Ruckig
+    // would brake.
+    const double now = input.current_velocity[i], change = input.current_acceleration[i];
+    const double peak = std::abs(now + 0.5 * change * std::abs(change) / limits_.jerk[i]) * (1.0 + kMargin);
+    input.max_velocity[i] = std::clamp(peak, (1.0 - kMargin) * limits_.velocity[i], limits_.velocity[i]);
+    plan.is_still = plan.is_still && input.current_velocity[i] == 0.0 && input.current_acceleration[i] == 0.0 &&
+                    input.target_velocity[i] == 0.0 && input.target_position[i] == input.current_position[i];
+  }
+  if (plan.is_still) return plan;
+  input.synchronization = least == kAlone ? ruckig::Synchronization::None : ruckig::Synchronization::Phase;
+  input.control_interface = least < 0.0 ? ruckig::ControlInterface::Velocity : ruckig::ControlInterface::Position;
+  if (least > 0.0)
+    input.minimum_duration = least;
+  else
+    input.minimum_duration.reset();
+  if (plan.compute()) return plan;
+  // Rounding may leave no trajectory of that duration, or to that speed: what is always left is to come to rest.
+  input.minimum_duration.reset();
+  if (plan.compute()) return plan;
+  std::ranges::fill(input.target_velocity, 0.0);
+  if (plan.compute()) return plan;
+  input.control_interface = ruckig::ControlInterface::Velocity;
+  if (!plan.compute()) plan.is_still = true;
+  return plan;
+}
+
+bool Trajectory::is_asked(const double* memory) {
+  const std::size_t n = limits_.lower.size();
+  for (std::size_t i = 0; i < n; ++i)
+    if (memory[kTarget * n + i] != memory[kLast * n + i] || memory[kStream * n + i] != 0.0) return true;
+  if (!plan(memory).is_still) return false;
+  // A plan that could not be made has ended elsewhere.
+  for (std::size_t i = 0; i < n; ++i)
+    if (memory[kAim * n + i] != memory[kTarget * n + i]) return true;
+  return false;
+}
+
+// The time [s] by which all joints stay behind their targets at a share of the targets' speed, to be able to stop.
+double Trajectory::stay_behind(double share) {
+  const auto& input = plan_->input;
+  double behind = 0.0;
+  for (std::size_t i = 0; i < plan_->end.size(); ++i) {
+    const double speed = share * std::abs(plan_->end[i]);
+    if (speed == 0.0) continue;
+    const double fast = speed / (kSlow * input.max_velocity[i]);
+    const double overshoot = std::min(kOvershoot * std::clamp(2.0 - fast, 0.0, 1.0), plan_->room[i]);
+    const double distance = braking_distance(speed, input.max_acceleration[i], input.max_jerk[i]);
+    behind = std::max(behind, (distance - overshoot) / speed);
+  }
+  return behind;
+}
+
+// The share of the targets' speed at which an arm that is slower can aim without going back: the place where it may have
+// that speed must be at least as far as the arm comes while it gains it.
+double Trajectory::gained_share(double ahead, double horizon) {
+  Plan& plan = *plan_;
+  const auto& input = plan.input;
+  for (std::size_t i = 0; i < plan.end.size(); ++i) plan.lead[i] = plan.aim[i] + plan.end[i] * ahead - plan.position[i];
+  const auto can = [&](double share) {
+    const double behind = stay_behind(share);
+    if (behind == 0.0 && share == 1.0) return true;
+    for (std::size_t i = 0; i < plan.end.size(); ++i) {
+      const double sign = plan.end[i] < 0.0 ? -1.0 : 1.0;
+      const double lead = sign * plan.lead[i], now = sign * plan.velocity[i], speed = sign * share * plan.end[i];
+      if (lead <= kRounding || now > speed) continue;  // it is to go back, or to slow down: both as soon as it can
+      const double least = changing_time(speed - now, input.max_acceleration[i], input.max_jerk[i]);
+      // An arm that needs little of the time for that may go on a little slower for a while.
+      const double slack = 0.5 * std::max(horizon - least, 0.0) * std::clamp(now, 0.0, speed);
+      if (lead - speed * behind < 0.5 * std::max(horizon, least) * (speed + now) - slack - kRounding) return false;
+    }
+    return true;
+  };
+  if (can(1.0)) return 1.0;
+  double low = 0.0, high = 1.0;
+  for (int k = 0; k < kHalvings; ++k) {
+    const double middle = 0.5 * (low + high);
+    (can(middle) ? low : high) = middle;
+  }
+  return low;
+}
+
+void Trajectory::follow(double* memory, const Step& step, double share) {
+  const std::size_t n = limits_.lower.size();
+  Plan& plan = this->plan(memory);
+  plan.at(memory[kRows * n + kElapsed]);
+  for (std::size_t i = 0; i < n; ++i)
+    plan.input.max_acceleration[i] = (1.0 - kMargin) * share * limits_.acceleration[i];
+  double *target = memory + kTarget * n, *last = memory + kLast * n, *stream = memory + kStream * n;
+  double most = 1.0;  // of the velocity limit
+  for (std::size_t i = 0; i < n; ++i) {
+    target[i] = std::clamp(target[i], limits_.lower[i], limits_.upper[i]);
+    const double velocity = step.is_synchronous ? 0.0 : (target[i] - last[i]) / step.period;
+    plan.end[i] = minmod(velocity, stream[i]);
+    most = std::max(most, std::abs(plan.end[i]) / (kCruise * plan.input.max_velocity[i]));
+    stream[i] = velocity;
+    last[i] = target[i];
+  }
+  for (std::size_t i = 0; i < n; ++i) {
+    plan.end[i] /= most;
+    plan.room[i] = plan.end[i] > 0.0 ? limits_.upper[i] - target[i] : target[i] - limits_.lower[i];
+    const double speed = std::min(std::abs(plan.end[i]),
+                                  braking_speed(plan.room[i], plan.input.max_acceleration[i], plan.input.max_jerk[i]));
+    plan.end[i] = std::copysign(speed, plan.end[i]);
+    plan.aim[i] = target[i];
+  }
+  // The plan is made for the end of the step after this one, were the target to go on like this. Where an arm that is too
+  // fast could not stop at the target then, it is made for a nearer place; and where it cannot at all, for rest.
+  const double horizon = step.is_synchronous ? 0.0 : (kHorizon - 1.0) * step.period;
+  const double soonest = step.is_synchronous ? 0.0 : -step.rest;
+  const std::vector<double>&position = plan.position, &velocity = plan.velocity, &acceleration = plan.acceleration;
+  const std::vector<double> stands(position), goes(velocity), gains(acceleration);
+  double later = step.is_synchronous ? 0.0 : horizon - step.rest;
+  double gained = gained_share(later, step.duration + horizon), behind = stay_behind(gained);
+  const auto aim = [&] {
+    bool is_same = memory[kRows * n + kSpared] == 1.0 - share && memory[kRows * n + kLeast] >= 0.0;
+    for (std::size_t i = 0; i < n; ++i) {
+      plan.aim[i] = target[i] + (gained > 0.0 ? plan.end[i] * (later - gained * behind) : 0.0);
+      plan.lead[i] = gained * plan.end[i];
+      is_same = is_same && plan.aim[i] == memory[kAim * n + i] && plan.lead[i] == memory[kEnd * n + i];
+    }
+    return is_same;
+  };
+  if (aim()) return;
+  std::ranges::copy(stands, memory + kPosition * n);
+  std::ranges::copy(goes, memory + kVelocity * n);
+  std::ranges::copy(gains, memory + kAcceleration * n);
+  memory[kRows * n + kElapsed] = 0.0;
+  memory[kRows * n + kLeast] = step.is_synchronous ? 0.0 : step.duration + horizon;
+  memory[kRows * n + kSpared] = 1.0 - share;
+  // Returns by how much time too far the plan is aimed.
+  const auto excess = [&] {
+    std::ranges::copy(plan.aim, memory + kAim * n);
+    std::ranges::copy(plan.lead, memory + kEnd * n);
+    this->plan(memory).at(step.duration);
+    double most = 0.0;
+    for (std::size_t i = 0; i < n; ++i) {
+      const double sign = plan.lead[i] < 0.0 ? -1.0 : 1.0, speed = sign * velocity[i];
+      if (plan.lead[i] == 0.0 || speed <= 0.0) continue;
+      const double way = stopping_distance(speed, sign * acceleration[i], plan.input.max_acceleration[i],
+                                           plan.input.max_jerk[i]);
+      const double past = sign * (position[i] - target[i]) + way - std::min(kPromise, plan.room[i]);
+      most = std::max(most, past / std::abs(plan.end[i]));
+    }
+    return most;
+  };
+  const auto restart = [&] {  // what the law looks at
+    plan.position = stands;
+    plan.velocity = goes;
+    plan.acceleration = gains;
+  };
+  for (int k = 0; k < kTries; ++k) {
+    const double most = excess();
+    if (most <= kRounding) return;
+    restart();
+    later = k + 2 < kTries ? std::max(later - 2.0 * most, soonest) : soonest;
+    gained = k + 1 < kTries ? gained_share(later, step.duration + horizon) : 0.0;
+    behind = stay_behind(gained);
+    aim();
+  }
+  excess();
+}
+
+void Trajectory::brake(double* memory, std::span<const double> joints, std::span<const double> velocities,
+                       double share) {
+  const std::size_t n = limits_.lower.size();
+  stand({memory, static_cast<std::size_t>(size(dof()))}, joints);
+  for (std::size_t i = 0; i < n; ++i)
+    memory[kVelocity * n + i] =
+        std::clamp(velocities[i], -plan_->input.max_velocity[i], plan_->input.max_velocity[i]);
+  memory[kRows * n + kSpared] = 1.0 - share;
+  // Where a joint would leave its range while it waits for the others, each brakes as hard as it can.
+  for (const double way : {kTogether, kAlone}) {
+    memory[kRows * n + kLeast] = way;
+    Plan& plan = this->plan(memory);
+    plan.at(plan.duration());
+    bool is_inside = true;
+    for (std::size_t i = 0; i < n; ++i) {
+      const double end = std::clamp(plan.position[i], limits_.lower[i], limits_.upper[i]);
+      is_inside = is_inside && end == plan.position[i];
+      memory[kTarget * n + i] = memory[kLast * n + i] = end;
+    }
+    if (is_inside) return;
+  }
+}
+
+void Trajectory::advance(double* memory, double time) {
+  const std::size_t n = limits_.lower.size();
+  Plan& now = plan(memory);
+  if (now.is_still) return now.at(0.0);
+  double& elapsed = memory[kRows * n + kElapsed];
+  elapsed += time;
+  now.at(elapsed);
+  bool is_over = elapsed >= now.trajectory.get_duration();
+  for (std::size_t i = 0; i < n; ++i) is_over = is_over && now.input.target_velocity[i] == 0.0;
+  if (!is_over) return;
+  // From here on it stands still: where the trajectory was to end, not where rounding has led it.
+  for (std::size_t i = 0; i < n; ++i) {
+    const double target = memory[kTarget * n + i];
+    const double position = std::abs(target - now.position[i]) < kRounding ? target : now.position[i];
+    memory[kPosition * n + i] = memory[kAim * n + i] = position;
+    memory[kVelocity * n + i] = memory[kAcceleration * n + i] = memory[kEnd * n + i] = 0.0;
+  }
+  memory[kRows * n + kElapsed] = memory[kRows * n + kLeast] = memory[kRows * n + kSpared] = 0.0;
+  plan(memory);
+}
+
+void Trajectory::look(const double* memory, double ahead) {
+  Plan& now = plan(memory);
+  now.at(memory[kRows * limits_.lower.size() + kElapsed] + ahead);
+}
+
+double Trajectory::remaining(const double* memory) {
+  return std::max(plan(memory).duration() - memory[kRows * limits_.lower.size() + kElapsed], 0.0);
+}
+
+bool Trajectory::is_still(const double* memory) { return plan(memory).is_still; }
+
+}  // namespace rcs
