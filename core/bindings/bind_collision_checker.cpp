@@ -177,6 +177,16 @@ void bind_collision_checker(nb::module_& m) {
           "proves them free. Contact deeper than half a step is never missed, and with a margin of at least half a "
           "step "
           "no contact is. The GIL is released.")
+      .def(
+          "first_hit_on_way",
+          [](const Checker& self, const Rows& places, double step, double turn, double margin, double bend) {
+            const auto way = to_rows(self, places);
+            const ReleasedGil released;
+            return self.first_hit_on_way(way, {step, turn, margin}, bend);
+          },
+          "places"_a, "step"_a = 0.002, "turn"_a = 0.0087, "margin"_a = 0.0, "bend"_a = 1e-3,
+          "`first_hit` on a way of many places (N, dof), from each to the next; fractions are of the number of places. "
+          "Neighbours that lie on one straight motion to within `bend` [rad] are swept together.")
       .def("clearance_rows", &clearance_rows, "q"_a, "margin"_a, "threads"_a = 1,
            "`clearance` of rows (N, dof): distances (N,) [m] and geoms (N, 2). The GIL is released.")
       .def("free_rows", &free_rows, "q"_a, "margin"_a = 0.0, "threads"_a = 1,

@@ -34,6 +34,12 @@ void check_margin(double margin) {
   if (!std::isfinite(margin)) throw InvalidSetup("collision checker: the margin is not finite");
 }
 
+void check_sweep(const SweepOptions& options) {
+  check_margin(options.margin);
+  if (!(options.step > 0.0) || !(options.turn > 0.0))
+    throw InvalidSetup("collision checker: step and turn must be positive");
+}
+
 }  // namespace
 
 /// What follows from the robots' own joints and what is attached to them, not from where other things are.
@@ -347,6 +353,46 @@ std::optional<Hit> CollisionChecker::sweep(Scratch& scratch, std::span<const dou
   }
 }
 
+std::optional<Hit> CollisionChecker::first_hit_on_way(std::span<const double> places, const SweepOptions& options,
+                                                      double bend) const {
+  check_rows(places, "places");
+  check_sweep(options);
+  if (places.empty()) throw InvalidSetup("collision checker: a way has at least one place");
+  const std::size_t n = joints_.size(), last = places.size() / n - 1;
+  // Whether all places between two lie on the straight motion from one to the other, wherever on it.
+  const auto is_straight = [&](std::size_t from, std::size_t to) {
+    const double *a = &places[from * n], *b = &places[to * n];
+    double length = 0.0;
+    for (std::size_t j = 0; j < n; ++j) length += (b[j] - a[j]) * (b[j] - a[j]);
+    double before = 0.0;
+    for (std::size_t k = from + 1; k < to; ++k) {
+      const double* at = &places[k * n];
+      double along = 0.0;
+      for (std::size_t j = 0; j < n; ++j) along += (at[j] - a[j]) * (b[j] - a[j]);
+      along = length > 0.0 ? along / length : 0.0;
+      if (along < before || along > 1.0) return false;
+      before = along;
+      for (std::size_t j = 0; j < n; ++j)
+        if (std::abs(at[j] - a[j] - along * (b[j] - a[j])) > bend) return false;
+    }
+    return true;
+  };
+  const Lease scratch = borrow();
+  for (std::size_t from = 0; from < last || from == 0;) {
+    std::size_t to = std::min(from + 1, last);
+    while (to < last && is_straight(from, to + 1)) ++to;
+    if (auto hit = sweep(*scratch, places.subspan(from * n, n), places.subspan(to * n, n), options)) {
+      const auto whole = static_cast<double>(std::max<std::size_t>(last, 1)), part = static_cast<double>(to - from);
+      hit->fraction = (static_cast<double>(from) + hit->fraction * part) / whole;
+      hit->free_until = (static_cast<double>(from) + hit->free_until * part) / whole;
+      return hit;
+    }
+    if (to == last) break;
+    from = to;
+  }
+  return std::nullopt;
+}
+
 void CollisionChecker::check_rows(std::span<const double> q, const char* what) const {
   if (q.size() % joints_.size())
     throw InvalidSetup("collision checker: " + std::string(what) + " has " + std::to_string(q.size()) +
@@ -408,10 +454,8 @@ std::vector<std::optional<Hit>> CollisionChecker::first_hit_rows(std::span<const
                                                                  const SweepOptions& options, int threads) const {
   check_rows(from, "from");
   check_rows(to, "to");
-  check_margin(options.margin);
+  check_sweep(options);
   if (from.size() != to.size()) throw InvalidSetup("collision checker: from and to have different numbers of rows");
-  if (!(options.step > 0.0) || !(options.turn > 0.0))
-    throw InvalidSetup("collision checker: step and turn must be positive");
   const std::size_t n = joints_.size();
   std::vector<std::optional<Hit>> hits(from.size() / n);
   for_rows(hits.size(), threads, [&](Scratch& scratch, std::size_t i) {

@@ -247,7 +247,7 @@ std::vector<double> Motion::preview(const mjModel* model, mjData* data, int copy
   const double* memory = data->userdata + address_;
   std::vector<double> tried(memory, memory + Trajectory::size(dof()));
   std::ranges::copy(target, tried.begin());
-  tried.back() = 0.0;
+  tried.back() = target.empty() ? 1.0 : 0.0;
   plan(model, data, tried.data(), now, step);
   std::vector<double> positions;
   const auto add = [&](int first, double until, double pace) {

@@ -233,8 +233,8 @@ double Trajectory::stay_behind(double share) {
   return behind;
 }
 
-// The share of the targets' speed at which an arm that is slower can aim without going back: the place where it may have
-// that speed must be at least as far as the arm comes while it gains it.
+// The share of the targets' speed at which an arm can aim without going back: the place where it may have that speed must
+// be at least as far as the arm comes until it has it.
 double Trajectory::gained_share(double ahead, double horizon) {
   Plan& plan = *plan_;
   const auto& input = plan.input;
@@ -245,11 +245,15 @@ double Trajectory::gained_share(double ahead, double horizon) {
     for (std::size_t i = 0; i < plan.end.size(); ++i) {
       const double sign = plan.end[i] < 0.0 ? -1.0 : 1.0;
       const double lead = sign * plan.lead[i], now = sign * plan.velocity[i], speed = sign * share * plan.end[i];
-      if (lead <= kRounding || now > speed) continue;  // it is to go back, or to slow down: both as soon as it can
-      const double least = changing_time(speed - now, input.max_acceleration[i], input.max_jerk[i]);
-      // An arm that needs little of the time for that may go on a little slower for a while.
-      const double slack = 0.5 * std::max(horizon - least, 0.0) * std::clamp(now, 0.0, speed);
-      if (lead - speed * behind < 0.5 * std::max(horizon, least) * (speed + now) - slack - kRounding) return false;
+      if (lead <= kRounding) continue;  // it is to go back
+      const double least = changing_time(std::abs(speed - now), input.max_acceleration[i], input.max_jerk[i]);
+      double way = 0.5 * least * (speed + now);
+      if (now < speed) {
+        // An arm that needs little of the time for that may go on a little slower for a while.
+        const double spare = std::max(horizon - least, 0.0);
+        way += 0.5 * spare * (speed + now - std::clamp(now, 0.0, speed));
+      }
+      if (lead - speed * behind < way - kRounding) return false;
     }
     return true;
   };

@@ -52,6 +52,7 @@ def at_plate(env: Env, y: float = 0.15) -> None:
 def ask(env: Env, start: Any, goal: Any) -> Mapping[str, Any]:
     """Return what the guard admits of a way between joints."""
     guard: Any = env.stack.gates[0]
+    env.scenario.robots[0].put(np.array(start))
     measured = {"": {"joints": np.array(start), "gripper": OPEN}}
     guard.reset(measured, ...)
     return guard.admit({"": {"joints": np.array(goal), "gripper": OPEN}}, measured)
@@ -103,6 +104,7 @@ def test_the_way_is_checked_from_where_the_arm_is_measured_too(sync: Env) -> Non
     at_plate(sync)
     guard: Any = sync.stack.gates[0]
     beyond = HOME + np.array([0.8, 0, 0, 0, 0, 0, 0])
+    sync.scenario.robots[0].put(HOME)
     guard.reset({"": {"joints": HOME}}, ...)  # commanded here, but measured behind the plate
     with pytest.raises(Refused, match="'plate'"):
         guard.admit({"": {"joints": HOME, "gripper": OPEN}}, {"": {"joints": beyond, "gripper": OPEN}})
@@ -164,7 +166,7 @@ def test_an_arm_that_is_too_near_may_go_away_and_along_but_no_nearer(sync: Env) 
     ways = []
     for q in np.linspace(0.2, 0.8, 200):
         guard: Any = sync.stack.gates[0]
-        guard._scene.look()
+        guard._scene.look(0, np.array([q, *HOME[1:], 0.04, 0.04]))
         distance = guard._scene.far.clearance(np.array([q, *HOME[1:], 0.04, 0.04]), 0.01).distance
         if 0.004 < distance < 0.008:
             ways.append(q)

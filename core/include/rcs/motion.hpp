@@ -51,7 +51,8 @@ class Motion final : public StepCallback {
 
   /// What a step to a target would do: where the joints are led to, `dof` numbers each, from now to the end of the step
   /// and while they brake to rest from there, at most every `tick` [s] and at the same times for all motions; in a
-  /// synchronous step, until they stand. Nothing changes but what is derived in `data`.
+  /// synchronous step, until they stand. Without a target, they are told to hold. Nothing changes but what is derived in
+  /// `data`.
   std::vector<double> preview(const mjModel* model, mjData* data, int copy, const Step& step,
                               std::span<const double> target, double tick);
 

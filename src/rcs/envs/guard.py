@@ -1,8 +1,8 @@
 """A guard: no target reaches a device whose way there comes too near to anything.
 
-What is checked is the way, not its end: from what was commanded last to the target and on to where the arm could stop,
-and from where the arm is measured to the target, for all robots at once, in steps of at most 2 mm and 0.5 degrees (in
-C++). Where a robot stands too near already, it may move along and away, but no nearer.
+What is checked is what will be executed: where the arms are led in this step, each along its own trajectory, and where
+they then go while they brake to rest, in steps of at most 2 mm and 0.5 degrees (in C++). So there is always a way to stop
+that was found free. Where a robot stands too near already, it may move along and away, but no nearer.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rcs._core import CollisionChecker
 from rcs.envs.gate import Gate
+from rcs.envs.guarded_motion import TICK, GuardedMotions
 from rcs.envs.guarded_scene import Box, GuardedScene
 from rcs.envs.layers.layer import Where
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS, Action, Observation
@@ -41,11 +42,8 @@ DEADLINE = 0.01
 SLACK = 1e-5
 """By how much the distance to what is too near already may shrink: rounding of distances [m]."""
 
-SAFE = 1e-3
-"""Part of a way that is left out before a hit, for rounding."""
-
-SAME = 1e-4
-"""An arm that is measured this close to where it was commanded stands there [rad]: at 1 m these are 0.1 mm."""
+CUTS = 4
+"""How often the part of a way that may be gone is halved: it is known to a sixteenth."""
 
 FRACTION = "guard_fraction"
 """Key of `info`: the part of the way that was admitted, 1 for all of it."""
@@ -133,12 +131,12 @@ class Guard(Gate):
             allow=self._allow,
             workspace=self._workspace,
         )
+        self._robots = list(parts.robots)
         self._names = [robot.name for robot in parts.robots] if len(parts.robots) > 1 else [""]
-        # A synchronous step ends at rest; else the target is passed at the speed at which it moves.
-        self._period = math.inf if parts.setup.stepping == "sync" else 1.0 / parts.setup.frequency
-        self._accelerations = scene.accelerations
+        self._motions = GuardedMotions(parts.robots, world, parts.devices.arms, 1.0 / parts.setup.frequency)
+        self._is_synchronous = parts.setup.stepping == "sync"
+        self._finger_places = math.ceil(1.0 / parts.setup.frequency / TICK)
         self._is_batch = world is not None and bool(world.leading)
-        self._arm_mask = scene.arm_mask
 
     def reset(self, measured: Mapping[str, Observation], where: Where) -> None:
         """Count from where the robots are."""
@@ -149,6 +147,7 @@ class Guard(Gate):
                 commanded[where] = joints[where]
                 joints = commanded
             self._commanded = {**self._commanded, name: joints}
+        self._motions.stand(self._of_copy(self._commanded, 0))
         self._floors.clear()
 
     def rebase(self, measured: Mapping[str, Observation]) -> None:
@@ -158,6 +157,7 @@ class Guard(Gate):
     def sent(self, targets: Mapping[str, Action]) -> None:
         """Remember what was commanded."""
         self._commanded = {name: np.array(targets[name][JOINTS], np.float64) for name in self._names}
+        self._motions.sent(self._of_copy(self._commanded, 0))
 
     def info(self) -> dict[str, Any]:
         """Return `guard_fraction`: the part of the way that was admitted, (*leading,)."""
@@ -170,17 +170,16 @@ class Guard(Gate):
             Refused: The way is not free, and is not to be cut.
         """
         scene = self._require_scene()
-        commanded = {name: {JOINTS: self._commanded[name]} for name in self._names}
         here = scene.vector(measured, measured)
-        start = scene.vector(commanded, measured)
-        goal = scene.vector(targets, targets)
+        fingers = scene.vector(measured, targets)
+        goal = {name: np.asarray(targets[name][JOINTS], np.float64) for name in self._names}
         if self._is_batch:
-            parts = [self._part_of(copy, here[copy], start[copy], goal[copy]) for copy in range(len(goal))]
+            parts = [self._part_of(copy, here[copy], fingers[copy], goal) for copy in range(len(here))]
             self._fraction = np.array([part.fraction for part in parts])
         else:
-            part = self._part_of(0, here, start, goal)
+            part = self._part_of(0, here, fingers, goal)
             self._fraction = part.fraction
-            if part.why and (self.on_hit != "clip" or not part.is_free):
+            if part.why and (self.on_hit != "clip" or part.rest is not None):
                 self._fraction = 0.0
                 refused = Refused(part.why)
                 refused.ends_episode = self.on_hit == "stop"
@@ -191,79 +190,81 @@ class Guard(Gate):
         return self._cut(targets, measured, parts)
 
     def _part_of(
-        self, copy: int, here: NDArray[np.float64], start: NDArray[np.float64], goal: NDArray[np.float64]
+        self,
+        copy: int,
+        here: NDArray[np.float64],
+        fingers: NDArray[np.float64],
+        goal: Mapping[str, NDArray[np.float64]],
     ) -> _Part:
-        """Return how much of the way of one copy is free; (dof,) each."""
-        self._require_scene().look(copy)
-        found = self._sweep(copy, here, start, goal)
-        if found is None:
-            return _Part(1.0, True, True, "")
-        fraction, why = found
-        if self.on_hit != "clip":
-            return _Part(0.0, False, False, why)
-        for _ in range(4):  # what is left must be free from where the arm is, too
-            if fraction < SAFE:
-                break
-            left = self._sweep(copy, here, start, start + fraction * (goal - start))
-            if left is None:
-                return _Part(fraction, True, False, why)
-            fraction *= min(left[0], 0.5)
-        still = np.where(self._arm_mask, start, goal)
-        if self._sweep(copy, here, start, still) is None:  # fingers move, arms stay
-            return _Part(0.0, True, True, why)
-        is_free = self._sweep(copy, here, start, start) is None
-        return _Part(0.0, is_free, False, why)
+        """Return how much of the way of one copy is free.
+
+        Args:
+            copy: The copy.
+            here: All joints as measured, (dof,).
+            fingers: The same with the fingers where they are told to go.
+            goal: Targets of the arms, (*leading, dof) each.
+        """
+        self._require_scene().look(copy, here)
+        asked, start = self._of_copy(goal, copy), self._of_copy(self._commanded, copy)
+        why = self._sweep(copy, here, fingers, self._motions.ways(copy, asked))
+        if not why:
+            return _Part(1.0, "")
+        if self.on_hit == "clip":
+            free, hit = 0.0, 1.0
+            for _ in range(CUTS):
+                middle = 0.5 * (free + hit)
+                nearer = {name: start[name] + middle * (asked[name] - start[name]) for name in asked}
+                if self._sweep(copy, here, here, self._motions.ways(copy, nearer)):
+                    hit = middle
+                else:
+                    free = middle
+            if free > 0.0 or not self._sweep(copy, here, here, self._motions.ways(copy, start)):
+                return _Part(free, why)
+        held = self._motions.ways(copy, None)
+        return _Part(0.0, why, dict(zip(asked, (way[-1] for way in held), strict=True)))
+
+    def _of_copy(self, joints: Mapping[str, NDArray[np.float64]], copy: int) -> dict[str, NDArray[np.float64]]:
+        """Return the joints of one copy, by the names of the robots."""
+        names = [robot.name for robot in self._robots]
+        rows = [joints[name][copy] if self._is_batch else joints[name] for name in self._names]
+        return dict(zip(names, rows, strict=True))
 
     def _sweep(
-        self, copy: int, here: NDArray[np.float64], start: NDArray[np.float64], goal: NDArray[np.float64]
-    ) -> tuple[float, str] | None:
-        """Return the part of the way from start to goal that is free, and what is in the way; None if all of it is."""
-        velocity = np.where(self._arm_mask, goal - start, 0.0) / self._period
-        stop = velocity * np.abs(velocity) / (2.0 * self._accelerations)
-        least: tuple[float, str] | None = None
-        ways = [(start, goal, 0.0, 1.0)]
-        if np.abs(stop).max() > SAME:
-            share = np.abs(stop).max() / np.abs(goal - start).max()
-            ways = [(start, goal, 0.0, 1 / (1 + share)), (goal, goal + stop, 1 / (1 + share), 1.0)]
-        if np.abs(here - start).max() > SAME:
-            ways.append((here, goal, 0.0, 1.0))
+        self, copy: int, here: NDArray[np.float64], fingers: NDArray[np.float64], ways: Sequence[NDArray[np.float64]]
+    ) -> str:
+        """Return what is in the way of all robots from where they are measured; empty for nothing."""
         scene = self._require_scene()
+        count = len(ways[0])
+        share = np.minimum(np.arange(count) / (count if self._is_synchronous else self._finger_places), 1.0)
+        places = scene.places(ways, here + share[:, None] * (fingers - here))
+        places = np.concatenate([here[None], places[min(1, count - 1) :], places[-1:] + (fingers - here) * scene.finger_mask])
         checks = [(scene.far, self._margin), (scene.near, self._near_margin)]  # they are made anew with the geometry
         for number, (checker, margin) in enumerate(checks):
-            for begin, end, first, last in ways:
-                found = self._first_hit((copy, number), checker, begin, end, margin)
-                if found is not None:
-                    fraction = max(first + (last - first) * found[0] - SAFE, 0.0)
-                    if least is None or fraction < least[0]:
-                        least = fraction, found[1]
-        return least
+            if why := self._first_hit((copy, number), checker, places, margin):
+                return why
+        return ""
 
     def _first_hit(
-        self,
-        key: tuple[int, int],
-        checker: CollisionChecker,
-        begin: NDArray[np.float64],
-        end: NDArray[np.float64],
-        margin: float,
-    ) -> tuple[float, str] | None:
-        hit = checker.first_hit(begin, end, STEP, TURN, margin)
+        self, key: tuple[int, int], checker: CollisionChecker, places: NDArray[np.float64], margin: float
+    ) -> str:
+        hit = checker.first_hit_on_way(places, STEP, TURN, margin)
         if hit is None:
-            return None
+            return ""
         if hit.free_until == 0.0:  # too near already: no nearer than that
-            distance = checker.clearance(begin, margin).distance
+            distance = checker.clearance(places[0], margin).distance
             if distance < margin:
                 floor = self._floors.get(key, -math.inf)
                 if distance < floor - 2 * SLACK:  # something else has moved
                     floor = -math.inf
                 self._floors[key] = floor = max(floor, distance - SLACK)
-                hit = checker.first_hit(begin, end, STEP, TURN, floor)
+                hit = checker.first_hit_on_way(places, STEP, TURN, floor)
                 if hit is None:
-                    return None
+                    return ""
         else:
             self._floors.pop(key, None)
         words = self._require_scene().describe(hit.geoms)
         distance = 1e3 * hit.distance
-        return hit.free_until, (
+        return (
             f"After {100 * hit.free_until:.0f} % of the way, {words} would be {distance:.1f} mm apart; the guard keeps "
             f"{1e3 * margin:g} mm."
         )
@@ -271,24 +272,24 @@ class Guard(Gate):
     def _cut(
         self, targets: Mapping[str, Action], measured: Mapping[str, Observation], parts: Sequence[_Part]
     ) -> Mapping[str, Action]:
-        """Return the targets with every copy cut to its part of the way."""
+        """Return the targets with every copy cut to its part of the way; fingers stay where a way is cut."""
         cut: dict[str, Action] = {name: dict(own) for name, own in targets.items()}
 
-        def of(flags: list[Any]) -> NDArray[Any]:
-            return np.array(flags)[:, None] if self._is_batch else np.array(flags[0])
+        def of(values: list[Any]) -> NDArray[Any]:
+            return np.array(values) if self._is_batch else np.array(values[0])
 
-        fraction = of([part.fraction for part in parts])
-        is_free = of([part.is_free for part in parts])
-        fingers = np.where(of([part.has_fingers for part in parts]), 1.0, fraction)
-        for name in self._names:
-            start = np.where(is_free, self._commanded[name], measured[name][JOINTS])
+        fraction = of([[part.fraction] for part in parts])
+        is_held = of([[part.rest is not None] for part in parts])
+        for name, robot in zip(self._names, self._robots, strict=True):
+            start, goal = self._commanded[name], np.asarray(targets[name][JOINTS])
+            rest = [np.zeros(robot.arm.dof) if part.rest is None else part.rest[robot.name] for part in parts]
             # What is admitted as a whole keeps its bits.
-            goal = np.asarray(targets[name][JOINTS])
-            cut[name][JOINTS] = np.where(fraction == 1.0, goal, start + fraction * (goal - start))
+            mine = np.where(fraction == 1.0, goal, start + fraction * (goal - start))
+            cut[name][JOINTS] = np.where(is_held, of(rest), mine)
             for key in (GRIPPER, HAND):
                 if key in cut[name]:
                     goal, start = np.asarray(targets[name][key]), np.asarray(measured[name][key])
-                    cut[name][key] = np.where(fingers == 1.0, goal, start + fingers * (goal - start)).astype(goal.dtype)
+                    cut[name][key] = np.where(fraction == 1.0, goal, start).astype(goal.dtype)
         return cut
 
     def _require_scene(self) -> GuardedScene:
@@ -305,12 +306,10 @@ class Guard(Gate):
 class _Part:
     """How much of a way is admitted, and why not all of it."""
 
-    def __init__(self, fraction: float, is_free: bool, has_fingers: bool, why: str) -> None:
+    def __init__(self, fraction: float, why: str, rest: Mapping[str, NDArray[np.float64]] | None = None) -> None:
         self.fraction = fraction
         """Of the way from what was commanded last."""
-        self.is_free = is_free
-        """Whether this part is free; if not, not even staying at the last command is, so they stay as measured."""
-        self.has_fingers = has_fingers
-        """Whether fingers go all of their way."""
         self.why = why
         """What is in the way; empty for nothing."""
+        self.rest = rest
+        """Where the arms come to rest when they brake now, where not even the last command may be gone on with."""

@@ -122,8 +122,13 @@ class GuardedScene:
             checker.allow(a, b)
         return checker
 
-    def look(self, copy: int = 0) -> None:
-        """See where everything besides the robots is, in one copy."""
+    def look(self, copy: int, joints: NDArray[np.float64]) -> None:
+        """See where everything besides the robots is, in one copy, and what they hold.
+
+        Args:
+            copy: The copy.
+            joints: All joints of the robots [rad, m], (dof,).
+        """
         world = self._world
         if world is None:
             return
@@ -162,21 +167,28 @@ class GuardedScene:
                 parts.append(lower + np.asarray(hand[HAND], np.float64) * (upper - lower))
         return np.concatenate(parts, axis=-1)
 
-    @property
-    def arm_mask(self) -> NDArray[np.bool_]:
-        """Which of the joints are those of arms, (dof,)."""
-        return np.concatenate(
-            [np.arange(len(ids)) < robot.arm.dof for robot, ids in zip(self._robots, self._joints, strict=True)]
-        )
+    def places(
+        self, ways: Sequence[NDArray[np.float64]], fingers: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return all joints along a way [rad, m], (n, dof).
+
+        Args:
+            ways: Joints of every arm along it, (n, dof) each.
+            fingers: All joints along it, of which those of fingers are taken, (n, dof).
+        """
+        places = fingers.copy()
+        first = 0
+        for way, ids in zip(ways, self._joints, strict=True):
+            places[:, first : first + way.shape[1]] = way
+            first += len(ids)
+        return places
 
     @property
-    def accelerations(self) -> NDArray[np.float64]:
-        """Largest acceleration of every joint [rad/s²], (dof,); infinite for fingers, which stop where they are."""
-        rows = [
-            [*robot.arm.acceleration_limit, *[np.inf] * (len(ids) - robot.arm.dof)]
-            for robot, ids in zip(self._robots, self._joints, strict=True)
-        ]
-        return np.concatenate(rows)
+    def finger_mask(self) -> NDArray[np.bool_]:
+        """Which of the joints are those of fingers, (dof,)."""
+        return np.concatenate(
+            [np.arange(len(ids)) >= robot.arm.dof for robot, ids in zip(self._robots, self._joints, strict=True)]
+        )
 
     def describe(self, geoms: Sequence[int]) -> str:
         """Return a pair of geoms in words."""

@@ -1,0 +1,99 @@
+"""What all arms are about to do, as a guard looks at it: where they are led in the next step and while they then brake.
+
+Simulated arms are asked: their motions say what the next step will be, to the bit. A real arm is followed by the same law
+of motion, from where it was measured last at rest and by the targets that it was sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs._core import Motion, Trajectory
+from rcs.sim.layout import RobotLayout
+from rcs.sim.scene import RobotPlacement
+from rcs.sim.world import World
+
+TICK = 0.01
+"""Time between two places of a way [s]: an arm at 20 rad/s² leaves the straight line between them by 0.25 mrad."""
+
+Joints = Mapping[str, NDArray[np.float64]]
+"""Joints of every robot [rad], (dof,) each."""
+
+
+class GuardedMotions:
+    """The motions of all arms, one copy at a time."""
+
+    def __init__(
+        self, robots: Sequence[RobotPlacement], world: World | None, real: Collection[str], period: float
+    ) -> None:
+        """Look the motions up.
+
+        Args:
+            robots: The robots.
+            world: Where those are that are simulated.
+            real: Names of the robots whose arms are not.
+            period: Control period [s].
+        """
+        self._world, self._period = world, period
+        self._simulated: dict[str, Motion] = {}
+        self._real: dict[str, tuple[Trajectory, NDArray[np.float64]]] = {}
+        for robot in robots:
+            arm = robot.arm
+            if world is None or robot.name in real:
+                self._real[robot.name] = Trajectory(arm.motion_limits), np.zeros(Trajectory.size(arm.dof))
+                continue
+            ids = RobotLayout.of(robot, world.model)
+            motion = Motion(ids.joint_ids, ids.actuator_ids, ids.motion, arm.motion_limits, world.copies)
+            self._simulated[robot.name] = world.core.add_motion(motion)
+        self._names = [robot.name for robot in robots]
+
+    def stand(self, joints: Joints) -> None:
+        """Take real arms to stand where they are measured."""
+        for name, (_, memory) in self._real.items():
+            memory[:] = 0.0
+            for row in Trajectory.POSITION_ROWS:
+                memory[row * len(joints[name]) : (row + 1) * len(joints[name])] = joints[name]
+
+    def sent(self, targets: Joints) -> None:
+        """Follow real arms through a step to targets."""
+        for name, (trajectory, memory) in self._real.items():
+            memory[: len(targets[name])] = targets[name]
+            trajectory.follow(memory, self._period)
+            trajectory.advance(memory, self._period)
+
+    def ways(self, copy: int, targets: Joints | None) -> list[NDArray[np.float64]]:
+        """Return where every arm is led in a step to targets and while it then brakes to rest, (n, dof) each.
+
+        Places are `TICK` apart at most, and of the same times for all arms. Without targets, all are told to hold.
+        """
+        ways: list[NDArray[np.float64]] = []
+        for name in self._names:
+            if name in self._real:
+                ways.append(self._way_of_real(*self._real[name], None if targets is None else targets[name]))
+                continue
+            assert self._world is not None, "simulated arms are in a world"
+            target = np.empty(0) if targets is None else np.ascontiguousarray(targets[name])
+            ways.append(self._world.core.preview(self._simulated[name], target, copy, TICK))
+        longest = max(map(len, ways))
+        return [np.concatenate([way, np.repeat(way[-1:], longest - len(way), axis=0)]) for way in ways]
+
+    def _way_of_real(
+        self, trajectory: Trajectory, memory: NDArray[np.float64], target: NDArray[np.float64] | None
+    ) -> NDArray[np.float64]:
+        memory = memory.copy()
+        places: list[NDArray[np.float64]] = []
+        ticks = int(np.ceil(self._period / TICK - 1e-9))
+        pace = self._period / ticks
+        position, velocity, _ = trajectory.state(memory)
+        if target is not None:
+            memory[: len(target)] = target
+            trajectory.follow(memory, self._period)
+            places += [trajectory.state(memory, k * pace)[0] for k in range(ticks)]
+            position, velocity, _ = trajectory.state(memory, self._period)
+        trajectory.brake(memory, position, velocity)
+        last = int(np.ceil(trajectory.remaining(memory) / pace))
+        places += [trajectory.state(memory, k * pace)[0] for k in range(last + 1)]
+        return np.array(places)
