@@ -66,13 +66,6 @@ double* memory_of(const rcs::Trajectory& trajectory, const Memory& memory) {
   return memory.data();
 }
 
-std::span<const double> of_joints(const rcs::Trajectory& trajectory, const Vector& values) {
-  if (values.shape(0) != static_cast<std::size_t>(trajectory.dof()))
-    throw rcs::InvalidSetup("trajectory: " + std::to_string(values.shape(0)) + " numbers were given for " +
-                            std::to_string(trajectory.dof()) + " joints");
-  return to_span(values);
-}
-
 void bind_trajectory(nb::module_& m) {
   nb::class_<rcs::Trajectory>(m, "Trajectory",
                               "The law of motion of an arm, in memory of the caller: what its joints do between one "
@@ -96,12 +89,8 @@ void bind_trajectory(nb::module_& m) {
           "Plan the motion of a step that lasts `period` [s], or until the target is reached, with a share of the "
           "acceleration.")
       .def(
-          "brake",
-          [](rcs::Trajectory& t, const Memory& memory, const Vector& joints, const Vector& velocities) {
-            t.brake(memory_of(t, memory), of_joints(t, joints), of_joints(t, velocities), 1.0);
-          },
-          "memory"_a, "joints"_a, "velocities"_a,
-          "Begin to brake to rest from these positions [rad] and velocities [rad/s].")
+          "brake", [](rcs::Trajectory& t, const Memory& memory) { t.brake(memory_of(t, memory), 1.0); }, "memory"_a,
+          "Brake to rest, all joints together on a straight line where they can.")
       .def(
           "advance",
           [](rcs::Trajectory& t, const Memory& memory, double time) { t.advance(memory_of(t, memory), time); },

@@ -17,6 +17,8 @@ constexpr double kPositionTolerance = 1e-3;  // rad
 constexpr double kVelocityTolerance = 1e-2;  // rad/s
 // An arm that is farther from where it is led to is kept from following [rad]: a servo of ours lags by less than a tenth.
 constexpr double kAstray = 0.2;
+// An arm that was told to hold and is this far from where it was led to was pushed, or is blocked [rad].
+constexpr double kPushed = 0.03;
 // Places of a motion at which torques are looked at.
 constexpr int kPlaces = 12;
 // Part of the torque that motions may ask for; the rest is for the servos to correct with.
@@ -29,7 +31,8 @@ constexpr double kLeastShare = 0.1;
 }  // namespace
 
 struct Motion::Copy {
-  explicit Copy(const MotionLimits& limits) : trajectory(limits), gain(limits.lower.size()), lag(limits.lower.size()) {}
+  explicit Copy(const MotionLimits& limits)
+      : trajectory(limits), gain(limits.lower.size()), lag(limits.lower.size()), measured(2 * limits.lower.size()) {}
 
   Trajectory trajectory;
   std::vector<double> gain;       // of the servo [Nm/rad]
@@ -162,19 +165,17 @@ void Motion::plan(const mjModel* model, mjData* data, double* memory, Copy& copy
   copy.wanted.assign(static_cast<std::size_t>(model->nv), 0.0);
   copy.force.resize(static_cast<std::size_t>(model->nv));
   if (trajectory.is_told_to_hold(memory)) {
+    const std::span<const double> measured(copy.measured);
+    if (is_astray(model, data, memory, copy, kPushed)) trajectory.put(memory, measured.first(n), measured.last(n));
     look_at_inertia(model, data);
-    return brake(model, data, memory, copy, measured(model, data, copy).first(n), measured(model, data, copy).last(n));
+    return brake(model, data, memory, copy);
   }
   const bool is_asked = trajectory.is_asked(memory);
   if (is_asked) {
-    trajectory.look(memory, 0.0);
-    const auto joints = measured(model, data, copy).first(n);
-    bool is_astray = false;
-    for (std::size_t i = 0; i < n; ++i)
-      is_astray = is_astray || std::abs(joints[i] - trajectory.position()[i]) > kAstray;
-    if (is_astray) {
+    if (is_astray(model, data, memory, copy, kAstray)) {
       copy.memory.assign(memory, memory + n);  // the target
-      Trajectory::stand({memory, static_cast<std::size_t>(Trajectory::size(dof()))}, joints);
+      const std::span<const double> measured(copy.measured);
+      Trajectory::stand({memory, static_cast<std::size_t>(Trajectory::size(dof()))}, measured.first(n));
       std::ranges::copy(copy.memory, memory);
     }
     copy.memory.assign(memory, memory + Trajectory::size(dof()));
@@ -190,22 +191,27 @@ void Motion::plan(const mjModel* model, mjData* data, double* memory, Copy& copy
 }
 
 // Brake within the torques of the motors; the inertia of the present place has been looked at.
-void Motion::brake(const mjModel* model, mjData* data, double* memory, Copy& copy, std::span<const double> joints,
-                   std::span<const double> velocities) {
-  copy.trajectory.brake(memory, joints, velocities, 1.0);
+void Motion::brake(const mjModel* model, mjData* data, double* memory, Copy& copy) {
+  copy.memory.assign(memory, memory + Trajectory::size(dof()));
+  copy.trajectory.brake(memory, 1.0);
   const double share = share_of_acceleration(model, data, memory, copy, false);
-  if (share < 1.0) copy.trajectory.brake(memory, joints, velocities, share);
+  if (share == 1.0) return;
+  std::ranges::copy(copy.memory, memory);
+  copy.trajectory.brake(memory, share);
 }
 
-// Positions, then velocities, of the joints.
-std::span<const double> Motion::measured(const mjModel* model, const mjData* data, Copy& copy) const {
+// Whether the joints, whose positions and velocities are written to `measured`, are elsewhere than they were led to.
+bool Motion::is_astray(const mjModel* model, const mjData* data, const double* memory, Copy& copy,
+                       double tolerance) const {
   const std::size_t n = joints_.size();
-  copy.measured.resize(2 * n);
+  copy.trajectory.look(memory, 0.0);
+  bool is_astray = false;
   for (std::size_t i = 0; i < n; ++i) {
     copy.measured[i] = data->qpos[model->jnt_qposadr[joints_[i]]];
     copy.measured[n + i] = data->qvel[model->jnt_dofadr[joints_[i]]];
+    is_astray = is_astray || std::abs(copy.measured[i] - copy.trajectory.position()[i]) > tolerance;
   }
-  return copy.measured;
+  return is_astray;
 }
 
 void Motion::begin(const mjModel* model, mjData* data, int copy, const Step& step) {
@@ -263,10 +269,9 @@ std::vector<double> Motion::preview(const mjModel* model, mjData* data, int copy
   }
   const double pace = step.duration / std::ceil(step.duration / tick);  // the same for all motions
   add(0, step.duration, pace);
-  const std::vector<double> joints(positions.end() - dof(), positions.end());
-  const std::vector<double> velocities(trajectory.velocity().begin(), trajectory.velocity().end());
+  trajectory.advance(tried.data(), step.duration);
   look_at_inertia(model, data);
-  brake(model, data, tried.data(), now, joints, velocities);
+  brake(model, data, tried.data(), now);
   add(1, trajectory.remaining(tried.data()), pace);
   return positions;
 }

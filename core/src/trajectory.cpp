@@ -347,17 +347,33 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
   excess();
 }
 
-void Trajectory::brake(double* memory, std::span<const double> joints, std::span<const double> velocities,
-                       double share) {
+void Trajectory::put(double* memory, std::span<const double> joints, std::span<const double> velocities) {
   const std::size_t n = limits_.lower.size();
   stand({memory, static_cast<std::size_t>(size(dof()))}, joints);
   for (std::size_t i = 0; i < n; ++i)
-    memory[kVelocity * n + i] =
-        std::clamp(velocities[i], -plan_->input.max_velocity[i], plan_->input.max_velocity[i]);
-  memory[kRows * n + kSpared] = 1.0 - share;
+    memory[kVelocity * n + i] = std::clamp(velocities[i], -limits_.velocity[i], limits_.velocity[i]);
+  memory[kRows * n + kLeast] = kTogether;
+}
+
+void Trajectory::brake(double* memory, double share) {
+  const std::size_t n = limits_.lower.size();
+  double& least = memory[kRows * n + kLeast];
+  const bool is_braking = least < 0.0 && memory[kRows * n + kElapsed] > 0.0;
+  if (!is_braking) {
+    look(memory, 0.0);
+    std::ranges::copy(plan_->position, memory + kPosition * n);
+    std::ranges::copy(plan_->velocity, memory + kVelocity * n);
+    std::ranges::copy(plan_->acceleration, memory + kAcceleration * n);
+    std::ranges::copy(plan_->position, memory + kAim * n);
+    std::fill_n(memory + kEnd * n, n, 0.0);
+    std::fill_n(memory + kStream * n, n, 0.0);
+    memory[kRows * n + kElapsed] = 0.0;
+    memory[kRows * n + kSpared] = 1.0 - share;
+    least = kTogether;
+  }
+  memory[kRows * n + kHold] = 0.0;
   // Where a joint would leave its range while it waits for the others, each brakes as hard as it can.
-  for (const double way : {kTogether, kAlone}) {
-    memory[kRows * n + kLeast] = way;
+  for (;;) {
     Plan& plan = this->plan(memory);
     plan.at(plan.duration());
     bool is_inside = true;
@@ -366,7 +382,8 @@ void Trajectory::brake(double* memory, std::span<const double> joints, std::span
       is_inside = is_inside && end == plan.position[i];
       memory[kTarget * n + i] = memory[kLast * n + i] = end;
     }
-    if (is_inside) return;
+    if (is_inside || is_braking || least == kAlone) return;
+    least = kAlone;
   }
 }
 

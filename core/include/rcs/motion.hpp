@@ -40,7 +40,7 @@ class Motion final : public StepCallback {
   const MotionLimits& limits() const { return limits_; }
 
   /// Plan the motion of a step. The target is what was written into the first `dof` numbers. Joints that were told to hold
-  /// brake from where they are measured.
+  /// brake; those that are not where they were led to begin anew from where they are measured.
   void begin(const mjModel* model, mjData* data, int copy, const Step& step);
   /// Write the controls of the next physics step.
   void advance(const mjModel* model, mjData* data, int copy);
@@ -63,10 +63,9 @@ class Motion final : public StepCallback {
   struct Copy;
 
   void plan(const mjModel* model, mjData* data, double* memory, Copy& copy, const Step& step);
-  void brake(const mjModel* model, mjData* data, double* memory, Copy& copy, std::span<const double> joints,
-             std::span<const double> velocities);
+  void brake(const mjModel* model, mjData* data, double* memory, Copy& copy);
+  bool is_astray(const mjModel* model, const mjData* data, const double* memory, Copy& copy, double tolerance) const;
   double share_of_acceleration(const mjModel* model, mjData* data, const double* memory, Copy& copy, bool is_far);
-  std::span<const double> measured(const mjModel* model, const mjData* data, Copy& copy) const;
   static void know_bias(const mjModel* model, mjData* data, Copy& copy);
   static void look_at_inertia(const mjModel* model, mjData* data);
 

@@ -67,10 +67,11 @@ class Trajectory {
   bool is_asked(const double* memory);
   /// Plan the motion of a step to the target, with this share of the acceleration (0 … 1).
   void follow(double* memory, const Step& step, double share);
-  /// Begin to brake to rest, all joints together on a straight line where they can, from these positions and velocities
-  /// and with this share of the acceleration. The target becomes where they will come to rest, and the order to hold is
-  /// carried out.
-  void brake(double* memory, std::span<const double> joints, std::span<const double> velocities, double share);
+  /// Begin anew from these positions and velocities.
+  void put(double* memory, std::span<const double> joints, std::span<const double> velocities);
+  /// Brake to rest with this share of the acceleration, all joints together on a straight line where they can; joints that
+  /// brake already go on with it. The target becomes where they will come to rest, and the order to hold is carried out.
+  void brake(double* memory, double share);
   /// Let time pass [s]. At the end of the plan, the joints stand.
   void advance(double* memory, double time);
 

@@ -87,13 +87,11 @@ class GuardedMotions:
         places: list[NDArray[np.float64]] = []
         ticks = int(np.ceil(self._period / TICK - 1e-9))
         pace = self._period / ticks
-        position, velocity, _ = trajectory.state(memory)
         if target is not None:
             memory[: len(target)] = target
             trajectory.follow(memory, self._period)
             places += [trajectory.state(memory, k * pace)[0] for k in range(ticks)]
-            position, velocity, _ = trajectory.state(memory, self._period)
-        trajectory.brake(memory, position, velocity)
+            trajectory.advance(memory, self._period)
+        trajectory.brake(memory)
         last = int(np.ceil(trajectory.remaining(memory) / pace))
-        places += [trajectory.state(memory, k * pace)[0] for k in range(last + 1)]
-        return np.array(places)
+        return np.array(places + [trajectory.state(memory, k * pace)[0] for k in range(last + 1)])
