@@ -23,7 +23,7 @@ static_assert(Trajectory::size(1) == int{kRows} + int{kNumbers});
 constexpr double kMargin = 1e-3;
 // How far a stream that ends abruptly may be overshot [rad], up to this share of the velocity limit; none at twice of
 // it.
-constexpr double kOvershoot = 0.0295;
+constexpr double kOvershoot = 0.029;
 // What is promised [rad].
 constexpr double kPromise = 0.0299;
 constexpr double kSlow = 0.5;
@@ -40,7 +40,9 @@ constexpr double kRounding = 1e-6;
 // not slowed down.
 constexpr double kSparing = 0.5;
 // Places that a plan is aimed at, each nearer than the one before, until the arm could stop; the last is rest.
-constexpr int kTries = 3;
+constexpr int kTries = 5;
+// How much nearer, of the way by which it would pass: a nearer place is reached at less speed, too.
+constexpr double kNearer = 0.6;
 // Halvings until a share of the speed is known: to a thousandth.
 constexpr int kHalvings = 10;
 
@@ -339,7 +341,7 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
     const double most = excess();
     if (most <= kRounding) return;
     restart();
-    later = k + 2 < kTries ? std::max(later - 2.0 * most, soonest) : soonest;
+    later = k + 2 < kTries ? std::max(later - kNearer * most, soonest) : soonest;
     gained = k + 1 < kTries ? gained_share(later, step.duration + horizon) : 0.0;
     behind = stay_behind(gained);
     aim();
