@@ -96,9 +96,10 @@ docs: $(VENV)/.stamp-docs
 
 # --- Tests -----------------------------------------------------------------------------------------------------------
 
-# On all cores; no more than eight, since each process imports everything. A file's tests share what is made once for them, and so
-# stay in one process. OMP: threads of NumPy and torch are as many as cores, in each process.
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=$(JOBS) --maxprocesses=8 --dist=loadfile --durations=10
+# On all cores, though no more than eight: each process imports everything. A file's tests share what is made once for them, and
+# so stay in one process, in the order of conftest.py. NumPy and torch would start a thread per core in each process.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=$(JOBS) --maxprocesses=8 --dist=loadfile --no-loadscope-reorder \
+  --durations=10
 
 test: test-cpp gl
 	@echo "==> Testing Python"
@@ -150,7 +151,7 @@ test-sanitized:
 	@TSAN_OPTIONS="suppressions=$(CURDIR)/tools/sanitized/threads.supp halt_on_error=1" \
 	  $(BIN)/ctest --test-dir $(SANITIZE)/thread --output-on-failure --no-label-summary -Q
 	@echo "==> Python under the sanitizers of addresses and undefined behaviour"
-	@$(RUN_SANITIZED) -m pytest -q -p no:faulthandler -m "not slow and not extras and not cluster and not interop and not hardware" $(SANITIZED_TESTS)
+	@$(RUN_SANITIZED) -m pytest -q -p no:faulthandler $(SANITIZED_TESTS)
 	@[ -z "$(FUZZ)" ] || $(RUN_SANITIZED) tests/fuzz/fuzz_core.py --calls $(FUZZ)
 
 # torch by itself and first: what depends on it then takes this version, and never looks for another.
