@@ -1,5 +1,6 @@
 # make demo          build, install into .venv, collect episodes of Pick-Cuboid with the scripted FR3, and say where the report is
-# make test          build, install, run the tests of C++ and Python
+# make test          build, install, run the tests of C++ and Python, on all cores; a few minutes
+# make test-all      the same with the tests that take more than ten seconds and with the coverage; test-extras. As in .ci/run
 # make test-extras   the tests that need torch, Stable-Baselines3, Ray, Pinocchio, OMPL, OpenCV, mujoco-menagerie or a browser;
 #                    test-wheel
 # make test-wheel    build a wheel, install it into an environment of its own, and run it there
@@ -38,7 +39,7 @@ CXX_FILES = $(shell find core tests -name '*.cpp' -o -name '*.hpp')
 STUB := src/rcs/_core.pyi
 STUBGEN = $(BIN)/python -m nanobind.stubgen --quiet --module rcs._core --output-file
 
-.PHONY: help build gl demo docs test test-cpp test-sanitize test-extras test-cluster test-wheel test-interop check bench format stubs clean
+.PHONY: help build gl demo docs test test-all test-cpp test-sanitize test-extras test-cluster test-wheel test-interop check bench format stubs clean
 
 help:
 	@sed '/^$$/q; s/^# \{0,1\}//' Makefile
@@ -95,9 +96,20 @@ docs: $(VENV)/.stamp-docs
 
 # --- Tests -----------------------------------------------------------------------------------------------------------
 
+# On all cores, though no more than eight: each process imports everything. A file's tests share what is made once for them, and
+# so stay in one process, in the order of conftest.py. NumPy and torch would start a thread per core in each process.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=$(JOBS) --maxprocesses=8 --dist=loadfile --no-loadscope-reorder \
+  --durations=10
+
 test: test-cpp gl
 	@echo "==> Testing Python"
-	@$(BIN)/python -m pytest --cov --cov-report=html:build/coverage --cov-fail-under=90 --durations=10
+	@$(PYTEST)
+
+test-all: test-cpp gl
+	@echo "==> Testing Python, with what is slow"
+	@$(PYTEST) -m "not extras and not cluster and not interop and not hardware" \
+	  --cov --cov-report=html:build/coverage --cov-fail-under=90
+	@$(MAKE) test-extras
 
 test-cpp: build
 	@echo "==> Compiling and testing C++"
@@ -139,7 +151,7 @@ test-sanitized:
 	@TSAN_OPTIONS="suppressions=$(CURDIR)/tools/sanitized/threads.supp halt_on_error=1" \
 	  $(BIN)/ctest --test-dir $(SANITIZE)/thread --output-on-failure --no-label-summary -Q
 	@echo "==> Python under the sanitizers of addresses and undefined behaviour"
-	@$(RUN_SANITIZED) -m pytest -q -p no:faulthandler -m "not slow and not extras and not cluster and not interop and not hardware" $(SANITIZED_TESTS)
+	@$(RUN_SANITIZED) -m pytest -q -p no:faulthandler $(SANITIZED_TESTS)
 	@[ -z "$(FUZZ)" ] || $(RUN_SANITIZED) tests/fuzz/fuzz_core.py --calls $(FUZZ)
 
 # torch by itself and first: what depends on it then takes this version, and never looks for another.
@@ -153,7 +165,7 @@ $(VENV)/.stamp-extras: $(VENV)/.stamp-built
 test-extras: test-wheel $(VENV)/.stamp-extras gl
 	@tools/system_packages browser
 	@echo "==> Testing what needs extras"
-	@$(BIN)/python -m pytest -m "extras or browser" --durations=10
+	@$(PYTEST) -m "extras or browser"
 
 # Minutes in which processes start, are killed and are waited for: by itself, on a machine that does nothing else.
 test-cluster: $(VENV)/.stamp-extras gl

@@ -20,6 +20,7 @@ FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)]*)?\)")
 PYTHON, SHELL, NOT_RUN = "python", "sh", {"text", "toml", "json", "xml"}
 NEED_EXTRAS = ("docs/calibration.md",)
+SLOW = ("README.md", "docs/data.md", "docs/guide.md")  # they collect and export datasets
 MOST_LINES_OF_README = 150
 OWN_ROBOT = ROOT / "examples" / "06_own_robot" / "src"  # the package that docs/extend/robot.md shows pieces of
 
@@ -56,11 +57,11 @@ def run_shell(program: str) -> None:
 
 
 def to_run(path: Path) -> object:
-    return pytest.param(path, marks=pytest.mark.extras if name_of(path) in NEED_EXTRAS else (), id=name_of(path))
+    marks = [pytest.mark.extras] * (name_of(path) in NEED_EXTRAS) + [pytest.mark.slow] * (name_of(path) in SLOW)
+    return pytest.param(path, marks=marks, id=name_of(path))
 
 
 @pytest.mark.gl
-@pytest.mark.slow
 @pytest.mark.parametrize("path", [to_run(path) for path in PAGES])
 def test_what_a_page_shows_runs_in_order(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -75,7 +75,6 @@ def test_importing_the_package_has_no_effect() -> None:
     assert "rcs._core" not in seen["modules"]
 
 
-@pytest.mark.slow
 def test_making_and_stepping_an_environment_needs_no_gl_and_no_network() -> None:
     seen = watch(after='env = rcs.make("PickCuboid"); env.reset(seed=0); env.step(env.action_space.sample())')
     assert seen["connected"] == []

@@ -19,8 +19,6 @@ ANSWER = f"2 copies, 1.5 m, MuJoCo {mujoco.mj_version()}\n"
 LIBRARIES = [f"-DMUJOCO_DIR={MUJOCO}", f"-DRUCKIG_DIR={sysconfig.get_path('platlib')}"]
 WITHOUT_PYTHON = ["-DCMAKE_DISABLE_FIND_PACKAGE_Python=ON", *LIBRARIES]
 
-pytestmark = pytest.mark.slow
-
 
 def tool(name: str) -> str | None:
     """Return the path of a program next to this Python, else of one on the path."""
@@ -58,10 +56,12 @@ def subdirectory(pytestconfig: pytest.Config) -> Path:
     return build
 
 
+@pytest.mark.slow
 def test_a_program_adds_the_core_as_a_subdirectory_without_python(subdirectory: Path) -> None:
     assert build_and_run(subdirectory) == ANSWER
 
 
+@pytest.mark.slow
 def test_a_program_finds_the_installed_core_and_the_mujoco_of_python(subdirectory: Path, tmp_path: Path) -> None:
     build_and_run(subdirectory)
     run(tool("cmake") or "", "--install", subdirectory, "--prefix", tmp_path / "installed")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import functools
 import importlib.util
 import os
@@ -50,7 +51,10 @@ def wheel_python(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathF
     """An interpreter that has the wheel of this project, and of this environment's packages all others."""
     folder = tmp_path_factory.mktemp("wheel")
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
-    _run(*pip, "wheel", "--no-build-isolation", "--no-deps", "--wheel-dir", folder, pytestconfig.rootpath)
+    # It compiles what is not up to date in build/, which all processes of a run share.
+    with (pytestconfig.cache.mkdir("wheel") / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _run(*pip, "wheel", "--no-build-isolation", "--no-deps", "--wheel-dir", folder, pytestconfig.rootpath)
     _run(sys.executable, "-m", "venv", "--without-pip", folder / "venv")
     (packages,) = (folder / "venv").glob("lib/python*/site-packages")
     # Paths in a .pth file: that of this environment, without what makes an editable installation, and of rcs-data.

@@ -13,6 +13,8 @@ import pytest
 from rcs.devices import ArmLimits
 from rcs.errors import DeviceFault
 
+pytestmark = pytest.mark.slow  # what it tests is compiled
+
 CALLS: dict[str, Callable[[Any], object]] = {
     "open": lambda device: device.open(),
     "state": lambda arm: arm.state(),

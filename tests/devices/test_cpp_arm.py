@@ -16,6 +16,8 @@ from rcs.devices import Arm, ArmLimits, CommandKind
 from rcs.errors import DeviceFault
 from rcs.testing import ArmContract
 
+pytestmark = pytest.mark.slow  # what it tests is compiled
+
 
 class TestRampArm(ArmContract):
     @pytest.fixture(autouse=True)

@@ -102,7 +102,6 @@ def test_info_says_what_a_target_came_to() -> None:
     np.testing.assert_allclose(info["target"]["joints"], observation["joints"] + 0.04)
 
 
-@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits_in_another_process() -> None:
     program = """
 import hashlib, rcs

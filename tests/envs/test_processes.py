@@ -17,7 +17,7 @@ def make_one() -> rcs.Env:
 
 
 @pytest.mark.filterwarnings("ignore:.*ERROR:UserWarning")  # Gymnasium's words on the error that is wanted
-@pytest.mark.parametrize("start", ["fork", pytest.param("spawn", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("start", ["fork", "spawn"])
 def test_gymnasiums_workers_give_the_bits_of_one_process_and_pass_errors_on(start: str) -> None:
     single = make_one()
     expected, _ = single.reset(seed=4)

@@ -288,7 +288,6 @@ def test_poses_at_the_corners_of_their_spaces_are_within_the_bounds(kind: str) -
         assert flat.observation_space.contains(vector)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["joints", "xyzrpy", "two arms"])
 def test_what_an_expert_sees_is_about_1_in_size(kind: str) -> None:
     env, flat = made(kind)

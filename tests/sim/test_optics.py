@@ -134,6 +134,6 @@ def test_a_centred_calibration_draws_the_very_picture_of_an_uncalibrated_camera(
 
 def test_a_lens_that_cannot_be_drawn_is_refused_with_the_cameras_name() -> None:
     for lens, text in (((-0.9, 0.0, 0.0, 0.0, 0.0), "eye.*folds"), ((-0.1, 0.0, 0.0, 0.0, 0.0), "without distortion")):
-        wide = Intrinsics(width=4000, height=3000, fx=2300.0, fy=2300.0, cx=2000.0, cy=1500.0, distortion=lens)
+        wide = Intrinsics(width=4000, height=30, fx=2300.0, fy=2300.0, cx=2000.0, cy=15.0, distortion=lens)
         with pytest.raises(InvalidSetup, match=text):
-            look(wide, (4000, 3000))
+            look(wide, (4000, 30))

@@ -51,12 +51,16 @@ def test_off_varies_what_is_given(name: str) -> None:
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        *((name, value) for name in FACTORS for value in (1.0, (1.0,), (1.2, 0.8), (0.0, 1.0), (-1, 1), "11", None)),
+        *(
+            (name, value)
+            for name in sorted(FACTORS)
+            for value in (1.0, (1.0,), (1.2, 0.8), (0.0, 1.0), (-1, 1), "11", None)
+        ),
         *((name, float("nan")) for name in NAMES),
         *((name, -0.1) for name in NAMES if name not in FACTORS),
-        *((name, (0.2, 0.1)) for name in SPANS),
-        *((name, (0.0, 2.0)) for name in SPANS),
-        *((name, 0.1) for name in SPANS),
+        *((name, (0.2, 0.1)) for name in sorted(SPANS)),
+        *((name, (0.0, 2.0)) for name in sorted(SPANS)),
+        *((name, 0.1) for name in sorted(SPANS)),
         ("robot_start", 2.0),
         ("table_height", 0.5),
         ("late_actions", 1.0),

@@ -23,7 +23,7 @@ TASKS = [
     ("Place", "fr3", "rest_time"),
     ("StackCuboid", "fr3", "rest_time"),
     ("Push", "fr3", "hold_time"),
-    pytest.param("PickToy", "xarm7", "hold_time", marks=pytest.mark.slow),
+    ("PickToy", "xarm7", "hold_time"),
 ]
 Policy = Callable[[int, Any, Any], Any]
 """From the number of the step, an observation and an info to an action."""

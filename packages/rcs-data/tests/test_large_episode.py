@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 PROGRAM = Path(__file__).with_name("large_episode.py")
 
 
@@ -20,6 +22,5 @@ def test_700_megabytes_are_recorded_checked_edited_and_read_with_less_memory(tmp
     run(700, tmp_path / "set")
 
 
-@pytest.mark.slow
 def test_more_images_than_an_arrow_column_holds(tmp_path: Path) -> None:
     run(2500, tmp_path / "set")

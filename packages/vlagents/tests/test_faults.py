@@ -55,8 +55,8 @@ while True:
 
 
 def named_memory() -> set[str]:
-    """Return the names of shared memory on this machine; semaphores of other programs come and go."""
-    return {name for name in os.listdir("/dev/shm") if not name.startswith("sem.")}
+    """Return the names of shared memory on this machine; semaphores and arrays of other programs come and go."""
+    return {name for name in os.listdir("/dev/shm") if not name.startswith(("sem.", "pym-"))}
 
 
 def process(code: str, *words: str) -> Any:
