@@ -106,7 +106,7 @@ def remove_tree(path: Path) -> None:
 def link_file(source: Path, target: Path) -> None:
     """Hard-link a file, or copy it where the file system has no links."""
     try:
-        os.link(source, target)
+        os.link(source.resolve(), target)  # of a link, the file that it leads to
     except OSError as err:
         if err.errno not in (errno.EPERM, errno.EXDEV, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS):
             raise

@@ -9,11 +9,12 @@ Several processes may append at a time: they take turns by a lock on the file.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -47,9 +48,9 @@ class Journal:
         self.path = root / JOURNAL_FILE
         self._end = 0
         self._count = 0
-        self.state = self._first()
-        if is_whole:
-            self.refresh()
+        lines = self._lines(most=None if is_whole else 1)
+        self.state = self._first(lines)
+        self._take(lines)
 
     @classmethod
     def create(cls, root: Path, info: DatasetInfo) -> Journal:
@@ -69,11 +70,7 @@ class Journal:
             DatasetError: The journal is gone.
             CorruptEpisode: A line is damaged.
         """
-        for number, body in self._lines():
-            try:
-                self.state.take(parsed_json(body, self.path))
-            except InvalidSetup as err:
-                raise self._damaged(number, str(err)) from err
+        self._take(self._lines())
         return self.state
 
     def add(self, about: Mapping[str, Any], folder: str) -> None:
@@ -144,8 +141,8 @@ class Journal:
         fresh = Journal(self.root)
         self.state, self._end, self._count = fresh.state, fresh._end, fresh._count
 
-    def _first(self) -> State:
-        for _, body in self._lines(most=1):
+    def _first(self, lines: Iterator[tuple[int, bytes]]) -> State:
+        for _, body in lines:
             values = parsed_json(body, self.path)
             if set(values) != {"dataset"} or not isinstance(values["dataset"], dict):
                 raise self._damaged(1, "it does not say what the episodes share")
@@ -154,6 +151,13 @@ class Journal:
             except InvalidSetup as err:
                 raise self._damaged(1, str(err)) from err
         raise self._damaged(1, "it is not there")
+
+    def _take(self, lines: Iterator[tuple[int, bytes]]) -> None:
+        for number, body in lines:
+            try:
+                self.state.take(parsed_json(body, self.path))
+            except InvalidSetup as err:
+                raise self._damaged(number, str(err)) from err
 
     def _lines(self, most: int | None = None) -> Iterator[tuple[int, bytes]]:
         """Yield the number and the text of each whole line from where the last reading ended."""
@@ -180,19 +184,37 @@ class Journal:
 
     def _append(self, make: Callable[[State], dict[str, Any]]) -> None:
         """Append a line made of the newest state, when it is this process's turn."""
-        with self.path.open("r+b", buffering=0) as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
+        with self._turn() as fd:
             self.refresh()
             line = line_of(make(self.state))
-            file.truncate(self._end)  # a killed writer may have left half a line
-            file.seek(self._end)
+            os.ftruncate(fd, self._end)  # a killed writer may have left half a line
+            os.lseek(fd, self._end, os.SEEK_SET)
             try:
-                write_all(file.fileno(), line)
-                os.fsync(file.fileno())
+                write_all(fd, line)
+                os.fsync(fd)
             except BaseException:
-                file.truncate(self._end)
+                os.ftruncate(fd, self._end)
                 raise
             self.refresh()
+
+    @contextlib.contextmanager
+    def _turn(self) -> Generator[int]:
+        """Wait until no other process appends, and yield the open file, which has no other name."""
+        while True:
+            # Not through a link, since its target may be the index of another dataset.
+            fd = os.open(self.path, os.O_RDWR | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(fd, fcntl.LOCK_EX)
+                found = os.fstat(fd)
+                if not os.path.samestat(found, self.path.lstat()):  # replaced in between
+                    continue
+                if found.st_nlink == 1:
+                    yield fd
+                    return
+                write_file(self.path, self.path.read_bytes())  # a snapshot by hard links stays as it is
+                sync_folder(self.root)
+            finally:
+                os.close(fd)
 
     def _damaged(self, number: int, why: str) -> CorruptEpisode:
         return CorruptEpisode(

@@ -83,15 +83,17 @@ def check_episode_id(episode_id: str) -> None:
         raise InvalidSetup(f"{episode_id!r} cannot name an episode: it must not end in '@' or '+' and a number.")
 
 
-def links_out(root: Path) -> list[Path]:
-    """Return the folders of a dataset, which may itself be a link, that are links out of it.
+def unwritable_links(root: Path) -> list[Path]:
+    """Return the links of a dataset, which may itself be one: folders that lead out of it, and files.
 
     Reading follows them, so a dataset may be composed of links. Writing does not: their targets may belong to somebody
     else.
     """
     inside = root.resolve()
     folders = (root / QUARANTINE_FOLDER, episodes_folder(root))
-    return [path for path in folders if path.is_symlink() and not _resolved(path).is_relative_to(inside)]
+    files = (root / JOURNAL_FILE, root / DATASET_FILE)
+    found = [path for path in folders if path.is_symlink() and not _resolved(path).is_relative_to(inside)]
+    return found + [path for path in files if path.is_symlink()]
 
 
 def _resolved(path: Path) -> Path:

@@ -17,7 +17,7 @@ from typing_extensions import Self
 
 from rcs_data.durable import disk_errors, write_all
 from rcs_data.errors import DatasetError
-from rcs_data.layout import links_out
+from rcs_data.layout import unwritable_links
 
 _WRITER_FILE = ".writer.lock"
 _WORKERS_FILE = ".workers.lock"
@@ -45,7 +45,7 @@ class DatasetLock:
             DatasetError: Another process writes to this dataset, or the lock file cannot be made.
         """
         with disk_errors("lock the dataset", root):
-            _refuse_links_out(root)
+            _refuse_links(root)
             fd = os.open(root / _WRITER_FILE, _LOCK_FILE, 0o644)
             try:
                 if not try_lock(fd, fcntl.LOCK_EX):
@@ -123,13 +123,13 @@ def try_lock(fd: int, kind: int) -> bool:
     return False
 
 
-def _refuse_links_out(root: Path) -> None:
-    found = links_out(root)
+def _refuse_links(root: Path) -> None:
+    found = unwritable_links(root)
     if found:
         names = ", ".join(f"{path.relative_to(root)} to {path.readlink()}" for path in found)
         raise DatasetError(
-            f"{root} has links that lead out of it: {names}. Nothing is written through links. Put the folders "
-            "themselves in their place, or link the whole dataset."
+            f"{root} has links: {names}. Nothing is written through links. Put what they lead to in their place, or "
+            "link the whole dataset."
         )
 
 

@@ -21,11 +21,11 @@ from rcs_data.layout import (
     episode_folder,
     episodes_folder,
     folder_names,
-    links_out,
     open_folder,
     open_ids,
     strange_names,
     trash_folders,
+    unwritable_links,
 )
 from rcs_data.lock import is_locked
 from rcs_data.output import leftovers
@@ -136,8 +136,8 @@ def check_leftovers(root: Path, state: State) -> Iterator[Finding]:
         if entry.folder not in names:
             place = _in(root, episode_folder(root, entry.folder))
             yield Finding("damage", "missing", entry.id, place, "missing, with all files in it")
-    for path in links_out(root):
-        message = f"a link out of the dataset to {path.readlink()}; it is read, but never written through"
+    for path in unwritable_links(root):
+        message = f"a link to {path.readlink()}; it is read, but never written through"
         yield Finding("warning", "link", None, _in(root, path), message)
     yield from check_beside(root)
     if is_locked(root):
