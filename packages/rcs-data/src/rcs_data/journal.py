@@ -24,7 +24,7 @@ from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
 from rcs_data.index import Changes, Edit, Entry, State
 from rcs_data.info import DatasetInfo
 from rcs_data.json_file import parsed_json
-from rcs_data.layout import JOURNAL_FILE
+from rcs_data.layout import JOURNAL_FILE, check_path
 from rcs_data.text import check_texts, is_storable
 
 _LONGEST_FILE = 1 << 31
@@ -41,9 +41,10 @@ class Journal:
             is_whole: Whether all lines are read; otherwise the first, which tells that there is a dataset.
 
         Raises:
-            DatasetError: There is no dataset, or its layout is of another version.
+            DatasetError: There is no dataset, its layout is of another version, or its path is not UTF-8.
             CorruptEpisode: A line is damaged; `rcs-data check --repair` leaves it out.
         """
+        check_path(root)
         self.root = root
         self.path = root / JOURNAL_FILE
         self._end = 0

@@ -7,7 +7,8 @@ import secrets
 from collections.abc import Collection
 from pathlib import Path
 
-from rcs_data.errors import InvalidSetup
+from rcs_data.errors import DatasetError, InvalidSetup
+from rcs_data.text import is_storable
 
 DATASET_FILE = "dataset.json"
 """What the episodes share, for people and for repairs; the index has it too, and that is what is read."""
@@ -101,6 +102,18 @@ def _resolved(path: Path) -> Path:
         return path.resolve()
     except (OSError, RuntimeError):  # a link to itself
         return Path("/")
+
+
+def check_path(path: Path) -> None:
+    """Refuse a path that is not UTF-8: Arrow opens no such file.
+
+    Every path from a user, of what is to be read or made, is checked here.
+
+    Raises:
+        DatasetError: The path is not UTF-8.
+    """
+    if not is_storable(str(path.absolute())):
+        raise DatasetError(f"The path is not UTF-8: {str(path.absolute())!r}. Rename its folders, or choose another.")
 
 
 def has_dataset(root: Path) -> bool:
