@@ -21,6 +21,11 @@ _CHUNK = 1 << 20
 _NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 
 
+def is_full(err: OSError) -> bool:
+    """Return whether an error says that the disk is full, or a quota used up."""
+    return err.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
 @contextlib.contextmanager
 def disk_errors(doing: str, path: Path) -> Generator[None]:
     """Turn an OSError into one that says what was being done, where, and what to do.
@@ -74,6 +79,9 @@ def write_file(path: Path, data: bytes | memoryview) -> None:
     try:
         write_all(fd, data)
         os.fsync(fd)
+    except OSError:  # half of it would take space that a full disk does not have
+        temporary.unlink(missing_ok=True)
+        raise
     finally:
         os.close(fd)
     temporary.replace(path)

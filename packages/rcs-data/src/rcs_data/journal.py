@@ -25,6 +25,7 @@ from rcs_data.index import Changes, Edit, Entry, State
 from rcs_data.info import DatasetInfo
 from rcs_data.json_file import parsed_json
 from rcs_data.layout import JOURNAL_FILE, check_path
+from rcs_data.lock import with_reserve
 from rcs_data.text import check_texts, is_storable
 
 _LONGEST_FILE = 1 << 31
@@ -111,9 +112,10 @@ class Journal:
         """Make an edit; command and arguments, which are JSON values, are for the history.
 
         Raises:
-            OSError: The disk is full or fails; nothing has changed.
+            OSError: The disk is full, also without the dataset's reserve, or fails; nothing has changed.
         """
-        self._append(lambda state: {"edit": {**_told(state, command, arguments), **changes.to_json()}})
+        what = changes.to_json()
+        self._append(lambda state: {"edit": {**_told(state, command, arguments), **what}}, has_reserve=True)
 
     def undo(self) -> Edit:
         """Undo the last edit that is not undone, and return it.
@@ -138,7 +140,7 @@ class Journal:
         """
         state = self.refresh()
         state.forget()
-        write_state(self.root, state)
+        with_reserve(self.root, lambda: write_state(self.root, state))
         fresh = Journal(self.root)
         self.state, self._end, self._count = fresh.state, fresh._end, fresh._count
 
@@ -183,19 +185,26 @@ class Journal:
             self._count += 1
             yield self._count, body
 
-    def _append(self, make: Callable[[State], dict[str, Any]]) -> None:
-        """Append a line made of the newest state, when it is this process's turn."""
+    def _append(self, make: Callable[[State], dict[str, Any]], *, has_reserve: bool = False) -> None:
+        """Append a line made of the newest state, when it is this process's turn.
+
+        A recording has no reserve: with a disk that it has filled, episodes are still to be deleted.
+        """
         with self._turn() as fd:
             self.refresh()
             line = line_of(make(self.state))
-            os.ftruncate(fd, self._end)  # a killed writer may have left half a line
-            os.lseek(fd, self._end, os.SEEK_SET)
-            try:
-                write_all(fd, line)
-                os.fsync(fd)
-            except BaseException:
-                os.ftruncate(fd, self._end)
-                raise
+
+            def write() -> None:
+                os.ftruncate(fd, self._end)  # a killed writer may have left half a line
+                os.lseek(fd, self._end, os.SEEK_SET)
+                try:
+                    write_all(fd, line)
+                    os.fsync(fd)
+                except BaseException:
+                    os.ftruncate(fd, self._end)
+                    raise
+
+            with_reserve(self.root, write) if has_reserve else write()
             self.refresh()
 
     @contextlib.contextmanager
