@@ -19,7 +19,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from rcs_data.durable import sync_folder, write_all, write_file
+from rcs_data.durable import sync, sync_folder, write_all, write_file
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
 from rcs_data.index import Changes, Edit, Entry, State
 from rcs_data.info import DatasetInfo
@@ -199,7 +199,7 @@ class Journal:
                 os.lseek(fd, self._end, os.SEEK_SET)
                 try:
                     write_all(fd, line)
-                    os.fsync(fd)
+                    sync(fd)
                 except BaseException:
                     os.ftruncate(fd, self._end)
                     raise

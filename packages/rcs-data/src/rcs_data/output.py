@@ -14,7 +14,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rcs_data.durable import disk_errors, remove_tree, sync_folder
+from rcs_data.durable import disk_errors, remove_tree, sync_folder, synced_at_once
 from rcs_data.errors import DatasetError
 from rcs_data.layout import EPISODES_FOLDER, check_path, has_dataset
 from rcs_data.lock import DatasetLock, try_lock
@@ -43,7 +43,8 @@ def new_output(out: str | Path) -> Generator[Path]:
     with disk_errors("write", target):
         target.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(target) as partial:
-            yield partial
+            with synced_at_once(target.parent):
+                yield partial
             refuse_existing(target)
             if target.is_dir():
                 target.rmdir()
