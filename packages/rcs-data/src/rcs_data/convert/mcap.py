@@ -93,7 +93,7 @@ def export_mcap(dataset: Dataset, out: str | Path, options: ExportOptions | None
 def _write(writer: Any, episode: EpisodeRecord, info: DatasetInfo) -> int:
     """Write all messages of an episode, row by row, and return the number of images."""
     rows = row_times(episode, info)
-    features = [feature for feature in info.features if not feature.is_time]
+    features = [f for f in info.features if not f.key.startswith("time/")]  # which are the times of the messages
     channels = [_channel(writer, f"/{feature.key}", _schema(feature)) for feature in features]
     streams = zip(*(_messages(episode, feature, rows) for feature in features), strict=True)
     instruction = _channel(writer, "/instruction", TEXT)
