@@ -72,7 +72,8 @@ def check(
         now = check_index(root)[0] or state  # an edit may have removed what was just read
     findings += _of_those_left(found, now.episodes.values())
     findings += check_verdicts({entry.id: entry.success for entry in entries})
-    findings += _of_those_left(former, now.former_entries())
+    # `prune` removes folders before the index forgets them.
+    findings += _of_those_left(former, (e for e in now.former_entries() if episode_folder(root, e.folder).is_dir()))
     return CheckReport(
         path=root,
         episodes=len(entries),

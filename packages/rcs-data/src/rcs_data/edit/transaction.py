@@ -7,6 +7,7 @@ to the index, which names them. Until then nothing reads them, and the next writ
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -279,7 +280,7 @@ def prune(path: str | Path) -> int:
         # Removed before the index forgets them, since that needs space; an undo in between is refused.
         for entry in journal.state.former_entries():
             folder = episode_folder(root, entry.folder)
-            if folder.exists():  # or in quarantine
+            if os.path.lexists(folder):  # or in quarantine
                 folder.rename(new_trash_folder(root, folder.name))
         for folder in (*stray_folders(root, journal.state)[0], *trash_folders(root)):
             freed += _freed(folder)
