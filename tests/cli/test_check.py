@@ -89,3 +89,15 @@ def test_a_repair_is_told_and_what_is_left_is_checked(capsys: pytest.CaptureFixt
     code, told = call(capsys, str(dataset), "--repair", "--json")
     assert (code, [done["what"] for done in json.loads(told)["repair"]]) == (0, ["quarantined"])
     assert "nothing to repair" in call(capsys, str(dataset), "--repair")[1]
+
+
+@pytest.mark.parametrize("form", [(), ("--json",)])
+def test_a_repair_of_what_a_killed_merge_left_in_place_of_a_dataset_ends_well(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, form: tuple[str, ...]
+) -> None:
+    (tmp_path / ".merged.partial-12ab").mkdir()
+    (tmp_path / ".merged.partial-12ab.lock").touch()
+    code, told = call(capsys, str(tmp_path / "merged"), "--repair", *form)
+    assert (code, ".merged.partial-12ab, left by a killed program" in told) == (0, True)
+    assert list(tmp_path.iterdir()) == []
+    assert call(capsys, str(tmp_path / "merged"), "--repair", *form)[0] == 1, "there is no dataset"

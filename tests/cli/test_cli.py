@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
+import re
 import resource
 import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -16,10 +18,12 @@ from rcs_data import Dataset
 from rcs_data.cli.verbs import Table, let_current_folder_be_imported, load, summary
 
 import rcs
+from rcs.cli.doctor import missing
 from rcs.cli.main import VERBS, main
 from rcs.setups.ids import ids
 from rcs.setups.lab import lab_of
 
+ROOT = Path(__file__).parents[2]
 RCS = [sys.executable, "-c", "from rcs.cli.main import main; main()"]
 
 
@@ -258,6 +262,34 @@ def test_doctor_tells_which_backend_draws_and_why_and_all_extras(capsys: pytest.
     assert (code == 0) == ("chosen" in told)
     for extra in importlib.metadata.metadata("robot-control-stack").get_all("Provides-Extra") or ():
         assert f"extra {extra}" in told
+
+
+def test_doctor_looks_into_the_extras_of_packages(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts = tomllib.loads((ROOT / "packages/rcs-data/pyproject.toml").read_text())["project"]["optional-dependencies"]
+    monkeypatch.setenv("COLUMNS", "200")
+    told = [line.split() for line in call(capsys, "doctor")[1].splitlines()]
+    for extra in ("hdf5", "mcap", "hub", "rerun"):
+        (package,) = (re.split("[>=<]", line)[0] for line in parts[extra])
+        is_there = bool(list(importlib.metadata.Distribution.discover(name=package)))
+        (words,) = (line[2:] for line in told if line[:2] == ["extra", extra])
+        assert words[:3] == (["installed"] if is_there else ["not", "installed", f"({package}):"])
+
+
+def test_what_an_extra_lacks_is_found_behind_other_extras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needs = {
+        "whole": ['part[deep,here]>=2; extra == "all"', 'other; python_version < "3" and extra == "all"'],
+        "part": ["missing-one>=1 ; extra == 'deep'", "whole; extra == 'here'", "missing-two; extra == 'unasked'"],
+    }
+    for name, lines in needs.items():
+        folder = tmp_path / f"{name}-2.0.dist-info"
+        folder.mkdir()
+        described = "".join(f"Requires-Dist: {line}\n" for line in lines)
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 2.0\n{described}")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert missing("whole", "all") == ["missing-one"]
+    assert missing("part", "here") == []
 
 
 def test_a_missing_gl_library_is_told_with_its_remedy(

@@ -47,6 +47,18 @@ def test_a_dataset_goes_out_and_comes_back(capsys: pytest.CaptureFixture[str], s
     assert [episode.success for episode in Dataset.open(back).episodes] == [True, False]
 
 
+def test_a_collected_dataset_has_no_warnings_after_a_round_trip(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    collected, out, back = (tmp_path / name for name in ("collected", "lerobot", "back"))
+    words = ["--episodes", 2, "--cameras", "none", "--workers", 1, "--out", collected]
+    assert call(capsys, "collect", "PickCuboid", *words)[0] == 0
+    assert "simulated_time" not in call(capsys, "data", "export", collected, "--format", "lerobot-v3", "--out", out)[1]
+    assert call(capsys, "data", "import", out, "--out", back)[0] == 0
+    code, told = call(capsys, "data", "check", back, "--strict")
+    assert (code, "no damage\n" in told) == (0, True), told
+
+
 def test_choices_arrive_in_the_export(capsys: pytest.CaptureFixture[str], source: Path, tmp_path: Path) -> None:
     out = tmp_path / "gr00t"
     options = ["--success-only", "--robot-type", "arm", "--cameras", "none"]

@@ -81,6 +81,20 @@ def test_edits_follow_each_other_and_are_taken_back(dataset: Path, capsys: pytes
     assert check(dataset).is_ok
 
 
+def test_an_undo_says_what_it_has_undone(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    call("data", "relabel", str(dataset), "--instruction", "lift it")
+    call("data", "delete", str(dataset), "--episodes", "000001")
+    at = Dataset.open(dataset).history[-1].at
+    assert "Undo: `rcs-data undo" in capsys.readouterr().out
+    call("data", "undo", str(dataset))
+    first, second = capsys.readouterr().out.splitlines()
+    assert first == f"Undid delete with episodes=000001, of {at}."
+    assert second.startswith("3 episodes, ")
+    assert second.endswith(" at 30 Hz.")
+    call("data", "undo", str(dataset))
+    assert capsys.readouterr().out.startswith("Undid relabel with instruction=lift it, of ")
+
+
 def test_split_merge_and_mix(dataset: Path, tmp_path: Path) -> None:
     parts, merged, mixed = tmp_path / "parts", tmp_path / "merged", tmp_path / "mixed"
     assert call("data", "split", str(dataset), "--out", str(parts), "--parts", "train=0.67", "val=0.33") == 0

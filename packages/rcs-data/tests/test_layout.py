@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
-from rcs_data import Dataset, check, edit, recover
+from rcs_data import Dataset, DatasetWriter, check, edit, recover
 from rcs_data.check.repair import repair
 from rcs_data.convert.lerobot_source import filled
 from rcs_data.durable import sealed, unsealed
+from rcs_data.edit.transaction import locked
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
+from rcs_data.index import Changes
 from rcs_data.layout import check_name, is_name, name_of
 from rcs_data.view import write_view
 
@@ -93,6 +96,59 @@ def test_a_link_in_the_place_of_a_file_is_not_written_through(dataset: Path, tmp
         except DatasetError:
             continue
     assert not list(outside.iterdir()) if name == "view" else outside.read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["episodes.jsonl", "dataset.json"])
+def test_a_dataset_whose_index_is_a_link_is_read_and_not_written(dataset: Path, tmp_path: Path, name: str) -> None:
+    victim = tmp_path / "victim"
+    shutil.copytree(dataset, victim)
+    (dataset / name).unlink()
+    (dataset / name).symlink_to(victim / name)
+    before = (victim / name).read_bytes()
+    info = Dataset.open(dataset).info
+    for change in (
+        recover, repair, edit.undo, edit.prune,
+        lambda path: edit.delete(path, ["000001"]),
+        lambda path: edit.relabel(path, "push"),
+        lambda path: DatasetWriter.open(path, info, resume=True),
+    ):  # fmt: skip
+        with pytest.raises(DatasetError, match=f"{name} to .*victim.* Nothing is written through"):
+            change(dataset)
+    assert (victim / name).read_bytes() == before
+    assert (dataset / name).is_symlink()
+    assert len(Dataset.open(dataset)) == 3, "it is read all the same"
+    assert [(finding.kind, finding.file) for finding in check(dataset).warnings] == [("link", name)]
+
+
+def test_an_index_that_becomes_a_link_after_the_lock_is_taken_is_not_written(dataset: Path, tmp_path: Path) -> None:
+    with locked(dataset) as journal:
+        (dataset / "episodes.jsonl").rename(tmp_path / "victim")
+        (dataset / "episodes.jsonl").symlink_to(tmp_path / "victim")
+        before = (tmp_path / "victim").read_bytes()
+        with pytest.raises(OSError, match="symbolic link"):
+            journal.edit("delete", {}, Changes(dropped=("000001",)))
+    assert (tmp_path / "victim").read_bytes() == before
+
+
+def test_a_copy_by_hard_links_stays_as_it_was(dataset: Path, tmp_path: Path) -> None:
+    shutil.copytree(dataset, tmp_path / "snapshot", copy_function=os.link)
+    digest = Dataset.open(dataset).digest()
+    edit.delete(dataset, ["000001"])
+    edit.trim(tmp_path / "snapshot", "000002", first=1)
+    edit.undo(tmp_path / "snapshot")
+    assert Dataset.open(tmp_path / "snapshot").digest() == digest
+    assert [episode.id for episode in Dataset.open(dataset)] == ["000000", "000002"]
+    assert check(dataset).is_ok
+    assert check(tmp_path / "snapshot").is_ok
+
+
+def test_a_merge_of_files_that_are_links_has_their_bytes(dataset: Path, tmp_path: Path) -> None:
+    file = dataset / "episodes/000001/steps.parquet"
+    file.rename(tmp_path / "blob")
+    file.symlink_to("../../../blob")
+    edit.merge([dataset], tmp_path / "far/away/merged")
+    assert not any(path.is_symlink() for path in (tmp_path / "far").rglob("*"))
+    assert check(tmp_path / "far/away/merged").is_ok
 
 
 def test_an_open_episode_that_is_a_link_is_left_alone(dataset: Path, tmp_path: Path) -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from rcs_data import Dataset, edit
+from rcs_data import Dataset, durable, edit
+from rcs_data.convert.lerobot import export_lerobot
+from rcs_data.convert.lerobot_import import import_lerobot
 from rcs_data.errors import DatasetError
 from rcs_data.output import new_output, remove_leftovers
 
@@ -97,6 +100,40 @@ def test_a_merge_removes_what_a_killed_merge_left(dataset: Path, tmp_path: Path)
     edit.merge([dataset], tmp_path / "merged")
     assert len(Dataset.open(tmp_path / "merged")) == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset", "merged"]
+
+
+@pytest.mark.parametrize("how", ["merge", "import", "export"])
+def test_a_result_is_brought_to_the_disk_once_before_it_gets_its_name(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    out, lerobot = tmp_path / "out", tmp_path / "lerobot"
+    if how == "import":
+        export_lerobot(Dataset.open(dataset), lerobot)
+    synced: list[str] = []
+    sync, sync_all = os.fsync, durable.sync_file_system
+
+    def record(fd: int) -> None:
+        synced.append(os.readlink(f"/proc/self/fd/{fd}"))
+        sync(fd)
+
+    def record_all(fd: int) -> None:
+        assert not out.exists()
+        (partial,) = tmp_path.glob(".out.partial-????????")
+        assert how == "export" or len(Dataset.open(partial)) == 3
+        synced.append("all")
+        sync_all(fd)
+
+    monkeypatch.setattr("os.fsync", record)
+    monkeypatch.setattr("rcs_data.durable.sync_file_system", record_all)
+    if how == "merge":
+        edit.merge([dataset], out)
+    elif how == "import":
+        import_lerobot(lerobot, out)
+    else:
+        export_lerobot(Dataset.open(dataset), out)
+    assert synced == ["all", str(tmp_path)], "everything, and then its name"
+    edit.relabel(dataset, "push")
+    assert len(synced) > 2, "an edit in place syncs what it writes"
 
 
 def test_nothing_is_put_among_the_episodes_of_a_dataset(dataset: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from rcs_data import Dataset, DatasetWriter, check
+from rcs_data import Dataset, DatasetWriter, check, edit, recover
+from rcs_data.convert.formats import import_format
 from rcs_data.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -190,6 +192,24 @@ def test_any_path_will_do(tmp_path: Path, make_info: MakeInfo, record: Record) -
     assert episode.id == "erster Versuch – größer"
     assert episode.instruction == "Greife den Würfel 🎲"
     assert check(path).is_ok
+
+
+def test_a_path_that_is_no_text_is_refused_before_anything_is_recorded(
+    dataset: Path, tmp_path: Path, make_info: MakeInfo
+) -> None:
+    folder = tmp_path / os.fsdecode(b"odd\xff")
+    with pytest.raises(DatasetError, match="path is not UTF-8"):
+        DatasetWriter.open(folder / "set", make_info())
+    assert not folder.exists()
+    with pytest.raises(DatasetError, match="path is not UTF-8"):
+        edit.merge([dataset], folder / "merged")
+    assert not folder.exists()
+    shutil.copytree(dataset, folder)
+    for use in (Dataset.open, check, recover, lambda path: edit.delete(path, ["000001"])):
+        with pytest.raises(DatasetError, match="path is not UTF-8"):
+            use(folder)
+    with pytest.raises(DatasetError, match="path is not UTF-8"):
+        import_format("auto", folder)
 
 
 def test_a_fork_has_no_part_in_what_its_parent_records(

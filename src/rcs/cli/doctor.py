@@ -14,6 +14,8 @@ from rich.table import Table
 from rcs._core import probe_gl
 
 PACKAGE = "robot-control-stack"
+# What a package needs for an extra and nothing else, such as 'rcs-data[mcap]>=0.1; extra == "mcap"'.
+_NEED = re.compile(r"(?P<package>[\w.-]+)(?:\[(?P<extras>[^]]*)\])?[^;]*; *extra *== *['\"](?P<extra>[\w.-]+)['\"]")
 
 
 @dataclass(kw_only=True)
@@ -36,10 +38,10 @@ class DoctorCommand:
             table.add_row(f"GL {probe.name}", f"{verdict} ({probe.detail})")
         display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         table.add_row("display", display or "none: no viewer, everything else works")
-        for extra, packages in _extras().items():
-            missing = [package for package in packages if not _is_installed(package)]
-            remedy = f"not installed ({', '.join(missing)}): pip install '{PACKAGE}[{extra}]'"
-            table.add_row(f"extra {extra}", remedy if missing else "installed")
+        for extra in importlib.metadata.metadata(PACKAGE).get_all("Provides-Extra") or ():
+            lacking = missing(PACKAGE, extra)
+            remedy = f"not installed ({', '.join(lacking)}): pip install '{PACKAGE}[{extra}]'"
+            table.add_row(f"extra {extra}", remedy if lacking else "installed")
         console.print(table)
         if chosen is None:
             console.print("Nothing can draw: cameras need one of the remedies above.")
@@ -47,12 +49,23 @@ class DoctorCommand:
         return 0
 
 
-def _extras() -> dict[str, list[str]]:
-    """Return the packages of every extra, from the metadata of the installed package."""
-    found: dict[str, list[str]] = {}
-    for line in importlib.metadata.requires(PACKAGE) or []:
-        if match := re.match(r"([\w.-]+).*;.*extra == ['\"]([\w-]+)", line):
-            found.setdefault(match[2], []).append(match[1])
+def missing(package: str, extra: str) -> list[str]:
+    """Return the packages that an extra of an installed package lacks, those of further extras that it names included.
+
+    Args:
+        package: The package.
+        extra: Its extra.
+    """
+    found: list[str] = []
+    for line in importlib.metadata.requires(package) or []:
+        need = _NEED.fullmatch(line)
+        if need is None or need["extra"] != extra:
+            continue
+        if not _is_installed(need["package"]):
+            found.append(need["package"])
+            continue
+        for further in re.findall(r"[\w.-]+", need["extras"] or ""):
+            found += missing(need["package"], further)
     return found
 
 

@@ -129,6 +129,7 @@ def seal(
     content, meter = ContentHash(info), TimingMeter(info)
     images = [feature.key for feature in info.features if feature.is_image]
     with contextlib.ExitStack() as files:
+        files.push(functools.partial(_remove_half, folder))
         steps = files.enter_context(_StepsWriter(folder / STEPS_FILE, info.steps_schema))
         frames = files.enter_context(FramesWriter(folder / FRAMES_FILE, images)) if images else None
         for rows in packed(info, pieces):
@@ -146,6 +147,13 @@ def seal(
     }
     write_file(folder / EPISODE_FILE, sealed(whole))
     sync_folder(folder)
+
+
+def _remove_half(folder: Path, kind: type[BaseException] | None, *_: object) -> None:
+    """Remove files that could not be completed: they would take the space that a full disk lacks."""
+    if kind is not None:
+        for name in (STEPS_FILE, FRAMES_FILE):
+            (folder / name).unlink(missing_ok=True)
 
 
 def publish(journal: Journal, episode_id: str) -> Path:

@@ -23,6 +23,9 @@ DTYPES = (
     "bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float32", "float64",
 )  # fmt: skip
 
+SIMULATED_TIME = "simulated_time"
+"""Key of a simulation's own clock."""
+
 # No action precedes a reset, so these have no value in the first row of an episode.
 _EVENTS = ("terminated", "truncated")
 _UNKNOWN_AT_RESET = ("action/", "executed/", "reward")
@@ -125,8 +128,8 @@ class Feature:
 
     @property
     def is_time(self) -> bool:
-        """Whether this is a measured time."""
-        return self.key.startswith("time/")
+        """Whether this is a time, which may be unknown in a row."""
+        return self.key.startswith("time/") or self.key == SIMULATED_TIME
 
     @property
     def is_flags(self) -> bool:

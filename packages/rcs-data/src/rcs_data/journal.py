@@ -9,21 +9,23 @@ Several processes may append at a time: they take turns by a lock on the file.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from rcs_data.durable import sync_folder, write_all, write_file
+from rcs_data.durable import sync, sync_folder, write_all, write_file
 from rcs_data.errors import CorruptEpisode, DatasetError, InvalidSetup
 from rcs_data.index import Changes, Edit, Entry, State
 from rcs_data.info import DatasetInfo
 from rcs_data.json_file import parsed_json
-from rcs_data.layout import JOURNAL_FILE
+from rcs_data.layout import JOURNAL_FILE, check_path
+from rcs_data.lock import with_reserve
 from rcs_data.text import check_texts, is_storable
 
 _LONGEST_FILE = 1 << 31
@@ -40,16 +42,17 @@ class Journal:
             is_whole: Whether all lines are read; otherwise the first, which tells that there is a dataset.
 
         Raises:
-            DatasetError: There is no dataset, or its layout is of another version.
+            DatasetError: There is no dataset, its layout is of another version, or its path is not UTF-8.
             CorruptEpisode: A line is damaged; `rcs-data check --repair` leaves it out.
         """
+        check_path(root)
         self.root = root
         self.path = root / JOURNAL_FILE
         self._end = 0
         self._count = 0
-        self.state = self._first()
-        if is_whole:
-            self.refresh()
+        lines = self._lines(most=None if is_whole else 1)
+        self.state = self._first(lines)
+        self._take(lines)
 
     @classmethod
     def create(cls, root: Path, info: DatasetInfo) -> Journal:
@@ -69,11 +72,7 @@ class Journal:
             DatasetError: The journal is gone.
             CorruptEpisode: A line is damaged.
         """
-        for number, body in self._lines():
-            try:
-                self.state.take(parsed_json(body, self.path))
-            except InvalidSetup as err:
-                raise self._damaged(number, str(err)) from err
+        self._take(self._lines())
         return self.state
 
     def add(self, about: Mapping[str, Any], folder: str) -> None:
@@ -113,9 +112,10 @@ class Journal:
         """Make an edit; command and arguments, which are JSON values, are for the history.
 
         Raises:
-            OSError: The disk is full or fails; nothing has changed.
+            OSError: The disk is full, also without the dataset's reserve, or fails; nothing has changed.
         """
-        self._append(lambda state: {"edit": {**_told(state, command, arguments), **changes.to_json()}})
+        what = changes.to_json()
+        self._append(lambda state: {"edit": {**_told(state, command, arguments), **what}}, has_reserve=True)
 
     def undo(self) -> Edit:
         """Undo the last edit that is not undone, and return it.
@@ -140,12 +140,12 @@ class Journal:
         """
         state = self.refresh()
         state.forget()
-        write_state(self.root, state)
+        with_reserve(self.root, lambda: write_state(self.root, state))
         fresh = Journal(self.root)
         self.state, self._end, self._count = fresh.state, fresh._end, fresh._count
 
-    def _first(self) -> State:
-        for _, body in self._lines(most=1):
+    def _first(self, lines: Iterator[tuple[int, bytes]]) -> State:
+        for _, body in lines:
             values = parsed_json(body, self.path)
             if set(values) != {"dataset"} or not isinstance(values["dataset"], dict):
                 raise self._damaged(1, "it does not say what the episodes share")
@@ -154,6 +154,13 @@ class Journal:
             except InvalidSetup as err:
                 raise self._damaged(1, str(err)) from err
         raise self._damaged(1, "it is not there")
+
+    def _take(self, lines: Iterator[tuple[int, bytes]]) -> None:
+        for number, body in lines:
+            try:
+                self.state.take(parsed_json(body, self.path))
+            except InvalidSetup as err:
+                raise self._damaged(number, str(err)) from err
 
     def _lines(self, most: int | None = None) -> Iterator[tuple[int, bytes]]:
         """Yield the number and the text of each whole line from where the last reading ended."""
@@ -178,21 +185,46 @@ class Journal:
             self._count += 1
             yield self._count, body
 
-    def _append(self, make: Callable[[State], dict[str, Any]]) -> None:
-        """Append a line made of the newest state, when it is this process's turn."""
-        with self.path.open("r+b", buffering=0) as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
+    def _append(self, make: Callable[[State], dict[str, Any]], *, has_reserve: bool = False) -> None:
+        """Append a line made of the newest state, when it is this process's turn.
+
+        A recording has no reserve: with a disk that it has filled, episodes are still to be deleted.
+        """
+        with self._turn() as fd:
             self.refresh()
             line = line_of(make(self.state))
-            file.truncate(self._end)  # a killed writer may have left half a line
-            file.seek(self._end)
-            try:
-                write_all(file.fileno(), line)
-                os.fsync(file.fileno())
-            except BaseException:
-                file.truncate(self._end)
-                raise
+
+            def write() -> None:
+                os.ftruncate(fd, self._end)  # a killed writer may have left half a line
+                os.lseek(fd, self._end, os.SEEK_SET)
+                try:
+                    write_all(fd, line)
+                    sync(fd)
+                except BaseException:
+                    os.ftruncate(fd, self._end)
+                    raise
+
+            with_reserve(self.root, write) if has_reserve else write()
             self.refresh()
+
+    @contextlib.contextmanager
+    def _turn(self) -> Generator[int]:
+        """Wait until no other process appends, and yield the open file, which has no other name."""
+        while True:
+            # Not through a link, since its target may be the index of another dataset.
+            fd = os.open(self.path, os.O_RDWR | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(fd, fcntl.LOCK_EX)
+                found = os.fstat(fd)
+                if not os.path.samestat(found, self.path.lstat()):  # replaced in between
+                    continue
+                if found.st_nlink == 1:
+                    yield fd
+                    return
+                write_file(self.path, self.path.read_bytes())  # a snapshot by hard links stays as it is
+                sync_folder(self.root)
+            finally:
+                os.close(fd)
 
     def _damaged(self, number: int, why: str) -> CorruptEpisode:
         return CorruptEpisode(

@@ -7,7 +7,8 @@ import secrets
 from collections.abc import Collection
 from pathlib import Path
 
-from rcs_data.errors import InvalidSetup
+from rcs_data.errors import DatasetError, InvalidSetup
+from rcs_data.text import is_storable
 
 DATASET_FILE = "dataset.json"
 """What the episodes share, for people and for repairs; the index has it too, and that is what is read."""
@@ -83,15 +84,17 @@ def check_episode_id(episode_id: str) -> None:
         raise InvalidSetup(f"{episode_id!r} cannot name an episode: it must not end in '@' or '+' and a number.")
 
 
-def links_out(root: Path) -> list[Path]:
-    """Return the folders of a dataset, which may itself be a link, that are links out of it.
+def unwritable_links(root: Path) -> list[Path]:
+    """Return the links of a dataset, which may itself be one: folders that lead out of it, and files.
 
     Reading follows them, so a dataset may be composed of links. Writing does not: their targets may belong to somebody
     else.
     """
     inside = root.resolve()
     folders = (root / QUARANTINE_FOLDER, episodes_folder(root))
-    return [path for path in folders if path.is_symlink() and not _resolved(path).is_relative_to(inside)]
+    files = (root / JOURNAL_FILE, root / DATASET_FILE)
+    found = [path for path in folders if path.is_symlink() and not _resolved(path).is_relative_to(inside)]
+    return found + [path for path in files if path.is_symlink()]
 
 
 def _resolved(path: Path) -> Path:
@@ -99,6 +102,18 @@ def _resolved(path: Path) -> Path:
         return path.resolve()
     except (OSError, RuntimeError):  # a link to itself
         return Path("/")
+
+
+def check_path(path: Path) -> None:
+    """Refuse a path that is not UTF-8: Arrow opens no such file.
+
+    Every path from a user, of what is to be read or made, is checked here.
+
+    Raises:
+        DatasetError: The path is not UTF-8.
+    """
+    if not is_storable(str(path.absolute())):
+        raise DatasetError(f"The path is not UTF-8: {str(path.absolute())!r}. Rename its folders, or choose another.")
 
 
 def has_dataset(root: Path) -> bool:

@@ -1,7 +1,8 @@
 """A lock that gives a dataset one writer at a time, and ends with the process that holds it.
 
 The operating system's `flock` is free as soon as its process is gone, for whatever reason; the process id in the file
-only serves messages. Worker processes of one collection share a second lock, so that a new writer does not mistake the
+only serves messages. The file is larger than that: its space is a reserve, with which episodes of a full disk can be
+deleted. Worker processes of one collection share a second lock, so that a new writer does not mistake the
 episodes of workers that outlive their parent for leftovers.
 """
 
@@ -11,17 +12,20 @@ import fcntl
 import os
 import time
 import weakref
+from collections.abc import Callable
 from pathlib import Path
 
 from typing_extensions import Self
 
-from rcs_data.durable import disk_errors, write_all
+from rcs_data.durable import disk_errors, is_full, write_all
 from rcs_data.errors import DatasetError
-from rcs_data.layout import links_out
+from rcs_data.layout import unwritable_links
 
 _WRITER_FILE = ".writer.lock"
 _WORKERS_FILE = ".workers.lock"
 LOCK_FILES = (_WRITER_FILE, _WORKERS_FILE)
+# Room for the line of an edit [B], such as the deletion of 3000 episodes.
+_RESERVE = 1 << 16
 _ATTEMPTS = 5
 # Not through a link, since the process id is written into the file.
 _LOCK_FILE = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
@@ -45,7 +49,7 @@ class DatasetLock:
             DatasetError: Another process writes to this dataset, or the lock file cannot be made.
         """
         with disk_errors("lock the dataset", root):
-            _refuse_links_out(root)
+            _refuse_links(root)
             fd = os.open(root / _WRITER_FILE, _LOCK_FILE, 0o644)
             try:
                 if not try_lock(fd, fcntl.LOCK_EX):
@@ -61,8 +65,11 @@ class DatasetLock:
                         )
                 finally:
                     os.close(workers)
-                os.ftruncate(fd, 0)
-                write_all(fd, f"{os.getpid()}\n".encode())
+                try:
+                    write_all(fd, f"{os.getpid()}\n".encode().ljust(_RESERVE))
+                except OSError as err:
+                    if not is_full(err):
+                        raise
             except BaseException:
                 os.close(fd)
                 raise
@@ -109,6 +116,29 @@ def is_locked(root: Path) -> bool:
         os.close(fd)
 
 
+def with_reserve(root: Path, write: Callable[[], object]) -> None:
+    """Write something; if the disk is full, give up the dataset's reserve, and write it again.
+
+    Args:
+        root: The dataset's folder.
+        write: Writes it, whatever a call that failed has left.
+
+    Raises:
+        OSError: The disk is full without the reserve, too, or fails.
+    """
+    try:
+        write()
+    except OSError as err:
+        if not is_full(err):
+            raise
+        fd = os.open(root / _WRITER_FILE, os.O_WRONLY | os.O_NOFOLLOW)
+        try:
+            os.ftruncate(fd, 0)
+        finally:
+            os.close(fd)
+        write()
+
+
 def try_lock(fd: int, kind: int) -> bool:
     """Try to lock an open file by `fcntl.LOCK_EX` or `fcntl.LOCK_SH`; return whether it succeeded."""
     # `is_locked` holds the lock for some microseconds, so one refusal proves nothing.
@@ -123,13 +153,13 @@ def try_lock(fd: int, kind: int) -> bool:
     return False
 
 
-def _refuse_links_out(root: Path) -> None:
-    found = links_out(root)
+def _refuse_links(root: Path) -> None:
+    found = unwritable_links(root)
     if found:
         names = ", ".join(f"{path.relative_to(root)} to {path.readlink()}" for path in found)
         raise DatasetError(
-            f"{root} has links that lead out of it: {names}. Nothing is written through links. Put the folders "
-            "themselves in their place, or link the whole dataset."
+            f"{root} has links: {names}. Nothing is written through links. Put what they lead to in their place, or "
+            "link the whole dataset."
         )
 
 

@@ -14,9 +14,9 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rcs_data.durable import disk_errors, remove_tree, sync_folder
+from rcs_data.durable import disk_errors, remove_tree, sync_folder, synced_at_once
 from rcs_data.errors import DatasetError
-from rcs_data.layout import EPISODES_FOLDER, has_dataset
+from rcs_data.layout import EPISODES_FOLDER, check_path, has_dataset
 from rcs_data.lock import DatasetLock, try_lock
 
 OnProgress = Callable[[int, int], object]
@@ -43,7 +43,8 @@ def new_output(out: str | Path) -> Generator[Path]:
     with disk_errors("write", target):
         target.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(target) as partial:
-            yield partial
+            with synced_at_once(target.parent):
+                yield partial
             refuse_existing(target)
             if target.is_dir():
                 target.rmdir()
@@ -129,8 +130,9 @@ def refuse_existing(target: Path) -> None:
     """Raise unless a path is free: nothing there, or an empty folder, and not among the episodes of a dataset.
 
     Raises:
-        DatasetError: Something is there, or the place is a dataset's.
+        DatasetError: Something is there, the place is a dataset's, or the path is not UTF-8.
     """
+    check_path(target)
     for folder in target.absolute().parents:
         if folder.name == EPISODES_FOLDER and has_dataset(folder.parent):
             raise DatasetError(f"{target} is among the episodes of {folder.parent}. Choose another place.")

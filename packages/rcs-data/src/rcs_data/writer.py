@@ -19,6 +19,7 @@ from rcs_data.layout import (
     EPISODES_FOLDER,
     JOURNAL_FILE,
     check_episode_id,
+    check_path,
     episode_folder,
     episodes_folder,
     has_dataset,
@@ -68,10 +69,11 @@ class DatasetWriter(Closing):
 
         Raises:
             DatasetError: Another process writes to it; it exists and `resume` is not set; its info differs (the message
-                lists how); the folder contains something else; or the disk fails.
+                lists how); the folder contains something else; the path is not UTF-8; or the disk fails.
             CorruptEpisode: The index is damaged.
         """
         root = Path(path).absolute()
+        check_path(root)
         with disk_errors("make the dataset", root):
             root.mkdir(parents=True, exist_ok=True)
             if not has_dataset(root):

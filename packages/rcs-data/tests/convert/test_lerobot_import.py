@@ -92,6 +92,28 @@ def test_other_forms_of_the_action_and_flags_stay_with_their_rows(tmp_path: Path
     assert check(tmp_path / "back").is_ok
 
 
+@pytest.mark.parametrize("name", ["lerobot-v3", "lerobot-v2.1", "gr00t", "rlds", "robomimic"])
+def test_a_simulation_that_computes_unevenly_has_no_gap_after_a_round_trip(tmp_path: Path, name: str) -> None:
+    keys = ("time/monotonic", "simulated_time")
+    features = [Feature(key=key, shape=(), dtype="float64", unit="s") for key in keys]
+    features += [Feature(key=f"{part}/joints", shape=(2,), dtype="float32") for part in ("observation", "action")]
+    info = DatasetInfo(frequency=30.0, features=tuple(features), setup={}, instruction="wave")
+    with DatasetWriter.open(tmp_path / "source", info) as writer, writer.episode("take", seed=None) as episode:
+        for i in range(20):
+            values = {"observation/joints": np.full(2, i / 50, "f4"), "time/monotonic": i / 40 + i // 10}
+            values |= {"action/joints": np.full(2, i / 50, "f4")} if i else {}
+            episode.add({**values, "simulated_time": i / 30})
+        episode.finish(True)
+    assert not check(tmp_path / "source").findings
+    export_format(name)(Dataset.open(tmp_path / "source"), tmp_path / "out", ExportOptions())
+    back = import_format("auto", tmp_path / "out")(tmp_path / "out", tmp_path / "back", ImportOptions())
+    assert not check(tmp_path / "back").findings, str(check(tmp_path / "back"))
+    if name != "rlds":  # which has no times
+        times = back.episodes[0].column("simulated_time")
+        np.testing.assert_array_equal(times[:-1], np.arange(19) / 30)
+        assert name == "robomimic" or np.isnan(times[-1]), "LeRobot has no time for the last observation"
+
+
 def test_two_robots_and_no_cameras_come_back(make_dataset: Any, tmp_path: Path) -> None:
     before = make_dataset(cameras=False, robots=("left", "right"), success=(None,))
     export_lerobot(before, tmp_path / "lerobot")

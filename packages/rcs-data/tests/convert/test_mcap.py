@@ -12,8 +12,9 @@ import av
 import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, Feature
-from rcs_data.convert.mcap import export_mcap
+from rcs_data.convert.mcap import export_mcap, row_times
 from rcs_data.convert.options import ExportOptions
+from rcs_data.durable import sealed, unsealed
 from rcs_data.errors import DatasetError, InvalidSetup, MissingDependency
 
 Messages = dict[str, list[tuple[int, Any]]]
@@ -41,6 +42,25 @@ def read() -> Read:
         return found
 
     return messages
+
+
+@pytest.mark.parametrize("started", ["9999-12-31T23:59:59+00:00", "9999-12-31T23:59:59", "0001-01-01", "2262-05-01"])
+def test_a_date_that_nanoseconds_cannot_tell_is_as_good_as_none(source: Dataset, started: str) -> None:
+    episode = source.episodes[0]
+    path = episode.path / "episode.json"
+    path.write_bytes(sealed({**unsealed(path.read_bytes(), path), "started": started}))
+    rows = row_times(episode, source.info)
+    assert rows[0] == 0
+    assert (np.diff(rows) > 0).all()
+
+
+@pytest.mark.extras
+def test_a_recording_of_the_year_9999_is_exported(source: Dataset, tmp_path: Path, read: Read) -> None:
+    for episode in source.episodes:
+        path = episode.path / "episode.json"
+        path.write_bytes(sealed({**unsealed(path.read_bytes(), path), "started": "9999-12-31T23:59:59+00:00"}))
+    export_mcap(source, tmp_path / "out")
+    assert read(tmp_path / "out/take-0.mcap")["/instruction"][0][0] == 0
 
 
 @pytest.mark.extras

@@ -45,6 +45,8 @@ def main(source: Path, folder: Path, name: str, stride: int = 1) -> None:
                 edit.relabel(path, "push")
             elif name == "undo":
                 edit.undo(path)
+            elif name == "prune":
+                edit.prune(path)
             elif name == "repair":
                 repair(path)
             elif name == "merge":

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
+import errno
+import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -102,6 +104,13 @@ def record(writer: DatasetWriter, name: str, like: EpisodeRecord) -> None:
         episode.finish(True)
 
 
+def leave_open(path: Path, name: str) -> None:
+    """Leave an episode of one row open, as a killed recording does."""
+    dataset = Dataset.open(path)
+    with DatasetWriter.open(path, dataset.info, resume=True) as writer:
+        writer.episode(name, seed=0).add(*first_row(dataset.episodes[0]))
+
+
 def test_what_was_recorded_since_an_edit_is_not_lost_by_an_undo(dataset: Path) -> None:
     edit.delete(dataset, ["000001"])
     info = Dataset.open(dataset).info
@@ -168,8 +177,7 @@ def test_ids_that_look_like_folders_of_edits_are_refused(dataset: Path) -> None:
 
 def test_undo_waits_for_what_a_killed_recording_left_open(dataset: Path) -> None:
     edit.delete(dataset, ["000001"])
-    with DatasetWriter.open(dataset, Dataset.open(dataset).info, resume=True) as writer:
-        writer.episode("000001", seed=0).add(*first_row(Dataset.open(dataset).episodes[0]))
+    leave_open(dataset, "000001")
     with pytest.raises(DatasetError, match="run recover first"):
         edit.undo(dataset)
     recover(dataset)
@@ -220,6 +228,95 @@ def test_an_edit_that_fails_leaves_the_dataset_as_it_was(dataset: Path, monkeypa
     assert check(dataset).is_ok
 
 
+@pytest.fixture(params=["simulated", "mounted"])
+def full_disk(
+    tmp_path: Path, make_dataset: MakeDataset, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> Iterator[Path]:
+    """A dataset on a disk without a free byte, with a former episode, and an open one that a recording has left."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    is_mounted = request.param == "mounted"
+    if is_mounted and subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", disk], check=False).returncode:
+        pytest.skip("this user cannot mount a small disk")
+    try:
+        path = make_dataset(disk / "set", [60, 30, 20])
+        edit.trim(path, "000000", first=1)
+        leave_open(path, "open")
+        if is_mounted:
+            fill(disk / "filler")
+        else:
+            simulate(disk, monkeypatch)
+        yield path
+    finally:
+        if is_mounted:
+            subprocess.run(["umount", disk], check=True)
+
+
+def fill(path: Path) -> None:
+    """Write a file until the disk takes no more byte."""
+    fd = os.open(path, os.O_WRONLY | os.O_CREAT)
+    size = 1 << 20
+    while size:
+        try:
+            os.write(fd, bytes(size))
+        except OSError:
+            size //= 2
+    os.close(fd)
+
+
+def simulate(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no file in a folder grow, unless others have shrunk."""
+    write = os.write
+
+    def used() -> int:
+        return sum(path.lstat().st_size for path in disk.rglob("*") if path.is_file())
+
+    def write_if_there_is_space(fd: int, data: bytes | memoryview) -> int:
+        growth = os.lseek(fd, 0, os.SEEK_CUR) + len(data) - os.fstat(fd).st_size
+        if growth > 0 and used() + growth > capacity:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(fd, data)
+
+    capacity = used()
+    monkeypatch.setattr("os.write", write_if_there_is_space)
+
+
+def test_a_full_disk_is_freed_by_deleting_and_pruning(full_disk: Path) -> None:
+    before = Dataset.open(full_disk)["000002"].content_hash
+    with pytest.raises(DatasetError, match="No space left"):
+        recover(full_disk)
+    assert not (full_disk / "episodes/.open-open/steps.parquet").exists(), "half a file would take what is left"
+    edit.delete(full_disk, ["000001"])
+    assert edit.prune(full_disk) > 1 << 16
+    assert recover(full_disk).recovered == ("open",)
+    assert check(full_disk).is_ok
+    assert [episode.id for episode in Dataset.open(full_disk)] == ["000000", "000002", "open"]
+    assert Dataset.open(full_disk)["000002"].content_hash == before
+
+
+def test_on_a_full_disk_former_episodes_can_be_pruned_at_once(full_disk: Path) -> None:
+    assert edit.prune(full_disk) > 1 << 14
+    assert not any(finding.kind in ("left_over", "not_undoable") for finding in check(full_disk).findings)
+    assert [episode.length for episode in Dataset.open(full_disk)] == [59, 30, 20]
+
+
+def test_a_killed_prune_can_be_done_again(tmp_path: Path, make_dataset: MakeDataset) -> None:
+    source = make_dataset(tmp_path / "set", [7, 3])
+    edit.trim(source, "000000", first=1)
+    edit.delete(source, ["000001"])
+    before = state(source)
+    subprocess.run([sys.executable, HERE / "kill_every_edit.py", source, tmp_path, "prune"], check=True, timeout=100)
+    killed = [path for path in tmp_path.iterdir() if path.name.isdigit()]
+    assert len(killed) > 5, "the kill must have hit more than a few calls"
+    for path in killed:
+        assert state(path) == before
+        report = check(path)
+        assert report.is_ok, str(report)
+        edit.prune(path)
+        assert not any(finding.kind in ("left_over", "not_undoable") for finding in check(path).findings)
+        assert [folder.name for folder in (path / "episodes").iterdir()] == ["000000@1"]
+
+
 def test_where_links_are_not_possible_files_are_copied(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -241,10 +338,15 @@ def test_a_dataset_that_is_being_recorded_is_not_edited(dataset: Path) -> None:
         lock.release()
 
 
-def test_an_open_episode_must_be_recovered_first(dataset: Path) -> None:
-    shutil.copytree(dataset / "episodes/000000", dataset / "episodes/.open-lost")
+def test_an_open_episode_must_be_recovered_before_others_get_another_form(dataset: Path) -> None:
+    leave_open(dataset, "lost")
     with pytest.raises(DatasetError, match="run recover first"):
-        edit.delete(dataset, ["000001"])
+        edit.rename_camera(dataset, "wrist", "hand")
+    with pytest.raises(DatasetError, match="run recover first"):
+        edit.relabel(dataset, "push")
+    edit.delete(dataset, ["000001"])
+    assert recover(dataset).recovered == ("lost",)
+    assert check(dataset).is_ok
 
 
 def test_a_reader_that_opened_the_dataset_before_can_go_on(dataset: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from rcs_data.check.bytes import EpisodeBytes
 from rcs_data.check.episode_rows import EpisodePlace, is_joints
-from rcs_data.check.folder import check_beside, check_index, check_leftovers, check_undo
+from rcs_data.check.folder import check_beside, check_folder, check_index
 from rcs_data.check.images import check_images
 from rcs_data.check.labels import check_labels, check_verdicts
 from rcs_data.check.motion import check_motion
@@ -25,6 +25,8 @@ from rcs_data.output import OnProgress
 Depth = Literal["bytes", "rows", "frames"]
 """How far a check looks: that every byte is what was written; what the rows say, too; that every image decodes, too."""
 
+_Found = list[tuple[Entry, list[Finding]]]
+
 
 def check(
     path: str | Path,
@@ -34,6 +36,9 @@ def check(
     on_progress: OnProgress | None = None,
 ) -> CheckReport:
     """Check every episode of a dataset for damage and for doubtful training data.
+
+    The dataset may be written and edited meanwhile. The check reads the episodes that were there when it began, and
+    says nothing of those that an edit has removed since.
 
     Args:
         path: The dataset's folder.
@@ -47,23 +52,28 @@ def check(
     root = Path(path)
     if not has_dataset(root) and (left := check_beside(root)):
         return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=tuple(left))
-    state, findings = check_index(root)
+    state, findings = check_folder(root)
     if state is None:
         return CheckReport(path=root, episodes=0, rows=0, frames=0, findings=tuple(findings))
-    findings += check_leftovers(root, state)
     entries = [entry for _, entry in sorted(state.episodes.items())]
     is_resampled = _is_resampled(state)
     rows = frames = 0
+    found: _Found = []
     with ThreadPoolExecutor(workers or os.cpu_count() or 1, thread_name_prefix="check episodes") as pool:
         results = pool.map(lambda entry: _check_episode(root, entry, state.info, is_resampled, depth), entries)
         for number, (its_rows, its_frames, its_findings) in enumerate(results):
             rows, frames = rows + its_rows, frames + its_frames
-            findings += its_findings
+            found.append((entries[number], its_findings))
             if on_progress is not None:
                 on_progress(number + 1, len(entries))
+    former: _Found = [(entry, list(_check_former(root, entry, state.info))) for entry in state.former_entries()]
+    now = state
+    if any(its_findings for _, its_findings in (*found, *former)):
+        now = check_index(root)[0] or state  # an edit may have removed what was just read
+    findings += _of_those_left(found, now.episodes.values())
     findings += check_verdicts({entry.id: entry.success for entry in entries})
-    findings += [finding for entry in state.former_entries() for finding in _check_former(root, entry, state.info)]
-    findings += check_undo(root, state)
+    # `prune` removes folders before the index forgets them.
+    findings += _of_those_left(former, (e for e in now.former_entries() if episode_folder(root, e.folder).is_dir()))
     return CheckReport(
         path=root,
         episodes=len(entries),
@@ -103,6 +113,11 @@ def _check_former(root: Path, entry: Entry, info: DatasetInfo) -> Iterator[Findi
     if place.folder.is_dir():  # or in quarantine
         for finding in EpisodeBytes(place, info, depth="bytes").findings():
             yield replace(finding, kind="former", message=f"{finding.message}; undo would bring back a damaged episode")
+
+
+def _of_those_left(found: _Found, left: Iterable[Entry]) -> list[Finding]:
+    folders = {entry.folder for entry in left}
+    return [finding for entry, findings in found if entry.folder in folders for finding in findings]
 
 
 def _check_entry(place: EpisodePlace, entry: Entry, about: dict[str, Any]) -> Iterator[Finding]:

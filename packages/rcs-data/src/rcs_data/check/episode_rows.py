@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from rcs_data.check.report import Finding, Severity
 from rcs_data.content import flat_numbers
-from rcs_data.feature import Feature
+from rcs_data.feature import SIMULATED_TIME, Feature
 from rcs_data.flags import camera_of, companion
 from rcs_data.info import DatasetInfo
 from rcs_data.layout import STEPS_FILE
-
-SIMULATED_TIME = "simulated_time"
 
 
 @dataclass(frozen=True)
@@ -135,4 +133,4 @@ def is_joints(feature: Feature) -> bool:
 
 
 def _is_wanted(feature: Feature) -> bool:
-    return feature.is_time or feature.is_flags or feature.key == SIMULATED_TIME or is_joints(feature)
+    return feature.is_time or feature.is_flags or is_joints(feature)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,17 +22,19 @@ from rcs_data.layout import (
     episode_folder,
     episodes_folder,
     folder_names,
-    links_out,
     open_folder,
     open_ids,
     strange_names,
     trash_folders,
+    unwritable_links,
 )
-from rcs_data.lock import is_locked
+from rcs_data.lock import LOCK_FILES, is_locked
 from rcs_data.output import leftovers
 from rcs_data.recover import stray_folders
 from rcs_data.text import mended_text
 
+# Looks at a folder that changes; more than one in a row are rare, since a look is faster than an edit.
+_MOST_LOOKS = 10
 _UNPRINTABLE = dict.fromkeys(range(32), "�")
 
 
@@ -43,6 +46,35 @@ def is_as_written(data: bytes, values: dict[str, Any]) -> bool:
     return sealed(values) == data
 
 
+def check_folder(root: Path) -> tuple[State | None, list[Finding]]:
+    """Check the index, `dataset.json` and what lies beside the episodes; return what the index says, as far as it can.
+
+    If a writer changes them meanwhile, they are read again, so that the findings are those of one moment.
+
+    Raises:
+        DatasetError: There is no dataset, or its layout is of another version.
+    """
+    state, findings = None, []
+    for _ in range(_MOST_LOOKS):
+        before = _stamps(root)
+        state, findings = check_index(root)
+        if state is not None:
+            findings += [*check_leftovers(root, state), *_check_undo(root, state)]
+        if not findings or _stamps(root) == before:
+            break
+    return state, findings
+
+
+def _stamps(root: Path) -> list[tuple[int, int, int]]:
+    """Return what differs once the index has changed, or a writer has come."""
+    found: list[tuple[int, int, int]] = []
+    for path in (root / JOURNAL_FILE, *(root / name for name in LOCK_FILES)):
+        with contextlib.suppress(OSError):
+            stat = path.stat()
+            found.append((stat.st_ino, stat.st_size, stat.st_mtime_ns))
+    return found
+
+
 def check_index(root: Path) -> tuple[State | None, list[Finding]]:
     """Check the index and `dataset.json`; return what the index says, as far as it can be read.
 
@@ -51,6 +83,7 @@ def check_index(root: Path) -> tuple[State | None, list[Finding]]:
     """
     findings: list[Finding] = []
     state: State | None = None
+    is_written = is_locked(root)  # asked before anything is read
     if (root / JOURNAL_FILE).exists() or not (root / DATASET_FILE).exists():
         try:
             state = Journal(root).state
@@ -60,7 +93,7 @@ def check_index(root: Path) -> tuple[State | None, list[Finding]]:
     else:
         message = "missing; `rcs-data check --repair` makes it anew from the episodes"
         findings.append(Finding("damage", "missing", None, JOURNAL_FILE, message))
-    return state, [*findings, *_check_description(root, state)]
+    return state, [*findings, *_check_description(root, state, is_written)]
 
 
 @dataclass
@@ -107,7 +140,7 @@ def described(root: Path) -> State | None:
         return None
 
 
-def _check_description(root: Path, state: State | None) -> Iterator[Finding]:
+def _check_description(root: Path, state: State | None, is_written: bool) -> Iterator[Finding]:
     path = root / DATASET_FILE
     if not path.exists():
         yield Finding("damage", "missing", None, DATASET_FILE, "missing; `rcs-data check --repair` restores it")
@@ -121,7 +154,7 @@ def _check_description(root: Path, state: State | None) -> Iterator[Finding]:
     if not is_as_written(data, values):
         message = "is readable, but its bytes are not those that were written"
         yield Finding("damage", "altered", None, DATASET_FILE, message)
-    elif state is not None and data != sealed(state.info.to_json()) and not is_locked(root):
+    elif state is not None and data != sealed(state.info.to_json()) and not is_written:
         message = "not what the index says: an edit was killed; `rcs-data recover` updates it"
         yield Finding("warning", "stale", None, DATASET_FILE, message)
 
@@ -136,8 +169,8 @@ def check_leftovers(root: Path, state: State) -> Iterator[Finding]:
         if entry.folder not in names:
             place = _in(root, episode_folder(root, entry.folder))
             yield Finding("damage", "missing", entry.id, place, "missing, with all files in it")
-    for path in links_out(root):
-        message = f"a link out of the dataset to {path.readlink()}; it is read, but never written through"
+    for path in unwritable_links(root):
+        message = f"a link to {path.readlink()}; it is read, but never written through"
         yield Finding("warning", "link", None, _in(root, path), message)
     yield from check_beside(root)
     if is_locked(root):
@@ -168,8 +201,10 @@ def check_beside(root: Path) -> list[Finding]:
     return [Finding("warning", "left_over", None, path.name, message) for path in leftovers(root)]
 
 
-def check_undo(root: Path, state: State) -> Iterator[Finding]:
+def _check_undo(root: Path, state: State) -> Iterator[Finding]:
     """Yield a finding if episodes that undo would bring back are not there any more."""
+    if is_locked(root):
+        return  # they may just be removed
     gone = [one.id for one in state.returning() if not episode_folder(root, one.folder).exists()]
     edit = state.undoable()
     if gone and edit is not None:

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from rcs_data.check.episode_rows import SIMULATED_TIME, EpisodePlace, EpisodeRows
+from rcs_data.check.episode_rows import EpisodePlace, EpisodeRows
 from rcs_data.check.report import Finding, counted, listed
+from rcs_data.feature import SIMULATED_TIME
 from rcs_data.flags import FrameFlag, time_key
 from rcs_data.layout import EPISODE_FILE
 

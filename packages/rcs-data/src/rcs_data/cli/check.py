@@ -14,6 +14,7 @@ from rcs_data import CheckReport, check
 from rcs_data.check.dataset import Depth
 from rcs_data.check.repair import RepairReport, repair
 from rcs_data.cli.console import plain_console, progress
+from rcs_data.layout import has_dataset
 
 # Width of a table in a file or pipe [columns]; no line is folded.
 _WIDE = 1000
@@ -48,8 +49,11 @@ class CheckCommand:
         if self.repair:
             with progress("Looking for damage") as on_progress:
                 mended = repair(self.path, depth=depth, on_progress=on_progress)
-        with progress("Checking") as on_progress:
-            report = check(self.path, depth=depth, on_progress=on_progress)
+        if mended is not None and mended.mendings and not has_dataset(self.path):  # but what was to become one
+            report = CheckReport(path=self.path, episodes=0, rows=0, frames=0, findings=())
+        else:
+            with progress("Checking") as on_progress:
+                report = check(self.path, depth=depth, on_progress=on_progress)
         if self.json:
             repaired = None if mended is None else mended.to_json()
             print(json_.dumps({**report.to_json(), "repair": repaired}, indent=1, ensure_ascii=False))

@@ -13,6 +13,7 @@ from rich.table import Table
 from rcs_data import Dataset, edit
 from rcs_data.cli.console import plain_console, progress
 from rcs_data.errors import InvalidSetup
+from rcs_data.index import Edit
 
 Which = Literal["listed", "failed", "successful", "unjudged"]
 _VERDICTS: dict[str, bool | None] = {"failed": False, "successful": True, "unjudged": None}
@@ -26,10 +27,7 @@ class _Edit(ABC):
     def run(self) -> int:
         """Edit, and print what the dataset has now."""
         self._edit()
-        dataset = Dataset.open(self.path)
-        rows = sum(episode.length for episode in dataset.episodes)
-        what = f"{len(dataset)} episodes, {rows} rows at {dataset.info.frequency:g} Hz"
-        plain_console().print(f"{what}. Undo: `rcs-data undo {self.path}`.")
+        plain_console().print(f"{_contents(self.path)}. Undo: `rcs-data undo {self.path}`.")
         return 0
 
     @abstractmethod
@@ -139,12 +137,18 @@ class ResizeCommand(_Edit):
 
 
 @dataclass(kw_only=True)
-class UndoCommand(_Edit):
+class UndoCommand:
     """Undo the last edit that is not undone yet."""
 
-    def _edit(self) -> None:
-        line = edit.undo(self.path)
-        plain_console().print(f"Undid {line.command} of {line.at}.")
+    path: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+
+    def run(self) -> int:
+        """Undo it, and print what it was and what the dataset has now."""
+        undone = edit.undo(self.path)
+        plain_console().print(f"Undid {undone.command} with {_arguments(undone)}, of {undone.at}.")
+        plain_console().print(f"{_contents(self.path)}.")
+        return 0
 
 
 @dataclass(kw_only=True)
@@ -158,10 +162,19 @@ class HistoryCommand:
         """Print a line per edit."""
         table = Table("when", "what", "with", "episodes after", box=None, pad_edge=False)
         for line in Dataset.open(self.path).history:
-            given = ", ".join(f"{key}={_short(value)}" for key, value in line.arguments.items() if value is not None)
-            table.add_row(line.at, line.command, given, str(line.episodes))
+            table.add_row(line.at, line.command, _arguments(line), str(line.episodes))
         plain_console().print(table)
         return 0
+
+
+def _contents(path: Path) -> str:
+    dataset = Dataset.open(path)
+    rows = sum(episode.length for episode in dataset.episodes)
+    return f"{len(dataset)} episodes, {rows} rows at {dataset.info.frequency:g} Hz"
+
+
+def _arguments(line: Edit) -> str:
+    return ", ".join(f"{key}={_short(value)}" for key, value in line.arguments.items() if value is not None)
 
 
 def _short(value: object) -> str:

@@ -18,6 +18,7 @@ from rcs_data.convert.rlds_import import import_rlds, is_rlds
 from rcs_data.convert.robomimic import export_robomimic
 from rcs_data.convert.robomimic_import import import_robomimic
 from rcs_data.errors import InvalidSetup, UnknownName
+from rcs_data.layout import check_path
 from rcs_data.reader import Dataset
 
 Export = Callable[[Dataset, Path, ExportOptions], ExportReport]
@@ -73,7 +74,9 @@ def import_format(name: str, source: Path) -> Import:
     Raises:
         UnknownName: There is no such format.
         InvalidSetup: The name is "auto", and the source looks like none of them.
+        DatasetError: The path of the source is not UTF-8.
     """
+    check_path(source)
     if name == "auto":
         for format_ in IMPORTS.values():
             if format_.recognise(source):

@@ -1,9 +1,9 @@
 """Maps the features of a dataset to the columns of a LeRobot dataset, for both versions.
 
 A frame of LeRobot is a step: an observation and the action that followed. Besides LeRobot's own columns, there is one
-for each measured time and each camera's flags, such as "time.monotonic", since `timestamp` is by definition frame /
-fps. Columns that begin with "observation" become inputs of LeRobot's policies, so only the state and the images are
-exported by default. Camera matrices are columns too, `calibration.<camera>.intrinsics` [px] and `.extrinsics`, the
+for each time and each camera's flags, such as "time.monotonic" and "simulated_time", since `timestamp` is by definition
+frame / fps. Columns that begin with "observation" become inputs of LeRobot's policies, so only the state and the images
+are exported by default. Camera matrices are columns too, `calibration.<camera>.intrinsics` [px] and `.extrinsics`, the
 camera's pose in the robot's base in OpenCV axes (x right, y down, z forward) [m], row-major. Texts per row, as
 `rcs_data.convert.labels` has them, are columns of strings, and `extra/task_index` becomes LeRobot's own.
 """
@@ -219,7 +219,7 @@ def _columns(
             if key in known:
                 columns.append(_column(known[key], f"calibration.{camera.replace('/', '.')}.{kind}"))
     extra = [info.feature(key) for key in options.extra]
-    extra += [f for f in info.features if f.is_circumstance and f not in extra]
+    extra += [f for f in info.features if (f.is_circumstance or f.is_time) and f not in extra]
     for feature in extra:
         if feature.is_image or feature.key in singles:
             raise InvalidSetup(f"{feature.key!r} cannot be a column: choose features of numbers.")

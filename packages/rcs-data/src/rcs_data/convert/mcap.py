@@ -13,7 +13,7 @@ from __future__ import annotations
 import importlib
 import json
 from collections.abc import Iterator
-from datetime import datetime
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,8 @@ from rcs_data.reader import Dataset, EpisodeRecord
 from rcs_data.trajectory import VectorLayout, camera_features
 
 _SECOND = 1_000_000_000
+# 64 bits of nanoseconds end in the year 2262 [s since 1970].
+_LATEST = datetime(2262, 1, 1, tzinfo=timezone.utc).timestamp()
 _TIME, _FRAME_TIME = "time/monotonic", "time/frames/"
 
 
@@ -90,8 +92,8 @@ def export_mcap(dataset: Dataset, out: str | Path, options: ExportOptions | None
 
 def _write(writer: Any, episode: EpisodeRecord, info: DatasetInfo) -> int:
     """Write all messages of an episode, row by row, and return the number of images."""
-    rows = _row_times(episode, info)
-    features = [feature for feature in info.features if not feature.is_time]
+    rows = row_times(episode, info)
+    features = [f for f in info.features if not f.key.startswith("time/")]  # which are the times of the messages
     channels = [_channel(writer, f"/{feature.key}", _schema(feature)) for feature in features]
     streams = zip(*(_messages(episode, feature, rows) for feature in features), strict=True)
     instruction = _channel(writer, "/instruction", TEXT)
@@ -125,19 +127,29 @@ def _schema(feature: Feature) -> str:
     return JOINTS if word == "joints" and len(feature.shape) == 1 else NUMBERS
 
 
-def _row_times(episode: EpisodeRecord, info: DatasetInfo) -> NDArray[np.int64]:
-    """Return the time of each row [ns since 1970], as measured where the dataset has that."""
+def row_times(episode: EpisodeRecord, info: DatasetInfo) -> NDArray[np.int64]:
+    """Return the time of each row [ns since 1970], as measured where the dataset has that; from 0 if it has no date.
+
+    Args:
+        episode: The episode.
+        info: What is exported of it.
+
+    Raises:
+        CorruptEpisode: The episode is damaged.
+    """
     started = episode.about.get("started")
     try:
         start = datetime.fromisoformat(started).timestamp() if isinstance(started, str) else 0.0
-    except ValueError:
+    except (ValueError, OverflowError):
         start = 0.0
+    start = start if 0 < start < _LATEST else 0.0
     since = np.arange(episode.length) / info.frequency
     if any(feature.key == _TIME for feature in info.features):
         measured = episode.column(_TIME)
-        if np.isfinite(measured).all() and (np.diff(measured) >= 0).all():
-            since = measured - measured[0]
-    return np.int64(max(start, 0.0) * 1e6) * 1000 + np.round(since * _SECOND).astype(np.int64)
+        elapsed = measured - measured[0]
+        if np.isfinite(elapsed).all() and (np.diff(elapsed) >= 0).all() and start + elapsed[-1] < _LATEST:
+            since = elapsed
+    return np.int64(start * 1e6) * 1000 + np.round(since * _SECOND).astype(np.int64)
 
 
 def _frame_times(episode: EpisodeRecord, camera: str, rows: NDArray[np.int64]) -> NDArray[np.int64]:

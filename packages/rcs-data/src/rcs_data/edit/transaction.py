@@ -7,6 +7,7 @@ to the index, which names them. Until then nothing reads them, and the next writ
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from rcs_data.layout import (
     check_episode_id,
     episode_folder,
     episodes_folder,
+    new_trash_folder,
     open_ids,
     trash_folders,
     written_folder,
@@ -114,16 +116,17 @@ def editing(
         new_info: Returns the info after the edit, given that before.
 
     Raises:
-        DatasetError: There is no dataset, another process writes to it, an episode of a killed recording is still open,
-            or the disk fails. An error leaves the dataset unchanged.
+        DatasetError: There is no dataset, another process writes to it, the info changes while an episode of a killed
+            recording is still open, or the disk fails. An error leaves the dataset unchanged.
         CorruptEpisode: The dataset is damaged.
     """
     root = Path(path)
     with locked(root) as journal, disk_errors(command, root):
-        _refuse_open(root)
+        info = new_info(journal.state.info)
+        if info != journal.state.info:  # the rows of open episodes have the former form
+            _refuse_open(root)
         for folder in stray_folders(root, journal.state)[0]:
             remove_tree(folder)
-        info = new_info(journal.state.info)
         transaction = Transaction(Dataset(root, journal.state), info, journal.state.last_number + 1)
         try:
             yield transaction
@@ -274,10 +277,15 @@ def prune(path: str | Path) -> int:
     root = Path(path)
     freed = 0
     with locked(root) as journal, disk_errors("prune", root):
-        journal.shorten()
+        # Removed before the index forgets them, since that needs space; an undo in between is refused.
+        for entry in journal.state.former_entries():
+            folder = episode_folder(root, entry.folder)
+            if os.path.lexists(folder):  # or in quarantine
+                folder.rename(new_trash_folder(root, folder.name))
         for folder in (*stray_folders(root, journal.state)[0], *trash_folders(root)):
             freed += _freed(folder)
             remove_tree(folder)
+        journal.shorten()
     return freed
 
 

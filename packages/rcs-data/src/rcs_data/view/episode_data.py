@@ -78,7 +78,7 @@ def curves(info: DatasetInfo) -> list[Curves]:
     for feature in info.features:
         is_number = not feature.is_image and feature.numpy_dtype.kind in "fiub"
         is_drawn = is_number and not feature.is_circumstance and feature.size <= _MOST_LINES
-        if not is_drawn or camera_of(feature.key) is not None or feature.key == "simulated_time":
+        if not is_drawn or camera_of(feature.key) is not None or feature.is_time:
             continue
         words = feature.key.split("/")
         # A pose that is there in two notations is for those who ask; what was commanded is always of interest.
