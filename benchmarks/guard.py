@@ -12,18 +12,19 @@ therefore the margin everywhere; what lies between is neither. Grippers and the 
 
 The guard sees each motion as an environment would give it: targets and measurements to `Guard.admit`.
 
-With `--streams N`, targets are executed instead: N episodes per setup and mode of asynchronous steps at 30 Hz towards random
-joints in the whole range, the first from rest, the next after 3 to 30 steps and so in motion. The judge is MuJoCo: every
-contact of a robot in every physics step counts, but for those of the task's object and of one gripper with itself. A first
-refusal of an episode is a false stop when the step that was asked for, executed without a guard, with the arms told to hold
-after it, keeps all distances and 2 mm in every physics step. Prints one JSON object per setup and mode: `touching` (episodes
-with a contact), `worst_force_n` (the largest normal force of such a contact), `stopped` (episodes in which the guard
-intervened), `false_stops` (part of all decisions), `p99_ms` and `p50_ms` (time of a decision), `episodes`, `decisions`.
+With `--streams N`, targets are executed instead: N episodes per setup and mode of asynchronous steps at 30 Hz towards
+random joints in the whole range, the first from rest, the next after 3 to 30 steps and so in motion. The judge is
+MuJoCo: every contact of a robot in every physics step counts, but for those of the task's object and of one gripper
+with itself. A first refusal of an episode is a false stop when the step that was asked for, executed without a guard,
+with the arms told to hold after it, keeps all distances and 2 mm in every physics step. Prints one JSON object per
+setup and mode: `touching` (episodes with a contact), `worst_force_n` (the largest normal force of such a contact),
+`stopped` (episodes in which the guard intervened), `false_stops` (part of all decisions), `p99_ms` and `p50_ms` (time
+of a decision), `episodes`, `decisions`.
 
-Without it, prints one JSON object per setup: `misses` (colliding motions that were admitted), `false_stops` (part of the free
-motions that were refused), `p99_ms` and `p50_ms` (time of a check), `p99_cpu_ms` (the same without the time in which
-other programs had the core), `colliding`, `free` (how many), `thin` (how many of the colliding ones had both ends
-free).
+Without it, prints one JSON object per setup: `misses` (colliding motions that were admitted), `false_stops` (part of
+the free motions that were refused), `p99_ms` and `p50_ms` (time of a check), `p99_cpu_ms` (the same without the time
+in which other programs had the core), `colliding`, `free` (how many), `thin` (how many of the colliding ones had both
+ends free).
 """
 
 from __future__ import annotations
@@ -305,7 +306,9 @@ class Witness:
         objects = env.scenario.task.objects()
         self._is_object = np.array([name in objects for name in names])
         hands = [robot.gripper_prefix for robot in env.robots.values()]
-        self._hand = np.array([next((k for k, own in enumerate(hands, 1) if name.startswith(own)), 0) for name in names])
+        self._hand = np.array(
+            [next((k for k, own in enumerate(hands, 1) if name.startswith(own)), 0) for name in names]
+        )
         self.force, self.least, self.is_measuring = 0.0, np.inf, False
         world.on_period(self.see, float(self._model.opt.timestep))
 

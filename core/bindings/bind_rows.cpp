@@ -68,10 +68,10 @@ void bind_rows(nb::module_& m) {
         "`tolerance`.");
   m.def("clip_rows", &clip<float>, "values"_a.noconvert(), "lower"_a.noconvert(), "upper"_a.noconvert(), "tolerance"_a,
         "The same in float32.");
-  m.def(
-      "limit_rows", &limit, "asked"_a, "last"_a, "measured"_a, "max_step"_a, "max_lead"_a, "rounding"_a,
-      "Cut `asked` (..., n) to at most `max_step` (n,) from `last` and `max_lead` (n,) from `measured`: all joints of a row "
-      "go the same share of the way from `last`.\n\nA joint that was pushed out of its lead goes back towards it "
-      "first, by a step at most. Returns the targets and a flag per row that says whether it was cut by more than "
-      "`rounding`; None if no row was.");
+  m.def("limit_rows", &limit, "asked"_a, "last"_a, "measured"_a, "max_step"_a, "max_lead"_a, "rounding"_a,
+        "Cut `asked` (..., n) to at most `max_step` (n,) from `last` and `max_lead` (n,) from `measured`: all joints "
+        "of a row "
+        "go the same share of the way from `last`.\n\nA joint that was pushed out of its lead goes back towards it "
+        "first, by a step at most. Returns the targets and a flag per row that says whether it was cut by more than "
+        "`rounding`; None if no row was.");
 }

@@ -15,7 +15,8 @@ namespace {
 // At rest, for arrival: ten times below what a person sees, ten times above what a servo jitters.
 constexpr double kPositionTolerance = 1e-3;  // rad
 constexpr double kVelocityTolerance = 1e-2;  // rad/s
-// An arm that is farther from where it is led to is kept from following [rad]: a servo of ours lags by less than a tenth.
+// An arm that is farther from where it is led to is kept from following [rad]: a servo of ours lags by less than a
+// tenth.
 constexpr double kAstray = 0.2;
 // An arm that was told to hold and is this far from where it was led to was pushed, or is blocked [rad].
 constexpr double kPushed = 0.03;
@@ -35,12 +36,12 @@ struct Motion::Copy {
       : trajectory(limits), gain(limits.lower.size()), lag(limits.lower.size()), measured(2 * limits.lower.size()) {}
 
   Trajectory trajectory;
-  std::vector<double> gain;       // of the servo [Nm/rad]
-  std::vector<double> lag;        // of the servo [s]
-  std::vector<double> force;      // that the acceleration takes [Nm], of all degrees of freedom of the model
-  std::vector<double> wanted;     // acceleration, of all degrees of freedom
-  std::vector<double> measured;   // positions, then velocities, of the joints
-  std::vector<double> memory;     // of a plan that is tried
+  std::vector<double> gain;      // of the servo [Nm/rad]
+  std::vector<double> lag;       // of the servo [s]
+  std::vector<double> force;     // that the acceleration takes [Nm], of all degrees of freedom of the model
+  std::vector<double> wanted;    // acceleration, of all degrees of freedom
+  std::vector<double> measured;  // positions, then velocities, of the joints
+  std::vector<double> memory;    // of a plan that is tried
   std::vector<double> qpos, qvel, speed, bias, still;  // of the model, while a motion is looked at
 };
 
@@ -89,8 +90,8 @@ double torque_limit(const mjModel* model, int joint, int actuator) {
 
 }  // namespace
 
-// What the motors exert beside what accelerations take [Nm], of all degrees of freedom: against the forces of speed, and
-// against gravity, that of a load included.
+// What the motors exert beside what accelerations take [Nm], of all degrees of freedom: against the forces of speed,
+// and against gravity, that of a load included.
 void Motion::know_bias(const mjModel* model, mjData* data, Copy& copy) {
   const auto nv = static_cast<std::size_t>(model->nv);
   copy.bias.resize(nv);
@@ -106,8 +107,8 @@ void Motion::know_bias(const mjModel* model, mjData* data, Copy& copy) {
   for (std::size_t k = 0; k < nv; ++k) copy.bias[k] += data->qfrc_gravcomp[k] - copy.still[k];
 }
 
-// What the planned motion may have of its acceleration, by inverse dynamics. One that goes far before it is planned anew
-// is looked at where it leads; others with the inertia that the arm has where it is.
+// What the planned motion may have of its acceleration, by inverse dynamics. One that goes far before it is planned
+// anew is looked at where it leads; others with the inertia that the arm has where it is.
 double Motion::share_of_acceleration(const mjModel* model, mjData* data, const double* memory, Copy& copy,
                                      bool is_far) {
   const std::size_t n = joints_.size();

@@ -100,8 +100,7 @@ std::vector<double> MotionLimits::lead(double period) const {
   if (!(period > 0.0)) throw InvalidSetup("motion limits: the period must be positive");
   std::vector<double> lead(velocity.size());
   for (std::size_t i = 0; i < lead.size(); ++i)
-    lead[i] =
-        braking_distance(velocity[i], kSparing * acceleration[i], jerk[i]) + kHorizon * period * velocity[i];
+    lead[i] = braking_distance(velocity[i], kSparing * acceleration[i], jerk[i]) + kHorizon * period * velocity[i];
   return lead;
 }
 
@@ -211,12 +210,14 @@ Trajectory::Plan& Trajectory::plan(const double* memory) {
 
 bool Trajectory::is_asked(const double* memory) {
   const std::size_t n = limits_.lower.size();
-  for (std::size_t i = 0; i < n; ++i)
-    if (memory[kTarget * n + i] != memory[kLast * n + i] || memory[kStream * n + i] != 0.0) return true;
+  for (std::size_t i = 0; i < n; ++i) {
+    const double target = std::clamp(memory[kTarget * n + i], limits_.lower[i], limits_.upper[i]);
+    if (target != memory[kLast * n + i] || memory[kStream * n + i] != 0.0) return true;
+  }
   if (!plan(memory).is_still) return false;
   // A plan that could not be made has ended elsewhere.
   for (std::size_t i = 0; i < n; ++i)
-    if (memory[kAim * n + i] != memory[kTarget * n + i]) return true;
+    if (memory[kAim * n + i] != memory[kLast * n + i]) return true;
   return false;
 }
 
@@ -235,8 +236,8 @@ double Trajectory::stay_behind(double share) {
   return behind;
 }
 
-// The share of the targets' speed at which an arm can aim without going back: the place where it may have that speed must
-// be at least as far as the arm comes until it has it.
+// The share of the targets' speed at which an arm can aim without going back: the place where it may have that speed
+// must be at least as far as the arm comes until it has it.
 double Trajectory::gained_share(double ahead, double horizon) {
   Plan& plan = *plan_;
   const auto& input = plan.input;
@@ -272,9 +273,16 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
   const std::size_t n = limits_.lower.size();
   Plan& plan = this->plan(memory);
   plan.at(memory[kRows * n + kElapsed]);
+  double *target = memory + kTarget * n, *last = memory + kLast * n, *stream = memory + kStream * n;
+  // Torque is spared only as far as the joints can still stop at the target.
+  for (std::size_t i = 0; i < n && share < 1.0; ++i) {
+    const double way = std::clamp(target[i], limits_.lower[i], limits_.upper[i]) - plan.position[i];
+    if (way * plan.velocity[i] <= 0.0) continue;
+    const double distance = braking_distance(std::abs(plan.velocity[i]), limits_.acceleration[i], limits_.jerk[i]);
+    share = std::clamp(distance / std::abs(way), share, 1.0);
+  }
   for (std::size_t i = 0; i < n; ++i)
     plan.input.max_acceleration[i] = (1.0 - kMargin) * share * limits_.acceleration[i];
-  double *target = memory + kTarget * n, *last = memory + kLast * n, *stream = memory + kStream * n;
   double most = 1.0;  // of the velocity limit
   for (std::size_t i = 0; i < n; ++i) {
     target[i] = std::clamp(target[i], limits_.lower[i], limits_.upper[i]);
@@ -292,8 +300,8 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
     plan.end[i] = std::copysign(speed, plan.end[i]);
     plan.aim[i] = target[i];
   }
-  // The plan is made for the end of the step after this one, were the target to go on like this. Where an arm that is too
-  // fast could not stop at the target then, it is made for a nearer place; and where it cannot at all, for rest.
+  // The plan is made for the end of the step after this one, were the target to go on like this. Where an arm that is
+  // too fast could not stop at the target then, it is made for a nearer place; and where it cannot at all, for rest.
   const double horizon = step.is_synchronous ? 0.0 : (kHorizon - 1.0) * step.period;
   const double soonest = step.is_synchronous ? 0.0 : -step.rest;
   const std::vector<double>&position = plan.position, &velocity = plan.velocity, &acceleration = plan.acceleration;
@@ -325,8 +333,8 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
     for (std::size_t i = 0; i < n; ++i) {
       const double sign = plan.lead[i] < 0.0 ? -1.0 : 1.0, speed = sign * velocity[i];
       if (plan.lead[i] == 0.0 || speed <= 0.0) continue;
-      const double way = stopping_distance(speed, sign * acceleration[i], plan.input.max_acceleration[i],
-                                           plan.input.max_jerk[i]);
+      const double way =
+          stopping_distance(speed, sign * acceleration[i], plan.input.max_acceleration[i], plan.input.max_jerk[i]);
       const double past = sign * (position[i] - target[i]) + way - std::min(kPromise, plan.room[i]);
       most = std::max(most, past / std::abs(plan.end[i]));
     }
@@ -401,7 +409,7 @@ void Trajectory::advance(double* memory, double time) {
   if (!is_over) return;
   // From here on it stands still: where the trajectory was to end, not where rounding has led it.
   for (std::size_t i = 0; i < n; ++i) {
-    const double target = memory[kTarget * n + i];
+    const double target = memory[kLast * n + i];
     const double position = std::abs(target - now.position[i]) < kRounding ? target : now.position[i];
     memory[kPosition * n + i] = memory[kAim * n + i] = position;
     memory[kVelocity * n + i] = memory[kAcceleration * n + i] = memory[kEnd * n + i] = 0.0;

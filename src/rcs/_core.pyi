@@ -892,6 +892,11 @@ class CollisionChecker:
         Between two checks of a pair that is near, no point of a robot moves by more than `step` [m] and nothing turns by more than `turn` [rad]; larger strides are made only where the distance proves them free. Contact deeper than half a step is never missed, and with a margin of at least half a step no contact is. The GIL is released.
         """
 
+    def first_hit_on_way(self, places: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], step: float = 0.002, turn: float = 0.0087, margin: float = 0.0, bend: float = 0.001) -> Hit | None:
+        """
+        `first_hit` on a way of many places (N, dof), from each to the next; fractions are of the number of places. Neighbours that lie on one straight motion to within `bend` [rad] are swept together.
+        """
+
     def clearance_rows(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], margin: float, threads: int = 1) -> tuple:
         """
         `clearance` of rows (N, dof): distances (N,) [m] and geoms (N, 2). The GIL is released.
@@ -1014,6 +1019,51 @@ class MotionLimits:
     def __init__(self, lower: Sequence[float], upper: Sequence[float], velocity: Sequence[float], acceleration: Sequence[float], jerk: Sequence[float]) -> None:
         """Positions in rad, then rad/s, rad/s^2 and rad/s^3."""
 
+    def lead(self, period: float) -> list[float]:
+        """
+        How far a target may lead each joint [rad], when targets come every `period` [s].
+        """
+
+class Trajectory:
+    """
+    The law of motion of an arm, in memory of the caller: what its joints do between one target and the next. The first `dof` numbers of the memory are the target [rad].
+    """
+
+    def __init__(self, limits: MotionLimits) -> None: ...
+
+    @staticmethod
+    def size(dof: int) -> int:
+        """Numbers that so many joints take."""
+
+    POSITION_ROWS: Final[list[int]] = ...
+    """
+    Rows of `dof` numbers that are joint positions; where the arm stands still, all are equal and the rest is 0.
+    """
+
+    @property
+    def dof(self) -> int: ...
+
+    def follow(self, memory: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], period: float, is_synchronous: bool = False, share: float = 1.0) -> None:
+        """
+        Plan the motion of a step that lasts `period` [s], or until the target is reached, with a share of the acceleration.
+        """
+
+    def brake(self, memory: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> None:
+        """Brake to rest, all joints together on a straight line where they can."""
+
+    def advance(self, memory: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], time: float) -> None:
+        """Let time pass [s]."""
+
+    def state(self, memory: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')], ahead: float = 0.0) -> NDArray[numpy.float64]:
+        """
+        Position, velocity and acceleration after so many seconds of the present plan, (3, dof).
+        """
+
+    def remaining(self, memory: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu')]) -> float:
+        """
+        Time until the joints stand [s]; of a stream, until the plan is used up.
+        """
+
 class Motion(StepCallback):
     """
     Moves position servos of some joints to a target in `mjData.userdata`, within limits of velocity, acceleration and jerk. As a callback, it is true when the joints stand at their target.
@@ -1023,15 +1073,6 @@ class Motion(StepCallback):
         """
         Joint and actuator ids, base to tip, and the first of the numbers in the user data.
         """
-
-    @staticmethod
-    def size(dof: int) -> int:
-        """Numbers of user data that so many joints take."""
-
-    POSITION_ROWS: Final[list[int]] = ...
-    """
-    Rows of `dof` numbers that are joint positions; where the arm stands still, all are equal and the rest is 0.
-    """
 
     @property
     def dof(self) -> int: ...
@@ -1158,6 +1199,11 @@ class World:
     def add_motion(self, motion: Motion) -> Motion:
         """
         Have a motion lead its joints in every step. Where there is one with the same user data, that is returned.
+        """
+
+    def preview(self, motion: Motion, target: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], copy: int, tick: float) -> NDArray[numpy.float64]:
+        """
+        What the next step to a target (dof,) [rad] would do: where the joints are led to (n, dof), from now to the end of the step and while they brake to rest from there, at most every `tick` [s] and at the same times for all motions; in a synchronous step, until they stand. With an empty target, they are told to hold. Nothing changes.
         """
 
     def on_period(self, callback: StepCallback, period: float) -> None:
@@ -1645,9 +1691,9 @@ def clip_rows(values: Annotated[NDArray[numpy.float64], dict(order='C', device='
 def clip_rows(values: Annotated[NDArray[numpy.float32], dict(order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float32], dict(order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.float32], dict(order='C', device='cpu', writable=False)], tolerance: float) -> NDArray[numpy.float32] | None:
     """The same in float32."""
 
-def limit_rows(asked: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], last: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], measured: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_step: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_lead: float, rounding: float) -> tuple[NDArray[numpy.float64], NDArray[numpy.bool_]] | None:
+def limit_rows(asked: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], last: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], measured: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_step: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_lead: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], rounding: float) -> tuple[NDArray[numpy.float64], NDArray[numpy.bool_]] | None:
     """
-    Cut `asked` (..., n) to at most `max_step` (n,) from `last` and `max_lead` from `measured`: all joints of a row go the same share of the way from `last`.
+    Cut `asked` (..., n) to at most `max_step` (n,) from `last` and `max_lead` (n,) from `measured`: all joints of a row go the same share of the way from `last`.
 
     A joint that was pushed out of its lead goes back towards it first, by a step at most. Returns the targets and a flag per row that says whether it was cut by more than `rounding`; None if no row was.
     """

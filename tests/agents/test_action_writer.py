@@ -43,7 +43,10 @@ def test_an_arm_arrives_also_above_a_layer_that_halves_every_step(control: Any) 
     made = rcs.make(setup)
     scenario = made.scenario
     kinematics = kinematics_of(FR3, FRANKA_HAND)
-    layers: list[Layer] = [LimitStep(np.array(FR3.velocity_limit) / 30), Halve()]
+    layers: list[Layer] = [
+        LimitStep(np.array(FR3.velocity_limit) / 30, np.array(FR3.motion_limits.lead(1 / 30))),
+        Halve(),
+    ]
     layers += [CartesianControl(kinematics)] if control == TQUAT else []
     layers += [Relative(control, frequency=30.0, joint_speed=FR3.velocity_limit)]
     env = Env(Stack(Chain(made.stack.ports, layers)), Clock(scenario.world), scenario)

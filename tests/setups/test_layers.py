@@ -37,7 +37,7 @@ def test_names_and_classes_become_part_of_the_setup() -> None:
 
 
 def test_an_object_and_what_lies_on_it_stay_outside() -> None:
-    env = rcs.make("Free", layers=[Shut, LimitStep(np.full(7, 0.01)), BinaryGripper])
+    env = rcs.make("Free", layers=[Shut, LimitStep(np.full(7, 0.01), 0.6), BinaryGripper])
     assert env.setup.layers == (f"{__name__}:Shut",)
     assert names(env)[-3:] == ["Shut", "LimitStep", "BinaryGripper"]
 

@@ -95,8 +95,8 @@ class CollisionChecker {
   std::optional<Hit> first_hit(std::span<const double> from, std::span<const double> to,
                                const SweepOptions& options) const;
 
-  /// The same on a way of many places (count × dof, at least one), from each to the next; `fraction` and `free_until` are of
-  /// the number of places. Neighbours that lie on one straight motion to within `bend` [rad] are swept together.
+  /// The same on a way of many places (count × dof, at least one), from each to the next; `fraction` and `free_until`
+  /// are of the number of places. Neighbours that lie on one straight motion to within `bend` [rad] are swept together.
   std::optional<Hit> first_hit_on_way(std::span<const double> places, const SweepOptions& options, double bend) const;
 
   /// The same for many rows (count × dof) on at most `threads` threads; row i depends on row i of the inputs alone.

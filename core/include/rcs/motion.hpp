@@ -16,8 +16,8 @@ namespace rcs {
 ///
 /// A motion that would take more torque than the motors have beside gravity (that of a load they were told of, too) is
 /// made with less acceleration, as much as inverse dynamics ask for. Besides the position, the servo is given the
-/// velocity and the force of the acceleration, so that it does not lag behind. An arm that is kept from following is not
-/// run away from: its trajectory begins anew where it is.
+/// velocity and the force of the acceleration, so that it does not lag behind. An arm that is kept from following is
+/// not run away from: its trajectory begins anew where it is.
 ///
 /// All that the motion remembers is in the copy's `mjData.userdata`: a state that is saved and restored goes on with
 /// the same bits.
@@ -28,7 +28,8 @@ class Motion final : public StepCallback {
   using Step = Trajectory::Step;
 
   /// `joints` are hinge or slide joint ids, base to tip, `actuators` their position servos, `address` the first of the
-  /// `Trajectory::size(joints.size())` numbers in `mjData.userdata`. Throws `InvalidSetup` if they do not fit each other.
+  /// `Trajectory::size(joints.size())` numbers in `mjData.userdata`. Throws `InvalidSetup` if they do not fit each
+  /// other.
   Motion(std::vector<int> joints, std::vector<int> actuators, int address, MotionLimits limits, int copies);
   Motion(const Motion&) = delete;
   Motion& operator=(const Motion&) = delete;
@@ -39,8 +40,8 @@ class Motion final : public StepCallback {
   const std::vector<int>& joints() const { return joints_; }
   const MotionLimits& limits() const { return limits_; }
 
-  /// Plan the motion of a step. The target is what was written into the first `dof` numbers. Joints that were told to hold
-  /// brake; those that are not where they were led to begin anew from where they are measured.
+  /// Plan the motion of a step. The target is what was written into the first `dof` numbers. Joints that were told to
+  /// hold brake; those that are not where they were led to begin anew from where they are measured.
   void begin(const mjModel* model, mjData* data, int copy, const Step& step);
   /// Write the controls of the next physics step.
   void advance(const mjModel* model, mjData* data, int copy);
@@ -51,8 +52,8 @@ class Motion final : public StepCallback {
 
   /// What a step to a target would do: where the joints are led to, `dof` numbers each, from now to the end of the step
   /// and while they brake to rest from there, at most every `tick` [s] and at the same times for all motions; in a
-  /// synchronous step, until they stand. Without a target, they are told to hold. Nothing changes but what is derived in
-  /// `data`.
+  /// synchronous step, until they stand. Without a target, they are told to hold. Nothing changes but what is derived
+  /// in `data`.
   std::vector<double> preview(const mjModel* model, mjData* data, int copy, const Step& step,
                               std::span<const double> target, double tick);
 

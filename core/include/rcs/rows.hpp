@@ -15,8 +15,8 @@ bool clip_rows(std::span<const T> values, std::span<const T> lower, std::span<co
 /// Cut `asked` to at most `max_step` from `last` and `max_lead` from `measured`: all joints of a row go the same share
 /// of the way from `last`. A joint that was pushed out of its lead goes back towards it first, by a step at most.
 ///
-/// Rows have the length of `max_step` and `max_lead`; `is_cut` has one flag per row, for changes above `rounding`. Returns whether any
-/// is set. Throws `InvalidSetup` for limits that are negative or NaN.
+/// Rows have the length of `max_step` and `max_lead`; `is_cut` has one flag per row, for changes above `rounding`.
+/// Returns whether any is set. Throws `InvalidSetup` for limits that are negative or NaN.
 bool limit_rows(std::span<const double> asked, std::span<const double> last, std::span<const double> measured,
                 std::span<const double> max_step, std::span<const double> max_lead, double rounding,
                 std::span<double> target, std::span<bool> is_cut);

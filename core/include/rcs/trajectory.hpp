@@ -18,9 +18,9 @@ struct MotionLimits {
   /// Throws `InvalidSetup` unless every vector has `dof` values, ranges ascend and limits are positive.
   void check(int dof) const;
 
-  /// How far a target may lead each joint [rad], when targets come every `period` [s]: what an arm at full speed needs to
-  /// stop, were it to brake at half of its acceleration, and what a target makes at full speed in two periods. A target
-  /// that leads by less slows the arm down; one that leads by more tells it nothing.
+  /// How far a target may lead each joint [rad], when targets come every `period` [s]: what an arm at full speed needs
+  /// to stop, were it to brake at half of its acceleration, and what a target makes at full speed in two periods. A
+  /// target that leads by less slows the arm down; one that leads by more tells it nothing.
   std::vector<double> lead(double period) const;
 };
 
@@ -69,8 +69,9 @@ class Trajectory {
   void follow(double* memory, const Step& step, double share);
   /// Begin anew from these positions and velocities.
   void put(double* memory, std::span<const double> joints, std::span<const double> velocities);
-  /// Brake to rest with this share of the acceleration, all joints together on a straight line where they can; joints that
-  /// brake already go on with it. The target becomes where they will come to rest, and the order to hold is carried out.
+  /// Brake to rest with this share of the acceleration, all joints together on a straight line where they can; joints
+  /// that brake already go on with it. The target becomes where they will come to rest, and the order to hold is
+  /// carried out.
   void brake(double* memory, double share);
   /// Let time pass [s]. At the end of the plan, the joints stand.
   void advance(double* memory, double time);

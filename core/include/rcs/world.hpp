@@ -72,8 +72,8 @@ class World {
   /// Have a motion lead its joints in every step. One that takes the user data of another is not added: that is
   /// returned.
   std::shared_ptr<Motion> add_motion(std::shared_ptr<Motion> motion);
-  /// What the next step of a copy would do to the joints of a motion; see `Motion::preview`. Throws `InvalidSetup` for a
-  /// motion that is not of this world, or a target of another size.
+  /// What the next step of a copy would do to the joints of a motion; see `Motion::preview`. Throws `InvalidSetup` for
+  /// a motion that is not of this world, or a target of another size.
   std::vector<double> preview(const std::shared_ptr<Motion>& motion, int copy, std::span<const double> target,
                               double tick);
   /// Call every `period` seconds of simulated time.

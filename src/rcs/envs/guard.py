@@ -1,8 +1,8 @@
 """A guard: no target reaches a device whose way there comes too near to anything.
 
-What is checked is what will be executed: where the arms are led in this step, each along its own trajectory, and where
-they then go while they brake to rest, in steps of at most 2 mm and 0.5 degrees (in C++). So there is always a way to stop
-that was found free. Where a robot stands too near already, it may move along and away, but no nearer.
+What is checked is what will be executed: where the arms are led in this step, each along its own trajectory, and
+where they then go while they brake to rest, in steps of at most 2 mm and 0.5 degrees (in C++). So there is always a
+way to stop that was found free. Where a robot stands too near already, it may move along and away, but no nearer.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class Guard(Gate):
         is_real = bool(parts.devices) or parts.setup.stepping == "realtime"
         self.deadline = self._deadline or (DEADLINE if is_real else math.inf)
         objects = parts.task.objects()
-        self._scene = scene = GuardedScene(
+        self._scene = GuardedScene(
             compose,
             parts.robots,
             world,
@@ -179,7 +179,7 @@ class Guard(Gate):
         else:
             part = self._part_of(0, here, fingers, goal)
             self._fraction = part.fraction
-            if part.why and (self.on_hit != "clip" or part.rest is not None):
+            if part.why and self.on_hit != "clip":
                 self._fraction = 0.0
                 refused = Refused(part.why)
                 refused.ends_episode = self.on_hit == "stop"
@@ -237,7 +237,8 @@ class Guard(Gate):
         count = len(ways[0])
         share = np.minimum(np.arange(count) / (count if self._is_synchronous else self._finger_places), 1.0)
         places = scene.places(ways, here + share[:, None] * (fingers - here))
-        places = np.concatenate([here[None], places[min(1, count - 1) :], places[-1:] + (fingers - here) * scene.finger_mask])
+        end = np.where(scene.finger_mask, fingers, places[-1])
+        places = np.concatenate([here[None], places[1:], end[None]])
         checks = [(scene.far, self._margin), (scene.near, self._near_margin)]  # they are made anew with the geometry
         for number, (checker, margin) in enumerate(checks):
             if why := self._first_hit((copy, number), checker, places, margin):

@@ -1,7 +1,7 @@
-"""What all arms are about to do, as a guard looks at it: where they are led in the next step and while they then brake.
+"""What all arms are about to do, as a guard looks at it: where they are led in a step and while they then brake.
 
-Simulated arms are asked: their motions say what the next step will be, to the bit. A real arm is followed by the same law
-of motion, from where it was measured last at rest and by the targets that it was sent.
+Simulated arms are asked: their motions say what the next step will be, to the bit. A real arm is followed by the same
+law of motion, from where it was measured last at rest and by the targets that it was sent.
 """
 
 from __future__ import annotations

@@ -167,9 +167,7 @@ class GuardedScene:
                 parts.append(lower + np.asarray(hand[HAND], np.float64) * (upper - lower))
         return np.concatenate(parts, axis=-1)
 
-    def places(
-        self, ways: Sequence[NDArray[np.float64]], fingers: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def places(self, ways: Sequence[NDArray[np.float64]], fingers: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return all joints along a way [rad, m], (n, dof).
 
         Args:

@@ -35,7 +35,9 @@ class SimRobot:
         self.layout = RobotLayout.of(robot, world.model)
         arm = robot.arm
         ids, first = self.layout, self.layout.motion
-        self.motion = world.core.add_motion(Motion(ids.joint_ids, ids.actuator_ids, first, arm.motion_limits, world.copies))
+        self.motion = world.core.add_motion(
+            Motion(ids.joint_ids, ids.actuator_ids, first, arm.motion_limits, world.copies)
+        )
         """Leads the arm to its targets."""
         assert world.userdata is not None, "the scene has given every arm its user data"
         self._target = world.userdata[..., first : first + arm.dof]

@@ -22,6 +22,8 @@ MOVES_NOTHING = 0.03
 """A joint that moves by less than this stands still [rad]: simulated servos settle, and a grasped thing gives way."""
 EXACT = 1e-3
 """A target that says "stay" is this close to the measured joints [rad]: inverse kinematics rounds."""
+BRAKING = 0.8
+"""Longest time in which an arm that was in motion is back where it was told to stay [s]."""
 PUSH = 0.3
 """By how much an arm is pushed [rad]."""
 REFUSALS = 8
@@ -101,8 +103,8 @@ class SafetyContract:
         raise NotImplementedError("override make_env and return a new environment")
 
     def let_time_pass(self, env: Env) -> None:
-        """Let half a second pass for the devices, without a step of the environment. To be overridden for devices."""
-        for _ in range(max(1, round(0.5 * env.scenario.world.frequency))):
+        """Let `BRAKING` pass for the devices, without a step of the environment. To be overridden for devices."""
+        for _ in range(max(1, round(BRAKING * env.scenario.world.frequency))):
             env.scenario.world.advance()
 
     def push(self, env: Env) -> None:
@@ -288,7 +290,8 @@ class SafetyContract:
         return breaks
 
     def require_that_all_stand_still(self, env: Env) -> None:
-        """Check that no joint moves while time passes."""
+        """Check that no joint moves while time passes, once it has braked."""
+        self.let_time_pass(env)
         before = joints_of(env)
         self.let_time_pass(env)
         for name, joints in joints_of(env).items():
@@ -296,11 +299,12 @@ class SafetyContract:
 
     def require_that_stay_moves_nothing(self, env: Env, where: dict[str, NDArray[np.float64]]) -> None:
         """Check that an action that says "stay" sends all joints where they are, and again."""
-        env.step(stay(env, lift(env)))
+        action = stay(env, lift(env))
+        env.step(action)
         for name, stack in chains_of(env).items():
             np.testing.assert_allclose(stack.executed[JOINTS], where[name], atol=EXACT, err_msg=name)
-        for _ in range(5):
-            env.step(stay(env, lift(env)))
+        for _ in range(round(BRAKING * env.setup.frequency)):
+            env.step(action)
         for name, joints in joints_of(env).items():
             np.testing.assert_allclose(joints, where[name], atol=MOVES_NOTHING, err_msg=name)
 

@@ -57,7 +57,7 @@ def test_relative_actions_add_up_on_a_foreign_environment() -> None:
 
 
 def test_layers_stack_and_their_info_is_added() -> None:
-    env = LayerWrapper(LayerWrapper(Foreign(), LimitStep(np.full(2, 0.2))), BinaryGripper())
+    env = LayerWrapper(LayerWrapper(Foreign(), LimitStep(np.full(2, 0.2), 0.6)), BinaryGripper())
     _, info = env.reset(seed=0)
     assert info == {"from": "reset"}
     *_, info = env.step({"joints": np.ones(2), "gripper": np.ones(1, np.float32)})
