@@ -42,10 +42,25 @@ def attach_end_effector(arm_spec: mujoco.MjSpec, arm: ArmDescription, gripper: E
         arm: Description of the arm.
         gripper: Description of the gripper or hand.
     """
-    flange = arm_spec.site(arm.flange_site)
-    on_flange = flange.parent.add_frame(pos=flange.pos, quat=flange.quat)
-    mounted = mount_frame(flange.parent, gripper.mount_in_flange, inside=on_flange)
+    on_flange = flange_frame(arm_spec, arm)
+    mounted = mount_frame(on_flange.parent, gripper.mount_in_flange, inside=on_flange)
     arm_spec.attach(load(gripper), frame=mounted, prefix=GRIPPER_PREFIX)
+
+
+def flange_frame(arm_spec: mujoco.MjSpec, arm: ArmDescription) -> mujoco.MjsFrame:
+    """Add a frame at the flange of an arm, to the body that has the flange."""
+    flange = arm_spec.site(arm.flange_site)
+    frame = flange.parent.add_frame(pos=flange.pos, quat=quaternion_of(flange, arm_spec))
+    if flange.frame is not None:
+        frame.set_frame(flange.frame)
+    return frame
+
+
+def quaternion_of(element: mujoco.MjsSite | mujoco.MjsGeom, spec: mujoco.MjSpec) -> list[float]:
+    """Return the orientation (wxyz) of an element, in whichever way its file gives it."""
+    if element.alt.type == mujoco.mjtOrientation.mjORIENTATION_QUAT:
+        return list(element.quat)
+    return spec.resolve_orientation(spec.compiler.degree, spec.compiler.eulerseq, element.alt)
 
 
 def mount_frame(body: mujoco.MjsBody, mount: Mount, *, inside: mujoco.MjsFrame | None = None) -> mujoco.MjsFrame:
