@@ -394,6 +394,53 @@ def test_ctrl_c_finishes_cleanly_and_the_same_command_goes_on(tmp_path: Path, wo
     assert len(Dataset.open(out)) == kept + 1
 
 
+def workers_of(pid: int) -> list[int]:
+    """Return the worker processes of a process, from when they are started on."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [int(child) for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are found in /proc")
+@pytest.mark.slow
+@pytest.mark.parametrize(("verb", "after"), [("collect", 0.0), ("eval", 0.3)])
+def test_ctrl_c_while_workers_start_ends_as_at_any_other_time(tmp_path: Path, verb: str, after: float) -> None:
+    options = ["--cameras", "none", "--episodes", "500", "--workers", "2", "--out", str(tmp_path / "out")]
+    process = subprocess.Popen(
+        [*RCS, verb, "PickCuboid", *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 60.0
+    while not workers_of(process.pid) and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.002)
+    time.sleep(after)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers too
+    told, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, told
+    assert "Ending after the episodes at work" in told
+    assert "Traceback" not in told
+
+
+def test_ctrl_c_while_a_command_is_imported_ends_without_a_word(tmp_path: Path) -> None:
+    # Extensions that are interrupted while they start raise an ImportError.
+    (tmp_path / "slow_verb.py").write_text(
+        "import time\n"
+        "print('importing', flush=True)\n"
+        "try:\n    time.sleep(60.0)\nexcept KeyboardInterrupt as err:\n    raise ImportError('failed') from err\n"
+    )
+    program = "from rcs_data.cli.program import Program; Program('rcs', {'slow': 'slow_verb:Slow'}, '1').main(['slow'])"
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "importing\n"
+    process.send_signal(signal.SIGINT)
+    told, complaint = process.communicate(timeout=60)
+    assert (process.returncode, told, complaint) == (130, "", "")
+
+
 @pytest.mark.parametrize("words", [["--help"], ["collect", "--help"], ["--version"], ["list"]])
 def test_a_reader_that_goes_away_ends_the_command_quietly(words: list[str]) -> None:
     command = [*RCS, *words]

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rcs_data import DatasetWriter
 from rcs_data.cli.console import plain_console
+from rcs_data.cli.program import INTERRUPTED
 from rcs_data.view import write_report
 from rich.console import Console
 
-from rcs.cli.runs import INTERRUPTED, SetupOptions, interruptible, results_table, show
+from rcs.cli.runs import SetupOptions, interruptible, results_table, show
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup

@@ -31,9 +31,6 @@ from rcs.sim.detail import Assets
 from rcs.sim.randomisation import Preset, Randomisation
 from rcs.sim.world import Stepping
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
-
 ENDING = "Ending after the episodes at work; Ctrl-C again ends at once."
 """What is told at the first Ctrl-C."""
 
