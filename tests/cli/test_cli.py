@@ -24,6 +24,7 @@ from rcs.setups.ids import ids
 from rcs.setups.lab import lab_of
 
 ROOT = Path(__file__).parents[2]
+HOME = (0.0, -0.7854, 0.0, -2.3562, 0.0, 1.5708, 0.7854)
 RCS = [sys.executable, "-c", "from rcs.cli.main import main; main()"]
 
 
@@ -376,6 +377,39 @@ def test_an_output_folder_that_is_a_file_is_refused(capsys: pytest.CaptureFixtur
     code, told = call(capsys, "collect", "PickCuboid", "--cameras", "none", "--out", str(tmp_path / "file"))
     assert code == 1
     assert "DatasetError" in told
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["eval", "PickCuboid", "--episodes", "1", "--workers", "1", "--out"],
+        ["run", "--policy", "vla://127.0.0.1:1", "--out"],
+        ["calibrate", "hand-eye", "--views", "4", "--out"],
+        ["calibrate", "intrinsics", "--views", "4", "--out"],
+        ["plan", "PickCuboid", "--goal", *map(str, HOME), "--out"],
+        ["gallery", "--out"],
+        ["ik", "fr3", "--pose", "0.4", "0", "0.3", "3.1416", "0", "0", "--picture"],
+        ["data", "sample", "DATASET", "--out"],
+        ["data", "sample", "DATASET", "--png"],
+        ["data", "view", "DATASET", "--out"],
+        ["data", "view", "DATASET", "--rerun"],
+    ],
+    ids=lambda words: "-".join(word for word in words if word.isalpha() or word.startswith("--")),
+)
+def test_an_output_that_cannot_be_written_ends_a_command_before_its_work(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, dataset: Path, words: list[str]
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    given = [str(dataset) if word == "DATASET" else word for word in words]
+    with pytest.raises(SystemExit) as ended:
+        main([*given, str(tmp_path / "file" / "out.mp4")])
+    captured = capsys.readouterr()
+    assert ended.value.code == 1
+    assert captured.out == "", "no work was done"
+    assert captured.err.startswith("error: DatasetError: Could not write in")
+    assert "Not a directory" in captured.err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
     assert (tmp_path / "file").read_text() == "mine"
 
 

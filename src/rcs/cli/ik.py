@@ -10,6 +10,7 @@ import tyro
 from numpy.typing import NDArray
 from rcs_data.cli.console import plain_console
 from rcs_data.convert.png import encode_png
+from rcs_data.output import require_writable
 from rich.console import Console
 from rich.table import Table
 
@@ -50,6 +51,8 @@ class IkCommand:
 
     def run(self) -> int:
         """Solve and print."""
+        if self.picture is not None:
+            require_writable(self.picture, is_file=True)
         setup = Setup(task="Free", robot=self.robot, end_effector=self.end_effector)
         robots = resolve(setup).robots
         if len(robots) != 1:
@@ -64,6 +67,7 @@ class IkCommand:
         console = plain_console()
         _print(console, robot, kinematics, found)
         if self.picture is not None:
+            self.picture.parent.mkdir(parents=True, exist_ok=True)
             self.picture.write_bytes(encode_png(_drawn(setup, found.joints)))
             console.print(f"Picture: {self.picture}")
         return 0 if found.status in FOUND else 1

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rcs_data.cli.console import plain_console
 from rcs_data.convert.png import encode_png
+from rcs_data.output import require_writable
 
 from rcs.cli.runs import SetupOptions
 from rcs.envs.env import Env
@@ -60,6 +61,7 @@ class PlanCommand(SetupOptions):
             raise InvalidSetup("Give where to go: either --goal with joints, or --pose with x y z roll pitch yaw.")
         if self.out.suffix not in (".mp4", ".png"):
             raise InvalidSetup(f"out is {str(self.out)!r}; valid are files that end in .mp4 or .png.")
+        require_writable(self.out, is_file=True)
         console = plain_console()
         goal = np.array(self.goal) if self.pose is None else Pose.from_rpy(self.pose[:3], self.pose[3:])
         with make(self.setup()) as env:

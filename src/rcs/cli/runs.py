@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Protocol
 
 import tyro
+from rcs_data.output import require_writable
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -33,6 +34,10 @@ from rcs.sim.world import Stepping
 
 ENDING = "Ending after the episodes at work; Ctrl-C again ends at once."
 """What is told at the first Ctrl-C."""
+
+
+USUAL_FOLDER = Path("evaluation")
+"""Folder of an evaluation for which none is given; with a number where it is taken."""
 
 
 @dataclass(kw_only=True)
@@ -189,8 +194,6 @@ class RunOptions(ActorOptions):
     """Run the processes with Ray, on this machine if there is no `--ray-address`; needs the extra `ray`."""
     ray_address: str | None = None
     """Address of a Ray cluster for the processes: `auto` for the one that this machine is a part of, or `host:port`."""
-    out: Path
-    """Folder for what the command makes."""
 
     @property
     def processes(self) -> int:
@@ -209,6 +212,27 @@ class RunOptions(ActorOptions):
     def cluster(self) -> str | None:
         """Address of the Ray cluster; None for processes without Ray."""
         return self.ray_address or (LOCAL if self.ray else None)
+
+
+def evaluation_folder(given: Path | None) -> Path:
+    """Return a folder for an evaluation that nothing is in, so that none is mixed with another.
+
+    Args:
+        given: The folder that is asked for; None for the usual one.
+
+    Raises:
+        InvalidSetup: Something is in the folder that is given.
+        DatasetError: It cannot be written.
+    """
+    folder = given or USUAL_FOLDER
+    number = 1
+    while given is None and os.path.lexists(folder):
+        number += 1
+        folder = USUAL_FOLDER.with_name(f"{USUAL_FOLDER.name}-{number}")
+    if folder.is_dir() and any(folder.iterdir()):
+        raise InvalidSetup(f"{folder} is not empty, and an evaluation has a folder of its own. Choose another --out.")
+    require_writable(folder)
+    return folder
 
 
 def option_of_task(given: str) -> tuple[str, Any]:
