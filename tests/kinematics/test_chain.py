@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from rcs.kinematics import kinematics_of, load
+from rcs.kinematics import IkOptions, IkStatus, kinematics_of, load
 from rcs.robots.fr3.description import FR3
 from rcs.robots.franka_hand.description import FRANKA_HAND
 from rcs.sim.scene import LOAD, RobotPlacement, Scene
@@ -30,6 +30,17 @@ def test_kinematics_know_what_was_added() -> None:
     home = np.array(FR3.home)
     rise = kinematics_of(FR3).forward(home).translation - kinematics_of(arm).forward(home).translation
     assert abs(rise[2] - (0.3 - 0.107)) < 1e-9  # the hand points down; the flange is 0.107 m beyond link7
+
+
+def test_limits_are_those_of_the_description_where_the_file_allows_more() -> None:
+    lower, upper = np.array(FR3.home) - 0.3, np.array(FR3.home) + 0.3
+    kinematics = kinematics_of(dataclasses.replace(FR3, joint_lower=tuple(lower), joint_upper=tuple(upper)))
+    np.testing.assert_array_equal(kinematics.joint_lower, lower)
+    np.testing.assert_array_equal(kinematics.joint_upper, upper)
+    far = kinematics_of(FR3).forward(np.array(FR3.home) + 0.5)
+    assert kinematics_of(FR3).inverse(far, np.array(FR3.home)).status == IkStatus.ok
+    nearest = kinematics.inverse(far, np.array(FR3.home), IkOptions(best_effort=True, restarts=0))
+    assert (lower <= nearest.joints).all() and (nearest.joints <= upper).all()
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import time
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from rcs.setups.lab import lab_of
 from rcs.sim.detail import Assets
 from rcs.sim.randomisation import Preset, Randomisation
 from rcs.sim.world import Stepping
+from rcs.spatial import Pose
 
 ENDING = "Ending after the episodes at work; Ctrl-C again ends at once."
 """What is told at the first Ctrl-C."""
@@ -212,6 +214,17 @@ class RunOptions(ActorOptions):
     def cluster(self) -> str | None:
         """Address of the Ray cluster; None for processes without Ray."""
         return self.ray_address or (LOCAL if self.ray else None)
+
+
+def pose_of(given: Sequence[float]) -> Pose:
+    """Return the pose that `--pose` gives as x y z [m], roll pitch yaw [rad].
+
+    Raises:
+        InvalidSetup: A number is not finite.
+    """
+    if not all(map(math.isfinite, given)):
+        raise InvalidSetup(f"--pose is {' '.join(map(str, given))}; valid are six finite numbers.")
+    return Pose.from_rpy(given[:3], given[3:])
 
 
 def evaluation_folder(given: Path | None) -> Path:

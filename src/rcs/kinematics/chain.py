@@ -102,6 +102,10 @@ def kinematics_of(
         attach_end_effector(spec, arm, gripper)
         tcp = GRIPPER_PREFIX + gripper.tcp_site
     model = spec.compile()
+    # What devices and action spaces check; the file may allow more.
+    for name, *limits in zip(arm.joints, arm.joint_lower, arm.joint_upper, strict=True):
+        model.joint(name).range[:] = limits
+        model.jnt_limited[model.joint(name).id] = True
     joints = [model.joint(name).id for name in arm.joints]
     site, base = model.site(tcp).id, model.body(arm.base_body).id
     if backend == "mujoco":
