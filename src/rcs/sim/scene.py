@@ -13,7 +13,7 @@ import numpy as np
 
 from rcs._core import Trajectory
 from rcs.errors import InvalidSetup
-from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, flange_frame, load, mount_frame
+from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, compiled, flange_frame, load, mount_frame
 from rcs.robots.calibration import CameraCalibration
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
 from rcs.sim.detail import Assets, exchange_visuals
@@ -342,9 +342,12 @@ class Scene:
         """Compile the model; warn about robots whose servos cannot carry their weight.
 
         Raises:
-            InvalidSetup: A robot's base is not where it was placed, because its file gives it a pose.
+            InvalidSetup: A part cannot be compiled, or a robot's base is not where it was placed, because its file
+                gives it a pose.
         """
-        model = self.spec.compile()
+        arms = [robot.arm for robot in self.robots]
+        effectors = [robot.end_effector for robot in self.robots if robot.end_effector is not None]
+        model = compiled(self.spec, [*arms, *effectors, *(camera.camera for camera in self.cameras)])
         for robot in self.robots:
             check_robot(robot, model)
         return model
