@@ -87,6 +87,39 @@ def test_public_names_are_listed_and_others_are_refused_with_them() -> None:
         _ = rcs.make_vecs
 
 
+SCRIPT = """
+import pickle
+import cloudpickle
+import gymnasium
+import rcs, rcs_data
+
+def env():
+    return gymnasium.wrappers.FlattenObservation(rcs.make("PickCuboid", max_episode_steps=2))
+
+def names():
+    return rcs.Pose.__name__, rcs_data.Dataset.__name__, rcs.envs.Layer.__name__
+
+if __name__ == "__main__":
+    assert pickle.loads(cloudpickle.dumps(names))() == ("Pose", "Dataset", "Layer")
+    if {has_processes}:
+        envs = gymnasium.vector.AsyncVectorEnv([env, env], context="spawn", shared_memory=False)
+        envs.reset(seed=0)
+        envs.step(envs.action_space.sample())
+        envs.close()
+    print("done")
+"""
+
+
+@pytest.mark.parametrize("has_processes", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_functions_of_a_script_that_use_the_packages_can_be_sent_to_other_processes(
+    tmp_path: Path, has_processes: bool
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(has_processes=has_processes))
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr
+
+
 def test_all_places_tell_the_same_version() -> None:
     root = Path(__file__).parents[1]
     version = tomllib.loads((root / "pyproject.toml").read_text())["project"]["version"]

@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import importlib
 import inspect
+import pickle
 import pkgutil
 import re
 from collections.abc import Iterator
@@ -81,6 +82,12 @@ def test_every_name_that_a_package_lists_is_there(package: str) -> None:
     assert dir(module) == sorted(module.__all__)
     assert [name for name in module.__all__ if getattr(module, name, None) is None] == []
     assert [name for name in module.__all__ if name.startswith("_") and name != "__version__"] == []
+
+
+@pytest.mark.parametrize("package", LAZY)
+def test_a_package_is_pickled_as_its_name(package: str) -> None:
+    module = importlib.import_module(package)
+    assert pickle.loads(pickle.dumps(module)) is module
 
 
 def test_a_name_means_the_same_in_every_package() -> None:

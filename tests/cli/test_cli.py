@@ -24,6 +24,7 @@ from rcs.setups.ids import ids
 from rcs.setups.lab import lab_of
 
 ROOT = Path(__file__).parents[2]
+HOME = (0.0, -0.7854, 0.0, -2.3562, 0.0, 1.5708, 0.7854)
 RCS = [sys.executable, "-c", "from rcs.cli.main import main; main()"]
 
 
@@ -255,6 +256,43 @@ def test_list_names_the_modes_of_every_camera(capsys: pytest.CaptureFixture[str]
     assert ["usb_webcam", "640x480", "5,", "10,", "15,", "20,", "25,", "~30", "609.3", "-"] in rows
 
 
+def test_list_names_what_is_broken_in_a_package_and_goes_on(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    about = tmp_path / "torn_robot-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: torn-robot\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        "[rcs.arms]\ngone = torn_robot.gone:ARM\nfails = torn_robot.fails:ARM\nother = torn_robot:A_TEXT\n"
+        "[rcs.cameras]\ngone_camera = torn_robot.gone:CAMERA\n"
+        "[rcs.tasks]\nNoClass = torn_robot:NoClass\nNoSyntax = torn_robot.fails:Task\nFine = torn_robot:Fine\n"
+    )
+    package = tmp_path / "torn_robot"
+    package.mkdir()
+    (package / "__init__.py").write_text("A_TEXT = 'no arm'\nclass Fine:\n    'Do well.'\n")
+    (package / "fails.py").write_text("class Task\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    code, told = call(capsys, "list")
+    assert code == 0, told
+    words = " ".join(told.split())
+    for name, reason in (
+        ("arm gone", "ModuleNotFoundError: No module named 'torn_robot.gone'"),
+        ("arm fails", "SyntaxError: expected ':'"),
+        ("arm other", "AttributeError: 'str' object has no attribute 'label'"),
+        ("camera gone_camera", "ModuleNotFoundError"),
+        ("task NoClass", "AttributeError: module 'torn_robot' has no attribute 'NoClass'"),
+        ("task NoSyntax", "SyntaxError: expected ':'"),
+    ):
+        assert f"{name} broken: torn_robot" in words
+        assert f"of the package torn-robot: {reason}" in words
+    assert "task Fine Do well." in words
+    assert "arm fr3 Franka Research 3" in words
+    code, told = call(capsys, "list", "--cameras")
+    assert code == 0
+    assert "gone_camera broken; see `rcs list`" in " ".join(told.split())
+    assert "realsense_d435" in told
+
+
 def test_doctor_tells_which_backend_draws_and_why_and_all_extras(capsys: pytest.CaptureFixture[str]) -> None:
     code, told = call(capsys, "doctor")
     assert "GL egl" in told
@@ -342,6 +380,39 @@ def test_an_output_folder_that_is_a_file_is_refused(capsys: pytest.CaptureFixtur
     assert (tmp_path / "file").read_text() == "mine"
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["eval", "PickCuboid", "--episodes", "1", "--workers", "1", "--out"],
+        ["run", "--policy", "vla://127.0.0.1:1", "--out"],
+        ["calibrate", "hand-eye", "--views", "4", "--out"],
+        ["calibrate", "intrinsics", "--views", "4", "--out"],
+        ["plan", "PickCuboid", "--goal", *map(str, HOME), "--out"],
+        ["gallery", "--out"],
+        ["ik", "fr3", "--pose", "0.4", "0", "0.3", "3.1416", "0", "0", "--picture"],
+        ["data", "sample", "DATASET", "--out"],
+        ["data", "sample", "DATASET", "--png"],
+        ["data", "view", "DATASET", "--out"],
+        ["data", "view", "DATASET", "--rerun"],
+    ],
+    ids=lambda words: "-".join(word for word in words if word.isalpha() or word.startswith("--")),
+)
+def test_an_output_that_cannot_be_written_ends_a_command_before_its_work(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, dataset: Path, words: list[str]
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    given = [str(dataset) if word == "DATASET" else word for word in words]
+    with pytest.raises(SystemExit) as ended:
+        main([*given, str(tmp_path / "file" / "out.mp4")])
+    captured = capsys.readouterr()
+    assert ended.value.code == 1
+    assert captured.out == "", "no work was done"
+    assert captured.err.startswith("error: DatasetError: Could not write in")
+    assert "Not a directory" in captured.err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert (tmp_path / "file").read_text() == "mine"
+
+
 def start(out: Path, *arguments: str, limit: int | None = None) -> subprocess.Popen[str]:
     def set_limit() -> None:
         if limit is not None:
@@ -392,6 +463,53 @@ def test_ctrl_c_finishes_cleanly_and_the_same_command_goes_on(tmp_path: Path, wo
     told, _ = again.communicate(timeout=60)
     assert again.returncode == 0, told
     assert len(Dataset.open(out)) == kept + 1
+
+
+def workers_of(pid: int) -> list[int]:
+    """Return the worker processes of a process, from when they are started on."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [int(child) for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are found in /proc")
+@pytest.mark.slow
+@pytest.mark.parametrize(("verb", "after"), [("collect", 0.0), ("eval", 0.3)])
+def test_ctrl_c_while_workers_start_ends_as_at_any_other_time(tmp_path: Path, verb: str, after: float) -> None:
+    options = ["--cameras", "none", "--episodes", "500", "--workers", "2", "--out", str(tmp_path / "out")]
+    process = subprocess.Popen(
+        [*RCS, verb, "PickCuboid", *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 60.0
+    while not workers_of(process.pid) and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.002)
+    time.sleep(after)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to workers too
+    told, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, told
+    assert "Ending after the episodes at work" in told
+    assert "Traceback" not in told
+
+
+def test_ctrl_c_while_a_command_is_imported_ends_without_a_word(tmp_path: Path) -> None:
+    # Extensions that are interrupted while they start raise an ImportError.
+    (tmp_path / "slow_verb.py").write_text(
+        "import time\n"
+        "print('importing', flush=True)\n"
+        "try:\n    time.sleep(60.0)\nexcept KeyboardInterrupt as err:\n    raise ImportError('failed') from err\n"
+    )
+    program = "from rcs_data.cli.program import Program; Program('rcs', {'slow': 'slow_verb:Slow'}, '1').main(['slow'])"
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "importing\n"
+    process.send_signal(signal.SIGINT)
+    told, complaint = process.communicate(timeout=60)
+    assert (process.returncode, told, complaint) == (130, "", "")
 
 
 @pytest.mark.parametrize("words", [["--help"], ["collect", "--help"], ["--version"], ["list"]])

@@ -50,6 +50,22 @@ def test_options_of_the_task_and_layers_are_part_of_the_setup(
     assert (setup["frequency"], setup["relative"]) == (20.0, "absolute")
 
 
+def test_no_evaluation_is_mixed_with_another(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for folder in ("evaluation", "evaluation-2", "evaluation-3"):
+        code, told = call(capsys, "PickCuboid", "--episodes", "1", "--workers", "1")
+        assert code == 0
+        assert f"{folder}/evaluation.json" in told
+    before = (tmp_path / "evaluation" / "evaluation.json").read_bytes()
+    code, told = call(capsys, "PickCuboid", "--episodes", "2", "--workers", "1", "--out", "evaluation")
+    assert code == 1
+    assert "evaluation is not empty" in told
+    assert "another --out" in told
+    assert (tmp_path / "evaluation" / "evaluation.json").read_bytes() == before
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

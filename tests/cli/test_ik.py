@@ -43,11 +43,13 @@ def test_the_elbow_is_where_it_is_wanted(capsys: pytest.CaptureFixture[str]) -> 
     assert "elbow: 0.4" in text or "elbow: 0.39" in text
 
 
-def test_what_is_out_of_reach_has_exit_code_1_and_a_residual(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_out_of_reach_has_exit_code_1_and_no_joints_but_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     far = ("3", "0", "0.5", "0", "0", "0")
     code, text = call(capsys, "ur5e", "--pose", *far)
     assert code == 1
     assert "status: infeasible" in text
+    assert "--nearest" in text
+    assert joints_in(text).size == 0, "no joints look like an answer"
     code, text = call(capsys, "ur5e", "--pose", *far, "--nearest")
     assert code == 1
     assert "status: nearest" in text
@@ -56,10 +58,20 @@ def test_what_is_out_of_reach_has_exit_code_1_and_a_residual(capsys: pytest.Capt
 
 def test_an_arm_with_five_joints_leans_where_it_cannot_turn(capsys: pytest.CaptureFixture[str]) -> None:
     code, text = call(capsys, "so101", "--pose", "0.25", "0.05", "0.1", "0", "1.57", "0")
-    assert code == 0
+    assert code == 1
+    assert "status: nearest" in text
     translation, rotation = map(float, re.findall(r"residual: ([\d.]+) mm, ([\d.]+) mrad", text)[0])
     assert translation < 0.5
     assert rotation > 1.0
+
+
+def test_an_arm_with_five_joints_meets_a_pose_that_it_can_reach(capsys: pytest.CaptureFixture[str]) -> None:
+    arm, gripper = lookup.find("arm", "so101"), lookup.find("gripper", "so101_gripper")
+    pose = kinematics_of(arm, gripper).forward(np.array(arm.home) + 0.1)
+    numbers = [*pose.translation, *pose.rpy]
+    code, text = call(capsys, "so101", "--pose", *map(str, numbers))
+    assert code == 0
+    assert "status: ok" in text
 
 
 @pytest.mark.gl
@@ -78,6 +90,11 @@ def test_a_picture_is_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
         (("ur5e", "--pose", *POSE, "--start", "1", "2"), "has 6 joints"),
         (("ur5e", "--pose", *POSE, "--elbow", "0.1"), "only with 7 the elbow moves"),
         (("nobody", "--pose", *POSE), "nobody"),
+        (("ur5e", "--pose", "0.4", "0", "0.3", "nan", "0", "0"), "--pose is 0.4 0.0 0.3 nan 0.0 0.0; valid are six"),
+        (("ur5e", "--pose", "inf", "0", "0.3", "0", "0", "0"), "six finite numbers"),
+        (("fr3", "--pose", *POSE, "--elbow", "nan"), "--elbow is nan"),
+        (("ur5e", "--pose", *POSE, "--start", "0", "9", "0", "0", "0", "0"), "shoulder_lift_joint is 9.0; valid is -"),
+        (("ur5e", "--pose", *POSE, "--start", "nan", "0", "0", "0", "0", "0"), "shoulder_pan_joint is nan"),
     ],
 )
 def test_what_makes_no_sense_is_refused(
@@ -85,4 +102,5 @@ def test_what_makes_no_sense_is_refused(
 ) -> None:
     code, text = call(capsys, *arguments)
     assert code != 0
-    assert told in text
+    assert "Traceback" not in text
+    assert told in " ".join(text.split())

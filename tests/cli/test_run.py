@@ -104,6 +104,15 @@ def test_a_policy_that_is_gone_ends_the_run_with_figures_of_the_episodes_before(
     assert [episode.success for episode in Dataset.open(data).episodes] == [False]
 
 
+def test_the_page_of_a_run_is_not_written_beside_another_evaluation(
+    address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "000000.mp4").write_bytes(b"a film of another agent")
+    assert rcs("run", "--policy", address, "--episodes", "1", "--out", str(tmp_path)) == 1
+    assert "another --out" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["000000.mp4"]
+
+
 def test_eval_takes_an_address_for_an_agent(address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--agent", address, "--episodes", "1", "--out", str(tmp_path), "--workers", "1"]
     assert rcs("eval", "PickCuboid", *options) == 1

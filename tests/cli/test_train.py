@@ -66,17 +66,18 @@ def test_the_same_command_and_resume_find_it_done(capsys: pytest.CaptureFixture[
 def test_a_checkpoint_is_evaluated_in_its_own_environment(
     capsys: pytest.CaptureFixture[str], run: Path, tmp_path: Path
 ) -> None:
-    code, told = call(capsys, "eval", str(run), "--episodes", "3", "--out", str(tmp_path))
+    code, told = call(capsys, "eval", str(run), "--episodes", "3", "--out", str(tmp_path / "a"))
     assert code == 0, told
     assert f"Policy: {run}/checkpoints/" in told
     assert "a batch of 3 copies" in told
-    figures = json.loads((tmp_path / "evaluation.json").read_text())
+    figures = json.loads((tmp_path / "a" / "evaluation.json").read_text())
     assert figures["setup"]["max_episode_steps"] == 6
     assert figures["setup"]["observe"] == ["privileged", "contacts"]
     assert [result["steps"] for result in figures["results"]] == [6, 6, 6]
-    code, told = call(capsys, "eval", "PickCuboid", "--agent", str(run), "--episodes", "3", "--out", str(tmp_path))
+    out = tmp_path / "b"
+    code, told = call(capsys, "eval", "PickCuboid", "--agent", str(run), "--episodes", "3", "--out", str(out))
     assert code == 0, told
-    assert json.loads((tmp_path / "evaluation.json").read_text())["results"] == figures["results"]
+    assert json.loads((out / "evaluation.json").read_text())["results"] == figures["results"]
 
 
 def test_another_agent_is_evaluated_in_the_environment_of_a_checkpoint(

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from rcs.devices import lookup
-from rcs.errors import UnknownName
+from rcs.errors import InvalidSetup, UnknownName
 from rcs.robots.fr3.description import FR3
 
 
@@ -44,3 +46,15 @@ def test_a_name_like_no_other_gives_no_match() -> None:
 def test_the_group_of_policies_has_a_plural_of_its_own() -> None:
     with pytest.raises(UnknownName, match=r"rcs\.policies"):
         lookup.find("policy", "none")
+
+
+def test_what_a_package_names_and_cannot_be_imported_is_told_with_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    about = tmp_path / "torn-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: torn\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[rcs.tasks]\nTorn = torn.gone:Task\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InvalidSetup, match=r"The task 'Torn' is 'torn.gone:Task' of the package 'torn'.*No module"):
+        lookup.find("task", "Torn")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.robots.fr3.description import FR3
+from rcs.tasks import Free, add_box
 from rcs.testing.env_contract import EnvContract, require_same_bits
 
 ALL = ("torques", "wrench", "contacts", "privileged")
@@ -199,3 +200,31 @@ def test_the_port_of_objects_needs_a_task_with_objects() -> None:
     env: Any = rcs.make("Free")
     with pytest.raises(InvalidSetup, match="has no objects"):
         PrivilegedPort(env.scenario.world, env.scenario.robots, env.scenario.task)
+
+
+class Blocks(Free):
+    """Has a body, and tells the poses that a test wants."""
+
+    told: ClassVar[dict[str, Any]] = {}
+
+    def furnish(self, scene: Any) -> None:
+        scene.add_table()
+        add_box(scene, "block", (0.5, 0.0), edges=(0.04, 0.04, 0.04), mass=0.05, rgb=(0.8, 0.2, 0.1))
+
+    def objects(self) -> list[str]:
+        return ["block"]
+
+    def object_poses(self) -> dict[str, Any]:
+        return type(self).told
+
+
+def test_a_task_that_tells_no_poses_of_its_objects_is_told_how_to() -> None:
+    Blocks.told = {}
+    with pytest.raises(InvalidSetup, match=r"Blocks.object_poses, which it does not define; it has 'block' in objects"):
+        rcs.make(Blocks, observe=("privileged",))
+    Blocks.told = {"blok": np.zeros(7)}
+    with pytest.raises(InvalidSetup, match=r"names 'blok', and the scene has no body of that name; it has block"):
+        rcs.make(Blocks, observe=("privileged",))
+    Blocks.told = {"block": np.array([0.5, 0.0, 0.02, 0.0, 0.0, 0.0, 1.0])}
+    with rcs.make(Blocks, observe=("privileged",)) as env:
+        assert env.reset(seed=0)[0]["privileged"]["block"]["tquat"].shape == (7,)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pytest
 
+import rcs
 from rcs.envs.draws import Draws
 from rcs.envs.task import Area, Judgement, Task
 from rcs.errors import InvalidSetup
+from rcs.tasks import Free
 
 
 class Sorting(Task):
@@ -77,3 +79,51 @@ def test_places_lie_in_the_area_and_differ_between_copies() -> None:
     assert (np.abs(places - [0.4, -0.1, 0.0]) <= [0.1, 0.05, 0.5]).all()
     assert (np.ptp(places, axis=0) > [0.19, 0.095, 0.95]).all()
     np.testing.assert_array_equal(area.draw_place(Draws(7, 0), 0.5), places[7])
+
+
+class Judged(Free):
+    """Judges as a test says, from the second judgement on."""
+
+    judgement: ClassVar[Any] = None
+
+    def bind(self, world: Any, robots: Any) -> None:
+        super().bind(world, robots)
+        self._world = world
+
+    def evaluate(self) -> Any:
+        began = self._world.time > 0.0
+        return type(self).judgement(self._world.leading) if np.any(began) else Judgement()
+
+
+def judge(make: Any, judgement: Any) -> None:
+    Judged.judgement = staticmethod(judgement)
+    env = make(Judged)
+    try:
+        env.reset(seed=0)
+        env.step(env.action_space.sample())
+    finally:
+        env.close()
+
+
+both = pytest.mark.parametrize("make", [rcs.make, lambda task: rcs.make_vec(task, copies=3)], ids=["one", "copies"])
+
+
+@both
+def test_a_progress_that_is_no_number_is_refused_with_the_name_of_the_task(make: Any) -> None:
+    with pytest.raises(InvalidSetup, match=r"Judged\.evaluate leads to a reward that is not finite.*progress.*nan"):
+        judge(make, lambda leading: Judgement(progress=np.full(leading, np.nan)))
+    with pytest.raises(InvalidSetup, match=r"Judged\.evaluate leads to a reward that is not finite.*reward.*inf"):
+        judge(make, lambda leading: Judgement(reward=np.full(leading, np.inf)))
+
+
+@both
+def test_a_progress_of_another_shape_is_refused(make: Any) -> None:
+    with pytest.raises(InvalidSetup, match=r"Judged\.evaluate leads to a reward of the shape \(2,.*; valid is \("):
+        judge(make, lambda leading: Judgement(progress=np.zeros((2, *leading))))
+
+
+@both
+@pytest.mark.parametrize("judgement", [3, None, {"success": True}])
+def test_what_is_no_judgement_is_refused_with_the_name_of_the_task(make: Any, judgement: Any) -> None:
+    with pytest.raises(InvalidSetup, match=r"Judged\.evaluate returned .*; valid is a Judgement"):
+        judge(make, lambda leading: judgement)

@@ -19,7 +19,7 @@ def test_figures_and_films_are_on_the_page_and_words_are_words(tmp_path: Path) -
         horizon=16, rate=30.0,
     )  # fmt: skip
     setup = SimpleNamespace(task="PickCuboid", robot="fr3", frequency=30.0, stepping="async", cameras=(EVIL,))
-    evaluation = SimpleNamespace(setup=setup, agent_name=f"vla://{EVIL}", seed=0, first_seed=0, out=tmp_path)
+    evaluation = SimpleNamespace(setup=setup, agent_name=f"vla://{EVIL}", seed=0, first_seed=0, videos=2, out=tmp_path)
     results = [
         SimpleNamespace(
             seed=i,
@@ -36,6 +36,9 @@ def test_figures_and_films_are_on_the_page_and_words_are_words(tmp_path: Path) -
         attempts=[SimpleNamespace(number=0), SimpleNamespace(number=1)],
     )  # fmt: skip
     page: Any = policy_report._page
+    evaluation.videos = 1
+    assert "<video" not in page(evaluation, summary, metadata, {}), "what it has not filmed is not its own"
+    evaluation.videos = 2
     text = page(evaluation, summary, metadata, {"mode": EVIL})
     assert "<img" not in text
     assert text.count("<video") == 1

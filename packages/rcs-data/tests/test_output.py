@@ -14,7 +14,7 @@ from rcs_data import Dataset, durable, edit
 from rcs_data.convert.lerobot import export_lerobot
 from rcs_data.convert.lerobot_import import import_lerobot
 from rcs_data.errors import DatasetError
-from rcs_data.output import new_output, remove_leftovers
+from rcs_data.output import new_output, remove_leftovers, require_writable
 
 DYING = """
 import os, sys, signal
@@ -142,3 +142,29 @@ def test_nothing_is_put_among_the_episodes_of_a_dataset(dataset: Path) -> None:
         with pytest.raises(DatasetError, match="among the episodes of"), new_output(place):
             pass
     assert sorted(dataset.rglob("*")) == before
+
+
+def test_what_can_be_written_is_found_out_and_nothing_is_left(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    for path in (tmp_path, tmp_path / "new", tmp_path / "new" / "deep"):
+        require_writable(path)
+    for path in (tmp_path / "file", tmp_path / "new.json", tmp_path / "new" / "deep.json"):
+        require_writable(path, is_file=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("path", "is_file", "words"),
+    [
+        ("file", False, "Not a directory"),
+        ("file/deep/folder", False, "Not a directory"),
+        ("file/new.json", True, "Not a directory"),
+        (".", True, "is a folder"),
+        ("/proc/none/folder", False, "No such file"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(tmp_path: Path, path: str, is_file: bool, words: str) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(DatasetError, match=words):
+        require_writable(tmp_path / path, is_file=is_file)

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rcs_data.cli.console import plain_console
+from rcs_data.cli.program import INTERRUPTED
 from rcs_data.feature import Colour
 from rcs_data.view import write_report
 from rich.console import Console
 
-from rcs.cli.runs import INTERRUPTED, RunOptions, interruptible, results_table, show
+from rcs.cli.runs import RunOptions, interruptible, results_table, show
 from rcs.errors import InvalidSetup
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.evaluate import Summary
@@ -88,5 +89,5 @@ def _summarise(collection: Collection, progress: Progress, console: Console) -> 
     if progress.attempts:
         summary = Summary(attempts=progress.attempts)
         console.print(results_table(summary, progress.seconds, progress.cluster or collection.workers))
-    else:
+    elif not progress.is_interrupted:
         console.print(f"Nothing to do: {collection.out} has {progress.kept} episodes.", soft_wrap=True)

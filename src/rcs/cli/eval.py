@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from rcs_data.cli.console import plain_console
+from rcs_data.cli.program import INTERRUPTED
 
 from rcs.agents.choice import is_path
-from rcs.cli.runs import INTERRUPTED, RunOptions, interruptible, results_table, show
+from rcs.cli.runs import RunOptions, evaluation_folder, interruptible, results_table, show
 from rcs.rollout.collect import Attempt
 from rcs.rollout.evaluate import Evaluation, Summary, evaluate
 
@@ -32,13 +33,14 @@ class EvalCommand(RunOptions):
     """Write videos of the first ten episodes."""
     videos: int | None = None
     """Write videos of this many of the first episodes."""
-    out: Path = field(default_factory=lambda: Path("evaluation"))
-    """Folder for the figures and the videos."""
+    out: Path | None = None
+    """New folder for the figures and the videos; by default `evaluation`, or `evaluation-2` and so on."""
 
     def run(self) -> int:
         """Evaluate, print the results and return the exit code."""
         videos = (10 if self.video else 0) if self.videos is None else self.videos
         evaluation = Evaluation(
+            out=evaluation_folder(self.out),
             setup=self.setup(),
             agent=self.actor,
             episodes=self.episodes,
@@ -46,7 +48,6 @@ class EvalCommand(RunOptions):
             workers=self.processes,
             ray=self.cluster,
             videos=videos,
-            out=self.out,
         )
         console, summary = plain_console(soft_wrap=False), Summary()
         if is_path(evaluation.agent):
@@ -64,7 +65,7 @@ class EvalCommand(RunOptions):
                 console.print(results_table(summary, seconds, summary.cluster or made_by))
                 console.print(f"Figures: {summary.write(evaluation)}", soft_wrap=True)
                 if videos:
-                    console.print(f"Videos: {self.out}", soft_wrap=True)
+                    console.print(f"Videos: {evaluation.out}", soft_wrap=True)
         return INTERRUPTED if summary.is_interrupted else 0
 
     def _attempts(self, evaluation: Evaluation, summary: Summary) -> tuple[Iterator[Attempt], int | str]:

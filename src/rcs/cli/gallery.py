@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rcs_data.cli.console import plain_console
+from rcs_data.output import require_writable
 
 from rcs.rollout.gallery import gallery
 
@@ -21,6 +22,7 @@ class GalleryCommand:
 
     def run(self) -> int:
         """Draw and tell where the page is."""
+        require_writable(self.out)
         console = plain_console()
         with console.status("Drawing"):
             for shot in gallery(self.out, seed=self.seed):

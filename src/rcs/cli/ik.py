@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,24 +11,31 @@ import tyro
 from numpy.typing import NDArray
 from rcs_data.cli.console import plain_console
 from rcs_data.convert.png import encode_png
+from rcs_data.output import require_writable
 from rich.console import Console
 from rich.table import Table
 
 import rcs
+from rcs.cli.runs import pose_of
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
 from rcs.kinematics import Backend, Elbow, IkOptions, IkResult, IkStatus, Kinematics, freedom_of, kinematics_of
 from rcs.kinematics.freedom import POSE
+from rcs.robots.description import ArmDescription
 from rcs.setups.make import resolve
 from rcs.sim.scene import RobotPlacement
-from rcs.spatial import Pose
 
-FOUND = (IkStatus.ok, IkStatus.clamped)
+LEFT = IkOptions()
+"""What may be left of a pose that is met."""
 
 
 @dataclass(kw_only=True)
 class IkCommand:
-    """Show joints that bring a robot's TCP to a pose. Exit code 1 if there are none."""
+    """Show joints that bring a robot's TCP to a pose. Exit code 1 if there are none.
+
+    The tool of an arm with fewer than six joints leans where it cannot turn: the nearest joints are shown, with exit
+    code 1.
+    """
 
     robot: tyro.conf.Positional[str]
     """Name of a robot with one arm."""
@@ -50,6 +58,8 @@ class IkCommand:
 
     def run(self) -> int:
         """Solve and print."""
+        if self.picture is not None:
+            require_writable(self.picture, is_file=True)
         setup = Setup(task="Free", robot=self.robot, end_effector=self.end_effector)
         robots = resolve(setup).robots
         if len(robots) != 1:
@@ -59,17 +69,25 @@ class IkCommand:
         start = np.array(robot.arm.home if self.start is None else self.start)
         if start.shape != (robot.arm.dof,):
             raise InvalidSetup(f"--start has {len(start)} numbers; {robot.arm.label} has {robot.arm.dof} joints.")
+        _check_start(robot.arm, start)
+        if self.elbow is not None and not math.isfinite(self.elbow):
+            raise InvalidSetup(f"--elbow is {self.elbow}; valid is a finite number.")
         kinematics = kinematics_of(robot.arm, robot.end_effector, backend=self.backend)
-        found = self._solve(kinematics, start)
+        found = _judged(self._solve(kinematics, start))
         console = plain_console()
+        if found.status == IkStatus.infeasible:
+            console.print("status: infeasible")
+            console.print("No joints that bring the TCP there were found; --nearest shows how near it gets.")
+            return 1
         _print(console, robot, kinematics, found)
         if self.picture is not None:
+            self.picture.parent.mkdir(parents=True, exist_ok=True)
             self.picture.write_bytes(encode_png(_drawn(setup, found.joints)))
             console.print(f"Picture: {self.picture}")
-        return 0 if found.status in FOUND else 1
+        return 1 if found.status == IkStatus.nearest else 0
 
     def _solve(self, kinematics: Kinematics, start: NDArray[np.float64]) -> IkResult:
-        target = Pose.from_rpy(self.pose[:3], self.pose[3:])
+        target = pose_of(self.pose)
         if self.nearest:
             options = freedom_of(kinematics, best_effort=True)
         elif kinematics.dof < POSE:
@@ -83,6 +101,21 @@ class IkCommand:
         if self.elbow is not None:
             return Elbow(kinematics).inverse(target, start, self.elbow, options)
         return kinematics.inverse(target, start, options)
+
+
+def _check_start(arm: ArmDescription, start: NDArray[np.float64]) -> None:
+    for name, value, lower, upper in zip(arm.joints, start, arm.joint_lower, arm.joint_upper, strict=True):
+        if not lower <= value <= upper:
+            raise InvalidSetup(f"--start: {name} is {value}; valid is {lower:.3f} .. {upper:.3f} rad.")
+
+
+def _judged(found: IkResult) -> IkResult:
+    """Return a result as `nearest` where more is left of the pose than `ok` allows, as of a tool that leans."""
+    is_met = found.translation_error <= LEFT.translation_tolerance and found.rotation_error <= LEFT.rotation_tolerance
+    if found.status != IkStatus.ok or is_met:
+        return found
+    errors = (found.translation_error, found.rotation_error, found.iterations)
+    return IkResult(found.joints.tolist(), IkStatus.nearest, *errors)
 
 
 def _print(console: Console, robot: RobotPlacement, kinematics: Kinematics, found: IkResult) -> None:

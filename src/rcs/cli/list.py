@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import entry_points
-from typing import Any
+from importlib.metadata import EntryPoint, entry_points
 
 from rcs_data.cli.console import plain_console
 from rcs_data.cli.verbs import summary
 from rich.table import Table
 
+from rcs.devices import lookup
+from rcs.errors import InvalidSetup
 from rcs.setups.ids import ids
 
 
@@ -27,40 +29,80 @@ class ListCommand:
             console.print(_modes_of_cameras())
             return 0
         table = Table("kind", "name", "what", box=None, pad_edge=False)
-        grippers = ", ".join(name for name, _ in _installed("grippers"))
-        for name, arm in _installed("arms"):
-            table.add_row("arm", name, f"{arm.label}, {arm.dof} joints")
-        for name, gripper in _installed("grippers"):
-            table.add_row("end effector", name, f"{gripper.label}, {1000 * gripper.max_width:g} mm")
-        for name, hand in _installed("hands"):
-            grasps = ", ".join(hand.grasps)
-            table.add_row("end effector", name, f"{hand.label}, {len(hand.joints)} joints; grasps: {grasps}")
-        for name, tactile in _installed("tactiles"):
-            table.add_row("tactile sensor", name, f"{tactile.label}, on the pads of {grippers}")
-        for name, camera in _installed("cameras"):
-            table.add_row("camera", name, f"{camera.label}, {'colour and depth' if camera.has_depth else 'colour'}")
-        for name, lab in _installed("labs"):
-            arms = " and ".join(stand.arm for stand in lab.stands)
-            cameras = ", ".join(f"{mount} {about.camera}" for mount, about in lab.cameras.items())
-            table.add_row("robot", name, f"{arms} with {lab.end_effector}; cameras: {cameras}")
-        for kind in ("task", "agent", "operator", "layer", "gate", "driver"):
+        for kind, shown, about in _PARTS:
             for entry in sorted(entry_points(group=f"rcs.{kind}s")):
-                table.add_row(kind, entry.name, summary(entry.value) or entry.name)
+                table.add_row(shown, entry.name, _told(entry, about))
         for name in ids():
             table.add_row("id", name, "gymnasium.make")
         console.print(table)
         return 0
 
 
-def _installed(kinds: str) -> list[tuple[str, Any]]:
-    return [(entry.name, entry.load()) for entry in sorted(entry_points(group=f"rcs.{kinds}"))]
+def _told(entry: EntryPoint, about: Callable[[EntryPoint], str]) -> str:
+    try:
+        return about(entry)
+    except Exception as err:  # noqa: BLE001  one broken package does not hide the others
+        package = "" if entry.dist is None else f" of the package {entry.dist.name}"
+        return f"broken: {entry.value}{package}: {type(err).__name__}: {err}"
+
+
+def _arm(entry: EntryPoint) -> str:
+    arm = entry.load()
+    return f"{arm.label}, {arm.dof} joints"
+
+
+def _gripper(entry: EntryPoint) -> str:
+    gripper = entry.load()
+    return f"{gripper.label}, {1000 * gripper.max_width:g} mm"
+
+
+def _hand(entry: EntryPoint) -> str:
+    hand = entry.load()
+    return f"{hand.label}, {len(hand.joints)} joints; grasps: {', '.join(hand.grasps)}"
+
+
+def _tactile(entry: EntryPoint) -> str:
+    return f"{entry.load().label}, on the pads of {', '.join(lookup.names('gripper'))}"
+
+
+def _camera(entry: EntryPoint) -> str:
+    camera = entry.load()
+    return f"{camera.label}, {'colour and depth' if camera.has_depth else 'colour'}"
+
+
+def _lab(entry: EntryPoint) -> str:
+    lab = entry.load()
+    arms = " and ".join(stand.arm for stand in lab.stands)
+    cameras = ", ".join(f"{mount} {about.camera}" for mount, about in lab.cameras.items())
+    return f"{arms} with {lab.end_effector}; cameras: {cameras}"
+
+
+def _sentence(entry: EntryPoint) -> str:
+    return summary(entry.value) or entry.name
+
+
+_PARTS: tuple[tuple[str, str, Callable[[EntryPoint], str]], ...] = (
+    ("arm", "arm", _arm),
+    ("gripper", "end effector", _gripper),
+    ("hand", "end effector", _hand),
+    ("tactile", "tactile sensor", _tactile),
+    ("camera", "camera", _camera),
+    ("lab", "robot", _lab),
+    *((kind, kind, _sentence) for kind in ("task", "agent", "operator", "layer", "gate", "driver")),
+)
+"""Kinds of parts, what they are called, and what is told about one."""
 
 
 def _modes_of_cameras() -> Table:
     from rcs.sim.noise import nearest_depth  # imports the simulator
 
     table = Table("camera", "mode", "frames/s (~ rolling)", "focal [px]", "depth [m]", box=None, pad_edge=False)
-    for name, camera in _installed("cameras"):
+    for name in lookup.names("camera"):
+        try:
+            camera = lookup.find("camera", name)
+        except InvalidSetup:
+            table.add_row(name, "broken; see `rcs list`")
+            continue
         for mode in camera.modes:
             rates = ", ".join(f"{'~' if rate * camera.longest_exposure > 1 else ''}{rate}" for rate in mode.rates)
             focal = camera.intrinsics(mode.width, mode.height)[1, 1]

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rcs_data.cli.console import plain_console
 from rcs_data.convert.png import encode_png
+from rcs_data.output import require_writable
 
-from rcs.cli.runs import SetupOptions
+from rcs.cli.runs import SetupOptions, pose_of
 from rcs.envs.env import Env
 from rcs.envs.planner_for import ScenePlanner, planner_for
 from rcs.errors import InvalidSetup
@@ -19,7 +20,6 @@ from rcs.planning.timed_path import TimedPath
 from rcs.rollout.video import Video
 from rcs.setups.make import make
 from rcs.sim.picture import Picture
-from rcs.spatial import Pose
 
 RATE = 30.0
 """Pictures per second of a video."""
@@ -58,10 +58,11 @@ class PlanCommand(SetupOptions):
         """Plan, print figures and draw."""
         if (self.goal is None) == (self.pose is None):
             raise InvalidSetup("Give where to go: either --goal with joints, or --pose with x y z roll pitch yaw.")
+        goal = np.array(self.goal) if self.pose is None else pose_of(self.pose)
         if self.out.suffix not in (".mp4", ".png"):
             raise InvalidSetup(f"out is {str(self.out)!r}; valid are files that end in .mp4 or .png.")
+        require_writable(self.out, is_file=True)
         console = plain_console()
-        goal = np.array(self.goal) if self.pose is None else Pose.from_rpy(self.pose[:3], self.pose[3:])
         with make(self.setup()) as env:
             env.reset(seed=self.seed)
             planner = planner_for(

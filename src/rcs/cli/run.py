@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from rcs_data import DatasetWriter
 from rcs_data.cli.console import plain_console
+from rcs_data.cli.program import INTERRUPTED
 from rcs_data.view import write_report
 from rich.console import Console
 
-from rcs.cli.runs import INTERRUPTED, SetupOptions, interruptible, results_table, show
+from rcs.cli.runs import SetupOptions, evaluation_folder, interruptible, results_table, show
 from rcs.envs.observers.recorder import Recorder, dataset_info
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup
@@ -81,12 +82,13 @@ class RunCommand(SetupOptions):
     """Folder of a dataset in which every episode is recorded, with latency, age and place in the chunk of each step."""
     videos: int = 0
     """Write videos of this many of the first episodes."""
-    out: Path = field(default_factory=lambda: Path("evaluation"))
-    """Folder for the figures, the page and the videos."""
+    out: Path | None = None
+    """New folder for the figures, the page and the videos; by default `evaluation`, or `evaluation-2` and so on."""
 
     def run(self) -> int:
         """Evaluate, print the results and return the exit code."""
         console, summary = plain_console(soft_wrap=False), Summary()
+        out = evaluation_folder(self.out)
         served = self._served()
         metadata = served.metadata()
         evaluation = Evaluation(
@@ -96,7 +98,7 @@ class RunCommand(SetupOptions):
             seed=self.seed,
             first_seed=UNSEEN,
             videos=self.videos,
-            out=self.out,
+            out=out,
         )
         console.print(f"Policy: {metadata.name} at {self.policy}", soft_wrap=True)
         started = time.perf_counter()

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import time
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
 import tyro
+from rcs_data.output import require_writable
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -30,12 +32,14 @@ from rcs.setups.lab import lab_of
 from rcs.sim.detail import Assets
 from rcs.sim.randomisation import Preset, Randomisation
 from rcs.sim.world import Stepping
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
+from rcs.spatial import Pose
 
 ENDING = "Ending after the episodes at work; Ctrl-C again ends at once."
 """What is told at the first Ctrl-C."""
+
+
+USUAL_FOLDER = Path("evaluation")
+"""Folder of an evaluation for which none is given; with a number where it is taken."""
 
 
 @dataclass(kw_only=True)
@@ -192,8 +196,6 @@ class RunOptions(ActorOptions):
     """Run the processes with Ray, on this machine if there is no `--ray-address`; needs the extra `ray`."""
     ray_address: str | None = None
     """Address of a Ray cluster for the processes: `auto` for the one that this machine is a part of, or `host:port`."""
-    out: Path
-    """Folder for what the command makes."""
 
     @property
     def processes(self) -> int:
@@ -212,6 +214,38 @@ class RunOptions(ActorOptions):
     def cluster(self) -> str | None:
         """Address of the Ray cluster; None for processes without Ray."""
         return self.ray_address or (LOCAL if self.ray else None)
+
+
+def pose_of(given: Sequence[float]) -> Pose:
+    """Return the pose that `--pose` gives as x y z [m], roll pitch yaw [rad].
+
+    Raises:
+        InvalidSetup: A number is not finite.
+    """
+    if not all(map(math.isfinite, given)):
+        raise InvalidSetup(f"--pose is {' '.join(map(str, given))}; valid are six finite numbers.")
+    return Pose.from_rpy(given[:3], given[3:])
+
+
+def evaluation_folder(given: Path | None) -> Path:
+    """Return a folder for an evaluation that nothing is in, so that none is mixed with another.
+
+    Args:
+        given: The folder that is asked for; None for the usual one.
+
+    Raises:
+        InvalidSetup: Something is in the folder that is given.
+        DatasetError: It cannot be written.
+    """
+    folder = given or USUAL_FOLDER
+    number = 1
+    while given is None and os.path.lexists(folder):
+        number += 1
+        folder = USUAL_FOLDER.with_name(f"{USUAL_FOLDER.name}-{number}")
+    if folder.is_dir() and any(folder.iterdir()):
+        raise InvalidSetup(f"{folder} is not empty, and an evaluation has a folder of its own. Choose another --out.")
+    require_writable(folder)
+    return folder
 
 
 def option_of_task(given: str) -> tuple[str, Any]:

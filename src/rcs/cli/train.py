@@ -9,6 +9,7 @@ from typing import Annotated
 
 import tyro
 from rcs_data.cli.console import plain_console
+from rcs_data.cli.program import INTERRUPTED
 from rcs_data.finetune.lerobot import LerobotPolicy
 from rcs_data.verdicts import wilson_interval
 from rcs_data.view.charts import short
@@ -17,7 +18,7 @@ from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
 from rich.progress import Progress as Bar
 from rich.text import Text
 
-from rcs.cli.runs import INTERRUPTED, interruptible, option_of_task
+from rcs.cli.runs import interruptible, option_of_task
 from rcs.cli.train_policy import Imitation, train_policy
 from rcs.cli.train_seeds import train_each
 from rcs.envs.reward import RewardKind

@@ -8,12 +8,13 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from rcs_data.cli.program import INTERRUPTED
 from rcs_data.view.charts import short
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from rcs.cli.runs import INTERRUPTED, interruptible
+from rcs.cli.runs import interruptible
 from rcs.rl.metrics import METRICS, RATE
 from rcs.rl.report import write_report
 from rcs.rl.seeds import Trained, run_of, train_seeds

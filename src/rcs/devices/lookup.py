@@ -29,6 +29,7 @@ def find(kind: Kind, given: Any) -> Any:
 
     Raises:
         UnknownName: Nothing installed has the name, or the module has no such class; the message has the nearest match.
+        InvalidSetup: An installed package names it, and it cannot be imported.
     """
     if not isinstance(given, str):
         return given
@@ -38,7 +39,15 @@ def find(kind: Kind, given: Any) -> Any:
     if given not in entries:
         hint = f"A package adds one through the entry-point group {_group(kind)!r}; `module:Class` is valid too."
         raise UnknownName(kind, given, entries, hint)
-    return entries[given].load()
+    entry = entries[given]
+    try:
+        return entry.load()
+    except Exception as err:  # whatever a module of another package raises
+        package = "" if entry.dist is None else f" of the package {entry.dist.name!r}"
+        raise InvalidSetup(
+            f"The {kind} {given!r} is {entry.value!r}{package}, which cannot be imported: {type(err).__name__}: {err}. "
+            "Mend the package, or uninstall it."
+        ) from err
 
 
 def name_of(kind: Kind, given: Any) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rcs.envs.layers.layer import Layer, Where
 from rcs.envs.ports import Port
 from rcs.envs.spaces import Action, ActionCheck, Observation
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, RcsError
 
 
 class Chain:
@@ -27,7 +27,8 @@ class Chain:
             leading: Leading shape of all arrays: () or (copies,).
 
         Raises:
-            InvalidSetup: Two ports take or give the same key.
+            InvalidSetup: Two ports take or give the same key, or a layer asks for a key that is not below it, or
+                returns no spaces.
         """
         self.ports = list(ports)
         self.layers = list(layers)
@@ -41,9 +42,22 @@ class Chain:
         self._is_disjoint = sum(len(port.observation_spaces) for port in ports) == len(observations)
         self.executed_spaces = dict(boxes)
         """Space of what is sent to the ports."""
+        self._given = dict(observations)
+        self._forms: dict[int, tuple[dict[str, spaces.Box], dict[str, spaces.Space[Any]]]] = {}
+        """By the `id` of a layer, the actions that the level below it takes, and the observations that it gives."""
         for layer in layers:
-            boxes = layer.action_spaces(boxes)
-            observations = layer.observation_spaces(observations)
+            below = boxes
+            try:
+                boxes, observations = layer.action_spaces(boxes), layer.observation_spaces(observations)
+            except KeyError as err:
+                _explain(layer, err, {**boxes, **observations})
+                raise
+            _require_spaces(f"{layer}.action_spaces", boxes, spaces.Box)
+            _require_spaces(f"{layer}.observation_spaces", observations, spaces.Space)
+            self._forms[id(layer)] = below, observations
+        self._leading = leading
+        self._is_mapped = self._is_lifted = False
+        """Whether what the layers return was compared with their spaces: the first time is enough."""
         self.check = ActionCheck(boxes, leading)
         """Checks an action of the highest level; raises InvalidAction."""
         self.action_spaces = dict(boxes)
@@ -61,10 +75,18 @@ class Chain:
 
         Raises:
             InvalidAction: The action is not valid.
+            InvalidSetup: A layer asks for a key that is not there, or returns other keys or shapes than it says.
         """
         mapped = self.check(action)
         for layer in reversed(self.layers):
-            mapped = layer.map_action(mapped)
+            try:
+                mapped = layer.map_action(mapped)
+            except KeyError as err:
+                _explain(layer, err, mapped)
+                raise
+            if not self._is_mapped and id(layer) in self._forms:
+                _require_form(f"The layer {layer} gives the action", mapped, self._forms[id(layer)][0], self._leading)
+        self._is_mapped = True
         return mapped
 
     def send(self, mapped: Action) -> None:
@@ -83,7 +105,11 @@ class Chain:
     def _commit(self, executed: Action) -> None:
         self.executed = executed
         for layer in self.layers:
-            executed = layer.map_executed(executed)
+            try:
+                executed = layer.map_executed(executed)
+            except KeyError as err:
+                _explain(layer, err, executed)
+                raise
         self.target = executed
 
     def measure(self) -> Observation:
@@ -121,10 +147,25 @@ class Chain:
         return observation
 
     def reset(self, observation: Observation, where: Where) -> None:
-        """Tell all layers that some copies start anew, with the lowest level's observation."""
+        """Tell all layers that some copies start anew, with the lowest level's observation.
+
+        Raises:
+            InvalidSetup: A layer asks for a key that is not there, or returns other keys or shapes than it says.
+        """
+        if not self._is_lifted:
+            ports = ", ".join(type(port).__name__ for port in self.ports)
+            _require_form(f"{ports} give the observation", observation, self._given, self._leading)
         for layer in self.layers:
-            layer.reset(observation, where)
-            observation = layer.map_observation(observation)
+            try:
+                layer.reset(observation, where)
+                observation = layer.map_observation(observation)
+            except KeyError as err:
+                _explain(layer, err, observation)
+                raise
+            if not self._is_lifted and id(layer) in self._forms:
+                given = self._forms[id(layer)][1]
+                _require_form(f"The layer {layer} gives the observation", observation, given, self._leading)
+        self._is_lifted = True
 
     def info(self) -> dict[str, NDArray[Any]]:
         """Return what the layers tell of the last action."""
@@ -141,6 +182,54 @@ class Chain:
             lines.append((f"{type(port).__name__}: {taken} -> {given}", _purpose(port)))
         width = max((len(name) for name, _ in lines), default=0)
         return "\n".join(f"  {name:{width}}  # {purpose}" for name, purpose in lines)
+
+
+def _require_spaces(who: str, found: Any, kind: type[spaces.Space[Any]]) -> None:
+    """Check what a layer says that it takes or gives.
+
+    Raises:
+        InvalidSetup: It is no dictionary of spaces.
+    """
+    if not isinstance(found, Mapping) or not all(isinstance(space, kind) for space in found.values()):
+        raise InvalidSetup(f"{who} returned {found!r}; valid is a dictionary with a {kind.__name__} for each key.")
+
+
+def _explain(layer: Layer, error: KeyError, below: Mapping[str, Any]) -> None:
+    """Raise an error that names the layer, unless the error is one of ours, which says enough.
+
+    Raises:
+        InvalidSetup: In the place of Python's own KeyError.
+    """
+    if not isinstance(error, RcsError):
+        keys = ", ".join(map(repr, below))
+        raise InvalidSetup(
+            f"The layer {layer} asks for the key {error}, which is not there; there are {keys}."
+        ) from error
+
+
+def _require_form(
+    who: str, given: Any, declared: Mapping[str, spaces.Space[Any]], leading: tuple[int, ...], path: str = ""
+) -> None:
+    """Check keys, shapes and dtypes of an action or an observation.
+
+    Raises:
+        InvalidSetup: They are not those of the spaces.
+    """
+    if not isinstance(given, Mapping) or given.keys() != declared.keys():
+        found = ", ".join(f"{path}{key}" for key in given) if isinstance(given, Mapping) else repr(given)
+        valid = ", ".join(f"{path}{key}" for key in declared)
+        raise InvalidSetup(f"{who} with the keys {found}; its spaces have {valid}.")
+    for key, space in declared.items():
+        value = given[key]
+        if isinstance(space, spaces.Dict):
+            _require_form(who, value, space.spaces, leading, f"{path}{key}/")
+        elif isinstance(space, spaces.Box):
+            shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
+            if shape != leading + space.shape or dtype != space.dtype:
+                found = f"{shape} {dtype}" if shape is not None else repr(value)
+                raise InvalidSetup(
+                    f"{who} {path}{key!r} as {found}; its space says {leading + space.shape} {space.dtype}."
+                )
 
 
 def _purpose(part: object) -> str:

@@ -260,6 +260,7 @@ class Engine:
             reward = self.scenario.rewards.pay(
                 judgement, terminated=terminated, failed=failed, diverged=diverged, starting=starting
             )
+            self.scenario.require_reward(reward, judgement)
         if self._max_episode_steps is not None:
             truncated = truncated | ((self._steps >= self._max_episode_steps) & ~terminated)
             truncated = truncated if starting is None else truncated & ~starting

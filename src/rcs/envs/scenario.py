@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from rcs.envs.reward import RewardKind, Rewards
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS
 from rcs.envs.start import Start, in_frame_of
 from rcs.envs.task import Judgement, Task
+from rcs.errors import InvalidSetup
 from rcs.sim.frame_clock import FrameClock
 from rcs.sim.loads import CollisionGuard
 from rcs.sim.robot import SimRobot
@@ -141,12 +143,36 @@ class Scenario:
         return reasons
 
     def evaluate(self) -> Judgement:
-        """Judge the present state."""
-        return self.task.evaluate()
+        """Judge the present state.
+
+        Raises:
+            InvalidSetup: The task gives something else.
+        """
+        judgement = self.task.evaluate()
+        if not isinstance(judgement, Judgement):
+            raise InvalidSetup(f"{type(self.task).__name__}.evaluate returned {judgement!r}; valid is a Judgement.")
+        return judgement
+
+    def require_reward(self, reward: NDArray[np.float64], judgement: Judgement) -> None:
+        """Check what a judgement pays.
+
+        Raises:
+            InvalidSetup: It is not a finite number for each copy.
+        """
+        if reward.shape != self.world.leading:
+            told = f"a reward of the shape {reward.shape}; valid is {self.world.leading}, a number for each copy"
+        elif not (np.isfinite(reward).all() if self.world.leading else math.isfinite(reward)):
+            told = "a reward that is not finite"
+        else:
+            return
+        parts = ", ".join(
+            f"{name} {value}" for name in ("progress", "reward") if (value := getattr(judgement, name)) is not None
+        )
+        raise InvalidSetup(f"{type(self.task).__name__}.evaluate leads to {told}. It returned {parts}.")
 
     def judge_start(self, copies: Copies) -> None:
         """Have the rewards of some copies' episodes count from the present state."""
-        self.rewards.begin(self.task.evaluate(), ... if copies is None else copies)
+        self.rewards.begin(self.evaluate(), ... if copies is None else copies)
 
     @property
     def randomisation(self) -> dict[str, NDArray[np.float64]]:

@@ -62,7 +62,9 @@ def _page(evaluation: Evaluation, summary: Summary, metadata: Metadata, executio
         (number, result.seed, _verdict(result.success), _failure(result), result.steps, f"{result.reward:.2f}")
         for number, result in zip(numbers, summary.results, strict=True)
     ]
-    films = [number for number in numbers if (evaluation.out / f"{number:06d}.mp4").is_file()]
+    films = [
+        number for number in numbers if number < evaluation.videos and (evaluation.out / f"{number:06d}.mp4").is_file()
+    ]
     failures = ", ".join(f"{name} {count}" for name, count in summary.failures.most_common()) or "none"
     heads = ("episode", "seed", "verdict", "failure", "steps", "reward")
     result = element(

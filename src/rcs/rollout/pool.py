@@ -10,11 +10,12 @@ import atexit
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from itertools import islice
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from typing import Any, Protocol
 
 from rcs_data.closing import Closing
@@ -60,7 +61,9 @@ class WorkerPool(Closing):
         pending: set[Future[Any]] = set()
         try:
             while True:
-                pending |= {self._pool.submit(_attempt, n) for n in islice(numbers, self._workers - len(pending))}
+                wanted = list(islice(numbers, self._workers - len(pending)))
+                with _without_interrupts():
+                    pending |= {self._pool.submit(_attempt, number) for number in wanted}
                 if not pending:
                     return
                 done, pending = wait(pending, return_when=FIRST_COMPLETED)
@@ -81,8 +84,25 @@ class _Process:
     worker: Worker
 
 
+@contextmanager
+def _without_interrupts() -> Generator[None]:
+    """Hold Ctrl-C back while processes are started: they begin with it blocked, until they ignore it themselves."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    # Python starts this process with the first worker, and then lets Ctrl-C through again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _start(make: Callable[[], Worker], parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     _die_with(parent)
     # The pool has one process per core; Mesa's own threads would only get in the way.
     os.environ["LP_NUM_THREADS"] = "1"

@@ -15,7 +15,7 @@ from typing import Literal
 import mujoco
 
 from rcs.errors import MissingDependency
-from rcs.kinematics.chain import mount_frame
+from rcs.kinematics.chain import mount_frame, quaternion_of
 from rcs.robots.description import MenagerieVisuals
 
 Assets = Literal["builtin", "menagerie"]
@@ -103,11 +103,10 @@ def _add_like(
     target: mujoco.MjsBody, geom: mujoco.MjsGeom, spec: mujoco.MjSpec, source: mujoco.MjSpec, names: str
 ) -> mujoco.MjsGeom:
     """Add a geom that looks like `geom`, without mass and contacts; `names` is the prefix of meshes and materials."""
-    compiler = source.compiler
     added = target.add_geom(
         type=geom.type,
         pos=geom.pos,
-        quat=geom.quat,
+        quat=quaternion_of(geom, source),
         size=geom.size,
         fromto=geom.fromto,
         rgba=geom.rgba,
@@ -116,8 +115,6 @@ def _add_like(
         conaffinity=0,
         mass=0.0,
     )
-    if geom.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:
-        added.quat = source.resolve_orientation(compiler.degree, compiler.eulerseq, geom.alt)
     if geom.meshname:
         added.meshname = _add_mesh(spec, source, source.mesh(geom.meshname), names)
     if geom.material:

@@ -13,7 +13,7 @@ import numpy as np
 
 from rcs._core import Trajectory
 from rcs.errors import InvalidSetup
-from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, load, mount_frame
+from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, compiled, flange_frame, load, mount_frame
 from rcs.robots.calibration import CameraCalibration
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
 from rcs.sim.detail import Assets, exchange_visuals
@@ -342,9 +342,12 @@ class Scene:
         """Compile the model; warn about robots whose servos cannot carry their weight.
 
         Raises:
-            InvalidSetup: A robot's base is not where it was placed, because its file gives it a pose.
+            InvalidSetup: A part cannot be compiled, or a robot's base is not where it was placed, because its file
+                gives it a pose.
         """
-        model = self.spec.compile()
+        arms = [robot.arm for robot in self.robots]
+        effectors = [robot.end_effector for robot in self.robots if robot.end_effector is not None]
+        model = compiled(self.spec, [*arms, *effectors, *(camera.camera for camera in self.cameras)])
         for robot in self.robots:
             check_robot(robot, model)
         return model
@@ -352,18 +355,16 @@ class Scene:
 
 def _add_load(spec: mujoco.MjSpec, arm: ArmDescription) -> None:
     """Add the body of `SimRobot.set_load` to a flange: MuJoCo compensates gravity in proportion to a body's mass."""
-    flange = spec.site(arm.flange_site)
+    flange = flange_frame(spec, arm)
     flange.parent.add_body(
         name=LOAD,
-        pos=flange.pos,
-        quat=flange.quat,
         mass=LOAD_MASS,
         # Not in the origin: there MuJoCo takes the centre of mass for that of the frame, whatever is written later.
         ipos=[0.0, 0.0, 1e-3],
         inertia=[1e-12] * 3,
         explicitinertial=True,
         gravcomp=1.0,
-    )
+    ).set_frame(flange)
 
 
 def _axes_looking(eye: list[float], target: list[float]) -> list[float]:

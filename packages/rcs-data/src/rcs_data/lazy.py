@@ -47,6 +47,10 @@ class LazyPackage(ModuleType):
         """Return the public names, loaded or not."""
         return sorted(self.__all__)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the package as its name: cloudpickle does so by itself for modules of the class `ModuleType` alone."""
+        return importlib.import_module, (self.__name__,)
+
 
 def load_on_use(package: str) -> None:
     """Have a package load its public names on first use; called from its `__init__.py`.

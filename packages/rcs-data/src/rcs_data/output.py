@@ -10,6 +10,7 @@ import fcntl
 import logging
 import os
 import secrets
+import tempfile
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -138,6 +139,29 @@ def refuse_existing(target: Path) -> None:
             raise DatasetError(f"{target} is among the episodes of {folder.parent}. Choose another place.")
     if target.is_symlink() or (target.exists() and not target.is_dir()) or (target.is_dir() and any(target.iterdir())):
         raise DatasetError(f"{target} exists already. Choose another place, or remove it.")
+
+
+def require_writable(path: str | Path, *, is_file: bool = False) -> None:
+    """Raise unless a folder, or a file, can be written at a path; nothing is left there.
+
+    It is tried, because permissions tell too little: a file is made and removed in the nearest folder that exists.
+
+    Args:
+        path: Where something is going to be written after much work.
+        is_file: Whether that is a file.
+
+    Raises:
+        DatasetError: It cannot be written.
+    """
+    target = Path(path).absolute()
+    if is_file and target.is_dir():
+        raise DatasetError(f"{target} is a folder. Give the path of a file.")
+    with disk_errors("write", target):
+        if is_file and target.is_file():
+            os.close(os.open(target, os.O_WRONLY))
+        places = [*target.parents] if is_file else [target, *target.parents]
+        with tempfile.TemporaryFile(dir=next(place for place in places if place.exists())):
+            pass
 
 
 def size_on_disk(path: Path) -> int:

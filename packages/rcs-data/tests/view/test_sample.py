@@ -107,9 +107,10 @@ def test_what_makes_no_sense_is_refused(filmed: Path, tmp_path: Path) -> None:
         write_sample(windows, tmp_path / "sample.html", count=0)
     with pytest.raises(InvalidSetup, match="valid is a number from 0"):
         write_sample(windows, tmp_path / "sample.html", floor=-1.0)
+    (tmp_path / "file").touch()
     with pytest.raises(DatasetError, match="write the sample"):
-        write_sample(windows, tmp_path / "no/sample.html")
-    assert not list(tmp_path.iterdir())
+        write_sample(windows, tmp_path / "file/sample.html")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_the_command_draws_what_was_asked_for(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rcs_data.cli.console import plain_console
+from rcs_data.output import require_writable
 
 from rcs.calibration import hand_eye
 from rcs.cli.calibrate.session import SessionOptions
@@ -33,6 +34,7 @@ class HandEyeCommand(SessionOptions):
 
     def run(self) -> int:
         """Calibrate, tell how well, and write."""
+        require_writable(self.out, is_file=True)
         console = plain_console()
         setup = self.setup()
         with self.session(setup, console) as session:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from rcs_data.cli.console import plain_console
+from rcs_data.output import require_writable
 
 from rcs.calibration import Detections, IntrinsicsFit, detect, fit_intrinsics
 from rcs.calibration.packages import package
@@ -34,6 +35,7 @@ class IntrinsicsCommand(SessionOptions):
 
     def run(self) -> int:
         """Fit, tell how well, and write."""
+        require_writable(self.out, is_file=True)
         console = plain_console()
         if self.pictures is not None:
             found, size = self._read(self.pictures)

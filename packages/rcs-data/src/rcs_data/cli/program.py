@@ -5,8 +5,11 @@ from __future__ import annotations
 import functools
 import operator
 import os
+import signal
 import sys
-from collections.abc import Mapping
+import threading
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, fields
 from typing import Annotated, Any, cast
 
@@ -17,6 +20,8 @@ OPTIONS = ("--help", "--version", "--print-completion")
 SHELLS = ("bash", "zsh", "fish")
 MISTYPED = 2
 """Exit code for an invalid command line, as in tyro and shells."""
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as in shells."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +57,10 @@ class Program:
             print(f"{self.name} {self.version}")
             return 0
         try:
-            if words[:1] == ["--print-completion"]:
-                self._print_completion(*words[1:2])
-            command = self._parse(self.name, self.verbs, words)
+            with _ended_by_interrupts():
+                if words[:1] == ["--print-completion"]:
+                    self._print_completion(*words[1:2])
+                command = self._parse(self.name, self.verbs, words)
         except UnknownName as err:
             return _failed(str(err), MISTYPED)
         except RcsError as err:  # from a module that cannot work here
@@ -117,7 +123,21 @@ def run(command: Any) -> int:
         is_named = type(err) is RcsError and str(err).startswith(f"{type(err.__cause__).__name__}: ")
         return _failed(str(err) if is_named else f"{type(err).__name__}: {err}")
     except KeyboardInterrupt:
-        return 130
+        return INTERRUPTED
+
+
+@contextmanager
+def _ended_by_interrupts() -> Generator[None]:
+    """Let Ctrl-C end the process at once while nothing but imports is done; extensions make other errors of it."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, lambda number, frame: os._exit(INTERRUPTED))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _is_required(field: Field[Any]) -> bool:

@@ -10,6 +10,7 @@ import tyro
 
 from rcs_data import Dataset, Windows
 from rcs_data.cli.console import plain_console, progress
+from rcs_data.output import require_writable
 from rcs_data.statistics import Normalisation
 from rcs_data.view import write_sample
 from rcs_data.view.page import chosen_episodes
@@ -56,6 +57,9 @@ class SampleCommand:
 
     def run(self) -> int:
         """Write the page, and say where it is and what is conspicuous."""
+        for path in (self.out, self.png):
+            if path is not None:
+                require_writable(path, is_file=True)
         console = plain_console()
         dataset = Dataset.open(self.path)
         windows = Windows(

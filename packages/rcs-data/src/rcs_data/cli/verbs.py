@@ -28,11 +28,12 @@ def load(reference: str) -> Any:
 def summary(reference: str) -> str:
     """Return the first sentence of the docstring of `module:Class`, or of the module if it is not a class.
 
-    It is read from the source, since an import might import the simulator. Empty without a docstring.
+    It is read from the source, since an import might import the simulator; only what the source does not mention is
+    imported. Empty without a docstring.
     """
     place, _, name = reference.partition(":")
     source = _source(place)
-    if source is not None:
+    if source is not None and name in source.read_text("utf-8"):
         tree = ast.parse(source.read_bytes())
         node = next((node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name), tree)
         text = ast.get_docstring(node)

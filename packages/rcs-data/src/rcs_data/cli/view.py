@@ -10,7 +10,7 @@ import tyro
 
 from rcs_data import Dataset
 from rcs_data.cli.console import plain_console, progress
-from rcs_data.output import OnProgress
+from rcs_data.output import OnProgress, require_writable
 from rcs_data.view import ClipOptions, Codec, write_view
 from rcs_data.view.rerun import write_rerun
 
@@ -39,6 +39,10 @@ class ViewCommand:
 
     def run(self) -> int:
         """Write the page, or the recording, and say where it is."""
+        if self.rerun is not None:
+            require_writable(self.rerun, is_file=True)
+        elif self.out is not None:
+            require_writable(self.out)
         console = plain_console()
         dataset = Dataset.open(self.path)
         with progress("Writing" if self.rerun else "Rendering") as tell:

@@ -91,8 +91,10 @@ def write_sample(
     main = element("main", element("ul", *notes), *(_section(one, parts) for one in drawn), *tables, class_="sheet")
     whole = page(title, header(title, windows.info.instruction, counts), main, script(web(CHARTS_SCRIPT)))
     with disk_errors("write the sample", Path(out)):
+        Path(out).parent.mkdir(parents=True, exist_ok=True)
         write_file(Path(out), whole.encode())
         if png is not None:
+            Path(png).parent.mkdir(parents=True, exist_ok=True)
             write_file(Path(png), _sheet(drawn))
     return SampleReport(path=Path(out), windows=len(drawn), warnings=warnings)
 
