@@ -53,8 +53,6 @@ def test_what_is_wrong_is_said_in_one_line(capsys: pytest.CaptureFixture[str]) -
 
 @pytest.mark.parametrize("options", [(), ("--ws",), ("--wire", "openvla"), ("--wire", "gr00t")])
 def test_a_port_that_is_taken_is_named(options: Sequence[str], capsys: pytest.CaptureFixture[str]) -> None:
-    if "gr00t" in options:
-        pytest.importorskip("zmq")
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         assert main(["serve", "random", "--port", str(port), *options]) == 1

@@ -13,6 +13,7 @@ from typing import Any
 
 from vlagents.chunk import Chunk
 from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, Mismatch, Unauthorized, VlagentsError
+from vlagents.listening import LEAVING
 from vlagents.metadata import Metadata, Offer, differences
 from vlagents.observation import Observation
 from vlagents.policy import Policy
@@ -67,6 +68,8 @@ class Service:
         self._started = time.monotonic()
         self._answered = 0
         self._is_closed = False
+        self.is_stuck = False
+        """Whether the policy was still in a call when this was closed."""
 
     def caller(self, name: str) -> Caller:
         """Return a new caller, who has not said hello yet."""
@@ -170,11 +173,21 @@ class Service:
                     _log.exception("The policy could not forget session %r of %s", name, caller.name)
 
     def close(self) -> None:
-        """Close the policy, after the call that it is in."""
-        if not self._is_closed:
-            self._is_closed = True
-            with self._turn:
-                self._policy.close()
+        """Close the policy, after the call that it is in. A second call does nothing.
+
+        A policy that has not answered that call within `LEAVING` seconds is not closed, and `is_stuck` says so.
+        """
+        if self._is_closed:
+            return
+        self._is_closed = True
+        if not self._turn.acquire(timeout=LEAVING):
+            self.is_stuck = True
+            _log.warning("The policy %r still works on a call, and is left without being closed", self.metadata.name)
+            return
+        try:
+            self._policy.close()
+        finally:
+            self._turn.release()
 
     def _answer(self, caller: Caller, call: str, values: Mapping[str, Any]) -> dict[str, Any]:
         if call == "hello":

@@ -22,6 +22,8 @@ from vlagents.websocket import WebsocketServer
 
 TOKEN = "VLAGENTS_TOKEN"
 """Environment variable with the token: words of a command can be read by everybody on the machine."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+"""What ends a server."""
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -105,12 +107,21 @@ def _serve(given: Any) -> int:
         kind = WebsocketServer if given.ws else Server
         server = kind(policy, **options, certificate=given.certificate, key=given.key)
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+
+    def end(*_: object) -> None:
+        stop.set()
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_DFL)  # the next one ends what does not end by itself
+
+    for number in SIGNALS:
+        signal.signal(number, end)
     with server:
         metadata = server.service.metadata
         print(f"Serving {metadata.name} at {server.address}. Ctrl-C ends it.", flush=True)
         stop.wait()
+    if server.service.is_stuck:  # Python would wait for threads of the policy's own
+        logging.shutdown()
+        os._exit(1)
     return 0
 
 

@@ -24,8 +24,6 @@ LARGEST_HEADER = 1 << 20
 """Most bytes of a header."""
 LARGEST_BODY = 256 << 20
 """Most bytes of a body, by default: forty full HD pictures."""
-KEPT = 64 << 20
-"""A body of up to this many bytes lies in memory that the next one uses again."""
 
 
 class Channel(Protocol):
@@ -52,11 +50,10 @@ class StreamChannel:
 
         Args:
             connection: It is closed with the channel.
-            largest_body: Most bytes of arrays in a message that comes. They are valid until the next one is received.
+            largest_body: Most bytes of arrays in a message that comes.
         """
         self._link = self._linked(connection)
         self.largest_body = largest_body
-        self._body = np.empty(0, np.uint8)
 
     def send(self, values: Any, deadline: Deadline) -> None:
         """Send a message.
@@ -125,16 +122,15 @@ class StreamChannel:
             raise BadMessage(f"A message begins with {magic!r}; valid is {MAGIC!r}.")
         self._check_sizes(header_size, size)
         header = self._header(header_size, rest)
-        body = self._body[:size] if size <= len(self._body) else np.empty(size, np.uint8)
-        if len(self._body) < size <= KEPT:
-            self._body = body
+        body = np.empty(size, np.uint8)
         self._link.fill(body.data, rest)
-        return unpack(header, body)
+        return unpack(header, body, is_own=True)
 
     def _check_sizes(self, header_size: int, size: int) -> None:
-        if header_size > LARGEST_HEADER or size > self.largest_body:
+        largest_header = min(LARGEST_HEADER, self.largest_body)
+        if header_size > largest_header or size > self.largest_body:
             raise BadMessage(
-                f"A message of {header_size} and {size} bytes is too large; valid are up to {LARGEST_HEADER} and "
+                f"A message of {header_size} and {size} bytes is too large; valid are up to {largest_header} and "
                 f"{self.largest_body}."
             )
 
