@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from vlagents.errors import BadMessage
 from vlagents.wire.bulk import LARGE
 from vlagents.wire.openpi import pack, pack_parts, unpack
+from vlagents.wire.stream import LARGEST_HEADER
 
 PLAIN = (
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats(allow_nan=False) | st.text() | st.binary()
@@ -57,13 +58,13 @@ def test_large_arrays_are_not_copied_and_all_can_be_written() -> None:
 
 
 @pytest.mark.parametrize("one", [b"\x80", b"\x91\x90", b"\xa3abc", b"\xc4\x01a"])
-def test_what_is_no_large_array_is_at_most_a_megabyte(one: bytes) -> None:
+def test_what_is_no_large_array_is_at_most_as_much_as_a_header(one: bytes) -> None:
     def message(count: int) -> bytes:
         return b"\x92" + msgpack.packb(bytes(LARGE)) + b"\xdd" + count.to_bytes(4, "big") + one * count
 
-    count = (1 << 20) // len(one)
+    count = LARGEST_HEADER // len(one)
     assert len(unpack(message(count - 10))[1]) == count - 10
-    with pytest.raises(BadMessage, match="more than 1048576 bytes"):
+    with pytest.raises(BadMessage, match=f"more than {LARGEST_HEADER} bytes"):
         unpack(message(count + 10))
 
 

@@ -68,7 +68,7 @@ def unpack(data: bytes | memoryview) -> Any:
     """Read what openpi sent. Large arrays lie in the data; all can be written if the data can.
 
     Raises:
-        BadMessage: It is none of its messages, or what is no large array has more than a megabyte.
+        BadMessage: It is none of its messages, or what is no large array has more than `LARGEST_HEADER` bytes.
     """
     return bulk.unpack(data, _from_map)
 
