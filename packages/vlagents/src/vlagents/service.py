@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hmac
 import itertools
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -40,11 +42,23 @@ class Caller:
     sessions: set[str] = field(default_factory=set)
 
 
+@dataclass(eq=False)
+class _Waiting:
+    """An observation whose actions somebody waits for."""
+
+    observation: Observation
+    begun: float = 0.0
+    """When the policy began with it [s]; 0 before."""
+    answer: object = None
+    error: Exception | None = None
+
+
 class Service:
     """Answers calls with a policy.
 
     Sessions of one caller are not those of another, even if they are called alike: what a caller does, and that it
-    goes, touches nobody else. The policy is asked by one thread at a time.
+    goes, touches nobody else. The policy is asked by one thread at a time; one that has `infer_batch` is asked at
+    once for all who wait.
     """
 
     def __init__(self, policy: Policy, *, token: str | None = None) -> None:
@@ -63,7 +77,9 @@ class Service:
         self._token = token
         self.metadata: Metadata = policy.metadata()
         """What the policy needs and gives."""
+        self._is_batched = type(policy).infer_batch is not Policy.infer_batch
         self._turn = threading.Lock()
+        self._waiting: deque[_Waiting] = deque()
         self._numbers = itertools.count()
         self._started = time.monotonic()
         self._answered = 0
@@ -129,15 +145,20 @@ class Service:
         """
         own = self._own(caller, observation.session)
         begin = time.perf_counter()
-        waiting, working = 0.0, 0.0
-
-        def ask() -> Any:
-            nonlocal waiting
-            waiting = time.perf_counter() - begin
-            return self._policy.infer(observation.of_session(own))
-
-        chunk = self._in_turn(ask, within)
-        working = time.perf_counter() - begin - waiting
+        asked = _Waiting(observation.of_session(own))
+        self._waiting.append(asked)
+        try:
+            self._in_turn(lambda: self._answer_waiting(asked), within)
+        finally:
+            with contextlib.suppress(ValueError):
+                self._waiting.remove(asked)  # if its turn did not come in time
+        waiting, working = asked.begun - begin, time.perf_counter() - asked.begun
+        if asked.error is not None:
+            try:
+                raise asked.error
+            finally:
+                asked.error = None  # or error and observation would keep each other
+        chunk = asked.answer
         if not isinstance(chunk, Chunk):
             given = "None" if chunk is None else type(chunk).__name__
             told = (
@@ -232,6 +253,32 @@ class Service:
             raise InvalidInput("The name of a session has more than 200 characters.")
         caller.sessions.add(session)
         return f"{caller.number}/{session}"
+
+    def _answer_waiting(self, asked: _Waiting) -> None:
+        """Ask the policy for one observation, and if it can for all others that wait."""
+        if asked.begun:
+            return  # with the turn of another
+        self._waiting.remove(asked)
+        together = [asked]
+        while self._is_batched and self._waiting:
+            together.append(self._waiting.popleft())
+        for each in together:
+            each.begun = time.perf_counter()
+        if len(together) == 1:
+            asked.answer = self._policy.infer(asked.observation)
+            return
+        try:
+            answers = self._policy.infer_batch([each.observation for each in together])
+            for each, answer in zip(together, answers, strict=True):
+                each.answer = answer
+            return
+        except Exception:  # noqa: BLE001  whose fault it is shows one by one
+            _log.exception("The policy failed to answer %d observations at once", len(together))
+        for each in together:
+            try:
+                each.answer = self._policy.infer(each.observation)
+            except Exception as error:  # noqa: BLE001  it is raised where it was asked for
+                each.error = error
 
     def _in_turn(self, act: Callable[[], Any], within: float | None) -> Any:
         wait = LONGEST_WAIT if within is None else min(within, LONGEST_WAIT)

@@ -111,7 +111,7 @@ def _made(
         raise InvalidInput(f"The policy {name!r} has no option --{unknown[0]}; valid: {valid}.")
     given: dict[str, Any] = {option: _value(text, known[option].annotation) for option, text in options.items()}
     if settings:
-        given["settings"] = Settings.read(*checkpoint, settings)
+        given["settings"] = Settings.read(checkpoint[0] if checkpoint else "", settings)
     try:
         inspect.signature(make).bind(*checkpoint, **given)
     except TypeError as error:
