@@ -165,9 +165,6 @@ class Server:
         number = values.get("id") if isinstance(values, dict) else None
         try:
             answer = self.service.answer(caller, values)
-            del values  # so that what is still there is what the policy keeps
-            if isinstance(channel, SharedChannel):
-                channel.check()
         except (BadMessage, Unauthorized) as error:
             with contextlib.suppress(VlagentsError):
                 channel.send(failure(number, error), Deadline(self._transfer, "reading of an answer"))

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import hmac
 import itertools
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -79,7 +77,7 @@ class Service:
         """What the policy needs and gives."""
         self._is_batched = type(policy).infer_batch is not Policy.infer_batch
         self._turn = threading.Lock()
-        self._waiting: deque[_Waiting] = deque()
+        self._waiting: dict[_Waiting, None] = {}
         self._numbers = itertools.count()
         self._started = time.monotonic()
         self._answered = 0
@@ -146,12 +144,11 @@ class Service:
         own = self._own(caller, observation.session)
         begin = time.perf_counter()
         asked = _Waiting(observation.of_session(own))
-        self._waiting.append(asked)
+        self._waiting[asked] = None
         try:
             self._in_turn(lambda: self._answer_waiting(asked), within)
         finally:
-            with contextlib.suppress(ValueError):
-                self._waiting.remove(asked)  # if its turn did not come in time
+            self._waiting.pop(asked, None)  # if its turn did not come in time
         waiting, working = asked.begun - begin, time.perf_counter() - asked.begun
         if asked.error is not None:
             try:
@@ -258,11 +255,9 @@ class Service:
         """Ask the policy for one observation, and if it can for all others that wait."""
         if asked.begun:
             return  # with the turn of another
-        self._waiting.remove(asked)
-        together = [asked]
-        while self._is_batched and self._waiting:
-            together.append(self._waiting.popleft())
+        together = list(self._waiting) if self._is_batched else [asked]
         for each in together:
+            self._waiting.pop(each, None)
             each.begun = time.perf_counter()
         if len(together) == 1:
             asked.answer = self._policy.infer(asked.observation)

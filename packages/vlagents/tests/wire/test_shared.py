@@ -49,29 +49,33 @@ def test_what_came_is_the_readers_to_keep_and_to_write(channels: Any) -> None:
     left, right = channels
     kept = []
     for fill in range(6):
-        image = np.full(1_000_000, fill, np.uint8)
-        left.send({"image": image, "state": np.full(7, float(fill))}, soon())
-        came = right.receive(soon())
-        came["image"][:10] += 100
-        kept.append(came)
-        came = None
-        right.check()
-        left.settled()
+        left.send({"image": np.full(1_000_000, fill, np.uint8), "state": np.full(7, float(fill))}, soon())
+        kept.append(right.receive(soon()))
+        kept[-1]["image"][:10] += 100
     for fill, came in enumerate(kept):
         assert came["state"].tolist() == [fill] * 7
         assert set(came["image"][:10]) == {fill + 100}
         assert set(came["image"][10:]) == {fill}
 
 
-def test_two_messages_may_be_on_their_way_and_the_third_takes_the_place_of_the_first(channels: Any) -> None:
+def test_memory_that_nobody_keeps_is_used_again(channels: Any) -> None:
+    left, right = channels
+    places = set()
+    for fill in range(6):
+        left.send(np.full(1_000_000, fill, np.uint8), soon())
+        places.add(right.receive(soon()).ctypes.data)
+    assert len(places) == 1
+
+
+def test_the_third_of_messages_that_nobody_read_takes_the_place_of_the_first(channels: Any) -> None:
     left, right = channels
     for fill in (1, 2):
         left.send(np.full(100_000, fill, np.uint8), soon())
-    assert right.receive(soon())[0] == 1
-    right.check()
-    left.send(np.full(100_000, 3, np.uint8), soon())
-    with pytest.raises(BadMessage, match="wrote over"):
-        right.check()
+    assert [right.receive(soon())[0] for _ in range(2)] == [1, 2]
+    for fill in (3, 4, 5):
+        left.send(np.full(100_000, fill, np.uint8), soon())
+    with pytest.raises(BadMessage, match="does not hold"):
+        right.receive(soon())
 
 
 def test_nothing_is_left_behind(channels: Any) -> None:

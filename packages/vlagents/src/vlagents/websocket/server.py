@@ -158,8 +158,7 @@ class WebsocketServer:
         try:
             self._send(channel, {"policy": metadata.name, OWN: metadata.to_dict()})
             while True:
-                message = channel.receive(Deadline(None, ""), Deadline(self._transfer, "the rest of a message"))
-                self._send(channel, self._answer(caller, message))
+                self._send(channel, self._answer(caller, self._receive(channel)))
         except ConnectionLost:
             pass
         except VlagentsError as error:
@@ -172,6 +171,9 @@ class WebsocketServer:
             self._acceptor.leave(channel)
             channel.close()
             self.service.forget(caller)
+
+    def _receive(self, channel: FrameChannel) -> str | memoryview:
+        return channel.receive(Deadline(None, ""), Deadline(self._transfer, "the rest of a message"))
 
     def _send(self, channel: FrameChannel, values: Mapping[str, Any]) -> None:
         channel.send(pack_parts(values), Deadline(self._transfer, "reading of an answer"))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
+import sys
 import threading
 from collections.abc import Sequence
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from vlagents.errors import BadMessage, ConnectionLost, VlagentsError
 from vlagents.wire.deadline import Deadline
 from vlagents.wire.link import Link
-from vlagents.wire.stream import LARGEST_BODY
+from vlagents.wire.stream import KEPT, LARGEST_BODY
 
 GO_ON, TEXT, BINARY, CLOSE, PING, PONG = 0, 1, 2, 8, 9, 10
 LAST, MASKED = 0x80, 0x80
@@ -68,7 +69,7 @@ class FrameChannel:
             raise ConnectionLost(f"The connection broke: {error}.") from error
 
     def receive(self, deadline: Deadline, begun: Deadline | None = None) -> str | memoryview:
-        """Return the next message, bytes in memory of their own.
+        """Return the next message, bytes in memory that nobody else has.
 
         Args:
             deadline: By when it must have begun to come, and be complete unless `begun` says otherwise.
@@ -160,6 +161,8 @@ class FrameChannel:
     def _receive(self, deadline: Deadline, begun: Deadline | None) -> str | memoryview:
         kind, size = GO_ON, 0
         rest = deadline
+        if sys.getrefcount(self._body) > 2:  # somebody keeps an array of the last message
+            self._body = np.empty(0, np.uint8)
         while True:
             self._link.need(1, rest)
             if rest is deadline and begun is not None:
@@ -211,7 +214,9 @@ class FrameChannel:
                 mask_into(piece, piece, key, at)
 
     def _message(self, kind: int, size: int) -> str | memoryview:
-        body, self._body = self._body[:size], np.empty(0, np.uint8)
+        body = self._body[:size]
+        if len(self._body) > KEPT:
+            self._body = np.empty(0, np.uint8)
         if kind == BINARY:
             return body.data
         try:

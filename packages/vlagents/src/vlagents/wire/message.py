@@ -69,13 +69,12 @@ def pack(values: Any) -> tuple[bytes, list[memoryview], int]:
     return header, parts, end
 
 
-def unpack(header: bytes | bytearray | memoryview, body: Any, *, is_own: bool = False) -> Any:
-    """Put a message together again; its arrays are whoever's who reads it, to keep and to write.
+def unpack(header: bytes | bytearray | memoryview, body: Any) -> Any:
+    """Put a message together again; its large arrays are views of the body, small ones are copies.
 
     Args:
         header: What `pack` made of the values.
         body: A buffer with the bytes of the arrays.
-        is_own: Whether the body is nobody else's and can be written: then large arrays are views of it.
 
     Raises:
         BadMessage: It is none.
@@ -96,7 +95,7 @@ def unpack(header: bytes | bytearray | memoryview, body: Any, *, is_own: bool = 
         if total > size:  # or a short header could have the same bytes be copied any number of times
             raise BadMessage(f"The arrays have more than the {size} bytes of the body: some lie in others.")
         # Whoever keeps a small one does not keep the whole body.
-        return array if is_own and array.nbytes >= SMALL else array.copy()
+        return array if array.nbytes >= SMALL else array.copy()
 
     try:
         return msgpack.unpackb(header, ext_hook=extension, strict_map_key=True)

@@ -3,11 +3,8 @@
 The memory has no name: its file descriptor travels over the socket. So nothing is left behind by whoever is killed, and
 nobody else can open it. It cannot shrink (a seal that the reader checks), so that a reader never touches memory that is
 gone. It has two slots: the second is for what is sent while the first is still read, such as after an answer that was
-late. Each begins with the number of the message that lies in it, and the reader looks twice: before it reads, and after
-the policy has read.
-
-A reader may write what it reads, and keep it: pages that it writes to become its own, and so do those of what is still
-kept when the policy has read.
+late. Each begins with the number of the message that lies in it, and the reader looks twice: before it copies the
+arrays out, and after.
 """
 
 from __future__ import annotations
@@ -17,7 +14,6 @@ import mmap
 import os
 import socket
 import struct
-import weakref
 from typing import Any
 
 import numpy as np
@@ -100,8 +96,7 @@ class SharedChannel(StreamChannel):
         self._slot_size = 0
         self._number, self._slot = 0, 0
         self._theirs: NDArray[np.uint8] | None = None
-        self._their_slot_size, self._their_file = 0, -1
-        self._reading: tuple[int, int, int, weakref.ref[mmap.mmap]] | None = None
+        self._their_slot_size = 0
 
     def send(self, values: Any, deadline: Deadline) -> None:
         """Send a message, through the memory if it is large."""
@@ -115,32 +110,14 @@ class SharedChannel(StreamChannel):
     def close(self) -> None:
         """Close the socket and let go of the memory."""
         super().close()
-        for file in (self._own_file, self._their_file):
-            if file >= 0:
-                os.close(file)
-        self._own_file = self._their_file = -1
-        self._own, self._theirs, self._reading = None, None, None
+        if self._own_file >= 0:
+            os.close(self._own_file)
+            self._own_file = -1
+        self._own, self._theirs = None, None
 
     def settled(self) -> None:
         """Begin with the first slot again."""
         self._slot = 0
-
-    def check(self) -> None:
-        """Look whether the last message is still what it was, and have what is kept of it stay so.
-
-        Raises:
-            BadMessage: Its sender has written over it.
-        """
-        if self._reading is None or self._theirs is None:
-            return
-        start, end, number, lent = self._reading
-        memory = lent()
-        if memory is not None:  # somebody has an array that lies there: write a byte of each page, and it is a copy
-            pages = np.frombuffer(memory, np.uint8)[start : end : mmap.PAGESIZE]
-            pages[:] = pages.copy()
-        if _number_at(self._theirs, start) != number:
-            self.close()
-            raise BadMessage("The other side wrote over a message that was being read.")
 
     def _send_shared(self, header: bytes, parts: list[memoryview], size: int, deadline: Deadline) -> None:
         is_new = self._own is None or size + HEAD > self._slot_size
@@ -184,7 +161,6 @@ class SharedChannel(StreamChannel):
         self._own, self._own_file, self._slot_size = memory, file, size
 
     def _receive(self, deadline: Deadline, begun: Deadline | None) -> Any:
-        self._reading = None
         self._link.need(1, deadline)
         rest = deadline if begun is None else Deadline(begun.seconds, "the rest of a message")
         prefix = self._link.take(PREFIX.size, rest)
@@ -198,20 +174,18 @@ class SharedChannel(StreamChannel):
             file = self._unix.files.pop(0)
             try:
                 self._map(file, slot_size)
-            except BaseException:
+            finally:
                 os.close(file)
-                raise
         if self._theirs is None or slot_size != self._their_slot_size or slot >= SLOTS or size + HEAD > slot_size:
             raise BadMessage(f"A message of {size} bytes is said to be in slot {slot}, where there is no room for it.")
         start = slot * slot_size
         if _number_at(self._theirs, start) != number:
             raise BadMessage(f"Slot {slot} does not hold message {number}.")
-        flags, access = mmap.MAP_PRIVATE, mmap.PROT_READ | mmap.PROT_WRITE
-        memory = mmap.mmap(self._their_file, SLOTS * slot_size, flags, access)
-        end = start + HEAD + size
-        self._reading = (start, end, number, weakref.ref(memory))
-        body = np.frombuffer(memory, np.uint8)[start + HEAD : end]
-        return unpack(header, body, is_own=True)
+        body = self._room(size)
+        np.copyto(body, self._theirs[start + HEAD : start + HEAD + size])  # without Python's lock
+        if _number_at(self._theirs, start) != number:
+            raise BadMessage("The other side wrote over a message that was being read.")
+        return unpack(header, body)
 
     def _map(self, file: int, slot_size: int) -> None:
         """Look at the other side's memory, if it is what it should be.
@@ -219,9 +193,8 @@ class SharedChannel(StreamChannel):
         Raises:
             BadMessage: It is not, or larger than allowed.
         """
-        largest = 2 * max(self.largest_body + HEAD, 1 << 20)
-        if not 0 < slot_size <= largest or slot_size % mmap.PAGESIZE:
-            raise BadMessage(f"A slot has {slot_size} bytes; valid are multiples of {mmap.PAGESIZE} up to {largest}.")
+        if not HEAD < slot_size <= 2 * max(self.largest_body + HEAD, 1 << 20):
+            raise BadMessage(f"A slot of {slot_size} bytes is too large; valid are up to twice {self.largest_body}.")
         try:
             is_sealed = bool(fcntl.fcntl(file, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK)  # type: ignore[attr-defined]
         except OSError:
@@ -229,9 +202,7 @@ class SharedChannel(StreamChannel):
         if not is_sealed or os.fstat(file).st_size != SLOTS * slot_size:
             raise BadMessage(f"The shared memory is not sealed, or does not have {SLOTS} slots of {slot_size} bytes.")
         view = np.frombuffer(mmap.mmap(file, SLOTS * slot_size, prot=mmap.PROT_READ), np.uint8)
-        if self._their_file >= 0:
-            os.close(self._their_file)
-        self._theirs, self._their_slot_size, self._their_file = view, slot_size, file
+        self._theirs, self._their_slot_size = view, slot_size
 
 
 def peer_user(connection: socket.socket) -> int:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import socket
 import struct
+import sys
 from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vlagents.errors import BadMessage, ConnectionLost, VlagentsError
 from vlagents.wire.deadline import Deadline
@@ -24,6 +26,8 @@ LARGEST_HEADER = 512 << 10
 """Most bytes of a header, and on other wires of what is no large array."""
 LARGEST_BODY = 256 << 20
 """Most bytes of a body, by default: forty full HD pictures."""
+KEPT = 64 << 20
+"""Memory of a body of up to this many bytes may be used again: new memory costs more than what is read into it."""
 
 
 class Channel(Protocol):
@@ -54,6 +58,7 @@ class StreamChannel:
         """
         self._link = self._linked(connection)
         self.largest_body = largest_body
+        self._body = np.empty(0, np.uint8)
 
     def send(self, values: Any, deadline: Deadline) -> None:
         """Send a message.
@@ -122,9 +127,17 @@ class StreamChannel:
             raise BadMessage(f"A message begins with {magic!r}; valid is {MAGIC!r}.")
         self._check_sizes(header_size, size)
         header = self._header(header_size, rest)
-        body = np.empty(size, np.uint8)
+        body = self._room(size)
         self._link.fill(body.data, rest)
-        return unpack(header, body, is_own=True)
+        return unpack(header, body)
+
+    def _room(self, size: int) -> NDArray[np.uint8]:
+        """Return memory for a body: that of the last one again, unless somebody keeps an array of it."""
+        if size > KEPT:
+            return np.empty(size, np.uint8)
+        if len(self._body) < size or sys.getrefcount(self._body) > 2:
+            self._body = np.empty(size, np.uint8)
+        return self._body[:size]
 
     def _check_sizes(self, header_size: int, size: int) -> None:
         largest_header = min(LARGEST_HEADER, self.largest_body)
