@@ -122,6 +122,20 @@ def test_a_policy_sees_what_was_observed(pair: Pair, echo: Echo, observation: Ob
     assert seen.time == observation.time
 
 
+def test_what_a_policy_is_shown_is_its_own_to_write_and_to_keep(pair: Pair, echo: Echo) -> None:
+    with pair.connect() as client:
+        for fill in range(5):
+            image = np.full((240, 320, 3), fill, np.uint8)
+            client.infer(Observation({"side": image, "small": image[:4]}, {"joints": np.full(3, float(fill))}))
+            for array in (*echo.seen[fill].images.values(), *echo.seen[fill].state.values()):
+                assert isinstance(array, np.ndarray)
+                array.reshape(-1)[:2] = 99
+    for fill, seen in enumerate(echo.seen):
+        for array in (*seen.images.values(), *seen.state.values()):
+            assert np.asarray(array).reshape(-1)[:3].tolist() == [99, 99, fill]
+            assert (np.asarray(array).reshape(-1)[2:] == fill).all()
+
+
 @pytest.mark.parametrize("kind", ["tcp", "shared"])
 def test_what_is_in_flight_travels_along(kind: str, echo: Echo) -> None:
     previous = np.arange(6.0).reshape(3, 2)

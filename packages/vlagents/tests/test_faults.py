@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from vlagents import BadMessage, ConnectionLost, DeadlineExceeded, Observation, Unauthorized, VlagentsError
 from vlagents.client import Client
+from vlagents.listening import Guest
 from vlagents.policies.random import RandomPolicy
 from vlagents.server import Server
 from vlagents.websocket import WebsocketClient, WebsocketServer
@@ -160,7 +161,7 @@ def test_somebody_else_gets_no_shared_memory(tmp_path: Path) -> None:
         other = process(code, str(path))
         connection, _ = listening.accept()
         with connection, pytest.raises(Unauthorized, match="Somebody else"):
-            Server(RandomPolicy(size=8), port=0)._over_memory(connection)
+            Server(RandomPolicy(size=8), port=0)._over_memory(Guest("somebody", connection))
     other.wait()
 
 

@@ -10,7 +10,7 @@ SCRIPT = Path(__file__).parents[1] / "tools" / "fuzz_wire.py"
 
 
 @pytest.mark.skipif(not is_supported(), reason="needs memory without a name, which this system has not")
-@pytest.mark.parametrize("wire", ["shared", "tcp", "websocket"])
+@pytest.mark.parametrize("wire", ["shared", "tcp", "websocket", "gr00t"])
 def test_damaged_frames_do_no_harm(wire: str) -> None:
     spec = importlib.util.spec_from_file_location("fuzz_wire", SCRIPT)
     assert spec is not None

@@ -1,6 +1,6 @@
 """Sends a server valid messages that were damaged, and what is no message at all, over each wire.
 
-Each wire (shared memory, TCP, websocket) has a server in a process of its own, with a random policy, and gets
+Each wire (shared memory, TCP, websocket, GR00T) has a server in a process of its own, with a random policy, and gets
 `--frames` frames, some of them per connection. A frame counts when it was answered, or ended its connection; what came
 behind one that did is not counted. Now and then a client of the right kind asks for a chunk, and must get
 it. A pickle that would make a file is among the frames.
@@ -31,23 +31,28 @@ import numpy as np
 from vlagents import Observation
 from vlagents.address import parse, socket_beside
 from vlagents.connect import connect
+from vlagents.other_wires import groot
+from vlagents.policies.random import RandomPolicy
 from vlagents.wire import openpi
 from vlagents.wire.calls import observation_to_values
 from vlagents.wire.message import pack
 from vlagents.wire.shared import HEAD, MAGIC, PLACE, SEALS, SLOTS
 from vlagents.wire.stream import PREFIX
+from vlagents.wire.zmtp import COMMAND, GREETING
 
 SERVE = """
 import logging, sys, threading
+from vlagents.other_wires.groot import GrootServer
 from vlagents.policies.random import RandomPolicy
 from vlagents.server import Server
 from vlagents.websocket import WebsocketServer
 logging.disable(logging.CRITICAL)
-server = (WebsocketServer if sys.argv[1] == "websocket" else Server)(RandomPolicy(size=8), port=0, transfer=1.0).start()
+kind = {"websocket": WebsocketServer, "gr00t": GrootServer}.get(sys.argv[1], Server)
+server = kind(RandomPolicy(size=8), port=0).start()
 print(server.address, flush=True)
 threading.Event().wait()
 """
-WIRES = ("shared", "tcp", "websocket")
+WIRES = ("shared", "tcp", "websocket", "gr00t")
 BURST = 16
 """Frames of a connection."""
 ASKED = 50
@@ -56,6 +61,7 @@ HANDSHAKE = (
     b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
 )
+READY = b"\x05READY\x0bSocket-Type\x00\x00\x00\x03REQ"
 OBSERVATION = Observation(
     images={"side": np.zeros((8, 8, 3), np.uint8)}, state={"joints": np.zeros(7)}, instruction="pick", session="a"
 )
@@ -149,13 +155,16 @@ class Frames:
 
     def hello(self, wire: str) -> bytes:
         """Return what a connection begins with, undamaged."""
+        if wire == "gr00t":
+            return GREETING + bytes([COMMAND, len(READY)]) + READY
         return HANDSHAKE if wire == "websocket" else _framed(*pack(self._hello)[:2])
 
     def frame(self, wire: str) -> tuple[bytes, int | None]:
         """Return a frame, and for shared memory how large the file is that comes with it, if one does."""
         if wire == "shared" and self.random.random() < 0.15:
             return self._shared()
-        return (self._websocket() if wire == "websocket" else self._native()), None
+        draw = {"websocket": self._websocket, "gr00t": self._gr00t}.get(wire, self._native)
+        return draw(), None
 
     def _native(self) -> bytes:
         call = self.random.choice(self._calls)
@@ -172,6 +181,20 @@ class Frames:
         frame = PREFIX.pack(MAGIC, len(header), random.choice([size, 0, 1 << 20, 2**62])) + place + header
         made = random.choice([SLOTS << 20, 4096, 0])
         return (self.damaged(frame) if random.random() < 0.5 else frame), (made if random.random() < 0.7 else None)
+
+    def _gr00t(self) -> bytes:
+        random = self.random
+        seen = {"video": {"side": np.zeros((1, 1, 8, 8, 3), np.uint8)}, "state": {"joints": np.zeros((1, 1, 7), "f4")}}
+        seen["language"] = {"task": [["pick"]]}  # type: ignore[assignment]
+        request = {"endpoint": random.choice(["get_action", "reset", "ping", "kill"]), "data": {"observation": seen}}
+        which = random.randrange(12)
+        message = groot.pack(self.confused(request) if which > 3 else request)
+        if which == 0:
+            message = self.damaged(message)
+        frame = (
+            b"\x01\x00" + struct.pack(">BQ", random.choice([2, 3, 4, 9]) if which == 1 else 2, len(message)) + message
+        )
+        return self.damaged(frame) if which == 2 else frame
 
     def _websocket(self) -> bytes:
         random = self.random
@@ -232,6 +255,12 @@ def sent(wire: str, address: Any, frames: Frames) -> int:
 def answers(wire: str, came: bytes) -> int:
     """Return how many frames were answered, the greeting apart."""
     at, count = 0, -1
+    if wire == "gr00t":  # an empty frame, and one with 8 bytes of length
+        at = len(GREETING) + 2 + len(READY) + 3
+        while at + 11 <= len(came):
+            at += 11 + int.from_bytes(came[at + 3 : at + 11], "big")
+            count += 1
+        return max(count, 0)
     if wire == "websocket":
         at = came.find(b"\r\n\r\n") + 4
         while at + 2 <= len(came):
@@ -275,7 +304,9 @@ def fuzz(wire: str, frames: int, seed: int) -> dict[str, Any]:
             address = parse(serving.stdout.readline().strip())
             place: Any = str(socket_beside(address.port)) if wire == "shared" else (address.host, address.port)
             begin, warm, count, connections, served = time.monotonic(), 0.0, 0, 0, 0
-            options = {} if wire == "websocket" else {"is_shared": wire == "shared"}
+            options: dict[str, Any] = {"is_shared": wire == "shared"} if wire in ("shared", "tcp") else {}
+            if wire == "gr00t":
+                options["metadata"] = RandomPolicy(size=8).metadata()
             with connect(str(address), timeout=20.0, **options) as good:
                 while count < frames:
                     count += sent(wire, place, drawn)

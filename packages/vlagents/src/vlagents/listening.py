@@ -8,6 +8,7 @@ import logging
 import socket
 import ssl
 import threading
+import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +23,12 @@ BEGIN = 5.0
 """How long a new connection may take to say who it is [s]."""
 TRANSFER = 10.0
 """How long a message may take to come once it began, and an answer to be read [s]."""
+LEAVING = 1.0
+"""How long the end of a server waits for what goes on there [s]."""
 MOST_CALLERS = 64
 """Connections at a time."""
+STRANGER = 64 << 10
+"""Most bytes of arrays that somebody may send who is not known yet."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +83,7 @@ class Listening:
         """
         family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
         with self.taken_is_told():
-            return socket.create_server((self.host, self.port), family=family, backlog=16)
+            return socket.create_server((self.host, self.port), family=family, backlog=2 * MOST_CALLERS)
 
     @contextlib.contextmanager
     def taken_is_told(self) -> Generator[None]:
@@ -103,6 +108,34 @@ class Stoppable(Protocol):
         ...
 
 
+@dataclass(eq=False)
+class Guest:
+    """Whoever has connected."""
+
+    name: str
+    """Where it comes from, for the log."""
+    connection: socket.socket
+    is_known: bool = False
+    """Whether it has said who it is. When there are too many, the oldest that has not gives way to a new one."""
+
+    def secure(self, context: ssl.SSLContext) -> None:
+        """Have TLS on the connection.
+
+        Raises:
+            OSError: The other side has none, or takes too long.
+        """
+        self.connection.settimeout(BEGIN)
+        # The handshake comes after the connection is replaced, so that `stop` ends it, too.
+        encrypted = context.wrap_socket(self.connection, server_side=True, do_handshake_on_connect=False)
+        self.connection = encrypted
+        encrypted.do_handshake()
+
+    def stop(self) -> None:
+        """Have whoever reads or writes there learn that it is over."""
+        with contextlib.suppress(OSError):
+            socket.socket.shutdown(self.connection, socket.SHUT_RDWR)  # of TLS too, whose own forgets the encryption
+
+
 class Acceptor:
     """Takes connections at sockets that listen; a thread of its own answers each."""
 
@@ -110,6 +143,7 @@ class Acceptor:
         """Begin with no socket."""
         self._listeners: list[socket.socket] = []
         self._threads: list[threading.Thread] = []
+        self._guests: dict[Guest, None] = {}
         self._open: set[Stoppable] = set()
         self._lock = threading.Lock()
         self.is_closing = threading.Event()
@@ -121,12 +155,12 @@ class Acceptor:
         with self._lock:
             return list(self._open)
 
-    def listen(self, listener: socket.socket, converse: Callable[[socket.socket, str], None]) -> None:
+    def listen(self, listener: socket.socket, converse: Callable[[Guest], None]) -> None:
         """Take connections at a socket.
 
         Args:
             listener: It is closed with this.
-            converse: Takes a connection and the name of whoever is there; the connection is closed when it returns.
+            converse: Talks with a guest, and says when it is known; the connection is closed when it returns.
         """
         self._listeners.append(listener)
         self.run(f"vlagents accept {listener.getsockname()}", self._accept, listener, converse)
@@ -152,19 +186,25 @@ class Acceptor:
             self._open.discard(conversation)
 
     def close(self) -> None:
-        """Take no more connections, and end those that are. A second call does nothing."""
+        """Take no more connections, and end those that are. A second call does nothing.
+
+        What has not ended after `LEAVING` seconds, because the policy still works on it, is left to itself.
+        """
         self.is_closing.set()
         for listener in self._listeners:
             with contextlib.suppress(OSError):
                 listener.shutdown(socket.SHUT_RDWR)  # wakes the thread that waits there
             listener.close()
-        for conversation in self.open:
-            conversation.stop()
+        with self._lock:
+            stoppable = [*self._open, *self._guests]
+        for each in stoppable:
+            each.stop()
+        end = time.monotonic() + LEAVING
         for thread in self._threads:
             if thread is not threading.current_thread():
-                thread.join(TRANSFER + BEGIN)
+                thread.join(max(end - time.monotonic(), 0.0))
 
-    def _accept(self, listener: socket.socket, converse: Callable[[socket.socket, str], None]) -> None:
+    def _accept(self, listener: socket.socket, converse: Callable[[Guest], None]) -> None:
         while not self.is_closing.is_set():
             try:
                 connection, peer = listener.accept()
@@ -172,17 +212,30 @@ class Acceptor:
                 if self.is_closing.wait(0.05):  # out of files: others may end soon
                     return
                 continue
-            name = f"{peer[0]}:{peer[1]}" if isinstance(peer, tuple) else "this machine"
-            with self._lock:
-                count = sum(thread.name.startswith("vlagents with") for thread in self._threads if thread.is_alive())
-            if count >= MOST_CALLERS:
-                _log.warning("A connection was refused: there are %d already", MOST_CALLERS)
+            guest = Guest(f"{peer[0]}:{peer[1]}" if isinstance(peer, tuple) else "this machine", connection)
+            if not self._seat(guest):
+                _log.warning("%s was refused: there are %d connections already", guest.name, MOST_CALLERS)
                 connection.close()
                 continue
-            self.run(f"vlagents with {name}", self._answer, connection, name, converse)
+            self.run(f"vlagents with {guest.name}", self._answer, guest, converse)
 
-    def _answer(self, connection: socket.socket, name: str, converse: Callable[[socket.socket, str], None]) -> None:
+    def _seat(self, guest: Guest) -> bool:
+        """Return whether there is room for a guest, if need be because one that has said nothing must go."""
+        with self._lock:
+            if len(self._guests) >= MOST_CALLERS:
+                silent = next((other for other in self._guests if not other.is_known), None)
+                if silent is None:
+                    return False
+                _log.warning("%s has not said who it is, and gave way to %s", silent.name, guest.name)
+                del self._guests[silent]
+                silent.stop()
+            self._guests[guest] = None
+            return True
+
+    def _answer(self, guest: Guest, converse: Callable[[Guest], None]) -> None:
         try:
-            converse(connection, name)
+            converse(guest)
         finally:
-            connection.close()
+            with self._lock:
+                self._guests.pop(guest, None)
+            guest.connection.close()

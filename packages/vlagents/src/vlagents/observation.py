@@ -17,7 +17,7 @@ from vlagents.jpeg import Jpeg
 class Observation:
     """One moment as a robot sees it.
 
-    A server hands a policy arrays that are read-only and valid until `infer` returns; who keeps one copies it.
+    A server hands a policy arrays that are the policy's own, to write and to keep.
     """
 
     images: Mapping[str, NDArray[np.uint8] | Jpeg] = field(default_factory=dict)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from types import TracebackType
 
 from vlagents.chunk import Chunk
@@ -36,6 +37,14 @@ class Policy(ABC):
         Raises:
             InvalidInput: Something that the policy needs is missing or wrong.
         """
+
+    def infer_batch(self, observations: Sequence[Observation]) -> Sequence[Chunk]:
+        """Return the actions for several observations, each of another session.
+
+        A server asks a policy that has this method of its own for all robots at once that wait for their turn. If it
+        raises an error, they are asked for one by one, so that a mistake of one robot is none of another's.
+        """
+        return [self.infer(observation) for observation in observations]
 
     def reset(  # noqa: B027  a policy may remember nothing
         self, session: str = "", instruction: str = "", *, seed: int | None = None

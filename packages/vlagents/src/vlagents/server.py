@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import socket
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -13,7 +12,7 @@ from types import TracebackType
 from vlagents.address import Address, is_loopback
 from vlagents.beside import listen_beside
 from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, Unauthorized, VlagentsError
-from vlagents.listening import BEGIN, TRANSFER, Acceptor, Listening
+from vlagents.listening import BEGIN, STRANGER, TRANSFER, Acceptor, Guest, Listening
 from vlagents.policy import Policy
 from vlagents.service import Caller, Service
 from vlagents.wire.calls import failure
@@ -22,9 +21,6 @@ from vlagents.wire.shared import SharedChannel, is_supported, peer_user
 from vlagents.wire.stream import LARGEST_BODY, StreamChannel
 
 _log = logging.getLogger(__name__)
-
-STRANGER = 64 << 10
-"""Most bytes of arrays that somebody may send who has not said hello."""
 
 
 class Server:
@@ -94,7 +90,7 @@ class Server:
         """
         listener = self._listening.open()
         self._port = listener.getsockname()[1]
-        self._acceptor.listen(listener, lambda there, name: self._converse(there, name, self._over_tcp))
+        self._acceptor.listen(listener, lambda guest: self._converse(guest, self._over_tcp))
         if is_supported() and is_loopback(self._listening.host) and self._tls is None:
             self._listen_beside()
         return self
@@ -104,7 +100,7 @@ class Server:
         self._acceptor.is_closing.wait()
 
     def close(self) -> None:
-        """End all connections, then the policy. A second call does nothing."""
+        """End all connections, then close the policy, as `Service.close` does. A second call does nothing."""
         path, self._unix = self._unix, None
         if path is not None:
             path.unlink(missing_ok=True)
@@ -128,38 +124,36 @@ class Server:
         except (OSError, InvalidInput) as error:
             _log.warning("There is no shared memory for clients on this machine: %s", error)
             return
-        self._acceptor.listen(listener, lambda there, name: self._converse(there, name, self._over_memory))
+        self._acceptor.listen(listener, lambda guest: self._converse(guest, self._over_memory))
 
-    def _over_tcp(self, connection: socket.socket) -> StreamChannel:
+    def _over_tcp(self, guest: Guest) -> StreamChannel:
         if self._tls is not None:
-            connection.settimeout(BEGIN)
-            connection = self._tls.wrap_socket(connection, server_side=True)
-        return StreamChannel(connection, largest_body=STRANGER)
+            guest.secure(self._tls)
+        return StreamChannel(guest.connection, largest_body=STRANGER)
 
-    def _over_memory(self, connection: socket.socket) -> StreamChannel:
-        if peer_user(connection) != os.getuid():
+    def _over_memory(self, guest: Guest) -> StreamChannel:
+        if peer_user(guest.connection) != os.getuid():
             raise Unauthorized("Somebody else is at the socket.")
-        return SharedChannel(connection, largest_body=STRANGER)
+        return SharedChannel(guest.connection, largest_body=STRANGER)
 
-    def _converse(
-        self, connection: socket.socket, name: str, welcome: Callable[[socket.socket], StreamChannel]
-    ) -> None:
+    def _converse(self, guest: Guest, welcome: Callable[[Guest], StreamChannel]) -> None:
         """Answer one connection until it ends."""
-        caller = self.service.caller(name)
+        caller = self.service.caller(guest.name)
         try:
-            channel = welcome(connection)
+            channel = welcome(guest)
         except (OSError, VlagentsError) as error:
-            _log.warning("%s was refused: %s", name, error)
+            _log.warning("%s was refused: %s", guest.name, error)
             return
         self._acceptor.enter(channel)
         try:
             while not self._acceptor.is_closing.is_set():
                 self._answer_one(channel, caller)
+                guest.is_known = caller.is_known
         except ConnectionLost:
             pass
         except VlagentsError as error:
             if not self._acceptor.is_closing.is_set():
-                _log.warning("The connection of %s was ended: %s", name, error)
+                _log.warning("The connection of %s was ended: %s", guest.name, error)
         finally:
             self._acceptor.leave(channel)
             channel.close()
@@ -171,8 +165,6 @@ class Server:
         number = values.get("id") if isinstance(values, dict) else None
         try:
             answer = self.service.answer(caller, values)
-            if isinstance(channel, SharedChannel):
-                channel.check()
         except (BadMessage, Unauthorized) as error:
             with contextlib.suppress(VlagentsError):
                 channel.send(failure(number, error), Deadline(self._transfer, "reading of an answer"))

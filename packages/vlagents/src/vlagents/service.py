@@ -13,6 +13,7 @@ from typing import Any
 
 from vlagents.chunk import Chunk
 from vlagents.errors import BadMessage, ConnectionLost, InvalidInput, Mismatch, Unauthorized, VlagentsError
+from vlagents.listening import LEAVING
 from vlagents.metadata import Metadata, Offer, differences
 from vlagents.observation import Observation
 from vlagents.policy import Policy
@@ -39,11 +40,23 @@ class Caller:
     sessions: set[str] = field(default_factory=set)
 
 
+@dataclass(eq=False)
+class _Waiting:
+    """An observation whose actions somebody waits for."""
+
+    observation: Observation
+    begun: float = 0.0
+    """When the policy began with it [s]; 0 before."""
+    answer: object = None
+    error: Exception | None = None
+
+
 class Service:
     """Answers calls with a policy.
 
     Sessions of one caller are not those of another, even if they are called alike: what a caller does, and that it
-    goes, touches nobody else. The policy is asked by one thread at a time.
+    goes, touches nobody else. The policy is asked by one thread at a time; one that has `infer_batch` is asked at
+    once for all who wait.
     """
 
     def __init__(self, policy: Policy, *, token: str | None = None) -> None:
@@ -62,11 +75,15 @@ class Service:
         self._token = token
         self.metadata: Metadata = policy.metadata()
         """What the policy needs and gives."""
+        self._is_batched = type(policy).infer_batch is not Policy.infer_batch
         self._turn = threading.Lock()
+        self._waiting: dict[_Waiting, None] = {}
         self._numbers = itertools.count()
         self._started = time.monotonic()
         self._answered = 0
         self._is_closed = False
+        self.is_stuck = False
+        """Whether the policy was still in a call when this was closed."""
 
     def caller(self, name: str) -> Caller:
         """Return a new caller, who has not said hello yet."""
@@ -126,15 +143,19 @@ class Service:
         """
         own = self._own(caller, observation.session)
         begin = time.perf_counter()
-        waiting, working = 0.0, 0.0
-
-        def ask() -> Any:
-            nonlocal waiting
-            waiting = time.perf_counter() - begin
-            return self._policy.infer(observation.of_session(own))
-
-        chunk = self._in_turn(ask, within)
-        working = time.perf_counter() - begin - waiting
+        asked = _Waiting(observation.of_session(own))
+        self._waiting[asked] = None
+        try:
+            self._in_turn(lambda: self._answer_waiting(asked), within)
+        finally:
+            self._waiting.pop(asked, None)  # if its turn did not come in time
+        waiting, working = asked.begun - begin, time.perf_counter() - asked.begun
+        if asked.error is not None:
+            try:
+                raise asked.error
+            finally:
+                asked.error = None  # or error and observation would keep each other
+        chunk = asked.answer
         if not isinstance(chunk, Chunk):
             given = "None" if chunk is None else type(chunk).__name__
             told = (
@@ -170,11 +191,21 @@ class Service:
                     _log.exception("The policy could not forget session %r of %s", name, caller.name)
 
     def close(self) -> None:
-        """Close the policy, after the call that it is in."""
-        if not self._is_closed:
-            self._is_closed = True
-            with self._turn:
-                self._policy.close()
+        """Close the policy, after the call that it is in. A second call does nothing.
+
+        A policy that has not answered that call within `LEAVING` seconds is not closed, and `is_stuck` says so.
+        """
+        if self._is_closed:
+            return
+        self._is_closed = True
+        if not self._turn.acquire(timeout=LEAVING):
+            self.is_stuck = True
+            _log.warning("The policy %r still works on a call, and is left without being closed", self.metadata.name)
+            return
+        try:
+            self._policy.close()
+        finally:
+            self._turn.release()
 
     def _answer(self, caller: Caller, call: str, values: Mapping[str, Any]) -> dict[str, Any]:
         if call == "hello":
@@ -219,6 +250,30 @@ class Service:
             raise InvalidInput("The name of a session has more than 200 characters.")
         caller.sessions.add(session)
         return f"{caller.number}/{session}"
+
+    def _answer_waiting(self, asked: _Waiting) -> None:
+        """Ask the policy for one observation, and if it can for all others that wait."""
+        if asked.begun:
+            return  # with the turn of another
+        together = list(self._waiting) if self._is_batched else [asked]
+        for each in together:
+            self._waiting.pop(each, None)
+            each.begun = time.perf_counter()
+        if len(together) == 1:
+            asked.answer = self._policy.infer(asked.observation)
+            return
+        try:
+            answers = self._policy.infer_batch([each.observation for each in together])
+            for each, answer in zip(together, answers, strict=True):
+                each.answer = answer
+            return
+        except Exception:  # noqa: BLE001  whose fault it is shows one by one
+            _log.exception("The policy failed to answer %d observations at once", len(together))
+        for each in together:
+            try:
+                each.answer = self._policy.infer(each.observation)
+            except Exception as error:  # noqa: BLE001  it is raised where it was asked for
+                each.error = error
 
     def _in_turn(self, act: Callable[[], Any], within: float | None) -> Any:
         wait = LONGEST_WAIT if within is None else min(within, LONGEST_WAIT)

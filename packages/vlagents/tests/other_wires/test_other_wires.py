@@ -53,7 +53,7 @@ class Echo(Policy):
         return Chunk(np.array([row, row]), 0.1)
 
 
-@pytest.fixture(params=[pytest.param("gr00t", marks=pytest.mark.extras), "openvla"])
+@pytest.fixture(params=["gr00t", "openvla"])
 def kind(request: pytest.FixtureRequest) -> str:
     return request.param
 

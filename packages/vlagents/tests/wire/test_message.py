@@ -52,10 +52,18 @@ def test_what_is_sent_comes_as_it_was(given_values: Any) -> None:
     assert_same(sent(given_values), given_values)
 
 
-def test_arrays_come_read_only_and_aligned() -> None:
-    came = sent({"a": np.zeros(3, np.uint8), "b": np.arange(5.0)})
-    assert not came["b"].flags.writeable
-    assert came["b"].flags.aligned
+def test_arrays_come_aligned_and_can_be_written_and_small_ones_do_not_keep_pictures() -> None:
+    header, parts, _ = pack({"a": np.zeros(3, np.uint8), "b": np.arange(5.0), "c": np.zeros((200, 200, 3), np.uint8)})
+    body = np.frombuffer(bytearray(body_of(parts)), np.uint8)
+    came = unpack(header, body)
+    assert all(array.flags.writeable and array.flags.aligned for array in came.values())
+    assert {name for name, array in came.items() if np.shares_memory(array, body)} == {"c"}
+
+
+def test_arrays_that_lie_in_each_other_are_refused() -> None:
+    described = msgpack.ExtType(ARRAY, msgpack.packb(["<f8", [1000], 0]))
+    with pytest.raises(BadMessage, match="lie in others"):
+        unpack(msgpack.packb([described] * 2), bytes(8000))
 
 
 def test_views_that_are_not_contiguous_travel() -> None:

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from vlagents.errors import BadMessage
-from vlagents.wire.openpi import LARGE, _unpacked, pack, pack_parts, unpack
-from vlagents.wire.skip import end_of
+from vlagents.wire.bulk import LARGE
+from vlagents.wire.openpi import pack, pack_parts, unpack
+from vlagents.wire.stream import LARGEST_HEADER
 
 PLAIN = (
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats(allow_nan=False) | st.text() | st.binary()
@@ -30,26 +31,41 @@ def same(one: Any, other: Any) -> bool:
 
 
 @given(st.dictionaries(st.text(), NESTED | st.just("array"), max_size=20))
-def test_parts_are_what_the_whole_is_and_are_read_in_place_alike(values: dict[str, Any]) -> None:
+def test_parts_are_what_the_whole_is_and_are_read_as_they_were(values: dict[str, Any]) -> None:
     given: dict[str, Any] = {name: large() if value == "array" else value for name, value in values.items()}
     data = b"".join(pack_parts(given))
     assert data == pack(given)
-    assert same(unpack(data), _unpacked(data))
+    assert same(unpack(data), given)
 
 
-@given(NESTED, st.binary(max_size=5))
-def test_the_end_of_a_value_is_where_the_library_stops(value: Any, behind: bytes) -> None:
-    data: Any = msgpack.packb(value)
-    assert end_of(memoryview(data + behind), 0) == len(data)
-    if data:
-        assert end_of(memoryview(data[:-1]), 0) is None
+@given(NESTED, st.binary(min_size=1, max_size=5))
+def test_large_messages_are_read_as_the_library_reads_them_and_to_the_end(value: Any, behind: bytes) -> None:
+    data: Any = msgpack.packb([bytes(LARGE), value, bytes(LARGE)])
+    came = unpack(data)
+    assert [bytes(came[0]), came[1], bytes(came[2])] == [bytes(LARGE), value, bytes(LARGE)]
+    for wrong in (data + behind, data[:-1], data[: LARGE + 6]):
+        with pytest.raises(BadMessage):
+            unpack(wrong)
 
 
-def test_large_arrays_are_not_copied_and_are_read_only() -> None:
-    data = b"".join(pack_parts({"image": large(), "prompt": "pick"}))
-    image = unpack(data)["image"]
-    assert np.shares_memory(image, np.frombuffer(data, np.uint8))
-    assert not image.flags.writeable
+def test_large_arrays_are_not_copied_and_all_can_be_written() -> None:
+    data = bytearray(b"".join(pack_parts({"image": large(), "deep": {"image": large()}, "state": np.zeros(7)})))
+    came = unpack(memoryview(data))
+    for array in (came["image"], came["deep"]["image"]):
+        assert np.shares_memory(array, np.frombuffer(data, np.uint8))
+        array[0, 0] = 7
+    came["state"][0] = 1.0
+
+
+@pytest.mark.parametrize("one", [b"\x80", b"\x91\x90", b"\xa3abc", b"\xc4\x01a"])
+def test_what_is_no_large_array_is_at_most_as_much_as_a_header(one: bytes) -> None:
+    def message(count: int) -> bytes:
+        return b"\x92" + msgpack.packb(bytes(LARGE)) + b"\xdd" + count.to_bytes(4, "big") + one * count
+
+    count = LARGEST_HEADER // len(one)
+    assert len(unpack(message(count - 10))[1]) == count - 10
+    with pytest.raises(BadMessage, match=f"more than {LARGEST_HEADER} bytes"):
+        unpack(message(count + 10))
 
 
 @pytest.mark.parametrize("change", [b"|O", b"<c8"])

@@ -43,20 +43,39 @@ def test_messages_of_all_sizes_come_as_they_were_sent(channels: Any) -> None:
         came = right.receive(soon())
         assert came["n"] == size
         np.testing.assert_array_equal(came["image"], image)
-        right.check()
 
 
-def test_two_messages_may_be_on_their_way_and_the_third_takes_the_place_of_the_first(channels: Any) -> None:
+def test_what_came_is_the_readers_to_keep_and_to_write(channels: Any) -> None:
+    left, right = channels
+    kept = []
+    for fill in range(6):
+        left.send({"image": np.full(1_000_000, fill, np.uint8), "state": np.full(7, float(fill))}, soon())
+        kept.append(right.receive(soon()))
+        kept[-1]["image"][:10] += 100
+    for fill, came in enumerate(kept):
+        assert came["state"].tolist() == [fill] * 7
+        assert set(came["image"][:10]) == {fill + 100}
+        assert set(came["image"][10:]) == {fill}
+
+
+def test_memory_that_nobody_keeps_is_used_again(channels: Any) -> None:
+    left, right = channels
+    places = set()
+    for fill in range(6):
+        left.send(np.full(1_000_000, fill, np.uint8), soon())
+        places.add(right.receive(soon()).ctypes.data)
+    assert len(places) == 1
+
+
+def test_the_third_of_messages_that_nobody_read_takes_the_place_of_the_first(channels: Any) -> None:
     left, right = channels
     for fill in (1, 2):
         left.send(np.full(100_000, fill, np.uint8), soon())
-    first = right.receive(soon())
-    assert first[0] == 1
-    right.check()
-    left.send(np.full(100_000, 3, np.uint8), soon())
-    assert first[0] == 3
-    with pytest.raises(BadMessage, match="wrote over"):
-        right.check()
+    assert [right.receive(soon())[0] for _ in range(2)] == [1, 2]
+    for fill in (3, 4, 5):
+        left.send(np.full(100_000, fill, np.uint8), soon())
+    with pytest.raises(BadMessage, match="does not hold"):
+        right.receive(soon())
 
 
 def test_nothing_is_left_behind(channels: Any) -> None:

@@ -22,11 +22,17 @@ from vlagents.websocket import WebsocketServer
 
 TOKEN = "VLAGENTS_TOKEN"
 """Environment variable with the token: words of a command can be read by everybody on the machine."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+"""What ends a server."""
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status."""
-    given = _parser().parse_args(words)
+    parser = _parser()
+    given, more = parser.parse_known_args(words)
+    if more and given.act is not _serve:
+        parser.error(f"unrecognized arguments: {' '.join(more)}")
+    given.more = more
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     try:
         return given.act(given)
@@ -43,8 +49,15 @@ def _parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     token = f"a file with the token; without it, the environment variable {TOKEN} holds it"
 
-    serve = verbs.add_parser("serve", help="serve a policy until Ctrl-C")
-    serve.add_argument("policy", help=f"its name: {', '.join(catalogue.names())}")
+    serve = verbs.add_parser(
+        "serve",
+        help="serve a policy until Ctrl-C",
+        allow_abbrev=False,
+        epilog="Other options, such as --horizon 16, are arguments of the policy: JSON, or text.",
+    )
+    serve.add_argument(
+        "policy", help=f"its name: {', '.join(catalogue.names())}; or module:Class, also of the current folder"
+    )
     serve.add_argument("--checkpoint", default="", help="folder, file, or whatever else the policy is made of")
     serve.add_argument(
         "--settings", default="", help="file that says how the checkpoint's inputs are called; see the README"
@@ -90,8 +103,20 @@ def _token(given: Any) -> str | None:
     return os.environ.get(TOKEN)
 
 
+def _options(words: Sequence[str]) -> dict[str, str]:
+    """Return `--name value` and `--name=value` as a dictionary."""
+    found: dict[str, str] = {}
+    left = list(words)
+    while left:
+        name, has_value, value = left.pop(0).partition("=")
+        if not name.startswith("--") or not (has_value or left):
+            raise InvalidInput(f"{name!r} is no option with a value; valid are --name value and --name=value.")
+        found[name[2:].replace("-", "_")] = value if has_value else left.pop(0)
+    return found
+
+
 def _serve(given: Any) -> int:
-    policy = catalogue.load(given.policy, given.checkpoint, given.settings)
+    policy = catalogue.load(given.policy, given.checkpoint, given.settings, _options(given.more))
     options: dict[str, Any] = {"host": given.host, "token": _token(given)}
     options |= {} if given.port is None else {"port": given.port}
     if given.wire is not None:
@@ -105,12 +130,21 @@ def _serve(given: Any) -> int:
         kind = WebsocketServer if given.ws else Server
         server = kind(policy, **options, certificate=given.certificate, key=given.key)
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+
+    def end(*_: object) -> None:
+        stop.set()
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_DFL)  # the next one ends what does not end by itself
+
+    for number in SIGNALS:
+        signal.signal(number, end)
     with server:
         metadata = server.service.metadata
         print(f"Serving {metadata.name} at {server.address}. Ctrl-C ends it.", flush=True)
         stop.wait()
+    if server.service.is_stuck:  # Python would wait for threads of the policy's own
+        logging.shutdown()
+        os._exit(1)
     return 0
 
 

@@ -8,12 +8,10 @@ Layout as in Isaac-GR00T's `gr00t/policy/server_client.py`: `{"endpoint", "data"
 
 from __future__ import annotations
 
-import hmac
-import importlib
+import contextlib
 import io
 import logging
-import threading
-from collections import OrderedDict
+import socket
 from collections.abc import Mapping
 from types import TracebackType
 from typing import Any
@@ -25,23 +23,31 @@ from numpy.typing import NDArray
 
 from vlagents.address import Address
 from vlagents.errors import (
-    AddressTaken,
     BadMessage,
-    DeadlineExceeded,
+    ConnectionLost,
     InvalidInput,
-    MissingStack,
     PolicyFailed,
+    Unauthorized,
     VlagentsError,
 )
-from vlagents.listening import MOST_CALLERS, Listening
+from vlagents.listening import BEGIN, STRANGER, TRANSFER, Acceptor, Guest, Listening
 from vlagents.observation import Observation
 from vlagents.other_wires.asked import Asked, side_by_side
 from vlagents.policy import Policy
 from vlagents.service import Caller, Service
-from vlagents.wire.message import DTYPES
-from vlagents.wire.stream import LARGEST_BODY
+from vlagents.wire import bulk
+from vlagents.wire.deadline import Deadline
+from vlagents.wire.link import Link
+from vlagents.wire.message import DTYPES, MOST_AXES
+from vlagents.wire.stream import LARGEST_BODY, LARGEST_HEADER
+from vlagents.wire.zmtp import ZmtpChannel
 
 _log = logging.getLogger(__name__)
+
+LARGEST_FIRST = 32 << 20
+"""Most bytes of a message that comes before a token: GR00T's clients send theirs behind the pictures."""
+LONGEST_HEAD = 64 << 10
+"""Bytes of a `.npy` file in which its head must be."""
 
 
 def pack(values: Any) -> bytes:
@@ -53,25 +59,23 @@ def pack(values: Any) -> bytes:
     return data
 
 
-def unpack(data: bytes) -> Any:
-    """Read what GR00T sent; arrays are read-only.
+def unpack(data: bytes | memoryview, *, most: int = LARGEST_HEADER) -> Any:
+    """Read what GR00T sent. Large arrays lie in the data; all can be written if the data can.
+
+    Args:
+        data: The message.
+        most: Most bytes of what is no large array.
 
     Raises:
-        BadMessage: It is none of its messages.
+        BadMessage: It is none of its messages, or has more than that.
     """
-    try:
-        return msgpack.unpackb(data, object_hook=_from_map, strict_map_key=True)
-    except BadMessage:
-        raise
-    except Exception as error:  # whatever msgpack raises for what is no msgpack
-        raise BadMessage(f"This is no msgpack: {type(error).__name__}: {error}.") from error
+    return bulk.unpack(data, _from_map, most=most)
 
 
 class GrootClient(Asked):
     """Asks a server of GR00T, at `gr00t://host:port`. An observation's images and state have GR00T's names."""
 
-    _asks: Any = None
-    _context: Any = None
+    _channel: ZmtpChannel | None = None
 
     def reset(self, session: str = "", instruction: str = "", *, seed: int | None = None) -> None:
         """Begin an episode there too."""
@@ -104,20 +108,21 @@ class GrootClient(Asked):
         with self._lock:
             self._lose()
 
-    def _open(self) -> Any:
-        zmq = _zmq()
-        self._context = zmq.Context()
-        asks = self._asks = self._context.socket(zmq.REQ)
-        asks.setsockopt(zmq.LINGER, 0)
-        asks.setsockopt(zmq.MAXMSGSIZE, LARGEST_BODY)
-        asks.connect(f"tcp://{self.address.host}:{self.address.port}")
-        return asks
+    def _open(self, deadline: Deadline) -> ZmtpChannel:
+        try:
+            connection = socket.create_connection((self.address.host, self.address.port), timeout=self.timeout)
+        except TimeoutError as error:
+            raise deadline.exceeded() from error
+        except OSError as error:
+            raise ConnectionLost(f"Nobody is at {self.address}: {error}.") from error
+        channel = ZmtpChannel(Link(connection), is_client=True)
+        channel.greet(deadline)
+        return channel
 
     def _lose(self) -> None:
-        asks, self._asks = self._asks, None
-        if asks is not None:
-            asks.close()
-            self._context.term()
+        channel, self._channel = self._channel, None
+        if channel is not None:
+            channel.close()
 
     def _call(self, endpoint: str, data: Any) -> Any:
         request: dict[str, Any] = {"endpoint": endpoint}
@@ -125,16 +130,15 @@ class GrootClient(Asked):
             request["data"] = data
         if self._token is not None:
             request["api_token"] = self._token
-        data = pack(request)
-        asks = self._asks if self._asks is not None else self._open()
-        asks.send(data, copy=False)
-        if not asks.poll(1e3 * self.timeout):
-            self._lose()  # whoever was late cannot be asked over the same socket again
-            raise DeadlineExceeded(f"{self.address} did not answer {endpoint} within {self.timeout:g} s.")
+        message = pack(request)
+        deadline = Deadline(self.timeout, f"The answer of {self.address} to {endpoint}")
         try:
-            answer = unpack(asks.recv())
-        except BadMessage:
-            self._lose()
+            if self._channel is None:
+                self._channel = self._open(deadline)
+            self._channel.send(message, deadline)
+            answer = unpack(self._channel.receive(deadline))
+        except VlagentsError:
+            self._lose()  # whoever was late cannot be asked over the same connection again
             raise
         if isinstance(answer, Mapping) and "error" in answer:
             raise PolicyFailed(f"{self.address} failed: {str(answer['error'])[:4000]}")
@@ -155,15 +159,11 @@ class GrootServer:
 
         Raises:
             InvalidInput: The address is open to others and there is no token.
-            MissingStack: There is no pyzmq.
         """
         self._listening = Listening(host=host, port=port, token=token)
-        self._zmq = _zmq()
-        self.service = Service(policy)
+        self.service = Service(policy, token=token)
+        self._acceptor = Acceptor()
         self._port = port
-        self._is_closing = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._callers: OrderedDict[bytes, Caller] = OrderedDict()
 
     @property
     def address(self) -> Address:
@@ -171,36 +171,20 @@ class GrootServer:
         return Address("gr00t", host=self._listening.host, port=self._port)
 
     def start(self) -> GrootServer:
-        """Listen, and answer in a thread of its own.
+        """Listen, and answer in threads of its own.
 
         Raises:
             AddressTaken: Something listens there already.
             OSError: The port cannot be had.
         """
-        zmq = self._zmq
-        context = zmq.Context()
-        replies = context.socket(zmq.ROUTER)
-        replies.setsockopt(zmq.LINGER, 0)
-        replies.setsockopt(zmq.MAXMSGSIZE, LARGEST_BODY)
-        try:
-            replies.bind(f"tcp://{self._listening.host}:{self._port or '*'}")
-        except zmq.ZMQError as error:
-            replies.close()
-            context.term()
-            if error.errno == zmq.EADDRINUSE:
-                raise AddressTaken(self._listening.host, self._port) from error
-            raise OSError(f"Port {self._port} cannot be had: {error}") from error
-        self._port = int(replies.getsockopt(zmq.LAST_ENDPOINT).decode().rsplit(":", 1)[1])
-        self._thread = threading.Thread(target=self._serve, args=(context, replies), name="vlagents gr00t", daemon=True)
-        self._thread.start()
+        listener = self._listening.open()
+        self._port = listener.getsockname()[1]
+        self._acceptor.listen(listener, self._converse)
         return self
 
     def close(self) -> None:
-        """Listen no more, then close the policy. A second call does nothing."""
-        self._is_closing.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
+        """End all connections, then close the policy, as `Service.close` does. A second call does nothing."""
+        self._acceptor.close()
         self.service.close()
 
     def __enter__(self) -> GrootServer:
@@ -213,34 +197,48 @@ class GrootServer:
         """Close."""
         self.close()
 
-    def _serve(self, context: Any, replies: Any) -> None:
-        while not self._is_closing.is_set():
-            if not replies.poll(100):
-                continue
-            frames = replies.recv_multipart()
-            if len(frames) != 3 or frames[1]:
-                continue  # this is no request
-            replies.send_multipart([frames[0], b"", pack(self._answer(frames[0], frames[2]))], self._zmq.NOBLOCK)
-        replies.close()
-        context.term()
-
-    def _answer(self, name: bytes, data: bytes) -> Any:
+    def _converse(self, guest: Guest) -> None:
+        """Answer one connection until it ends."""
+        caller = self.service.caller(guest.name)
+        channel = ZmtpChannel(Link(guest.connection), is_client=False)
         try:
-            request = unpack(data)
+            channel.greet(Deadline(BEGIN, "a greeting of ZeroMQ"))
+            while not self._acceptor.is_closing.is_set():
+                self._answer_one(channel, guest, caller)
+        except ConnectionLost:
+            pass
+        except VlagentsError as error:
+            if not self._acceptor.is_closing.is_set():
+                _log.warning("The connection of %s was ended: %s", guest.name, error)
+        finally:
+            channel.close()
+            self.service.forget(caller)
+
+    def _answer_one(self, channel: ZmtpChannel, guest: Guest, caller: Caller) -> None:
+        may_send_all = caller.is_known or self._listening.token is None
+        channel.largest = LARGEST_BODY if may_send_all else LARGEST_FIRST
+        data = channel.receive(Deadline(None, ""), Deadline(TRANSFER, "the rest of a message"))
+        try:
+            request = unpack(data, most=LARGEST_HEADER if may_send_all else STRANGER)
             if not isinstance(request, Mapping):
                 raise BadMessage("A request is no dictionary.")
-            token = request.get("api_token")
-            if self._listening.token is not None and not hmac.compare_digest(
-                (token if isinstance(token, str) else "").encode(), self._listening.token.encode()
-            ):
-                return {"error": "Unauthorized: Invalid API token"}
-            given = request.get("data")
-            return self._act(self._caller(name), request.get("endpoint"), given if isinstance(given, Mapping) else {})
-        except VlagentsError as error:
-            return {"error": f"{type(error).__name__}: {error}"}
+            self.service.admit(caller, request.get("api_token"))
+        except (BadMessage, Unauthorized) as error:
+            with contextlib.suppress(VlagentsError):
+                said = "Unauthorized: Invalid API token" if isinstance(error, Unauthorized) else _told(error)
+                channel.send(pack({"error": said}), Deadline(TRANSFER, "reading of an answer"))
+            raise
+        guest.is_known = True
+        channel.send(pack(self._answer(caller, request)), Deadline(TRANSFER, "reading of an answer"))
+
+    def _answer(self, caller: Caller, request: Mapping[str, Any]) -> Any:
+        given = request.get("data")
+        try:
+            return self._act(caller, request.get("endpoint"), given if isinstance(given, Mapping) else {})
         except Exception as error:  # noqa: BLE001  whatever a policy raises, the client is told
-            _log.exception("The policy failed to answer")
-            return {"error": f"{type(error).__name__}: {error}"}
+            if not isinstance(error, VlagentsError):
+                _log.exception("The policy failed to answer")
+            return {"error": _told(error)}
 
     def _act(self, caller: Caller, endpoint: object, data: Mapping[str, Any]) -> Any:
         if endpoint == "ping":
@@ -260,13 +258,9 @@ class GrootServer:
             at += part.size
         return [found, dict(chunk["info"])]
 
-    def _caller(self, name: bytes) -> Caller:
-        if name not in self._callers:
-            self._callers[name] = self.service.caller(f"gr00t {name.hex()}")
-            if len(self._callers) > MOST_CALLERS:  # ZeroMQ does not tell who has gone
-                self.service.forget(self._callers.popitem(last=False)[1])
-        self._callers.move_to_end(name)
-        return self._callers[name]
+
+def _told(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
 
 
 def _observation(given: Any) -> Observation:
@@ -305,31 +299,31 @@ def _from_map(found: dict[Any, Any]) -> Any:
 
 
 def array_from_npy(data: object) -> NDArray[Any]:
-    """Return the array of a `.npy` file's bytes, in which it lies; its size is checked before anything is allocated.
+    """Return the array of a `.npy` file's bytes; its size is checked before anything is allocated.
+
+    Args:
+        data: The file. The array of a memoryview lies in it, that of bytes is a copy.
 
     Raises:
         BadMessage: It is none, or one of objects.
     """
-    if not isinstance(data, bytes):
+    if not isinstance(data, (bytes, memoryview)):
         raise BadMessage("An array has no bytes.")
-    file = io.BytesIO(data)
+    file = io.BytesIO(data[:LONGEST_HEAD])
     try:
         version = npy.read_magic(file)
         read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
         shape, is_fortran, dtype = read(file)
     except Exception as error:  # whatever NumPy raises for what is no such file
         raise BadMessage(f"An array is no .npy file: {type(error).__name__}.") from error
-    if dtype.str not in DTYPES or any(n < 0 for n in shape):
-        raise BadMessage(f"An array has the dtype {dtype.str!r:.40}; valid: {', '.join(sorted(DTYPES))}.")
+    if dtype.str not in DTYPES or any(n < 0 for n in shape) or len(shape) > MOST_AXES:
+        raise BadMessage(
+            f"An array has the dtype {dtype.str!r:.40} and {len(shape)} axes; valid are up to {MOST_AXES} axes of "
+            f"{', '.join(sorted(DTYPES))}."
+        )
     try:
         flat = np.frombuffer(data, dtype, offset=file.tell())
-        return flat.reshape(shape, order="F" if is_fortran else "C")
+        array = flat.reshape(shape, order="F" if is_fortran else "C")
     except ValueError as error:
         raise BadMessage(f"An array of shape {shape} has {len(data) - file.tell()} bytes.") from error
-
-
-def _zmq() -> Any:
-    try:
-        return importlib.import_module("zmq")
-    except ImportError as error:
-        raise MissingStack("gr00t", "pyzmq", is_wire=True) from error
+    return array.copy() if isinstance(data, bytes) else array

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-import hmac
 import http.client
 import json
 import logging
@@ -17,7 +16,7 @@ import math
 import socket
 import threading
 from collections.abc import Mapping
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from types import TracebackType
 from typing import Any
 
@@ -33,7 +32,7 @@ from vlagents.errors import (
     Unauthorized,
     VlagentsError,
 )
-from vlagents.listening import MOST_CALLERS, TRANSFER, Listening
+from vlagents.listening import TRANSFER, Acceptor, Guest, Listening
 from vlagents.observation import Observation
 from vlagents.other_wires.asked import Asked
 from vlagents.policy import Policy
@@ -45,6 +44,8 @@ _log = logging.getLogger(__name__)
 
 LARGEST = 32 << 20
 """Most bytes of a request or an answer."""
+MOST_VALUES = 64 << 10
+"""Most lists, dictionaries and commas in JSON; a picture is one long string."""
 
 
 class OpenvlaClient(Asked):
@@ -141,11 +142,10 @@ class OpenvlaServer:
             InvalidInput: The address is open to others and there is no token.
         """
         self._listening = Listening(host=host, port=port, token=token)
-        self.service = Service(policy)
+        self.service = Service(policy, token=token)
         self._caller: Caller = self.service.caller("openvla")
         self._image, self._port = image, port
-        self._server: ThreadingHTTPServer | None = None
-        self._places = threading.BoundedSemaphore(MOST_CALLERS)
+        self._acceptor = Acceptor()
 
     @property
     def address(self) -> Address:
@@ -159,50 +159,14 @@ class OpenvlaServer:
             AddressTaken: Something listens there already.
             OSError: The port cannot be had.
         """
-        outside = self
-
-        class Handler(BaseHTTPRequestHandler):
-            def setup(self) -> None:
-                super().setup()
-                self.timer = threading.Timer(TRANSFER, self.connection.shutdown, (socket.SHUT_RD,))
-                self.timer.start()  # for the whole request, however it drips
-
-            def finish(self) -> None:
-                self.timer.cancel()
-                super().finish()
-
-            def do_POST(self) -> None:
-                outside._post(self)
-
-            def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
-                _log.debug(format, *args)
-
-        class Places(ThreadingHTTPServer):
-            def process_request(self, request: Any, client_address: Any) -> None:
-                if not outside._places.acquire(blocking=False):
-                    self.shutdown_request(request)
-                    return
-                super().process_request(request, client_address)
-
-            def process_request_thread(self, request: Any, client_address: Any) -> None:
-                try:
-                    super().process_request_thread(request, client_address)
-                finally:
-                    outside._places.release()
-
-        with self._listening.taken_is_told():
-            self._server = Places((self._listening.host, self._listening.port), Handler)
-        self._server.daemon_threads = True
-        self._port = self._server.server_address[1]
-        threading.Thread(target=self._server.serve_forever, args=(0.1,), name="vlagents openvla", daemon=True).start()
+        listener = self._listening.open()
+        self._port = listener.getsockname()[1]
+        self._acceptor.listen(listener, self._converse)
         return self
 
     def close(self) -> None:
-        """Listen no more, then close the policy. A second call does nothing."""
-        server, self._server = self._server, None
-        if server is not None:
-            server.shutdown()
-            server.server_close()
+        """End all connections, then close the policy, as `Service.close` does. A second call does nothing."""
+        self._acceptor.close()
         self.service.close()
 
     def __enter__(self) -> OpenvlaServer:
@@ -215,8 +179,28 @@ class OpenvlaServer:
         """Close."""
         self.close()
 
-    def _post(self, request: BaseHTTPRequestHandler) -> None:
-        status, answer = self._answer(request)
+    def _converse(self, guest: Guest) -> None:
+        """Answer one request."""
+        timer = threading.Timer(TRANSFER, guest.connection.shutdown, (socket.SHUT_RD,))
+        timer.start()  # for the whole request, however it drips
+        outside = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                outside._answer(self, guest)
+
+            def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
+                _log.debug(format, *args)
+
+        try:
+            Handler(guest.connection, (guest.name, 0), self)  # type: ignore[arg-type]  which it does not look at
+        except OSError as error:
+            _log.debug("The connection of %s broke: %s", guest.name, error)
+        finally:
+            timer.cancel()
+
+    def _answer(self, request: BaseHTTPRequestHandler, guest: Guest) -> None:
+        status, answer = self._answered(request, guest)
         data = answer.encode()
         request.close_connection = True
         request.send_response(status)
@@ -225,11 +209,16 @@ class OpenvlaServer:
         request.end_headers()
         request.wfile.write(data)
 
-    def _answer(self, request: BaseHTTPRequestHandler) -> tuple[int, str]:
+    def _answered(self, request: BaseHTTPRequestHandler, guest: Guest) -> tuple[int, str]:
+        if "Origin" in request.headers:
+            _log.warning("%s was refused: a page in a browser asked, and pages may not", guest.name)
+            return 403, '"error"'
         kind, _, token = str(request.headers.get("Authorization", "")).partition(" ")
-        wanted = self._listening.token
-        if wanted is not None and not (kind == "Bearer" and hmac.compare_digest(token.encode(), wanted.encode())):
+        try:
+            self.service.admit(self.service.caller(guest.name), token if kind == "Bearer" else "")
+        except Unauthorized:
             return 401, '"error"'
+        guest.is_known = True
         length = str(request.headers.get("Content-Length", ""))
         if request.path != "/act":
             return 404, '"error"'
@@ -241,7 +230,7 @@ class OpenvlaServer:
             answer = self._act(from_json(given["encoded"].encode()) if is_encoded else given)
         except Exception as error:  # noqa: BLE001  as OpenVLA does: the client is told that, not why
             known = isinstance(error, VlagentsError)
-            _log.warning("A request of %s failed: %s", request.client_address[0], error, exc_info=not known)
+            _log.warning("A request of %s failed: %s", guest.name, error, exc_info=not known)
             return 200, '"error"'
         text = json.dumps(to_map(answer))
         return 200, json.dumps(text) if is_encoded else text
@@ -261,11 +250,14 @@ def to_map(array: NDArray[Any]) -> dict[str, Any]:
 
 
 def from_json(data: bytes) -> Any:
-    """Read JSON with json-numpy's arrays, which are read-only.
+    """Read JSON with json-numpy's arrays.
 
     Raises:
-        BadMessage: It is none.
+        BadMessage: It is none, or has more than `MOST_VALUES` values.
     """
+    # Two bytes of a list in JSON are 56 of memory, and while JSON is read nobody else gets Python's lock.
+    if sum(data.count(mark) for mark in b"[{,") > MOST_VALUES:
+        raise BadMessage(f"JSON has more than {MOST_VALUES} values; an array is the base64 of its bytes.")
     try:
         return json.loads(data, object_hook=_from_map)
     except BadMessage:
@@ -289,4 +281,4 @@ def _from_map(found: dict[str, Any]) -> Any:
         raise BadMessage(f"An array is no base64: {error}.") from error
     if len(data) != math.prod(axes) * np.dtype(dtype).itemsize:
         raise BadMessage(f"An array of shape {shape} has {len(data)} bytes of {dtype}.")
-    return np.frombuffer(data, np.dtype(dtype)).reshape(axes)
+    return np.frombuffer(bytearray(data), np.dtype(dtype)).reshape(axes)

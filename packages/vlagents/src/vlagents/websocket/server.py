@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import socket
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,7 +25,7 @@ from vlagents.errors import (
     as_failure,
     from_failure,
 )
-from vlagents.listening import BEGIN, TRANSFER, Acceptor, Listening
+from vlagents.listening import BEGIN, TRANSFER, Acceptor, Guest, Listening
 from vlagents.policy import Policy
 from vlagents.service import Caller, Service
 from vlagents.wire.deadline import Deadline
@@ -107,7 +106,7 @@ class WebsocketServer:
         self._acceptor.is_closing.wait()
 
     def close(self) -> None:
-        """End all connections, then the policy. A second call does nothing."""
+        """End all connections, then close the policy, as `Service.close` does. A second call does nothing."""
         self._acceptor.close()
         self.service.close()
 
@@ -138,27 +137,18 @@ class WebsocketServer:
             return 401, f"{error}\n"
         return None
 
-    def _converse(self, connection: socket.socket, name: str) -> None:
+    def _converse(self, guest: Guest) -> None:
         try:
             if self._tls is not None:
-                connection.settimeout(BEGIN)
-                connection = self._tls.wrap_socket(connection, server_side=True)
-            link = Link(connection)
-        except (OSError, ValueError) as error:
-            _log.warning("%s was refused: %s", name, error)
+                guest.secure(self._tls)
+            link = Link(guest.connection)
+            is_websocket = accept(link, Deadline(BEGIN, "a request"), lambda request: self._admit(guest.name, request))
+        except (OSError, ValueError, VlagentsError) as error:
+            _log.warning("%s was refused: %s", guest.name, error)
             return
-        is_websocket = False
-        self._acceptor.enter(link)
-        try:
-            is_websocket = accept(link, Deadline(BEGIN, "a request"), lambda request: self._admit(name, request))
-        except (OSError, VlagentsError) as error:
-            _log.warning("%s was refused: %s", name, error)
-        finally:
-            self._acceptor.leave(link)
-            if not is_websocket:
-                link.close()
         if is_websocket:
-            self._answer_all(FrameChannel(link, is_client=False, largest=self._largest), name)
+            guest.is_known = True
+            self._answer_all(FrameChannel(link, is_client=False, largest=self._largest), guest.name)
 
     def _answer_all(self, channel: FrameChannel, name: str) -> None:
         caller = self.service.caller(name)
@@ -168,8 +158,7 @@ class WebsocketServer:
         try:
             self._send(channel, {"policy": metadata.name, OWN: metadata.to_dict()})
             while True:
-                message = channel.receive(Deadline(None, ""), Deadline(self._transfer, "the rest of a message"))
-                self._send(channel, self._answer(caller, message))
+                self._send(channel, self._answer(caller, self._receive(channel)))
         except ConnectionLost:
             pass
         except VlagentsError as error:
@@ -182,6 +171,9 @@ class WebsocketServer:
             self._acceptor.leave(channel)
             channel.close()
             self.service.forget(caller)
+
+    def _receive(self, channel: FrameChannel) -> str | memoryview:
+        return channel.receive(Deadline(None, ""), Deadline(self._transfer, "the rest of a message"))
 
     def _send(self, channel: FrameChannel, values: Mapping[str, Any]) -> None:
         channel.send(pack_parts(values), Deadline(self._transfer, "reading of an answer"))

@@ -1,7 +1,7 @@
 """Messages of a websocket (RFC 6455) after its handshake, over a socket with deadlines.
 
-Pictures are megabytes: they are masked piece by piece on the way out, unmasked piece by piece as they come, and lie in
-memory that the next message uses again. Sizes are compared with what is allowed before anything is allocated.
+Pictures are megabytes: they are masked piece by piece on the way out, and unmasked piece by piece as they come. Sizes
+are compared with what is allowed before anything is allocated.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
+import sys
 import threading
 from collections.abc import Sequence
 
@@ -24,6 +25,8 @@ GO_ON, TEXT, BINARY, CLOSE, PING, PONG = 0, 1, 2, 8, 9, 10
 LAST, MASKED = 0x80, 0x80
 MOST_OF_CONTROL = 125
 """Most bytes of a close, ping or pong."""
+LARGEST_TEXT = 1 << 20
+"""Most bytes of a message of text: openpi's servers say in one what went wrong."""
 PIECE = 256 << 10
 """Bytes that are masked at a time, so that they are still at hand when they are sent [bytes]."""
 NORMAL, PROTOCOL, NOT_UTF8, TOO_LARGE = 1000, 1002, 1007, 1009
@@ -40,7 +43,7 @@ class FrameChannel:
         Args:
             link: It is closed with the channel.
             is_client: Whether this is the side that asked; it masks what it sends.
-            largest: Most bytes of a message that comes. It is valid until the next one is received.
+            largest: Most bytes of a message that comes.
         """
         self._link, self._is_client, self.largest = link, is_client, largest
         self._reading, self._writing = threading.Lock(), threading.Lock()
@@ -66,7 +69,7 @@ class FrameChannel:
             raise ConnectionLost(f"The connection broke: {error}.") from error
 
     def receive(self, deadline: Deadline, begun: Deadline | None = None) -> str | memoryview:
-        """Return the next message; bytes are valid until the one after it is received.
+        """Return the next message, bytes in memory that nobody else has.
 
         Args:
             deadline: By when it must have begun to come, and be complete unless `begun` says otherwise.
@@ -158,6 +161,8 @@ class FrameChannel:
     def _receive(self, deadline: Deadline, begun: Deadline | None) -> str | memoryview:
         kind, size = GO_ON, 0
         rest = deadline
+        if sys.getrefcount(self._body) > 2:  # somebody keeps an array of the last message
+            self._body = np.empty(0, np.uint8)
         while True:
             self._link.need(1, rest)
             if rest is deadline and begun is not None:
@@ -172,8 +177,9 @@ class FrameChannel:
             if (opcode == GO_ON) != (kind != GO_ON):
                 raise self._refused(PROTOCOL, "A message begins inside another, or goes on where none began")
             kind = opcode or kind
-            if size + count > self.largest:
-                raise self._refused(TOO_LARGE, f"A message of {size + count} bytes is too large; valid: {self.largest}")
+            most = min(self.largest, LARGEST_TEXT) if kind == TEXT else self.largest
+            if size + count > most:
+                raise self._refused(TOO_LARGE, f"A message of {size + count} bytes is too large; valid: {most}")
             self._read(size, count, key, rest)
             size += count
             if first & LAST:
@@ -212,7 +218,7 @@ class FrameChannel:
         if len(self._body) > KEPT:
             self._body = np.empty(0, np.uint8)
         if kind == BINARY:
-            return body.data.toreadonly()
+            return body.data
         try:
             return bytes(body).decode()
         except UnicodeDecodeError as error:

@@ -28,19 +28,22 @@ REFUSAL = b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\nContent-Length: 21\
 def accept(link: Link, deadline: Deadline, admit: Callable[[Any], tuple[int, str] | None]) -> bool:
     """Answer a request for a websocket; return whether there is one now.
 
+    Pages in browsers are refused, for any page that somebody opens could ask. Their requests have an `Origin`, which a
+    page cannot leave out, and those of other clients have none.
+
     Args:
         link: To whoever asks.
         deadline: By when the request must be there.
         admit: Takes a request (`path`, `headers`) and returns another answer (HTTP status, text), or None.
 
     Raises:
-        BadMessage: It is no request.
+        BadMessage: It is no request, or that of a page.
     """
     begin = bytes(link.need(len(GET), deadline))
     if begin != GET:
         link.send([memoryview(REFUSAL)], deadline)
         raise BadMessage(f"A request begins with {begin!r}; valid is {GET!r}.")
-    protocol = ServerProtocol(logger=_log)
+    protocol = ServerProtocol(origins=[None], logger=_log)
     protocol.receive_data(_head(link, deadline))
     requests: list[Any] = protocol.events_received()
     if not requests:
@@ -49,6 +52,8 @@ def accept(link: Link, deadline: Deadline, admit: Callable[[Any], tuple[int, str
     response: Any = protocol.accept(requests[0]) if other is None else protocol.reject(*other)
     protocol.send_response(response)
     link.send([memoryview(data) for data in protocol.data_to_send()], deadline)
+    if response.status_code == 403:
+        raise BadMessage(f"A page in a browser asked, and pages may not: {protocol.handshake_exc}.")
     return response.status_code == 101
 
 

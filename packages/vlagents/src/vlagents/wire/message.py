@@ -22,6 +22,8 @@ ALIGNMENT = 64
 DTYPES = frozenset({"|b1", "|u1", "|i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"})
 """Types of arrays that travel; all others are refused, objects above all."""
 MOST_AXES = 8
+SMALL = 64 << 10
+"""Arrays of fewer bytes are copied out of a body [bytes]."""
 
 
 def pack(values: Any) -> tuple[bytes, list[memoryview], int]:
@@ -68,7 +70,7 @@ def pack(values: Any) -> tuple[bytes, list[memoryview], int]:
 
 
 def unpack(header: bytes | bytearray | memoryview, body: Any) -> Any:
-    """Put a message together again; its arrays are read-only views of the body.
+    """Put a message together again; its large arrays are views of the body, small ones are copies.
 
     Args:
         header: What `pack` made of the values.
@@ -79,15 +81,21 @@ def unpack(header: bytes | bytearray | memoryview, body: Any) -> Any:
     """
     size = len(body)
     raw = np.frombuffer(body, np.uint8) if size else np.zeros(0, np.uint8)
-    raw.flags.writeable = False
+    total = 0
 
     def extension(code: int, data: bytes) -> Any:
+        nonlocal total
         if code != ARRAY:
             raise BadMessage(f"The header has an extension of code {code}; valid is {ARRAY}.")
         described = msgpack.unpackb(data)
         if not (isinstance(described, list) and len(described) == 3):
             raise BadMessage("An array is not described by [dtype, shape, offset].")
-        return _view(raw, *described)
+        array = _view(raw, *described)
+        total += array.nbytes
+        if total > size:  # or a short header could have the same bytes be copied any number of times
+            raise BadMessage(f"The arrays have more than the {size} bytes of the body: some lie in others.")
+        # Whoever keeps a small one does not keep the whole body.
+        return array if array.nbytes >= SMALL else array.copy()
 
     try:
         return msgpack.unpackb(header, ext_hook=extension, strict_map_key=True)

@@ -17,15 +17,14 @@ import numpy as np
 from vlagents.chunk import Chunk
 from vlagents.errors import BadMessage, InvalidInput
 from vlagents.observation import Observation
+from vlagents.wire import bulk
+from vlagents.wire.bulk import LARGE
 from vlagents.wire.message import DTYPES, MOST_AXES
-from vlagents.wire.skip import end_of
 
 OWN = "vlagents"
 """Key of what openpi does not have: session, times, and calls other than for actions. Both sides of ours use it."""
 PROMPT = "prompt"
 ACTIONS = "actions"
-LARGE = 64 << 10
-"""Arrays of at least so many bytes are not copied [bytes]."""
 ARRAY_HEAD = b"\x84\xc4\x0b__ndarray__\xc3\xc4\x04data"
 """How an array begins."""
 DEEPEST = 4
@@ -66,48 +65,12 @@ def pack_parts(values: Mapping[str, Any]) -> list[bytes | memoryview]:
 
 
 def unpack(data: bytes | memoryview) -> Any:
-    """Read what openpi sent; arrays are read-only, and large ones lie in the data.
+    """Read what openpi sent. Large arrays lie in the data; all can be written if the data can.
 
     Raises:
-        BadMessage: It is none of its messages.
+        BadMessage: It is none of its messages, or what is no large array has more than `LARGEST_HEADER` bytes.
     """
-    found = _unpacked_in_place(memoryview(data)) if len(data) >= LARGE else None
-    return _unpacked(data) if found is None else found
-
-
-def _unpacked(data: bytes | memoryview) -> Any:
-    try:
-        return msgpack.unpackb(data, object_hook=_from_map, strict_map_key=True)
-    except BadMessage:
-        raise
-    except Exception as error:  # whatever msgpack raises for what is no msgpack
-        raise BadMessage(f"This is no msgpack: {type(error).__name__}: {error}.") from error
-
-
-def _unpacked_in_place(data: memoryview) -> dict[str, Any] | None:
-    """Read a dictionary whose arrays need not be copied; None if it is anything but that, or damaged."""
-    if not 0x80 <= data[0] <= 0x8F:
-        return None
-    found: dict[str, Any] = {}
-    at = 1
-    for _ in range(data[0] & 15):
-        end = end_of(data, at)
-        if end is None or not (0xA0 <= data[at] <= 0xBF or 0xD9 <= data[at] <= 0xDB):
-            return None
-        name, at = _unpacked(data[at:end]), end
-        end = end_of(data, at)
-        if end is None:
-            return None
-        head = at + len(ARRAY_HEAD)
-        if bytes(data[at:head]) == ARRAY_HEAD and data[head] == 0xC6 and end - head >= LARGE:
-            start = head + 5
-            stop = start + int.from_bytes(data[head + 1 : start], "big")
-            rest = _unpacked(b"\x82" + bytes(data[stop:end]))
-            found[name] = _from_map({b"__ndarray__": True, b"data": data[start:stop], **rest})
-        else:
-            found[name] = _unpacked(data[at:end])
-        at = end
-    return found if at == len(data) else None
+    return bulk.unpack(data, _from_map)
 
 
 def observation_to_flat(observation: Observation) -> dict[str, Any]:
@@ -201,7 +164,8 @@ def _from_map(found: dict[Any, Any]) -> Any:
         if len(axes) > MOST_AXES or not all(type(n) is int and 0 <= n < 1 << 40 for n in axes):
             raise BadMessage(f"An array has the shape {shape!r:.80}; valid are up to {MOST_AXES} whole numbers from 0.")
         try:
-            return np.frombuffer(data, np.dtype(dtype)).reshape(axes)
+            array = np.frombuffer(data, np.dtype(dtype)).reshape(axes)
+            return array.copy() if isinstance(data, bytes) else array
         except ValueError as error:
             raise BadMessage(f"An array of shape {shape} has {len(data)} bytes of {dtype}: {error}.") from error
     if b"__npgeneric__" in found:

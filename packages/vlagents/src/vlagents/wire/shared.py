@@ -3,8 +3,8 @@
 The memory has no name: its file descriptor travels over the socket. So nothing is left behind by whoever is killed, and
 nobody else can open it. It cannot shrink (a seal that the reader checks), so that a reader never touches memory that is
 gone. It has two slots: the second is for what is sent while the first is still read, such as after an answer that was
-late. Each begins with the number of the message that lies in it, and the reader looks twice: before it reads, and after
-the policy has read.
+late. Each begins with the number of the message that lies in it, and the reader looks twice: before it copies the
+arrays out, and after.
 """
 
 from __future__ import annotations
@@ -97,7 +97,6 @@ class SharedChannel(StreamChannel):
         self._number, self._slot = 0, 0
         self._theirs: NDArray[np.uint8] | None = None
         self._their_slot_size = 0
-        self._reading: tuple[int, int] | None = None
 
     def send(self, values: Any, deadline: Deadline) -> None:
         """Send a message, through the memory if it is large."""
@@ -114,24 +113,11 @@ class SharedChannel(StreamChannel):
         if self._own_file >= 0:
             os.close(self._own_file)
             self._own_file = -1
-        self._own, self._theirs, self._reading = None, None, None
+        self._own, self._theirs = None, None
 
     def settled(self) -> None:
         """Begin with the first slot again."""
         self._slot = 0
-
-    def check(self) -> None:
-        """Look whether the last message is still what it was.
-
-        Raises:
-            BadMessage: Its sender has written over it.
-        """
-        if self._reading is None or self._theirs is None:
-            return
-        start, number = self._reading
-        if _number_at(self._theirs, start) != number:
-            self.close()
-            raise BadMessage("The other side wrote over a message that was being read.")
 
     def _send_shared(self, header: bytes, parts: list[memoryview], size: int, deadline: Deadline) -> None:
         is_new = self._own is None or size + HEAD > self._slot_size
@@ -175,7 +161,6 @@ class SharedChannel(StreamChannel):
         self._own, self._own_file, self._slot_size = memory, file, size
 
     def _receive(self, deadline: Deadline, begun: Deadline | None) -> Any:
-        self._reading = None
         self._link.need(1, deadline)
         rest = deadline if begun is None else Deadline(begun.seconds, "the rest of a message")
         prefix = self._link.take(PREFIX.size, rest)
@@ -196,8 +181,11 @@ class SharedChannel(StreamChannel):
         start = slot * slot_size
         if _number_at(self._theirs, start) != number:
             raise BadMessage(f"Slot {slot} does not hold message {number}.")
-        self._reading = (start, number)
-        return unpack(header, self._theirs[start + HEAD : start + HEAD + size])
+        body = self._room(size)
+        np.copyto(body, self._theirs[start + HEAD : start + HEAD + size])  # without Python's lock
+        if _number_at(self._theirs, start) != number:
+            raise BadMessage("The other side wrote over a message that was being read.")
+        return unpack(header, body)
 
     def _map(self, file: int, slot_size: int) -> None:
         """Look at the other side's memory, if it is what it should be.

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import socket
 import struct
+import sys
 from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vlagents.errors import BadMessage, ConnectionLost, VlagentsError
 from vlagents.wire.deadline import Deadline
@@ -20,12 +22,12 @@ from vlagents.wire.message import pack, unpack
 
 MAGIC = b"VLA1"
 PREFIX = struct.Struct("<4sIQ")
-LARGEST_HEADER = 1 << 20
-"""Most bytes of a header."""
+LARGEST_HEADER = 512 << 10
+"""Most bytes of a header, and on other wires of what is no large array."""
 LARGEST_BODY = 256 << 20
 """Most bytes of a body, by default: forty full HD pictures."""
 KEPT = 64 << 20
-"""A body of up to this many bytes lies in memory that the next one uses again."""
+"""Memory of a body of up to this many bytes may be used again: new memory costs more than what is read into it."""
 
 
 class Channel(Protocol):
@@ -52,7 +54,7 @@ class StreamChannel:
 
         Args:
             connection: It is closed with the channel.
-            largest_body: Most bytes of arrays in a message that comes. They are valid until the next one is received.
+            largest_body: Most bytes of arrays in a message that comes.
         """
         self._link = self._linked(connection)
         self.largest_body = largest_body
@@ -125,16 +127,23 @@ class StreamChannel:
             raise BadMessage(f"A message begins with {magic!r}; valid is {MAGIC!r}.")
         self._check_sizes(header_size, size)
         header = self._header(header_size, rest)
-        body = self._body[:size] if size <= len(self._body) else np.empty(size, np.uint8)
-        if len(self._body) < size <= KEPT:
-            self._body = body
+        body = self._room(size)
         self._link.fill(body.data, rest)
         return unpack(header, body)
 
+    def _room(self, size: int) -> NDArray[np.uint8]:
+        """Return memory for a body: that of the last one again, unless somebody keeps an array of it."""
+        if size > KEPT:
+            return np.empty(size, np.uint8)
+        if len(self._body) < size or sys.getrefcount(self._body) > 2:
+            self._body = np.empty(size, np.uint8)
+        return self._body[:size]
+
     def _check_sizes(self, header_size: int, size: int) -> None:
-        if header_size > LARGEST_HEADER or size > self.largest_body:
+        largest_header = min(LARGEST_HEADER, self.largest_body)
+        if header_size > largest_header or size > self.largest_body:
             raise BadMessage(
-                f"A message of {header_size} and {size} bytes is too large; valid are up to {LARGEST_HEADER} and "
+                f"A message of {header_size} and {size} bytes is too large; valid are up to {largest_header} and "
                 f"{self.largest_body}."
             )
 
