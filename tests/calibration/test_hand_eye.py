@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rcs.calibration import Arrangement, Board, Detections, HandEye, Rig, View, hand_eye, verify
-from rcs.calibration.fit import Guess, Sightings, jacobian, residuals
+from rcs.calibration.fit import GIVEN, Guess, Sightings, jacobian, residuals
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.robots.fr3.description import FR3
@@ -151,8 +151,8 @@ def test_a_wrong_size_of_the_board_is_noticed(seen: Callable[..., Any], lens: In
 def test_the_jacobian_is_that_of_finite_steps(seen: Callable[..., Any], lens: Intrinsics) -> None:
     one = seen("eye-to-hand", views=4)
     sightings = Sightings.of(one.board, one.views, "eye-to-hand", lens)
-    guess = Guess(one.camera, one.place, np.zeros(3))
-    step = 1e-4 * np.random.default_rng(0).standard_normal(15)
+    guess = Guess(one.camera, one.place, np.zeros(GIVEN))
+    step = 1e-4 * np.random.default_rng(0).standard_normal(12 + GIVEN)
     change = (residuals(guess.moved(step), sightings) - residuals(guess, sightings)).ravel()
     np.testing.assert_allclose(jacobian(guess, sightings) @ step, change, atol=2e-4)
 
