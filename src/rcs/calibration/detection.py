@@ -88,8 +88,8 @@ def detect(board: Board, picture: ArrayLike, lens: Intrinsics | None = None) -> 
     shades = grey(picture)
     if lens is not None and shades.shape != (lens.height, lens.width):
         raise InvalidSetup(
-            f"The picture has {shades.shape[1]} x {shades.shape[0]} px, its lens {lens.width} x {lens.height}; valid are "
-            "intrinsics of the picture's size (`Intrinsics.cut` makes them)."
+            f"The picture has {shades.shape[1]} x {shades.shape[0]} px, its lens {lens.width} x {lens.height}; valid "
+            "are intrinsics of the picture's size (`Intrinsics.cut` makes them)."
         )
     if lens is None or not lens.is_distorted:
         return _found(board, shades)

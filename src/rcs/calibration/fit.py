@@ -15,8 +15,8 @@ from rcs.calibration.rig import Arrangement, View
 from rcs.spatial import Intrinsics, Pose
 
 GIVEN = 4
-"""Numbers of what is given that may be fitted besides: share by which the focal lengths are longer, how far the principal
-point is off in x and y [px], and share by which the board is larger."""
+"""Numbers of what is given that may be fitted besides: share by which the focal lengths are longer, how far the
+principal point is off in x and y [px], and share by which the board is larger."""
 
 _SOFT = 1.0
 """Distance from which the robust loss grows like the distance, not like its square [px]."""

@@ -56,7 +56,7 @@ class HandEye:
     rejected: tuple[tuple[int, int], ...]
     """Tags that were not: number of the view, number of the tag."""
     robot: RobotError
-    """What the robot seems to be off in a view, along [m] and about [rad] each axis of the flange, or as it was given."""
+    """What the robot seems to be off in a view, along [m] and about [rad] each axis of the flange; or as given."""
     residual_px: float
     """Root of the mean squared distance between a corner seen and expected, less what the robot is off [px]."""
     held_out_px: float
@@ -94,8 +94,7 @@ class HandEye:
             + ", ".join(f"{angle:.2f}" for angle in np.rad2deg(self.camera_in_mount.rpy))
             + " degrees",
             f"standard deviation: {self.sigma_mm:.3f} mm, {self.sigma_degrees:.4f} degrees",
-            f"the robot seems to be off by {1000 * self.robot[0]:.2f} mm and {np.rad2deg(self.robot[1]):.3f} degrees in a "
-            "view, along and about each axis",
+            f"the robot seems to be off by {_words(self.robot)} in each view, along and about each axis",
             f"left-out views: {self.held_out_mm:.2f} mm, {self.held_out_degrees:.3f} degrees, "
             f"{self.held_out_px:.2f} px; residual {self.residual_px:.2f} px",
             f"used {self.tags} tags in {self.views} views, {len(self.rejected)} rejected",
@@ -135,29 +134,15 @@ def hand_eye(
     chosen = [views[i] for i in usable]
     motions([view.flange_in_base for view in chosen]).require_enough()
     every = Sightings.of(board, chosen, arrangement, intrinsics)
-    guess = refine(start(board, chosen, arrangement, intrinsics), every)
-    errors = tag_errors(guess, every)
-    is_right = errors < _limit(errors)
-    fit = None
-    while fit is None or (is_wrong := _worst(fit, every[is_right])).any():
-        if fit is not None:
-            is_right[is_right] = ~is_wrong
-        if np.mean(~is_right) > MOST_WRONG:
-            raise InvalidSetup(
-                f"{int(np.sum(~is_right))} of {len(every)} tags are not where the others say, by more than "
-                f"{WRONG[1]:g} times the median of {float(np.median(errors)):.2f} px. Did the board or the camera move?"
-            )
-        kept = np.unique(every.view[is_right])
-        motions([chosen[i].flange_in_base for i in kept]).require_enough()
-        fit = fit_with_robot(guess, every[is_right], robot)
+    fit, is_right = _fit(board, chosen, every, arrangement, intrinsics, robot)
     seen, wrong = every[is_right], every[~is_right]
+    kept = np.unique(seen.view)
     given_off, alarms = _check_given(fit.guess, seen, robot)
     residual = _rms(fit.tag_errors)
     if robot is None and (fit.robot[0] > ROBOT_OFF[0] or fit.robot[1] > ROBOT_OFF[1]):
         alarms = (
-            f"the robot seems to be off by {1000 * fit.robot[0]:.1f} mm and {np.rad2deg(fit.robot[1]):.2f} degrees in a "
-            f"view; usual is below {1000 * ROBOT_OFF[0]:g} mm and {np.rad2deg(ROBOT_OFF[1]):g} degrees. It had not come "
-            "to rest, its own calibration is off, or camera or board moved a little",
+            f"the robot seems to be off by {_words(fit.robot)} in each view; usual is below {_words(ROBOT_OFF)}. It "
+            "had not come to rest, its own calibration is off, or camera or board moved a little",
             *alarms,
         )
     if residual > TOO_MUCH:
@@ -195,16 +180,43 @@ def hand_eye(
     )
 
 
+def _fit(
+    board: Board,
+    views: Sequence[View],
+    every: Sightings,
+    arrangement: Arrangement,
+    intrinsics: Intrinsics,
+    robot: RobotError | None,
+) -> tuple[RobotFit, NDArray[np.bool_]]:
+    """Return the fit of the tags that are right, and which these are of all, (n,)."""
+    guess = refine(start(board, views, arrangement, intrinsics), every)
+    errors = tag_errors(guess, every)
+    is_right = errors < _limit(errors)
+    while True:
+        if np.mean(~is_right) > MOST_WRONG:
+            raise InvalidSetup(
+                f"{int(np.sum(~is_right))} of {len(every)} tags are not where the others say, by more than "
+                f"{WRONG[1]:g} times the median of {float(np.median(errors)):.2f} px. Did the board or the camera move?"
+            )
+        seen = every[is_right]
+        motions([views[i].flange_in_base for i in np.unique(seen.view)]).require_enough()
+        fit = fit_with_robot(guess, seen, robot)
+        # A tag that a poor robot hid shows beside the others of its view; it spoils these, so one at a time.
+        worst = {view: fit.tag_errors[seen.view == view].max() for view in np.unique(seen.view)}
+        is_wrong = fit.tag_errors > _limit(fit.tag_errors)
+        is_wrong &= fit.tag_errors == [worst[view] for view in seen.view]
+        if not is_wrong.any():
+            return fit, is_right
+        is_right[is_right] = ~is_wrong
+
+
 def _limit(errors: NDArray[np.float64]) -> float:
     """Return the error from which a tag is wrong [px]."""
     return max(WRONG[0], WRONG[1] * float(np.median(errors)))
 
 
-def _worst(fit: RobotFit, seen: Sightings) -> NDArray[np.bool_]:
-    """Return which tags are wrong once the robot's errors are known, at most one of a view: it spoils the others."""
-    is_worst = np.array([error == fit.tag_errors[seen.view == view].max() for error, view in
-                         zip(fit.tag_errors, seen.view, strict=True)])  # fmt: skip
-    return is_worst & (fit.tag_errors > _limit(fit.tag_errors))
+def _words(robot: RobotError) -> str:
+    return f"{1000 * robot[0]:.2f} mm and {np.rad2deg(robot[1]):.3f} degrees"
 
 
 def _jackknife(fit: RobotFit) -> NDArray[np.float64]:

@@ -26,7 +26,7 @@ _LEAST, _MOST = np.array([1e-3, 1e-7, 1e-7]), np.array([100.0, 0.1, 0.3])
 """Bounds of the standard deviations: of a corner [px], and of the robot [m, rad]. Smaller ones are as good as none."""
 _ROUNDS = 10
 """Most times that the sizes are found anew; it takes two or three."""
-_STILL = 1e-9
+_STILL = 1e-7
 """Step from which the poses have been found [m, rad]."""
 
 
@@ -99,9 +99,9 @@ class _Normal:
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """The residuals about a guess: in each view six that a moving flange explains, and others of which it explains none.
+    """The residuals about a guess, turned in each view such that a moving flange explains six of them and no others.
 
-    Q of K = Q R turns the residuals of a view into these.
+    It is Q of K = Q R that turns them.
     """
 
     r: NDArray[np.float64]

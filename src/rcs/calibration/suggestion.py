@@ -113,9 +113,7 @@ def _draw(rig: Rig, joints: Sequence[NDArray[np.float64]], rng: np.random.Genera
     return np.ascontiguousarray(drawn[((drawn >= low) & (drawn <= high)).all(axis=-1)])
 
 
-def _informations(
-    guess: Guess, board: Board, anchors: NDArray[np.float64], rig: Rig
-) -> list[NDArray[np.float64]]:
+def _informations(guess: Guess, board: Board, anchors: NDArray[np.float64], rig: Rig) -> list[NDArray[np.float64]]:
     """Return what a view from every pose would tell, (12, 12) each."""
     count, tags = len(anchors), len(board.ids)
     expected = Sightings(
