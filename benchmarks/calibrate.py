@@ -196,8 +196,8 @@ def measure(arrangement: str, seed: int, options: Options, folder: Path) -> dict
         file = folder / "calibration.json"
         write_calibration(file, {name: Calibration(optical=optical, camera=CameraCalibration(intrinsics=lens))})
         setup = replace(plain, calibration=str(file))
+        strategy = BoardStrategy(lab.rig(lens, board_near), task.board, views=options.views, seed=seed)
         with rcs.make(setup) as env:
-            strategy = BoardStrategy(lab.rig(lens, board_near), task.board, views=options.views, seed=seed)
             look_around(env, strategy, name, is_free=FreePath(env, lab.robot.name))
             if seed == 0:
                 result["refused"] &= is_single_axis_refused(Tour(env), name, strategy)
