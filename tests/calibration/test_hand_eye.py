@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from rcs.calibration import Arrangement, Board, Detections, HandEye, Rig, View, hand_eye, verify
-from rcs.calibration.fit import Guess, Sightings, jacobian, residuals
+from rcs.calibration.board_pose import board_poses
+from rcs.calibration.closed_form import camera_in_mount, rigid
+from rcs.calibration.fit import GIVEN, Guess, Sightings, jacobian, residuals
 from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.robots.fr3.description import FR3
@@ -21,8 +23,15 @@ pytestmark = pytest.mark.extras
 ARRANGEMENTS = get_args(Arrangement)
 
 
+SMALL, LARGE = (1e-4, np.deg2rad(0.02)), (5e-4, np.deg2rad(0.1))
+
+
 def off(found: HandEye, true: Pose) -> tuple[float, float]:
-    step = true.inverse() * found.camera_in_mount
+    return away(found.camera_in_mount, true)
+
+
+def away(found: Pose, true: Pose) -> tuple[float, float]:
+    step = true.inverse() * found
     return 1000 * float(np.linalg.norm(step.translation)), float(np.rad2deg(np.linalg.norm(step.rotvec)))
 
 
@@ -56,19 +65,72 @@ def test_without_noise_the_pose_is_exact(arrangement: Arrangement, seen: Callabl
     assert not found.alarms and not found.rejected
 
 
+def rms(errors: list[tuple[float, float]]) -> np.ndarray[Any, Any]:
+    return np.sqrt(np.mean(np.square(errors), axis=0))
+
+
+def park(one: Any, lens: Intrinsics) -> tuple[float, float]:
+    """Return the error of Park's closed form."""
+    anchors = np.array([view.anchor_in_mount(one.arrangement) for view in one.views])
+    boards = [board_poses(one.board, view.detections, lens)[0].board_in_camera for view in one.views]
+    return away(rigid(camera_in_mount(anchors, np.array(boards))), one.camera)
+
+
 @pytest.mark.parametrize("arrangement", ARRANGEMENTS)
-def test_with_noise_of_pictures_and_robot_the_error_is_small_and_as_large_as_is_said(
-    arrangement: Arrangement, seen: Callable[..., Any], lens: Intrinsics
+@pytest.mark.parametrize(("robot", "limit"), [(SMALL, 0.3), (LARGE, 0.8)], ids=["small", "large"])
+def test_with_a_robot_that_is_off_the_error_is_small_and_as_large_as_is_said(
+    robot: tuple[float, float], limit: float, arrangement: Arrangement, seen: Callable[..., Any], lens: Intrinsics
 ) -> None:
-    ratios = []
-    for seed in range(5):
-        one = seen(arrangement, noise=0.1, robot=(1e-4, np.deg2rad(0.02)), seed=seed)
+    errors, closed, ratios = [], [], []
+    for seed in range(4):
+        one = seen(arrangement, noise=0.1, robot=robot, seed=seed)
         found = hand_eye(one.board, one.views, arrangement, lens)
-        millimetres, degrees = off(found, one.camera)
-        assert millimetres < 1.0 and degrees < 0.15
-        ratios.append((millimetres / found.sigma_mm, degrees / found.sigma_degrees))
+        errors.append(off(found, one.camera))
+        closed.append(park(one, lens))
+        ratios.append((errors[-1][0] / found.sigma_mm, errors[-1][1] / found.sigma_degrees))
+        assert not found.alarms
+    assert np.median(errors, axis=0)[0] < limit
+    assert (rms(errors) < rms(closed)).all(), "better than Park's closed form"
     middle = np.median(ratios, axis=0)
-    assert (middle > 0.2).all() and (middle < 3.0).all(), "the covariance tells the size of the error"
+    assert (middle > 0.4).all() and (middle < 1.6).all(), "the covariance tells the size of the error"
+
+
+def test_a_robot_that_is_said_to_be_three_times_as_far_off_still_helps(
+    seen: Callable[..., Any], lens: Intrinsics
+) -> None:
+    thrice = (3 * SMALL[0], 3 * SMALL[1])
+    views = [seen("eye-in-hand", noise=0.1, robot=SMALL, seed=seed) for seed in range(4)]
+    found = [hand_eye(one.board, one.views, "eye-in-hand", lens, thrice) for one in views]
+    assert found[0].robot == pytest.approx(thrice)
+    errors = [off(result, one.camera) for result, one in zip(found, views, strict=True)]
+    assert (rms(errors) < rms([park(one, lens) for one in views])).all()
+
+
+@pytest.mark.parametrize("robot", [(-1e-4, 0.0), (1e-4, float("nan"))])
+def test_a_robot_that_is_off_by_no_number_is_refused(
+    robot: tuple[float, float], seen: Callable[..., Any], lens: Intrinsics
+) -> None:
+    one = seen("eye-in-hand")
+    with pytest.raises(InvalidSetup, match="two standard deviations"):
+        hand_eye(one.board, one.views, "eye-in-hand", lens, robot)
+
+
+def test_a_wrong_tag_is_found_although_the_robot_is_off_by_more(seen: Callable[..., Any], lens: Intrinsics) -> None:
+    one = seen("eye-in-hand", robot=LARGE)
+    corners = one.views[3].detections.corners.copy()
+    corners[1] += (2.5, -2.0)
+    views = [*one.views]
+    views[3] = replace(views[3], detections=Detections(views[3].detections.ids, corners))
+    found = hand_eye(one.board, views, "eye-in-hand", lens)
+    assert found.rejected == ((3, one.board.ids[1]),) and found.residual_px < 0.1
+
+
+def test_a_robot_that_is_off_by_much_raises_the_alarm(seen: Callable[..., Any], lens: Intrinsics) -> None:
+    one = seen("eye-to-hand", robot=(3e-3, np.deg2rad(0.02)))
+    found = hand_eye(one.board, one.views, "eye-to-hand", lens)
+    assert 2e-3 < found.robot[0] < 4e-3
+    assert any("the robot seems to be off by" in alarm for alarm in found.alarms)
+    assert "the robot seems to be off by" in str(found)
 
 
 @pytest.mark.parametrize("arrangement", ARRANGEMENTS)
@@ -125,7 +187,7 @@ def test_other_poor_sets_are_refused_with_what_is_missing(
 def test_focal_lengths_that_are_one_percent_off_raise_the_alarm(
     arrangement: Arrangement, factor: float, seen: Callable[..., Any], lens: Intrinsics
 ) -> None:
-    one = seen(arrangement, noise=0.1, robot=(1e-4, np.deg2rad(0.02)))
+    one = seen(arrangement, noise=0.1, robot=SMALL)
     wrong = replace(lens, fx=factor * lens.fx, fy=factor * lens.fy)
     assert not hand_eye(one.board, one.views, arrangement, lens).alarms
     found = hand_eye(one.board, one.views, arrangement, wrong)
@@ -145,14 +207,16 @@ def test_views_of_another_board_are_refused(seen: Callable[..., Any], lens: Intr
 
 def test_a_wrong_size_of_the_board_is_noticed(seen: Callable[..., Any], lens: Intrinsics) -> None:
     one = seen("eye-in-hand")
-    assert hand_eye(Board(tag_size=0.0784, gap=0.0196), one.views, "eye-in-hand", lens).alarms
+    found = hand_eye(Board(tag_size=0.0784, gap=0.0196), one.views, "eye-in-hand", lens)
+    assert found.size_off == pytest.approx(0.08 / 0.0784 - 1, abs=2e-3)
+    assert any("a board that is 2" in alarm and "larger" in alarm for alarm in found.alarms)
 
 
 def test_the_jacobian_is_that_of_finite_steps(seen: Callable[..., Any], lens: Intrinsics) -> None:
     one = seen("eye-to-hand", views=4)
     sightings = Sightings.of(one.board, one.views, "eye-to-hand", lens)
-    guess = Guess(one.camera, one.place, np.zeros(3))
-    step = 1e-4 * np.random.default_rng(0).standard_normal(15)
+    guess = Guess(one.camera, one.place, np.zeros(GIVEN))
+    step = 1e-4 * np.random.default_rng(0).standard_normal(12 + GIVEN)
     change = (residuals(guess.moved(step), sightings) - residuals(guess, sightings)).ravel()
     np.testing.assert_allclose(jacobian(guess, sightings) @ step, change, atol=2e-4)
 

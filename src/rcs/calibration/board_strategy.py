@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from rcs.calibration.board import Board
 from rcs.calibration.board_pose import board_poses
 from rcs.calibration.closed_form import board_in_anchor, middle_pose, rigid
-from rcs.calibration.detection import detect
+from rcs.calibration.detection import detect, grey
 from rcs.calibration.fit import Guess, Sightings, refine
 from rcs.calibration.hand_eye import HandEye, hand_eye
 from rcs.calibration.intrinsics import IntrinsicsFit, fit_intrinsics
@@ -19,6 +20,7 @@ from rcs.calibration.rig import Rig, View
 from rcs.calibration.strategy import CalibrationStrategy
 from rcs.calibration.suggestion import IsFree, suggest
 from rcs.errors import InvalidSetup
+from rcs.spatial import Intrinsics
 
 ENOUGH = 5
 """Views from which the guess of the camera's pose is made better."""
@@ -43,6 +45,8 @@ class BoardStrategy(CalibrationStrategy):
         self.wanted = views
         self.views: list[View] = []
         """What was seen."""
+        self.pictures: list[NDArray[np.uint8]] = []
+        """The picture of each view, grey, (H, W)."""
         self._boards: list[NDArray[np.float64]] = []
         self.joints: list[NDArray[np.float64]] = []
         """Where the arm was for each view [rad]."""
@@ -52,9 +56,10 @@ class BoardStrategy(CalibrationStrategy):
     def look(self, picture: NDArray[np.uint8], joints: NDArray[np.float64]) -> bool:
         """Look for the board in a picture."""
         self._looked += 1
-        found = detect(self.board, picture)
+        found = detect(self.board, picture, self.rig.intrinsics)
         if not len(found):
             return False
+        self.pictures.append(grey(picture).copy())
         self.views.append(View(flange_in_base=self.rig.kinematics.forward(joints), detections=found))
         self._boards.append(board_poses(self.board, found, self.rig.intrinsics)[0].board_in_camera)
         self.joints.append(np.array(joints, np.float64))
@@ -97,7 +102,7 @@ class BoardStrategy(CalibrationStrategy):
         if len(self.views) < ENOUGH:
             return guess
         seen = Sightings.of(self.board, self.views, self.rig.arrangement, self.rig.intrinsics)
-        return refine(guess, seen, is_robust=True)
+        return refine(guess, seen)
 
     def solve(self) -> HandEye:
         """Return where the camera is."""
@@ -110,7 +115,19 @@ class BoardStrategy(CalibrationStrategy):
             InvalidSetup: They cannot tell; the message says what is missing.
         """
         size = self.rig.intrinsics.width, self.rig.intrinsics.height
-        return fit_intrinsics(self.board, [view.detections for view in self.views], size)
+        rough = fit_intrinsics(self.board, [view.detections for view in self.views], size).intrinsics
+        return fit_intrinsics(self.board, [view.detections for view in self.views_through(rough)], size)
+
+    def views_through(self, lens: Intrinsics) -> list[View]:
+        """Return the views with the tags as they are found in the same pictures with another lens.
+
+        Args:
+            lens: How the camera sees.
+        """
+        return [
+            replace(view, detections=detect(self.board, picture, lens))
+            for view, picture in zip(self.views, self.pictures, strict=True)
+        ]
 
     def about(self) -> dict[str, Any]:
         """Return how many views there are, and how the arm has turned."""

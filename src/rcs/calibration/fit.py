@@ -14,9 +14,9 @@ from rcs.calibration.packages import package
 from rcs.calibration.rig import Arrangement, View
 from rcs.spatial import Intrinsics, Pose
 
-LENS = 3
-"""Numbers of a lens that may be fitted besides: share by which the focal lengths are longer, and how far the principal
-point is off [px], in x and y."""
+GIVEN = 4
+"""Numbers of what is given that may be fitted besides: share by which the focal lengths are longer, how far the
+principal point is off in x and y [px], and share by which the board is larger."""
 
 _SOFT = 1.0
 """Distance from which the robust loss grows like the distance, not like its square [px]."""
@@ -38,6 +38,8 @@ class Sightings:
     """Where they were seen, x / z and y / z, (n, 4, 2)."""
     focal: tuple[float, float]
     """Focal lengths [px]."""
+    arrangement: Arrangement
+    """What carries the camera."""
 
     @staticmethod
     def of(board: Board, views: Sequence[View], arrangement: Arrangement, intrinsics: Intrinsics) -> Sightings:
@@ -59,6 +61,7 @@ class Sightings:
             board.corners_of(ids),
             np.concatenate([np.empty((0, 4, 2)), *(view.detections.rays(intrinsics) for view in views)]),
             (intrinsics.fx, intrinsics.fy),
+            arrangement,
         )
 
     def __len__(self) -> int:
@@ -85,13 +88,13 @@ class Guess:
     """Pose of the camera in its mount."""
     board: Pose
     """Pose of the board in its anchor."""
-    lens: NDArray[np.float64] | None = None
-    """What the lens has more than the given one, (LENS,); None where it is not fitted."""
+    given: NDArray[np.float64] | None = None
+    """How far what is given is off, (GIVEN,); None where that is not fitted."""
 
     def moved(self, step: NDArray[np.float64]) -> Guess:
-        """Return a guess nearby: both poses moved by twists in their own frames, (12,) or (12 + LENS,)."""
-        lens = None if self.lens is None else self.lens + step[12:]
-        return Guess(self.camera * Pose.exp(step[:6]), self.board * Pose.exp(step[6:12]), lens)
+        """Return a guess nearby: both poses moved by twists in their own frames, (12,) or (12 + GIVEN,)."""
+        given = None if self.given is None else self.given + step[12:]
+        return Guess(self.camera * Pose.exp(step[:6]), self.board * Pose.exp(step[6:12]), given)
 
     def boards_in_camera(self, anchors: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where the board is in the optical frame, (n, 4, 4), from poses of its anchor in the mount."""
@@ -100,15 +103,14 @@ class Guess:
     @property
     def size(self) -> int:
         """How many numbers are fitted."""
-        return 12 if self.lens is None else 12 + LENS
+        return 12 if self.given is None else 12 + GIVEN
 
 
 def residuals(guess: Guess, seen: Sightings) -> NDArray[np.float64]:
     """Return how far corners are expected from where they were seen [px], (n, 4, 2)."""
-    expected = project(guess.boards_in_camera(seen.anchors), seen.points) * seen.focal
-    if guess.lens is not None:
-        expected = expected * (1 + guess.lens[0]) + guess.lens[1:]
-    return expected - seen.rays * seen.focal
+    longer, *off, larger = (0.0,) * GIVEN if guess.given is None else guess.given
+    expected = project(guess.boards_in_camera(seen.anchors), (1 + larger) * seen.points) * seen.focal
+    return expected * (1 + longer) + off - seen.rays * seen.focal
 
 
 def tag_errors(guess: Guess, seen: Sightings) -> NDArray[np.float64]:
@@ -116,23 +118,19 @@ def tag_errors(guess: Guess, seen: Sightings) -> NDArray[np.float64]:
     return np.sqrt((residuals(guess, seen) ** 2).sum(axis=-1).mean(axis=-1))
 
 
-def refine(start: Guess, seen: Sightings, *, is_robust: bool = False) -> Guess:
-    """Return the guess with the least squares, found from one nearby.
+def refine(start: Guess, seen: Sightings) -> Guess:
+    """Return the guess with the least squares, found from one nearby; what is far off counts little.
 
     Args:
         start: Where to begin.
         seen: What was seen.
-        is_robust: Whether what is far off counts little; else all counts by its square.
     """
     found = package("scipy.optimize").least_squares(
         lambda step: residuals(start.moved(step), seen).ravel(),
         np.zeros(start.size),
         x_scale="jac",
-        loss="cauchy" if is_robust else "linear",
+        loss="cauchy",
         f_scale=_SOFT,
-        xtol=1e-12,
-        ftol=1e-12,
-        gtol=1e-12,
         max_nfev=100,
     )
     return start.moved(found.x)
@@ -148,20 +146,17 @@ def jacobian(guess: Guess, seen: Sightings) -> NDArray[np.float64]:
     return np.stack(columns, axis=-1)
 
 
-def clustered_covariance(guess: Guess, seen: Sightings) -> NDArray[np.float64]:
-    """Return the covariance of the fitted numbers, (size, size), with errors that the corners of a view share.
+def flange_jacobian(guess: Guess, seen: Sightings) -> NDArray[np.float64]:
+    """Return how residuals change as the flange moves by a twist in its own frame [px/m, px/rad], (n * 8, 6)."""
+    width = 1e-6
 
-    What the robot is off in one view is common to all corners of it, so they are no independent observations (the
-    cluster-robust estimator: Cameron and Miller, "A practitioner's guide to cluster-robust inference", 2015).
-    """
-    slopes, errors = jacobian(guess, seen), residuals(guess, seen).ravel()
-    inverse = np.linalg.pinv(slopes.T @ slopes)
-    scores = slopes * errors[:, None]
-    rows = np.repeat(seen.view, 8)
-    groups = np.array([scores[rows == view].sum(axis=0) for view in np.unique(rows)])
-    count, size = len(groups), guess.size
-    correction = count / max(count - 1, 1) * (len(errors) - 1) / max(len(errors) - size, 1)
-    return correction * inverse @ groups.T @ groups @ inverse
+    def moved(step: NDArray[np.float64]) -> NDArray[np.float64]:
+        twist = Pose.exp(step)
+        is_in_hand = seen.arrangement == "eye-in-hand"
+        anchors = twist.inverse().matrix @ seen.anchors if is_in_hand else seen.anchors @ twist.matrix
+        return residuals(guess, replace(seen, anchors=anchors)).ravel()
+
+    return np.stack([(moved(step) - moved(-step)) / (2 * width) for step in width * np.eye(6)], axis=-1)
 
 
 def moved_by(of: Pose, to: Pose) -> NDArray[np.float64]:

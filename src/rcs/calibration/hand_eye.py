@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rcs.calibration.board import Board
-from rcs.calibration.fit import Guess, Sightings, clustered_covariance, moved_by, refine, tag_errors
+from rcs.calibration.fit import GIVEN, Guess, Sightings, moved_by, refine, tag_errors
 from rcs.calibration.motion import motions
 from rcs.calibration.rig import Arrangement, View
+from rcs.calibration.robot_error import RobotError, RobotFit, fit_with_robot
 from rcs.calibration.start import start
 from rcs.calibration.verify import board_offset
 from rcs.errors import InvalidSetup
@@ -23,10 +24,14 @@ MOST_WRONG = 0.35
 """Share of tags that may be wrong."""
 TOO_MUCH = 1.0
 """Root of the mean squared residual from which something is amiss [px]."""
+ROBOT_OFF = (1e-3, np.deg2rad(0.25))
+"""What a robot may be off in a view along and about each axis before something is amiss [m, rad]."""
 FOCAL_OFF = 0.004
 """Share by which the given focal lengths may differ from those that explain the pictures best."""
 CENTRE_OFF = 3.0
 """How far the given principal point may be from the one that explains them best [px]."""
+SIZE_OFF = 0.004
+"""Share by which the given board may be smaller or larger than the one that explains the motions best."""
 SURE = 4.0
 """Standard deviations from which a difference is no chance."""
 
@@ -50,10 +55,12 @@ class HandEye:
     """Tags that were used."""
     rejected: tuple[tuple[int, int], ...]
     """Tags that were not: number of the view, number of the tag."""
+    robot: RobotError
+    """What the robot seems to be off in a view, along [m] and about [rad] each axis of the flange; or as given."""
     residual_px: float
-    """Root of the mean squared distance between a corner seen and expected [px]."""
+    """Root of the mean squared distance between a corner seen and expected, less what the robot is off [px]."""
     held_out_px: float
-    """The same of views that were left out [px]."""
+    """Root of the mean squared distance between a corner seen and expected in views that were left out [px]."""
     held_out_mm: float
     """Root mean square of how far boards seen in views that were left out are from where they are expected [mm]. It has
     the errors of robot and detection in that one view, too, so the camera's pose is known better than that."""
@@ -63,6 +70,8 @@ class HandEye:
     """Share by which longer focal lengths explain the pictures better."""
     centre_off: tuple[float, float]
     """How far another principal point that explains them better is off [px]."""
+    size_off: float
+    """Share by which a larger board explains the motions better."""
     alarms: tuple[str, ...]
     """What is amiss, in words; empty if all is well."""
 
@@ -85,6 +94,7 @@ class HandEye:
             + ", ".join(f"{angle:.2f}" for angle in np.rad2deg(self.camera_in_mount.rpy))
             + " degrees",
             f"standard deviation: {self.sigma_mm:.3f} mm, {self.sigma_degrees:.4f} degrees",
+            f"the robot seems to be off by {_words(self.robot)} in each view, along and about each axis",
             f"left-out views: {self.held_out_mm:.2f} mm, {self.held_out_degrees:.3f} degrees, "
             f"{self.held_out_px:.2f} px; residual {self.residual_px:.2f} px",
             f"used {self.tags} tags in {self.views} views, {len(self.rejected)} rejected",
@@ -93,126 +103,155 @@ class HandEye:
         return "\n".join(lines)
 
 
-def hand_eye(board: Board, views: Sequence[View], arrangement: Arrangement, intrinsics: Intrinsics) -> HandEye:
+def hand_eye(
+    board: Board,
+    views: Sequence[View],
+    arrangement: Arrangement,
+    intrinsics: Intrinsics,
+    robot: RobotError | None = None,
+) -> HandEye:
     """Find where a camera is.
 
-    The corners' distances from where they are expected are made least, over the poses of camera and board. A robust
-    start (`start`) and a robust loss find out which tags are wrong; these are left out, and count for nothing.
+    The poses of camera and board are found that are most likely where corners are seen a little off and the robot is,
+    too, in each view anew (`fit_with_robot`). A robust start (`start`) and a robust loss find out which tags are wrong;
+    these are left out, and count for nothing.
 
     Args:
         board: The board; a wrong size of its tags is a wrong size of everything.
         views: Views from many poses; those without tags do not count.
         arrangement: Whether the camera is on the gripper.
         intrinsics: Of the pictures.
+        robot: What the robot is off in a view, along [m] and about [rad] each axis of the flange; None to find that out
+            from the views.
 
     Raises:
         InvalidSetup: The views cannot tell, and the message says which motions are missing; or they contradict each
-            other.
+            other; or `robot` is negative or not finite.
     """
+    if robot is not None and not (np.isfinite(robot).all() and min(robot) >= 0):
+        raise InvalidSetup(f"robot is {robot}; valid are two standard deviations from 0 [m, rad], or None.")
     usable = [i for i, view in enumerate(views) if len(view.detections)]
     chosen = [views[i] for i in usable]
     motions([view.flange_in_base for view in chosen]).require_enough()
     every = Sightings.of(board, chosen, arrangement, intrinsics)
-    guess = refine(start(board, chosen, arrangement, intrinsics), every, is_robust=True)
-    errors = tag_errors(guess, every)
-    is_right = errors < max(WRONG[0], WRONG[1] * float(np.median(errors)))
-    if np.mean(~is_right) > MOST_WRONG:
-        raise InvalidSetup(
-            f"{int(np.sum(~is_right))} of {len(every)} tags are not where the others say, by more than "
-            f"{WRONG[1]:g} times the median of {float(np.median(errors)):.2f} px. Did the board or the camera move?"
-        )
-    seen = every[is_right]
+    fit, is_right = _fit(board, chosen, every, arrangement, intrinsics, robot)
+    seen, wrong = every[is_right], every[~is_right]
     kept = np.unique(seen.view)
-    motions([chosen[i].flange_in_base for i in kept]).require_enough()
-    guess = refine(guess, seen)
-    held_out = [_without(guess, seen, view) for view in kept]
-    covariance = _jackknife(guess, [one.guess for one in held_out])
-    focal_off, centre_off, alarms = _check_lens(guess, seen)
-    residual = _rms(tag_errors(guess, seen))
-    if residual > TOO_MUCH:
+    given_off, alarms = _check_given(fit.guess, seen, robot)
+    residual = _rms(fit.tag_errors)
+    if robot is None and (fit.robot[0] > ROBOT_OFF[0] or fit.robot[1] > ROBOT_OFF[1]):
         alarms = (
-            f"the residual is {residual:.2f} px; usual is below {TOO_MUCH:g} px. Intrinsics, the size of the board, or "
-            "the robot's own calibration are off, or the robot had not come to rest",
+            f"the robot seems to be off by {_words(fit.robot)} in each view; usual is below {_words(ROBOT_OFF)}. It "
+            "had not come to rest, its own calibration is off, or camera or board moved a little",
             *alarms,
         )
-    boards = [_board_error(one, board, chosen[view], arrangement, intrinsics, seen) for one, view in
-              zip(held_out, kept, strict=True)]  # fmt: skip
+    if residual > TOO_MUCH:
+        alarms = (
+            f"the residual is {residual:.2f} px; usual is below {TOO_MUCH:g} px. The intrinsics are off, the board is "
+            "another or not flat, or the pictures are blurred",
+            *alarms,
+        )
+    held_out: list[NDArray[np.float64]] = []
+    boards: list[tuple[float, float]] = []
+    for without, view in zip(fit.without, kept, strict=True):
+        own = seen[seen.view == view]
+        held_out.append(tag_errors(without, own))
+        right = np.isin(chosen[view].detections.ids, own.ids)
+        shown = replace(chosen[view], detections=chosen[view].detections[right])
+        boards.append(board_offset(without, board, shown, arrangement, intrinsics))
     millimetres, degrees = (_rms(values) for values in zip(*boards, strict=True))
-    wrong = every[~is_right]
     return HandEye(
         arrangement=arrangement,
-        camera_in_mount=guess.camera,
-        board_in_anchor=guess.board,
-        covariance=covariance,
+        camera_in_mount=fit.guess.camera,
+        board_in_anchor=fit.guess.board,
+        covariance=_jackknife(fit),
         views=len(kept),
         tags=len(seen),
         rejected=tuple((usable[view], int(number)) for view, number in zip(wrong.view, wrong.ids, strict=True)),
+        robot=fit.robot,
         residual_px=residual,
-        held_out_px=_rms(np.concatenate([one.errors for one in held_out])),
+        held_out_px=_rms(np.concatenate(held_out)),
         held_out_mm=millimetres,
         held_out_degrees=degrees,
-        focal_off=focal_off,
-        centre_off=centre_off,
+        focal_off=float(given_off[0]),
+        centre_off=(float(given_off[1]), float(given_off[2])),
+        size_off=float(given_off[3]),
         alarms=alarms,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _HeldOut:
-    """A view that was left out."""
+def _fit(
+    board: Board,
+    views: Sequence[View],
+    every: Sightings,
+    arrangement: Arrangement,
+    intrinsics: Intrinsics,
+    robot: RobotError | None,
+) -> tuple[RobotFit, NDArray[np.bool_]]:
+    """Return the fit of the tags that are right, and which these are of all, (n,)."""
+    guess = refine(start(board, views, arrangement, intrinsics), every)
+    errors = tag_errors(guess, every)
+    is_right = errors < _limit(errors)
+    while True:
+        if np.mean(~is_right) > MOST_WRONG:
+            raise InvalidSetup(
+                f"{int(np.sum(~is_right))} of {len(every)} tags are not where the others say, by more than "
+                f"{WRONG[1]:g} times the median of {float(np.median(errors)):.2f} px. Did the board or the camera move?"
+            )
+        seen = every[is_right]
+        motions([views[i].flange_in_base for i in np.unique(seen.view)]).require_enough()
+        fit = fit_with_robot(guess, seen, robot)
+        # A tag that a poor robot hid shows beside the others of its view; it spoils these, so one at a time.
+        worst = {view: fit.tag_errors[seen.view == view].max() for view in np.unique(seen.view)}
+        is_wrong = fit.tag_errors > _limit(fit.tag_errors)
+        is_wrong &= fit.tag_errors == [worst[view] for view in seen.view]
+        if not is_wrong.any():
+            return fit, is_right
+        is_right[is_right] = ~is_wrong
 
-    guess: Guess
-    """Found without it."""
-    view: int
-    """Its number."""
-    errors: NDArray[np.float64]
-    """Errors of its tags [px], (n,)."""
+
+def _limit(errors: NDArray[np.float64]) -> float:
+    """Return the error from which a tag is wrong [px]."""
+    return max(WRONG[0], WRONG[1] * float(np.median(errors)))
 
 
-def _without(guess: Guess, seen: Sightings, view: int) -> _HeldOut:
-    found = refine(guess, seen[seen.view != view])
-    return _HeldOut(found, view, tag_errors(found, seen[seen.view == view]))
+def _words(robot: RobotError) -> str:
+    return f"{1000 * robot[0]:.2f} mm and {np.rad2deg(robot[1]):.3f} degrees"
 
 
-def _jackknife(guess: Guess, without: Sequence[Guess]) -> NDArray[np.float64]:
+def _jackknife(fit: RobotFit) -> NDArray[np.float64]:
     """Return the covariance of the camera's pose (Efron, "The jackknife", 1982)."""
-    moved = np.array([moved_by(guess.camera, other.camera) for other in without])
+    moved = np.array([moved_by(fit.guess.camera, other.camera) for other in fit.without])
     moved = moved - moved.mean(axis=0)
     covariance = (len(moved) - 1) / len(moved) * moved.T @ moved
     return (covariance + covariance.T) / 2
 
 
-def _board_error(
-    held_out: _HeldOut, board: Board, view: View, arrangement: Arrangement, intrinsics: Intrinsics, seen: Sightings
-) -> tuple[float, float]:
-    """Return how far the board in a view is from where it is expected [mm, degrees], by the tags that are right."""
-    right = np.isin(view.detections.ids, seen.ids[seen.view == held_out.view])
-    return board_offset(
-        held_out.guess, board, replace(view, detections=view.detections[right]), arrangement, intrinsics
-    )
-
-
-def _check_lens(guess: Guess, seen: Sightings) -> tuple[float, tuple[float, float], tuple[str, ...]]:
-    """Return what another lens would explain better: focal lengths, principal point, and alarms."""
-    free = refine(replace(guess, lens=np.zeros(3)), seen)
-    assert free.lens is not None, "it was given"
-    sigma = np.sqrt(np.diag(clustered_covariance(free, seen))[12:])
-    focal, centre = float(free.lens[0]), (float(free.lens[1]), float(free.lens[2]))
+def _check_given(
+    guess: Guess, seen: Sightings, robot: RobotError | None
+) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return how far what is given is off, (GIVEN,), and alarms where that is no chance."""
+    free = fit_with_robot(replace(guess, given=np.zeros(GIVEN)), seen, robot)
+    assert free.guess.given is not None, "it was given"
+    off, sigma = free.guess.given, np.sqrt(np.diag(free.covariance)[12:])
+    is_sure = np.abs(off) > SURE * sigma
     alarms: list[str] = []
-    if abs(focal) > max(FOCAL_OFF, SURE * sigma[0]):
+    if abs(off[0]) > FOCAL_OFF and is_sure[0]:
         alarms.append(
-            f"focal lengths that are {abs(focal):.1%} {'longer' if focal > 0 else 'shorter'} explain the pictures "
-            f"better (standard deviation {sigma[0]:.2%}). Calibrate the intrinsics, and measure a tag: its size has "
-            "the same effect"
+            f"focal lengths that are {abs(off[0]):.1%} {'longer' if off[0] > 0 else 'shorter'} explain the pictures "
+            f"better (standard deviation {sigma[0]:.2%}); calibrate the intrinsics"
         )
-    if np.hypot(*centre) > CENTRE_OFF and any(
-        abs(value) > SURE * one for value, one in zip(centre, sigma[1:], strict=True)
-    ):
+    if np.hypot(*off[1:3]) > CENTRE_OFF and is_sure[1:3].any():
         alarms.append(
-            f"a principal point that is ({centre[0]:+.1f}, {centre[1]:+.1f}) px off explains the pictures better; "
-            "calibrate the intrinsics"
+            f"a principal point that is ({off[1]:+.1f}, {off[2]:+.1f}) px off explains the pictures better; calibrate "
+            "the intrinsics"
         )
-    return focal, centre, tuple(alarms)
+    if abs(off[3]) > SIZE_OFF and is_sure[3]:
+        alarms.append(
+            f"a board that is {abs(off[3]):.1%} {'larger' if off[3] > 0 else 'smaller'} explains the motions better "
+            f"(standard deviation {sigma[3]:.2%}); measure a tag"
+        )
+    return off, tuple(alarms)
 
 
 def _rms(values: ArrayLike) -> float:

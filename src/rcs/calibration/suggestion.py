@@ -71,7 +71,7 @@ def suggest(
         return None
     known = _information(guess, seen) if len(seen) else np.zeros((12, 12))
     known += np.diag(np.tile([UNSURE[0] ** -2.0] * 3 + [UNSURE[1] ** -2.0] * 3, 2))
-    gains = [_log_determinant(known + one) for one in _informations(guess, board, anchors[chosen], rig.intrinsics)]
+    gains = [_log_determinant(known + one) for one in _informations(guess, board, anchors[chosen], rig)]
     for i in np.argsort(gains)[::-1]:
         if is_free is None or is_free(joints[-1], drawn[chosen[i]]):
             return drawn[chosen[i]]
@@ -113,9 +113,7 @@ def _draw(rig: Rig, joints: Sequence[NDArray[np.float64]], rng: np.random.Genera
     return np.ascontiguousarray(drawn[((drawn >= low) & (drawn <= high)).all(axis=-1)])
 
 
-def _informations(
-    guess: Guess, board: Board, anchors: NDArray[np.float64], intrinsics: Intrinsics
-) -> list[NDArray[np.float64]]:
+def _informations(guess: Guess, board: Board, anchors: NDArray[np.float64], rig: Rig) -> list[NDArray[np.float64]]:
     """Return what a view from every pose would tell, (12, 12) each."""
     count, tags = len(anchors), len(board.ids)
     expected = Sightings(
@@ -124,14 +122,15 @@ def _informations(
         np.repeat(anchors, tags, axis=0),
         np.tile(board.corners, (count, 1, 1)),
         np.zeros((count * tags, 4, 2)),
-        (intrinsics.fx, intrinsics.fy),
+        (rig.intrinsics.fx, rig.intrinsics.fy),
+        rig.arrangement,
     )
-    slopes = jacobian(replace(guess, lens=None), expected).reshape(count, -1, 12) / NOISE
+    slopes = jacobian(replace(guess, given=None), expected).reshape(count, -1, 12) / NOISE
     return [one.T @ one for one in slopes]
 
 
 def _information(guess: Guess, seen: Sightings) -> NDArray[np.float64]:
-    slopes = jacobian(replace(guess, lens=None), seen) / NOISE
+    slopes = jacobian(replace(guess, given=None), seen) / NOISE
     return slopes.T @ slopes
 
 

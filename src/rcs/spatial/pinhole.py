@@ -205,7 +205,7 @@ def undistort(points: ArrayLike, distortion: ArrayLike) -> NDArray[np.float64]:
         if step < _CONVERGED:
             break
     found = np.stack([x, y], axis=-1)
-    if not step < _CONVERGED or (np.hypot(x, y) >= _fold([k1, k2, k3])).any():
+    if not step < _CONVERGED or (np.hypot(x, y) >= fold_radius((k1, k2, k3))).any():
         raise InvalidSetup(
             f"distortion {np.asarray(distortion).tolist()} folds the picture over before its corners; valid is one "
             "that was fitted to points in the whole picture."
@@ -213,8 +213,12 @@ def undistort(points: ArrayLike, distortion: ArrayLike) -> NDArray[np.float64]:
     return found
 
 
-def _fold(radial: list[float]) -> float:
-    """Return the radius from which a lens moves points inwards that are farther out; infinity if there is none."""
+def fold_radius(radial: tuple[float, float, float]) -> float:
+    """Return the radius x / z from which a lens moves points inwards that are farther out; infinity if there is none.
+
+    Args:
+        radial: k1, k2, k3.
+    """
     k1, k2, k3 = radial
     roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])
     squares = [root.real for root in np.atleast_1d(roots) if abs(root.imag) < 1e-12 and root.real > 0]

@@ -41,11 +41,13 @@ class HandEyeCommand(SessionOptions):
             lens = self._known_lens(setup) or session.intrinsics
             strategy = self.strategy(session, setup, lens)
             session.look_around(strategy)
+            views = strategy.views
             if self.intrinsics:
                 fit = strategy.intrinsics()
                 console.print(str(fit))
                 lens = fit.intrinsics
-            found = hand_eye(strategy.board, strategy.views, strategy.rig.arrangement, lens)
+                views = strategy.views_through(lens)
+            found = hand_eye(strategy.board, views, strategy.rig.arrangement, lens)
             console.print(str(found))
             if found.alarms and not self.accept:
                 console.print("Nothing was written; --accept writes it all the same.")

@@ -15,6 +15,7 @@ from rcs.cli.calibrate.session import SessionOptions
 from rcs.errors import InvalidSetup
 from rcs.robots.calibration import CameraCalibration
 from rcs.setups.calibration import Calibration, read_calibration, write_calibration
+from rcs.spatial import Intrinsics
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp")
 """Of files that are pictures."""
@@ -38,8 +39,8 @@ class IntrinsicsCommand(SessionOptions):
         require_writable(self.out, is_file=True)
         console = plain_console()
         if self.pictures is not None:
-            found, size = self._read(self.pictures)
-            fit = fit_intrinsics(self.board, found, size)
+            rough = fit_intrinsics(self.board, *self._read(self.pictures)).intrinsics
+            fit = fit_intrinsics(self.board, *self._read(self.pictures, rough))
         else:
             setup = self.setup()
             with self.session(setup, console) as session:
@@ -51,7 +52,7 @@ class IntrinsicsCommand(SessionOptions):
         console.print(f"{self.out}: how camera {self.camera!r} sees")
         return 0
 
-    def _read(self, folder: Path) -> tuple[list[Detections], tuple[int, int]]:
+    def _read(self, folder: Path, lens: Intrinsics | None = None) -> tuple[list[Detections], tuple[int, int]]:
         files = sorted(path for path in folder.glob("*") if path.suffix.lower() in ENDINGS)
         if not files:
             raise InvalidSetup(f"{folder} has no pictures; valid endings: {', '.join(ENDINGS)}.")
@@ -63,7 +64,7 @@ class IntrinsicsCommand(SessionOptions):
             if picture is None:
                 raise InvalidSetup(f"{file} is not a picture that can be read.")
             sizes.add((picture.shape[1], picture.shape[0]))
-            found.append(detect(self.board, picture))
+            found.append(detect(self.board, picture, lens))
         if len(sizes) > 1:
             raise InvalidSetup(f"The pictures in {folder} have several sizes, {sorted(sizes)}; give those of one mode.")
         return found, sizes.pop()

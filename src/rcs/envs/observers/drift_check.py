@@ -120,7 +120,7 @@ class DriftCheck(Observer):
         height, width = frame[RGB].shape[:2]
         intrinsics = Intrinsics.of_matrix(frame[INTRINSICS], (width, height), frame.get(DISTORTION, ()))
         expected = np.linalg.inv(frame[EXTRINSICS]) @ self._place(observation)
-        found = detect(self._board, frame[RGB])
+        found = detect(self._board, frame[RGB], intrinsics)
         self.pictures += 1
         self.drift.add(reprojection_errors(self._board, expected, found, intrinsics))
         if self.drift.is_off and not self.has_alarmed:
