@@ -100,7 +100,7 @@ class World:
         """Live user data, (*leading, nuserdata), with the motions of arms; None without any."""
         self.time = self.core.component(state.mjSTATE_TIME.value)[..., 0]
         """Live simulated time [s], (*leading,)."""
-        self._varied: set[str] = set()
+        self._nominal: dict[str, NDArray[Any]] = {}
         self._fields: dict[str, NDArray[Any]] = {}
         self._is_read_out = False
         self._scratch: mujoco.MjData | None = None
@@ -281,16 +281,23 @@ class World:
         Raises:
             ValueError: The field cannot differ between copies.
         """
-        self._varied.add(field)
         self._fields.pop(field, None)
-        if not self.leading:
-            return getattr(self.model, field)
-        return self.core.expand(field).reshape(*self.leading, *getattr(self.model, field).shape)
+        values: NDArray[Any] = getattr(self.model, field)
+        if self.leading:
+            values = self.core.expand(field).reshape(*self.leading, *values.shape)
+        if field not in self._nominal:
+            self._nominal[field] = np.array(values[0] if self.leading else values)
+        return values
 
     @property
     def varied(self) -> list[str]:
         """Names of the fields that `vary` was asked for."""
-        return sorted(self._varied)
+        return sorted(self._nominal)
+
+    def nominal(self, field: str) -> NDArray[Any]:
+        """Return what every copy had for a field before `vary` was asked for it."""
+        values = self._nominal.get(field)
+        return getattr(self.model, field) if values is None else values
 
     def field(self, field: str) -> NDArray[Any]:
         """Return the present values of a field of `MjModel`, read-only, (*leading, *its shape)."""
