@@ -20,6 +20,8 @@ constexpr int kFullSamples = 4;
 constexpr int kMostIds = 65536;
 // Side of the shadow map [texels]: half the size, which a model may ask for, takes half the time of a whole picture.
 constexpr int kMinShadowSize = 2048, kMaxShadowSize = 4096;
+// Parts of MuJoCo's round shapes, which are drawn with others, and of planes: a model may ask for what takes minutes.
+constexpr int kMostParts = 64;
 // Squares along the half side of a plane, at whose corners its lighting is computed. MuJoCo draws 200 × 200 squares for
 // an infinite plane, which takes longer than a robot.
 constexpr int kPlaneSquares = 16;
@@ -41,6 +43,8 @@ struct DrawnModel {
   DrawnModel(const mjModel& model, const RenderOptions& options) : value(model) {
     mjVisual& visual = value.vis;
     visual.global.offwidth = visual.global.offheight = 1;  // grows with the first picture
+    for (int* parts : {&visual.quality.numslices, &visual.quality.numstacks, &visual.quality.numquads})
+      *parts = std::min(*parts, kMostParts);
     if (options.quality == Quality::full) {
       visual.quality.offsamples = std::max(visual.quality.offsamples, kFullSamples);
       visual.quality.shadowsize = std::clamp(visual.quality.shadowsize, kMinShadowSize, kMaxShadowSize);

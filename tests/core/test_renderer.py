@@ -261,8 +261,9 @@ def test_options_that_mean_nothing_are_refused(make: MakeRenderer) -> None:
         make(model, max_width=0)
     with pytest.raises(ValueError, match="pixels can be drawn here"):
         make(model, max_width=10**6)
-    with pytest.raises(ValueError, match="at least 1 is needed"):
-        _core.RenderPool(model, 0)
+    for threads in (0, 2000):
+        with pytest.raises(ValueError, match=f"{threads} threads were asked for, valid is 1 to 64"):
+            _core.RenderPool(model, threads)
 
 
 @pytest.mark.gl

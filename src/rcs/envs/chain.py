@@ -46,6 +46,8 @@ class Chain:
             observations = layer.observation_spaces(observations)
         self.check = ActionCheck(boxes, leading)
         """Checks an action of the highest level; raises InvalidAction."""
+        self.check_executed = ActionCheck(self.executed_spaces, leading)
+        """Checks an action of the lowest level; raises InvalidAction."""
         self.action_spaces = dict(boxes)
         self.observation_spaces = dict(observations)
         self.executed: dict[str, NDArray[Any]] = {}

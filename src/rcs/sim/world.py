@@ -28,6 +28,9 @@ Copies = NDArray[np.integer[Any]] | None
 StepFunction = Callable[[StepView], bool | None]
 """A function that sees a copy during a step; None counts as False."""
 
+MOST = 2**31 - 1
+"""Most copies and threads that can be asked for."""
+
 LOWEST_FREQUENCY = 1e-6
 """Lowest control rate [Hz]: one step in eleven days."""
 
@@ -73,8 +76,9 @@ class World:
         """
         if copies is not None and data is not None:
             raise InvalidSetup("Give data for one copy or copies for many, not both.")
-        if copies is not None and (not isinstance(copies, int | np.integer) or isinstance(copies, bool) or copies < 1):
-            raise InvalidSetup(f"copies is {copies!r}; valid is a whole number from 1, or None.")
+        if copies is not None:
+            require_count("copies", copies, 1)
+            require_count("threads", threads, 0)
         period = control_period(frequency, model.opt.timestep)
         timing = (period.numerator, period.denominator, stepping == "sync", max_substeps)
         self.model = model
@@ -384,6 +388,16 @@ class Callback(StepCallback):
     def call(self, view: StepView) -> bool:
         """Call the function."""
         return bool(self._function(view))
+
+
+def require_count(name: str, value: Any, least: int) -> None:
+    """Check a number of copies or threads.
+
+    Raises:
+        InvalidSetup: It is no whole number, too small, or too large for the core.
+    """
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= MOST:
+        raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least} to {MOST}.")
 
 
 def control_period(frequency: float, physics_step: float) -> Fraction:
