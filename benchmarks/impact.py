@@ -34,7 +34,7 @@ def hit(robot: str, speed: float) -> dict[str, float | str]:
     observation, _ = env.reset(seed=0)
     target, period = observation["tquat"].copy(), world.period
     forces: list[float] = []
-    truncated, first = False, None
+    truncated, first, info = False, None, {}
     while not truncated and (first is None or len(forces) - first < LIMIT / period):
         target[2] -= speed * period
         *_, truncated, info = env.step({"tquat": target, "gripper": np.ones(1, np.float32)})

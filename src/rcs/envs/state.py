@@ -98,7 +98,7 @@ def write_state(engine: Engine, state: EnvState, copies: NDArray[np.int32]) -> O
     # What the state has no values for was not varied when it was read.
     nominal = {name: np.repeat(world.nominal(name)[None], len(copies), axis=0) for name in world.varied}
     state = replace(state, fields={**nominal, **state.fields})
-    own = _form(mine) | {f"fields/{name}": np.shape(getattr(world.model, name, None)) for name in state.fields}
+    own = _form(mine) | {f"fields/{name}": np.shape(getattr(world.model, name, ())) for name in state.fields}
     if (form := _form(state)) != own:
         differing = sorted(name for name in form.keys() | own.keys() if form.get(name) != own.get(name))
         raise InvalidSetup(f"The state is of another environment: it differs in {', '.join(differing)}.")
