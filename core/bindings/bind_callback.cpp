@@ -38,14 +38,13 @@ struct PyStepCallback : rcs::StepCallback {
       PyStepView& view;
       ~Expiry() { view.now = nullptr; }
     } const expiry{*nb::inst_ptr<PyStepView>(given)};
-    const nb::object answer = nb_trampoline.base().attr(ticket.key)(given);
+    const nb::object answer = call_python([&] { return nb_trampoline.base().attr(ticket.key)(given); });
     const int is_true = PyObject_IsTrue(answer.ptr());
     if (is_true < 0) nb::raise_python_error();
     return is_true != 0;
   }
   void reset(int copy) override {
-    const HeldGil gil;
-    NB_OVERRIDE(reset, copy);
+    if (has_override(nb_trampoline, "reset")) call_override<void>(nb_trampoline, "reset", "None", copy);
   }
 };
 

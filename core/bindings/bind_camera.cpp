@@ -82,11 +82,11 @@ void bind_camera(nb::module_& m) {
           "__init__",
           [](Frame* self, const Rgb& rgb, const std::optional<Depth>& depth_mm, std::uint64_t number, double time,
              double device_time) { new (self) Frame(make_frame(rgb, depth_mm, number, time, device_time)); },
-          "rgb"_a, "depth_mm"_a = nb::none(), nb::kw_only(), "number"_a = 0, "time"_a = rcs::kNaN,
+          "rgb"_a, "depth_mm"_a = nb::none(), nb::kw_only(), "number"_a, "time"_a = rcs::kNaN,
           "device_time"_a = rcs::kNaN,
           "Make a frame of rgb (H, W, 3) uint8 and depth [mm] (H, W) uint16 or None.\n\nIt keeps the arrays and does "
-          "not copy them: write to them no more. Without a `time`, `Camera.read` gives it that of\nthe first read of "
-          "its number.")
+          "not copy them: write to them no more. `number` counts the frames of the device: a camera whose\nnumber "
+          "stands still stalls. Without a `time`, `Camera.read` gives it that of the first read of its number.")
       .def_prop_ro(
           "rgb",
           [](nb::handle_t<Frame> self) {
@@ -116,5 +116,6 @@ void bind_camera(nb::module_& m) {
       .def_prop_ro("calibration", &Camera::calibration, WithoutGil(),
                    "Matrix and distortion; None when they are unknown, which may be so until the camera is open.")
       .def("read", &Camera::read, WithoutGil(),
-           "The newest frame. Raises DeviceFault when its size is not that of the mode.");
+           "The newest frame. Raises DeviceFault when its size is not that of the mode, and when its time is ahead of "
+           "the\nhost's monotonic clock by more than 0.1 s.");
 }

@@ -216,7 +216,7 @@ The pictures are those of a single `Renderer`, bit for bit. Calls run without th
 
 Args:
     model: The scene; the pool keeps it alive.
-    threads: How many threads draw, the calling one included.
+    threads: How many threads draw, the calling one included, 1 to MOST_THREADS.
     quality: As for `Renderer`, like all that follow.
     max_width: Largest width of a picture [pixels].
     max_height: Largest height of a picture [pixels].
@@ -259,6 +259,8 @@ Raises:
            "End the threads and free everything. Closing twice is harmless.")
       .def_prop_ro("is_open", &rcs::RenderPool::is_open)
       .def_prop_ro("threads", &rcs::RenderPool::threads)
+      .def_prop_ro_static(
+          "MOST_THREADS", [](nb::handle) { return rcs::RenderPool::kMostThreads; }, "Most threads of a pool.")
       .def_prop_ro("state_size", &rcs::RenderPool::state_size, "Length of a state.")
       .def_prop_ro("description", &rcs::RenderPool::description, "Backend, renderer and OpenGL version.");
 }

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <Python.h>
+#include <cxxabi.h>
 #include <unistd.h>
 
 /// Calls a function that takes the GIL. If the program ends meanwhile, the thread waits for that and never returns.
@@ -11,6 +12,17 @@ auto take_gil(F take) noexcept {
   try {
     return take();
   } catch (...) {  // nothing but that unwinding gets here, and it may not be ended
+    while (true) pause();
+  }
+}
+
+/// Calls Python code, which gives the GIL up and takes it again as it runs. If the program ends meanwhile, the thread
+/// waits for that and never returns. What `call` owns is released without the GIL then: make it outside.
+template <typename F>
+decltype(auto) call_python(F call) {
+  try {
+    return call();
+  } catch (abi::__forced_unwind&) {
     while (true) pause();
   }
 }

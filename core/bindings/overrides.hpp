@@ -39,6 +39,12 @@ inline nb::detail::ticket require_override(const nb::detail::trampoline& trampol
   }
 }
 
+/// Whether the class overrides a method that it need not have.
+inline bool has_override(const nb::detail::trampoline& trampoline, const char* name) {
+  const HeldGil gil;
+  return nb::detail::ticket(trampoline, name, nb::detail::str_hash(name), false).key.is_valid();
+}
+
 inline Array to_python(std::span<const double> values) { return to_array(values); }
 template <typename T>
 const T& to_python(const T& value) {
@@ -53,7 +59,7 @@ Result call_override(const nb::detail::trampoline& trampoline, const char* name,
                      const Args&... args) {
   const HeldGil gil;
   const nb::detail::ticket ticket = require_override(trampoline, name);
-  const nb::object answer = trampoline.base().attr(ticket.key)(to_python(args)...);
+  const nb::object answer = call_python([&] { return trampoline.base().attr(ticket.key)(to_python(args)...); });
   if constexpr (!std::is_void_v<Result>) {
     Result result;
     if (nb::try_cast<Result>(answer, result)) return result;
@@ -72,22 +78,10 @@ struct PyDevice : Base {
   static constexpr bool kMoves = !std::is_base_of_v<rcs::Camera, Base>;
 
   bool can_guide() const override { return call_or("_can_guide", "a bool", false); }
-  void do_open() override {
-    const HeldGil gil;
-    NB_OVERRIDE_NAME("_open", do_open);
-  }
-  void do_guide() override {
-    const HeldGil gil;
-    NB_OVERRIDE_NAME("_guide", do_guide);
-  }
-  void do_recover() override {
-    const HeldGil gil;
-    NB_OVERRIDE_NAME("_recover", do_recover);
-  }
-  void do_close() override {
-    const HeldGil gil;
-    NB_OVERRIDE_NAME("_close", do_close);
-  }
+  void do_open() override { call_if_there("_open"); }
+  void do_guide() override { call_if_there("_guide"); }
+  void do_recover() override { call_if_there("_recover"); }
+  void do_close() override { call_if_there("_close"); }
   void do_hold() override {
     if constexpr (kMoves) call<void>("_hold", "None");
   }
@@ -104,9 +98,10 @@ struct PyDevice : Base {
   /// The same where the class overrides the method, else a value.
   template <typename Result>
   Result call_or(const char* name, const char* valid, Result otherwise) const {
-    const HeldGil gil;
-    const bool is_there = nb::detail::ticket(nb_trampoline, name, nb::detail::str_hash(name), false).key.is_valid();
-    return is_there ? call_override<Result>(nb_trampoline, name, valid) : otherwise;
+    return has_override(nb_trampoline, name) ? call_override<Result>(nb_trampoline, name, valid) : otherwise;
+  }
+  void call_if_there(const char* name) {
+    if (has_override(nb_trampoline, name)) call_override<void>(nb_trampoline, name, "None");
   }
 };
 

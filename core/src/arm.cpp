@@ -57,6 +57,7 @@ ArmState Arm::state() {
   check("commanded joints", state.commanded_joints, n);
   check("efforts", state.efforts, n);
   check("a wrench", state.wrench, 6);
+  require_past("its state", state.time);
   if (std::isnan(state.time)) state.time = monotonic_time();
   return state;
 }

@@ -24,6 +24,11 @@ Frame Camera::read() {
   if (!frame.rgb || frame.width != mode_.width || frame.height != mode_.height || has_depth != mode_.has_depth)
     fail("a frame is " + describe(frame.width, frame.height, has_depth) + ", the camera's mode is " +
          describe(mode_.width, mode_.height, mode_.has_depth));
+  if (frame.number == kUncounted)
+    fail(
+        "a frame has no number; count the frames of the device, so that a picture that comes again is not taken for a "
+        "new one");
+  require_past("a frame", frame.time);
   if (std::isnan(frame.time)) frame.time = frame.number == last_number_ ? last_time_ : monotonic_time();
   last_number_ = frame.number;
   last_time_ = frame.time;

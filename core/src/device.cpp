@@ -13,6 +13,8 @@ namespace rcs {
 namespace {
 // A limit that went through float32 comes back up to 1e-7 relative off; that is no reason to refuse it.
 constexpr double kTolerance = 1e-6;
+// By how much a time that a driver maps onto the host's clock may be wrong [s].
+constexpr double kClockError = 0.1;
 // Longer than that is for ever, as far as a clock of nanoseconds goes [s].
 constexpr double kLongest = 1e9;
 
@@ -189,6 +191,15 @@ void Device::require_ready(const char* call) const {
   require_open(call);
   if (has_fault_)
     throw DeviceFault(name_ + ": " + call + " is refused in the fault state (" + fault() + "); call recover() first");
+}
+
+void Device::require_past(const char* what, double time) {
+  const double ahead = time - monotonic_time();
+  if (!(ahead > kClockError)) return;
+  std::ostringstream text;
+  text << "the time of " << what << " is " << ahead
+       << " s ahead of the host's monotonic clock; give that of another clock as device_time";
+  fail(text.str());
 }
 
 void Device::fail(const std::string& reason) {

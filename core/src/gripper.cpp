@@ -19,6 +19,7 @@ GripperState Gripper::state() {
   require_open("state");
   GripperState state = do_state();
   if (!std::isfinite(state.opening)) fail("the device measured an opening that is not finite");
+  require_past("its state", state.time);
   if (std::isnan(state.time)) state.time = monotonic_time();
   return state;
 }

@@ -18,6 +18,7 @@ HandState Hand::state() {
   bool is_valid = static_cast<int>(state.joints.size()) == joint_count_;
   for (const double joint : state.joints) is_valid = is_valid && std::isfinite(joint);
   if (!is_valid) fail("the device measured a wrong number of joints or a value that is not finite");
+  require_past("its state", state.time);
   if (std::isnan(state.time)) state.time = monotonic_time();
   return state;
 }

@@ -10,6 +10,8 @@ namespace {
 
 constexpr int kPlaneSquares = 16;
 constexpr double kOpaque = 0.999;  // as in MuJoCo's renderer
+constexpr int kMostLights = 8;     // of a scene, the first ones: OpenGL 1.5, as MuJoCo uses it, has no more
+constexpr float kUnlit = 0.3F;     // share of its colour that MuJoCo draws of everything in a scene without any light
 
 void set3(float* to, const float* from) { std::copy_n(from, 3, to); }
 
@@ -94,7 +96,8 @@ void Rasteriser::place_lights(const mjvScene& scene) {
           sign * (view_.axes[axis][0] * vector[0] + view_.axes[axis][1] * vector[1] + view_.axes[axis][2] * vector[2]);
   };
   lights_.clear();
-  for (int i = 0; i < scene.nlight; ++i) {
+  unlit_ = scene.nlight == 0 ? kUnlit : 0.0F;
+  for (int i = 0; i < std::min(scene.nlight, kMostLights); ++i) {
     const mjvLight& from = scene.lights[i];
     if (from.type != mjLIGHT_DIRECTIONAL && from.type != mjLIGHT_SPOT)
       continue;  // as MuJoCo's OpenGL, which has no others
@@ -135,6 +138,7 @@ void Rasteriser::draw(const mjvScene& scene, const mjvGLCamera& eye, Sheet& shee
   const float aspect = static_cast<float>(sheet.width) / static_cast<float>(sheet.height);
   const float half_width = eye.frustum_width > 0 ? eye.frustum_width : half_height * aspect;
   view_.near = eye.frustum_near;
+  view_.far = eye.frustum_far;
   view_.column_scale = eye.frustum_near / (2 * half_width) * static_cast<float>(sheet.width);
   view_.column_shift = (half_width - eye.frustum_center) / (2 * half_width) * static_cast<float>(sheet.width);
   view_.row_scale = eye.frustum_near / (2 * half_height) * static_cast<float>(sheet.height);
@@ -241,6 +245,7 @@ void Rasteriser::draw_shape(const Shape& shape, const mjvGeom& geom, const float
   float *x = v.x.data(), *y = v.y.data(), *z = v.z.data(), *column = v.column.data(), *row = v.row.data(),
         *nearness = v.nearness.data();
   float nearest = 1e30F;
+  float farthest = -1e30F;
   float widest = 0.0F;
   const float column_shift = view_.column_shift, row_shift = view_.row_shift;
   const float column_scale = view_.column_scale, row_scale = view_.row_scale;
@@ -255,10 +260,12 @@ void Rasteriser::draw_shape(const Shape& shape, const mjvGeom& geom, const float
   }
   for (std::size_t i = 0; i < size; ++i) {
     nearest = std::min(nearest, z[i]);
+    farthest = std::max(farthest, z[i]);
     widest = std::max(widest, std::max(std::abs(column[i]), std::abs(row[i])));
   }
   const auto limit = kGuard * static_cast<float>(std::max(sheet.width, sheet.height));
-  const bool is_whole = nearest >= view_.near && widest <= limit;
+  if (nearest > view_.far) return;
+  const bool is_whole = nearest >= view_.near && farthest <= view_.far && widest <= limit;
 
   // Triangles that are seen from their outer side and that may cover the middle of a pixel; then light on their
   // corners.

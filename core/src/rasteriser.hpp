@@ -69,7 +69,7 @@ class Rasteriser {
     float axes[3][3];
     double position[3];
     float column_scale, column_shift, row_scale, row_shift;
-    float near;
+    float near, far;
   };
 
   void place_lights(const mjvScene& scene);
@@ -88,6 +88,7 @@ class Rasteriser {
   Shape box_, plane_, ball_, cylinder_, tube_, cap_, cup_;
   View view_{};
   std::vector<Light> lights_;
+  float unlit_ = 0;  // share of its colour that everything has by itself
   Vertices vertices_;
   std::vector<std::uint32_t> used_;  // vertices of visible triangles
   std::vector<std::uint8_t> is_used_;

@@ -45,7 +45,7 @@ void Rasteriser::shade(const mjvGeom& geom, const Shape& shape, const float (&tu
     x[i] = vertices_.x[n], y[i] = vertices_.y[n], z[i] = vertices_.z[n];
     nx[i] = shape.normal.x[n], ny[i] = shape.normal.y[n], nz[i] = shape.normal.z[n];
   }
-  float start[3], ambient[3] = {0, 0, 0};
+  float start[3], ambient[3] = {unlit_, unlit_, unlit_};
   for (const Light& light : lights_)
     if (light.is_everywhere)
       for (int c = 0; c < 3; ++c) ambient[c] += light.ambient[c];

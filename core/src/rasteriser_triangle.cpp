@@ -43,7 +43,8 @@ Rasteriser::Corner Rasteriser::project(const float* place, const float* colour) 
           colour[2]};
 }
 
-// What is behind the near plane or far beside the picture is cut off (Sutherland and Hodgman, 1974).
+// What is before the near plane, behind the far plane or far beside the picture is cut off (Sutherland and Hodgman,
+// 1974).
 void Rasteriser::draw_clipped(const std::uint32_t* corners, float alpha, Sheet& sheet) const {
   struct Point {
     float at[3], colour[3];
@@ -58,8 +59,8 @@ void Rasteriser::draw_clipped(const std::uint32_t* corners, float alpha, Sheet& 
   }
   const float slope_x = 0.5F * static_cast<float>(sheet.width) * kGuard / view_.column_scale;
   const float slope_y = 0.5F * static_cast<float>(sheet.height) * kGuard / view_.row_scale;
-  const float planes[5][4] = {
-      {0, 0, 1, -view_.near}, {1, 0, slope_x, 0}, {-1, 0, slope_x, 0}, {0, 1, slope_y, 0}, {0, -1, slope_y, 0}};
+  const float planes[6][4] = {{0, 0, 1, -view_.near}, {0, 0, -1, view_.far}, {1, 0, slope_x, 0},
+                              {-1, 0, slope_x, 0},    {0, 1, slope_y, 0},    {0, -1, slope_y, 0}};
   for (const auto& plane : planes) {
     const auto inside = [&](const Point& p) {
       return plane[0] * p.at[0] + plane[1] * p.at[1] + plane[2] * p.at[2] + plane[3];

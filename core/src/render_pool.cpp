@@ -46,9 +46,9 @@ struct RenderPool::Studio {
 
 RenderPool::RenderPool(const mjModel* model, int threads, const RenderOptions& options)
     : model_(model), threads_(threads), forks_(forks()), studio_(std::make_unique<Studio>()) {
-  if (threads < 1)
-    throw std::invalid_argument("render pool: " + std::to_string(threads) +
-                                " threads were asked for, at least 1 is needed");
+  if (threads < 1 || threads > kMostThreads)
+    throw std::invalid_argument("render pool: " + std::to_string(threads) + " threads were asked for, valid is 1 to " +
+                                std::to_string(kMostThreads));
   for (int i = 0; i < threads; ++i) studio_->painters.push_back({std::make_unique<Renderer>(model, options), nullptr});
   state_size_ = studio_->painters.front().renderer->state_size();
   description_ = studio_->painters.front().renderer->description();

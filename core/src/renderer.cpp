@@ -20,6 +20,8 @@ constexpr int kFullSamples = 4;
 constexpr int kMostIds = 65536;
 // Side of the shadow map [texels]: half the size, which a model may ask for, takes half the time of a whole picture.
 constexpr int kMinShadowSize = 2048, kMaxShadowSize = 4096;
+// Parts of MuJoCo's round shapes, which are drawn with others, and of planes: a model may ask for what takes minutes.
+constexpr int kMostParts = 64;
 // Squares along the half side of a plane, at whose corners its lighting is computed. MuJoCo draws 200 × 200 squares for
 // an infinite plane, which takes longer than a robot.
 constexpr int kPlaneSquares = 16;
@@ -41,6 +43,8 @@ struct DrawnModel {
   DrawnModel(const mjModel& model, const RenderOptions& options) : value(model) {
     mjVisual& visual = value.vis;
     visual.global.offwidth = visual.global.offheight = 1;  // grows with the first picture
+    for (int* parts : {&visual.quality.numslices, &visual.quality.numstacks, &visual.quality.numquads})
+      *parts = std::min(*parts, kMostParts);
     if (options.quality == Quality::full) {
       visual.quality.offsamples = std::max(visual.quality.offsamples, kFullSamples);
       visual.quality.shadowsize = std::clamp(visual.quality.shadowsize, kMinShadowSize, kMaxShadowSize);
@@ -234,21 +238,6 @@ void Renderer::draw_ids(Open& open, float* depth) const {
   });
 }
 
-bool Renderer::draw_opaque_ids(Open& open, float* depth) const {
-  const std::span<mjvGeom> geoms(open.view.scene().geoms, static_cast<std::size_t>(open.view.scene().ngeom));
-  // MuJoCo marked what is transparent when it drew the colours, and draws no geom whose number is negative.
-  const auto turn_sign = [&] {
-    int turned = 0;
-    for (mjvGeom& geom : geoms)
-      if (geom.transparent) geom.segid = -2 - geom.segid, ++turned;
-    return turned;
-  };
-  const bool has_all = turn_sign() == 0;
-  draw_ids(open, depth);
-  turn_sign();
-  return has_all;
-}
-
 void Renderer::show(Open& open, int camera, const Picture& picture) const {
   const Lens* lens = picture.lens != nullptr && picture.lens->lookup != nullptr ? picture.lens : nullptr;
   prepare(open, lens != nullptr ? lens->width : picture.width, lens != nullptr ? lens->height : picture.height);
@@ -259,11 +248,15 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
   if (lens != nullptr) canvas.rgb.resize(3 * canvas.size());
   std::uint8_t* rgb = lens != nullptr ? canvas.rgb.data() : picture.rgb;
   float* depth = picture.depth_mm != nullptr ? canvas.depth.data() : nullptr;
-  // With several samples a pixel, the depth that is read is not that of the pixel's middle, and a slope or an edge is
-  // in the wrong place. Ids are drawn with one sample, and so is the depth then.
-  const bool is_apart = depth != nullptr && options_.quality == Quality::full;
+  // Colours of what is transparent leave the depth behind it, and with several samples a pixel, the depth that is read
+  // is not that of the pixel's middle. Ids are drawn opaque, with one sample, and so is the depth then.
+  bool is_apart = options_.quality == Quality::full;
   trapped("renderer", [&] {
-    mjr_render(area, &open.view.scene(), &open.context);
+    mjvScene& scene = open.view.scene();
+    mjr_render(area, &scene, &open.context);
+    is_apart = is_apart || std::any_of(scene.geoms, scene.geoms + scene.ngeom,
+                                       [](const mjvGeom& geom) { return geom.transparent; });
+    is_apart = is_apart && depth != nullptr;
     mjr_readPixels(rgb, is_apart ? nullptr : depth, area, &open.context);
   });
   flip_rows(rgb, 3 * canvas.width, canvas.height);
@@ -276,11 +269,10 @@ void Renderer::show(Open& open, int camera, const Picture& picture) const {
     convert(open.values.data());
     look_up(open.values.data(), *lens, picture.width, picture.height, out);
   };
-  bool has_all_ids = false;
-  if (is_apart) has_all_ids = draw_opaque_ids(open, depth);
+  if (is_apart) draw_ids(open, depth);
   if (depth != nullptr) finish(picture.depth_mm, [&](std::uint16_t* out) { to_millimetres(canvas, eye, out); });
   if (picture.ids != nullptr) {
-    if (!has_all_ids) draw_ids(open, nullptr);
+    if (!is_apart) draw_ids(open, nullptr);
     finish(picture.ids, [&](std::uint16_t* out) { to_ids(canvas, out); });
   }
 }

@@ -81,7 +81,7 @@ void a_hand_takes_normalised_joints() {
 class TestCamera final : public rcs::Camera {
  public:
   TestCamera() : Camera("camera", {3, 2, 30.0, true}) {}
-  rcs::Frame frame{3, 2, rcs::share(std::vector<std::uint8_t>(18, 7)), rcs::share(std::vector<std::uint16_t>(6))};
+  rcs::Frame frame{3, 2, rcs::share(std::vector<std::uint8_t>(18, 7)), rcs::share(std::vector<std::uint16_t>(6)), 0};
 
  protected:
   rcs::Frame do_read() override { return frame; }
@@ -94,8 +94,11 @@ void a_frame_has_the_size_of_the_mode_and_shares_its_pixels() {
   CHECK(camera.read().rgb == camera.frame.rgb);
   CHECK(!camera.calibration());
   const rcs::Frame good = camera.frame;
-  for (const rcs::Frame& bad :
-       {rcs::Frame{}, rcs::Frame{2, 2, good.rgb, good.depth_mm}, rcs::Frame{3, 2, good.rgb}, rcs::Frame{3, 2}}) {
+  rcs::Frame uncounted = good, early = good;
+  uncounted.number = rcs::kUncounted;
+  early.time = rcs::monotonic_time() + 3600.0;
+  for (const rcs::Frame& bad : {rcs::Frame{}, rcs::Frame{2, 2, good.rgb, good.depth_mm}, rcs::Frame{3, 2, good.rgb},
+                                rcs::Frame{3, 2}, uncounted, early}) {
     camera.frame = bad;
     CHECK_THROWS(rcs::DeviceFault, camera.read());
     CHECK_THROWS(rcs::DeviceFault, camera.read());

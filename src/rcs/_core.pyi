@@ -506,12 +506,12 @@ class Frame:
     One picture. Its arrays are read-only views of memory that all copies share.
     """
 
-    def __init__(self, rgb: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], depth_mm: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None, *, number: int = 0, time: float = float('nan'), device_time: float = float('nan')) -> None:
+    def __init__(self, rgb: Annotated[NDArray[numpy.uint8], dict(shape=(None, None, 3), order='C', device='cpu', writable=False)], depth_mm: Annotated[NDArray[numpy.uint16], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None, *, number: int, time: float = float('nan'), device_time: float = float('nan')) -> None:
         """
         Make a frame of rgb (H, W, 3) uint8 and depth [mm] (H, W) uint16 or None.
 
-        It keeps the arrays and does not copy them: write to them no more. Without a `time`, `Camera.read` gives it that of
-        the first read of its number.
+        It keeps the arrays and does not copy them: write to them no more. `number` counts the frames of the device: a camera whose
+        number stands still stalls. Without a `time`, `Camera.read` gives it that of the first read of its number.
         """
 
     @property
@@ -556,7 +556,8 @@ class Camera(Device):
 
     def read(self) -> Frame:
         """
-        The newest frame. Raises DeviceFault when its size is not that of the mode.
+        The newest frame. Raises DeviceFault when its size is not that of the mode, and when its time is ahead of the
+        host's monotonic clock by more than 0.1 s.
         """
 
 class IkStatus(enum.Enum):
@@ -1520,7 +1521,7 @@ class RenderPool:
 
         Args:
             model: The scene; the pool keeps it alive.
-            threads: How many threads draw, the calling one included.
+            threads: How many threads draw, the calling one included, 1 to MOST_THREADS.
             quality: As for `Renderer`, like all that follow.
             max_width: Largest width of a picture [pixels].
             max_height: Largest height of a picture [pixels].
@@ -1558,6 +1559,9 @@ class RenderPool:
 
     @property
     def threads(self) -> int: ...
+
+    MOST_THREADS: Final[int] = ...
+    """Most threads of a pool."""
 
     @property
     def state_size(self) -> int:

@@ -71,6 +71,31 @@ def test_every_shape_looks_as_opengl_draws_it(make: MakeRenderer, light: str, ca
     assert len(np.unique(expected.reshape(-1, 3), axis=0)) > 50
 
 
+FLOODED = '<light pos="0 0 3" dir="0 0 -1" type="directional" diffuse=".05 .05 .05" specular="0 0 0"/>'
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(
+    ("light", "before", "after"),
+    [
+        (12 * FLOODED, "", ""),
+        ("", 'active="1"', 'active="0"'),
+        (LIGHTS["directional"], 'active="1"', 'active="0"'),
+        (LIGHTS["directional"], '<headlight', '<map zfar="1.25"/><headlight'),
+    ],
+    ids=["more lights than OpenGL has", "no light", "no headlight", "a near far plane"],
+)  # fmt: skip
+def test_lights_and_the_far_plane_end_where_opengl_ends_them(
+    make: MakeRenderer, light: str, before: str, after: str
+) -> None:
+    model, data = build(SHAPES.replace("LIGHT", light).replace(before, after, 1))
+    expected = draw(make(model), data, model.camera("side").id, SIZE, SIZE)[0]
+    differences = np.abs(np.moveaxis(pixels_of(model, "side"), 0, -1).astype(int) - expected)
+    assert differences.mean() < 2.0
+    assert (differences.max(axis=-1) > 32).mean() < 0.01
+    assert len(np.unique(expected.reshape(-1, 3), axis=0)) > 5
+
+
 @pytest.mark.gl
 def test_a_lens_is_that_of_pictures(make: MakeRenderer) -> None:
     model, data = build(SHAPES.replace("LIGHT", LIGHTS["directional"]))

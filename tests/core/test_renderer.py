@@ -261,8 +261,9 @@ def test_options_that_mean_nothing_are_refused(make: MakeRenderer) -> None:
         make(model, max_width=0)
     with pytest.raises(ValueError, match="pixels can be drawn here"):
         make(model, max_width=10**6)
-    with pytest.raises(ValueError, match="at least 1 is needed"):
-        _core.RenderPool(model, 0)
+    for threads in (0, 2000):
+        with pytest.raises(ValueError, match=f"{threads} threads were asked for, valid is 1 to 64"):
+            _core.RenderPool(model, threads)
 
 
 @pytest.mark.gl
@@ -296,7 +297,7 @@ def test_ids_are_those_of_the_geoms_that_the_colours_show(make: MakeRenderer, qu
 
 
 @pytest.mark.gl
-def test_transparent_geoms_have_ids_and_depth_looks_through_them_at_any_quality(make: MakeRenderer) -> None:
+def test_transparent_geoms_have_ids_and_depth_of_their_own_at_any_quality(make: MakeRenderer) -> None:
     pane = '<geom name="pane" type="box" size=".3 .3 .01" pos="0 0 .6" rgba="1 1 1 .3"/><geom name="floor"'
     model, data = build(SCENE.replace('<geom name="floor"', pane))
     for quality in ("fast", "full"):
@@ -307,7 +308,43 @@ def test_transparent_geoms_have_ids_and_depth_looks_through_them_at_any_quality(
         )
         renderer.render(model.camera("top").id, rgb, depth, ids)
         assert ids[45, 60] == model.geom("pane").id + 1
-        assert depth[45, 60] == pytest.approx(1500, abs=2)
+        assert depth[45, 60] == pytest.approx(1e3 * (model.camera("top").pos[2] - 0.61), abs=2)
+        alone = np.empty_like(depth)
+        renderer.render(model.camera("top").id, rgb, alone)
+        np.testing.assert_array_equal(alone, depth)
+
+
+@pytest.mark.gl
+def test_what_is_not_seen_at_all_has_neither_id_nor_depth(make: MakeRenderer) -> None:
+    pane = '<geom type="box" size=".3 .3 .01" pos="{} 0 .6" rgba="1 1 1 0"/>'
+    glass = '<geom type="box" size=".05 .05 .05" pos="1 1 .1" rgba="1 1 1 .5"/>'
+    seen = []
+    for place in (50, 0):
+        model, data = build(SCENE.replace("</worldbody>", glass + pane.format(place) + "</worldbody>"))
+        renderer = make(model)
+        renderer.update(data)
+        rgb, depth, ids = (
+            np.empty((90, 120, 3), np.uint8),
+            np.empty((90, 120), np.uint16),
+            np.empty((90, 120), np.uint16),
+        )
+        renderer.render(model.camera("top").id, rgb, depth, ids)
+        seen.append((rgb, depth, ids))
+    for beside, before in zip(*seen, strict=True):
+        np.testing.assert_array_equal(before, beside)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("quality", ["fast", "full"])
+def test_a_model_that_asks_for_endless_detail_is_drawn_all_the_same(make: MakeRenderer, quality: str) -> None:
+    """Without a bound, 20 000 squares on each side of a plane take minutes."""
+    wanted = '<mujoco><visual><quality numslices="100000" numstacks="50000" numquads="20000" shadowsize="100000"/>'
+    model, data = build(SCENE.replace("<mujoco>", wanted + "</visual>", 1))
+    plain, _ = build()
+    camera = model.camera("top").id
+    rgb, _ = draw(make(model, quality=quality), data, camera, 60, 80)
+    expected, _ = draw(make(plain, quality=quality), data, camera, 60, 80)
+    assert np.abs(rgb.astype(int) - expected).mean() < 2.0
 
 
 @pytest.mark.gl

@@ -80,7 +80,7 @@ class BlockingCamera final : public rcs::Camera {
   void do_open() override { gate.wait(); }
   rcs::Frame do_read() override {
     gate.wait();
-    return {4, 2, rcs::share(std::vector<std::uint8_t>(4 * 2 * 3))};
+    return {4, 2, rcs::share(std::vector<std::uint8_t>(4 * 2 * 3)), nullptr, 0};
   }
   void do_close() override { gate.wait(); }
 };

@@ -257,7 +257,12 @@ def test_a_method_that_was_forgotten_is_named_with_its_class(limits: ArmLimits) 
 
 
 def test_every_device_is_a_device(limits: ArmLimits) -> None:
-    devices: list[Device] = [Scripted(limits), Pincers(), Grasp(True), Eye(CameraMode(6, 4, 30.0), Frame(RGB))]
+    devices: list[Device] = [
+        Scripted(limits),
+        Pincers(),
+        Grasp(True),
+        Eye(CameraMode(6, 4, 30.0), Frame(RGB, number=0)),
+    ]
     for device in devices:
         device.open()
         device.set_fault("stop")

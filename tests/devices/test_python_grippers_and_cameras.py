@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+import time
 
 import numpy as np
 import pytest
@@ -47,6 +48,32 @@ def test_a_gripper_is_told_the_force_only_where_one_is_given() -> None:
         assert math.isnan(gripper.state().force)
 
 
+@pytest.mark.parametrize("ahead", [1.0, 1.7e9, math.inf])
+def test_what_is_measured_in_the_future_is_a_fault(ahead: float) -> None:
+    now = time.monotonic()
+
+    class Early(Pincers):
+        def _state(self) -> GripperState:
+            return GripperState(0.5, time=now + ahead)
+
+    for device in (Early(), Eye(CameraMode(6, 4, 30.0), Frame(RGB, number=0, time=now + ahead))):
+        device.open()
+        with pytest.raises(DeviceFault, match="ahead of the host's monotonic clock"):
+            device.read() if isinstance(device, Eye) else device.state()
+        assert device.fault != ""
+
+
+def test_a_time_that_is_a_little_ahead_is_taken() -> None:
+    eye = Eye(CameraMode(6, 4, 30.0), Frame(RGB, number=0, time=time.monotonic() + 0.01))
+    with eye:
+        eye.read()
+
+
+def test_a_frame_needs_a_number() -> None:
+    with pytest.raises(TypeError, match="number: int"):
+        Frame(RGB)  # pyright: ignore[reportCallIssue]
+
+
 @pytest.mark.parametrize("figures", [{"max_width": 0.0}, {"max_force": -1.0}, {"max_width": math.nan}])
 def test_figures_of_a_gripper_must_be_positive(figures: dict[str, float]) -> None:
     with pytest.raises(InvalidSetup, match="must be positive"):
@@ -69,9 +96,9 @@ DEPTH = np.zeros((4, 6), np.uint16)
 @pytest.mark.parametrize(
     ("mode", "frame"),
     [
-        (CameraMode(6, 5, 30.0), Frame(RGB)),
-        (CameraMode(6, 4, 30.0), Frame(RGB, DEPTH)),
-        (CameraMode(6, 4, 30.0, True), Frame(RGB)),
+        (CameraMode(6, 5, 30.0), Frame(RGB, number=0)),
+        (CameraMode(6, 4, 30.0), Frame(RGB, DEPTH, number=0)),
+        (CameraMode(6, 4, 30.0, True), Frame(RGB, number=0)),
     ],
 )
 def test_a_frame_of_another_size_than_the_mode_is_a_fault(mode: CameraMode, frame: Frame) -> None:
@@ -84,12 +111,12 @@ def test_a_frame_of_another_size_than_the_mode_is_a_fault(mode: CameraMode, fram
 
 def test_a_frame_whose_depth_has_another_size_than_its_colours_is_refused() -> None:
     with pytest.raises(InvalidSetup, match="of one size"):
-        Frame(RGB, DEPTH[1:])
+        Frame(RGB, DEPTH[1:], number=0)
 
 
 def test_a_frame_shares_the_arrays_that_it_was_made_of() -> None:
     rgb, depth = np.zeros((4, 6, 3), np.uint8), np.ones((4, 6), np.uint16)
-    camera = Eye(CameraMode(6, 4, 30.0, True), Frame(rgb, depth))
+    camera = Eye(CameraMode(6, 4, 30.0, True), Frame(rgb, depth, number=0))
     with camera:
         frame, again = camera.read(), camera.read()
     del camera
@@ -106,4 +133,4 @@ def test_a_frame_shares_the_arrays_that_it_was_made_of() -> None:
 @pytest.mark.parametrize("mode", [CameraMode(0, 4, 30.0), CameraMode(6, -1, 30.0), CameraMode(6, 4, 0.0)])
 def test_a_mode_that_makes_no_sense_is_refused(mode: CameraMode) -> None:
     with pytest.raises(InvalidSetup, match="must be positive"):
-        Eye(mode, Frame(RGB))
+        Eye(mode, Frame(RGB, number=0))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from rcs_data import Dataset
 from rcs_data.flags import FrameFlag
 
 import rcs
-from rcs.devices import CameraMode
+from rcs.devices import CameraMode, Frame
 from rcs.devices.fakes import FakeCamera
 from rcs.envs.camera_port import cropped, intrinsics_of
 from rcs.envs.observers.record import record
@@ -123,6 +124,107 @@ def test_without_a_first_frame_nothing_stays_open(camera: FakeCamera, monkeypatc
     assert not camera.is_open
     assert all(port.device is None or not port.device.is_open for port in env.stack.ports)
     env.close()
+
+
+class StuckCamera(FakeCamera):
+    """A camera whose driver does not return from a call, until it is told to."""
+
+    def __init__(self) -> None:
+        super().__init__(CameraMode(640, 480, 30.0, False), name="side")
+        self.goes_on = threading.Event()
+        self.goes_on.set()
+        self.opens = threading.Event()
+        self.opens.set()
+
+    def _open(self) -> None:
+        self.opens.wait(60.0)
+
+    def _read(self) -> Frame:
+        self.goes_on.wait(60.0)
+        return super()._read()
+
+
+@pytest.fixture
+def stuck(monkeypatch: pytest.MonkeyPatch) -> Iterator[StuckCamera]:
+    monkeypatch.setattr("rcs.envs.camera_port.FIRST_FRAME", 0.3)
+    monkeypatch.setattr("rcs.envs.camera_port.LONGEST_CALL", 0.2)
+    camera = StuckCamera()
+    yield camera
+    camera.goes_on.set()
+    camera.opens.set()
+    wait_for(lambda: "camera side" not in [thread.name for thread in threading.enumerate()])
+    assert not camera.is_open
+
+
+def no_arm_is_open(env: Any) -> bool:
+    return all(getattr(port, "device", None) is None or not port.device.is_open for port in env.stack.ports)
+
+
+def test_a_camera_that_does_not_return_keeps_nobody_from_closing(
+    stuck: StuckCamera, caplog: pytest.LogCaptureFixture
+) -> None:
+    env = make(stuck)
+    env.reset(seed=0)
+    stuck.goes_on.clear()
+    wait_for(lambda: env.step(stay(env))[3])
+    begin = time.monotonic()
+    env.close()
+    env.close()
+    assert time.monotonic() - begin < 20.0
+    assert no_arm_is_open(env)
+    assert "camera side has not returned" in caplog.text
+    assert stuck.is_open, "its thread has it until the call returns"
+
+
+@pytest.mark.parametrize("call", ["opens", "goes_on"])
+def test_a_first_call_that_does_not_return_leaves_no_arm_open(stuck: StuckCamera, call: str) -> None:
+    getattr(stuck, call).clear()
+    env = make(stuck)
+    for words in ("has given no frame within 0.3 s", "still in a call of its driver"):
+        with pytest.raises(DeviceFault, match=words):
+            env.reset(seed=0)
+        assert no_arm_is_open(env)
+    getattr(stuck, call).set()
+    wait_for(lambda: "camera side" not in [thread.name for thread in threading.enumerate()])
+    env.reset(seed=0)
+    assert env.step(stay(env))[-1]["ages"]["frames/side"] < 20.0
+    env.close()
+
+
+def test_why_a_camera_cannot_be_opened_is_what_reset_raises(camera: FakeCamera) -> None:
+    class Unplugged(FakeCamera):
+        def _open(self) -> None:
+            raise OSError("no such camera")
+
+    env = make(Unplugged(camera.mode, name="side"))
+    with pytest.raises(OSError, match="no such camera"):
+        env.reset(seed=0)
+    assert no_arm_is_open(env)
+    env.close()
+
+
+@pytest.mark.parametrize("ahead", [3600.0, 1.7e9, np.inf])
+def test_frames_from_the_future_are_a_fault_and_not_fresh_for_ever(
+    monkeypatch: pytest.MonkeyPatch, camera: FakeCamera, ahead: float
+) -> None:
+    class Stamping(FakeCamera):
+        ahead = 0.0
+
+        def _read(self) -> Frame:
+            frame = super()._read()
+            return Frame(frame.rgb, number=frame.number, time=time.monotonic() + self.ahead)
+
+    monkeypatch.setattr("rcs.envs.camera_port.FIRST_FRAME", 0.3)
+    stamping = Stamping(camera.mode, name="side")
+    env = make(stamping, max_episode_steps=None)
+    env.reset(seed=0)
+    stamping.ahead = ahead
+    infos: list[dict[str, Any]] = []
+    wait_for(lambda: (infos.append(env.step(stay(env))[-1]), infos[-1]["end"] == "fault")[1])
+    assert "ahead of the host's monotonic clock" in infos[-1]["faults"]["side"]
+    env.close()
+    with pytest.raises(DeviceFault, match="ahead of the host's monotonic clock"):
+        make(stamping).reset(seed=0)
 
 
 @pytest.mark.parametrize("size", [(640, 480), (320, 240), (224, 224), (64, 48)])

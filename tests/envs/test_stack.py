@@ -132,6 +132,52 @@ def test_a_gate_that_is_late_or_wrong_fails_closed(gate: type[Gate]) -> None:
     assert np.abs(observation["joints"] - start["joints"]).max() < 0.01
 
 
+class Answers(Gate):
+    """Answers with what it is told to make of the targets."""
+
+    def __init__(self, make: Callable[[dict[str, Any]], Any]) -> None:
+        self.make = make
+
+    def admit(self, targets: Any, measured: Any) -> Any:
+        return self.make({name: dict(own) for name, own in targets.items()})
+
+
+WRONG: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "nothing": lambda targets: None,
+    "no robot": lambda targets: {},
+    "another robot": lambda targets: {**targets, "third": targets[""]},
+    "no action": lambda targets: {"": None},
+    "a key less": lambda targets: {"": {"joints": targets[""]["joints"]}},
+    "a key more": lambda targets: {"": {**targets[""], "knees": np.zeros(7)}},
+    "too few": lambda targets: {"": {**targets[""], "joints": targets[""]["joints"][..., :3]}},
+    "too many": lambda targets: {"": {**targets[""], "joints": targets[""]["joints"][None]}},
+    "a text": lambda targets: {"": {**targets[""], "joints": "home"}},
+    "ragged": lambda targets: {"": {**targets[""], "joints": [[0.0], 0.0]}},
+    "not a number": lambda targets: {"": {**targets[""], "joints": np.full_like(targets[""]["joints"], np.nan)}},
+    "far away": lambda targets: {"": {**targets[""], "joints": targets[""]["joints"] + 50.0}},
+    "in place": lambda targets: targets[""]["joints"].__iadd__(50.0) is None or targets,
+}
+
+
+@pytest.mark.parametrize("copies", [None, 2])
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_a_gate_must_not_return_is_refused_by_its_name(wrong: str, copies: int | None) -> None:
+    gate = Answers(WRONG[wrong])
+    env: Any = rcs.make("Free", gates=[gate]) if copies is None else rcs.make_vec("Free", copies=copies, gates=[gate])
+    start, _ = env.reset(seed=0)
+    step = np.full(start["joints"].shape, 0.02)
+    action = {"joints": step, "gripper": np.ones((*step.shape[:-1], 1), np.float32)}
+    for _ in range(3):
+        observation, _, terminated, truncated, info = env.step(action)
+        assert "Answers returned" in info["refused"]
+        assert not np.any(terminated | truncated)
+        np.testing.assert_allclose(info["target"]["joints"], start["joints"], atol=0.01)
+    assert np.abs(observation["joints"] - start["joints"]).max() < 0.01
+    gate.make = lambda targets: targets
+    *_, info = env.step(action)
+    assert "refused" not in info
+
+
 def test_layers_learn_what_a_gate_has_cut() -> None:
     env = rcs.make("Free", gates=[Halves()])
     start, _ = env.reset(seed=0)

@@ -54,6 +54,51 @@ def test_every_task_goes_on_with_the_same_bits_in_another_environment(task: str)
     require_same_bits(other.reset(), one.reset())
 
 
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("copies", [None, 2])
+def test_every_randomised_task_goes_back_to_its_start(task: str, copies: int | None) -> None:
+    require_way_back(setup_of(task, randomisation=True), copies)
+
+
+@pytest.mark.parametrize("randomisation", [False, True])
+@pytest.mark.parametrize("robot", ["ur5e", "xarm7", "so101", "dual_fr3"])
+def test_every_robot_goes_back_to_its_start(robot: str, randomisation: bool) -> None:
+    require_way_back(replace(setup_of("Free", randomisation=randomisation), robot=robot))
+
+
+def require_way_back(setup: Setup, copies: int | None = None) -> None:
+    env = rcs.make(setup) if copies is None else rcs.make_vec(setup, copies=copies)
+    env.reset(seed=5)
+    actions = drawn(env, 3)
+    state = env.get_state()
+    expected = run(env, actions)
+    env.set_state(state)
+    require_same_bits(run(env, actions), expected)
+
+
+@pytest.mark.parametrize("copies", [None, 2])
+def test_a_state_from_before_the_first_load_has_none(copies: int | None) -> None:
+    setup = setup_of("PickCuboid")
+    env: Any = rcs.make(setup) if copies is None else rcs.make_vec(setup, copies=copies)
+    env.reset(seed=5)
+    actions = drawn(env, 3)
+    before = env.get_state()
+    unloaded = run(env, actions)
+    robot = env.unwrapped.scenario.robots[0]
+    robot.set_load(2.0)
+    loaded_from = env.get_state()
+    loaded = run(env, actions)
+    env.set_state(before)
+    require_same_bits(run(env, actions), unloaded)
+    env.set_state(loaded_from)
+    require_same_bits(run(env, actions), loaded)
+    # Another environment, whose robot was never told of a load, takes it with the state.
+    other: Any = rcs.make(setup) if copies is None else rcs.make_vec(setup, copies=copies)
+    other.reset(seed=6)
+    other.set_state(loaded_from)
+    require_same_bits(run(other, actions), loaded)
+
+
 @pytest.mark.parametrize("relative", ["absolute", "last_step", "origin"])
 @pytest.mark.parametrize("control", ["joints", "tquat", "xyzrpy"])
 @pytest.mark.parametrize("stepping", ["async", "sync"])

@@ -132,7 +132,17 @@ def test_any_end_effector_composes_with_any_arm_that_has_a_flange(robot: str, en
 
 
 @pytest.mark.parametrize(
-    "options", [{"copies": 0}, {"copies": 2.0}, {"copies": None}, {"copies": True}, {"threads": None}, {"threads": -1}]
+    "options",
+    [
+        {"copies": 0},
+        {"copies": 2.0},
+        {"copies": None},
+        {"copies": True},
+        {"threads": None},
+        {"threads": -1},
+        {"threads": 2**40},
+        {"copies": 2**40},
+    ],
 )
 def test_numbers_of_copies_and_threads_that_make_no_sense_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(InvalidSetup, match=next(iter(options))):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -127,8 +129,23 @@ def test_the_motors_carry_the_load_and_a_load_of_nothing_changes_nothing() -> No
     assert np.all(np.abs(data.qfrc_actuator[dofs]) <= np.array(FR3.effort_limit))
 
 
-@pytest.mark.parametrize(("mass", "center"), [(-1.0, CENTER), (np.nan, CENTER), (1.0, [0.0, np.inf, 0.0])])
-def test_a_load_that_cannot_be_is_refused(mass: float, center: list[float]) -> None:
-    robot = loaded(FR3, FRANKA_HAND)
+@pytest.mark.parametrize(
+    ("mass", "center"),
+    [
+        (-1.0, CENTER),
+        (np.nan, CENTER),
+        (1.0, [0.0, np.inf, 0.0]),
+        ("x", CENTER),
+        (None, CENTER),
+        ([1.0, 2.0], CENTER),
+        (1.0, "abc"),
+        (1.0, [0.0, 0.0]),
+        (1.0, 0.1),
+        (1.0, [[0.0], 0.0, 0.0]),
+    ],
+)
+@pytest.mark.parametrize("copies", [None, 3])
+def test_a_load_that_cannot_be_is_refused(mass: Any, center: Any, copies: int | None) -> None:
+    robot = loaded(FR3, FRANKA_HAND, copies=copies)
     with pytest.raises(InvalidSetup, match="load of robot 'robot'"):
         robot.set_load(mass, center)

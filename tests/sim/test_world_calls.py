@@ -213,8 +213,9 @@ def test_a_daemon_thread_that_steps_does_not_spoil_the_end_of_the_program(run_pr
             "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
         )
         world = World(model, copies=None if sys.argv[1] == "one" else 4, threads=2)
-        if sys.argv[2] == "callback":
-            world.core.on_period(Callback(lambda view: None), 0.002)
+        callbacks = {"short": lambda view: None, "asleep": lambda view: time.sleep(0.01)}
+        if sys.argv[2] in callbacks:
+            world.core.on_period(Callback(callbacks[sys.argv[2]]), 0.002)
         def step():
             while True:
                 world.advance()
@@ -222,8 +223,8 @@ def test_a_daemon_thread_that_steps_does_not_spoil_the_end_of_the_program(run_pr
         time.sleep(0.1)
     """
     for copies in ("one", "many"):
-        for callback in ("none", "callback"):
-            for _ in range(3):
+        for callback in ("none", "short", "asleep"):
+            for _ in range(2):
                 answer = run_program(program, copies, callback)
                 assert (answer.returncode, answer.stderr) == (0, "")
 

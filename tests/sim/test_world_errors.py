@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -127,6 +129,7 @@ def test_what_is_neither_model_nor_data_is_refused(cart: mujoco.MjModel) -> None
             _core.RenderPool(wrong, 1)  # pyright: ignore[reportArgumentType]
 
 
-def test_a_number_of_threads_below_none_is_refused(cart: mujoco.MjModel) -> None:
-    with pytest.raises(InvalidSetup, match="threads must be at least 1, or 0"):
-        World(cart, copies=2, threads=-1)
+@pytest.mark.parametrize("options", [{"threads": -1}, {"threads": 2**40}, {"threads": 1.5}, {"copies": 2**40}])
+def test_numbers_of_threads_and_copies_that_cannot_be_are_refused(cart: mujoco.MjModel, options: Any) -> None:
+    with pytest.raises(InvalidSetup, match="valid is a whole number from"):
+        World(cart, **{"copies": 2, **options})

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <string>
@@ -38,15 +39,18 @@ Pixels<T> share(std::vector<T> values) {
   return {owner, owner->data()};
 }
 
+/// The number of a frame whose driver gave none.
+inline constexpr std::uint64_t kUncounted = std::numeric_limits<std::uint64_t>::max();
+
 /// One picture. Copies of a frame share the pixels.
 struct Frame {
-  int width = 0;                     ///< pixels
-  int height = 0;                    ///< pixels
-  Pixels<std::uint8_t> rgb{};        ///< height × width × 3, rows from the top
-  Pixels<std::uint16_t> depth_mm{};  ///< height × width, 0 = no reading; null without depth
-  std::uint64_t number = 0;          ///< counts frames of the device, so that repeats and gaps can be seen
-  double time = kNaN;                ///< s, when the picture was taken, on the host's monotonic clock
-  double device_time = kNaN;         ///< s, the same on the device's own clock; NaN when it has none
+  int width = 0;                      ///< pixels
+  int height = 0;                     ///< pixels
+  Pixels<std::uint8_t> rgb{};         ///< height × width × 3, rows from the top
+  Pixels<std::uint16_t> depth_mm{};   ///< height × width, 0 = no reading; null without depth
+  std::uint64_t number = kUncounted;  ///< counts frames of the device, so that repeats and gaps can be seen; required
+  double time = kNaN;                 ///< s, when the picture was taken, on the host's monotonic clock
+  double device_time = kNaN;          ///< s, the same on the device's own clock; NaN when it has none
 };
 
 /// One camera. An implementation overrides the `do_` functions; users call the others.
@@ -59,7 +63,7 @@ class RCS_API Camera : public Device {
   std::optional<CameraCalibration> calibration() { return do_calibration(); }
 
   /// The newest frame. A frame whose driver gives no time has that at which its number was first read. Throws
-  /// `DeviceFault` when its size is not that of the mode.
+  /// `DeviceFault` when its size is not that of the mode, when it has no number, and when it is from the future.
   Frame read();
 
  protected:

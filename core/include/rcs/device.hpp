@@ -69,6 +69,8 @@ class RCS_API Device {
   void require_open(const char* call) const;
   /// Throw `WrongOrder` when not open and `DeviceFault` when in the fault state.
   void require_ready(const char* call) const;
+  /// Fail when something was measured later than now, by more than clocks differ: it would never look old.
+  void require_past(const char* what, double time);
   /// Enter the fault state and throw it.
   [[noreturn]] void fail(const std::string& reason);
   /// Send a command if the device is ready, and have it held when `valid_for` [s] has passed without another. No lock

@@ -37,6 +37,9 @@ struct Film {
 /// The calling thread is one of the threads, so a pool of one starts none. Calls wait for each other.
 class RenderPool {
  public:
+  /// Each thread has an OpenGL context of its own; where memory for one is missing, OpenGL ends the process.
+  static constexpr int kMostThreads = 64;
+
   /// `model` must outlive the pool. Throws `std::invalid_argument`, `GlUnavailable`, `std::system_error` when a thread
   /// cannot start.
   RenderPool(const mjModel* model, int threads, const RenderOptions& options);

@@ -38,11 +38,11 @@ struct Picture {
   int width = 0;                ///< pixels
   int height = 0;               ///< pixels
   std::uint8_t* rgb = nullptr;  ///< height × width × 3
-  /// height × width, distance along the optical axis; 0 where nothing is or it is beyond 65.535 m. Null: not wanted.
+  /// height × width, distance along the optical axis, of transparent geoms as of others; 0 where nothing is or it is
+  /// beyond 65.535 m. Null: not wanted.
   std::uint16_t* depth_mm = nullptr;
   /// height × width, what each pixel shows: 0 nothing, otherwise 1 + the number of a geom, or of a flex, a skin or a
-  /// tendon, which are counted on in this order. Transparent geoms, through which depth looks, are among them. Null:
-  /// not wanted.
+  /// tendon, which are counted on in this order. Transparent geoms are among them. Null: not wanted.
   std::uint16_t* ids = nullptr;
   /// How the camera is calibrated. Null: as in the model.
   const Lens* lens = nullptr;
@@ -95,7 +95,6 @@ class Renderer {
   void show(Open& open, int camera, const Picture& picture) const;
   void prepare(Open& open, int width, int height) const;
   void draw_ids(Open& open, float* depth) const;
-  bool draw_opaque_ids(Open& open, float* depth) const;
 
   const mjModel* model_;
   RenderOptions options_;

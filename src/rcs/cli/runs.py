@@ -259,7 +259,7 @@ def option_of_task(given: str) -> tuple[str, Any]:
         raise InvalidSetup(f"The task option is {given!r}; it is written as name=value, such as lift_height=0.05.")
     try:
         return name, json.loads(value)
-    except ValueError:  # a text need not have quotes
+    except (ValueError, RecursionError):  # a text need not have quotes
         return name, value
 
 

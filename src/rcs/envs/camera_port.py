@@ -28,12 +28,17 @@ _log = logging.getLogger(__name__)
 
 FIRST_FRAME = 10.0
 """How long a camera may take from its opening to its first frame [s]."""
+LONGEST_CALL = 2.0
+"""How long closing a camera waits for a call of its driver that is under way [s]."""
 RECONNECT = 1.0
 """How long to wait before a camera that failed is opened again [s]."""
 
 
 class CameraFeedThread:
-    """Reads one camera on a thread of its own, and opens it again when it fails."""
+    """Reads one camera on a thread of its own, and opens it again when it fails.
+
+    All calls of the driver that may block are on the thread, so that nobody waits for them without limit.
+    """
 
     def __init__(self, name: str, camera: Camera, take: Callable[[Frame], dict[str, Any]]) -> None:
         """Read nothing yet.
@@ -51,28 +56,49 @@ class CameraFeedThread:
         self._camera = camera
         self._take = take
         self._must_end = threading.Event()
-        self._has_frame = threading.Event()
+        self._has_begun = threading.Event()
+        """There is a first frame, or there will be none."""
+        self._error: Exception | None = None
         self._thread: threading.Thread | None = None
+        self._is_left = False
 
     def open(self) -> None:
-        """Connect the camera and start to read.
+        """Connect the camera and wait for its first frame.
 
         Raises:
-            DeviceFault: There is no first frame.
+            DeviceFault: There is no first frame, or a call of the camera has not returned since it was last closed.
         """
-        if self._thread is not None:
+        if self._thread is not None and not self._must_end.is_set():
             return
-        self._camera.open()
+        if self._thread is not None and self._thread.is_alive():
+            raise DeviceFault(
+                f"Camera {self.name!r} is still in a call of its driver that was under way when it was closed; unplug "
+                "the camera or end the process."
+            )
         self._must_end.clear()
-        self._has_frame.clear()
+        self._has_begun.clear()
+        self._error, self._is_left, self.failure = None, False, ""
         self._thread = threading.Thread(target=self._run, name=f"camera {self.name}", daemon=True)
         self._thread.start()
-        if not self._has_frame.wait(FIRST_FRAME):
-            self.close()
-            why = f": {self.failure}" if self.failure else ""
-            raise DeviceFault(f"Camera {self.name!r} has given no frame within {FIRST_FRAME:g} s{why}.")
+        if self._has_begun.wait(FIRST_FRAME) and self._error is None:
+            return
+        self.close()
+        why = f": {self.failure}" if self.failure else ""
+        raise DeviceFault(f"Camera {self.name!r} has given no frame within {FIRST_FRAME:g} s{why}.")
 
     def _run(self) -> None:
+        try:
+            self._camera.open()
+            self._read_on()
+        except Exception as err:  # noqa: BLE001  raised by `open` or `close`, whoever waits
+            self._error = err
+        try:
+            self._camera.close()
+        except Exception as err:  # noqa: BLE001  the same
+            self._error = self._error or err
+        self._has_begun.set()
+
+    def _read_on(self) -> None:
         last = -1
         pause = 0.25 / max(self._camera.mode.fps, 1.0)
         while not self._must_end.is_set():
@@ -82,7 +108,7 @@ class CameraFeedThread:
                     last = frame.number
                     self.newest = self._take(frame), frame.time
                     self.failure = ""
-                    self._has_frame.set()
+                    self._has_begun.set()
                 self._must_end.wait(pause)
             except Exception as err:  # noqa: BLE001  a camera may fail in any way; its age tells, and it is opened again
                 if not self.failure:
@@ -102,12 +128,28 @@ class CameraFeedThread:
             self.failure = f"{type(err).__name__}: {err}"
 
     def close(self) -> None:
-        """End the thread and let go of the camera. Closing twice is harmless."""
+        """End the thread, which lets go of the camera. Closing twice is harmless.
+
+        A thread whose camera does not return is left behind, with a warning, and closes the camera when it does.
+        """
         self._must_end.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-        self._camera.close()
+        if self._thread is None:
+            self._camera.close()
+        if self._thread is None or self._is_left:
+            return
+        self._thread.join(LONGEST_CALL)
+        self._is_left = self._thread.is_alive()
+        if self._is_left:
+            _log.warning(
+                "camera %s has not returned from a call of its driver for %g s; its thread is left behind, and closes "
+                "the camera when the call returns",
+                self.name,
+                LONGEST_CALL,
+            )
+            return
+        self._thread = None
+        if self._error is not None:
+            raise self._error
 
 
 class CameraPort(Port):

@@ -60,6 +60,8 @@ class Chain:
         """Whether what the layers return was compared with their spaces: the first time is enough."""
         self.check = ActionCheck(boxes, leading)
         """Checks an action of the highest level; raises InvalidAction."""
+        self.check_executed = ActionCheck(self.executed_spaces, leading)
+        """Checks an action of the lowest level; raises InvalidAction."""
         self.action_spaces = dict(boxes)
         self.observation_spaces = dict(observations)
         self.executed: dict[str, NDArray[Any]] = {}

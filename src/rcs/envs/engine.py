@@ -224,7 +224,8 @@ class Engine:
         assert measured is not None, "without a fault, everything was measured"
         if ids is not None:
             self.stack.reset(measured, ids)
-        step = self._judge(self.stack.lift(measured), starting, faults, told)
+        observation = self._without_diverged(self.stack.lift(measured), starting)
+        step = self._judge(observation, starting, faults, told)
         self._last_observation = step.observation
         if starting is not None:
             self.audience.tell_starts(step.observation, step.info, self._seeds_of(ids))
@@ -232,6 +233,15 @@ class Engine:
         if faults := step.info.get("faults", {}):
             self._tell_ends(step, faults)
         return step
+
+    def _without_diverged(self, observation: Observation, starting: NDArray[np.bool_] | None) -> Observation:
+        """Return an observation in which copies whose simulation diverged show what they showed last."""
+        diverged = self._ends == _FAILED
+        if starting is not None:
+            diverged = diverged & ~starting
+        if not diverged.any():
+            return observation
+        return _with_rows(observation, self._last_observation, diverged if self.leading else ...)
 
     def _judge(
         self, observation: Observation, starting: NDArray[np.bool_] | None, faults: dict[str, str], told: dict[str, Any]
@@ -397,6 +407,17 @@ class Engine:
         self.is_open = False
         held = [self.stack.hold, self.turn.wait] if self.turn.is_of_another_thread else []
         for_all([*held, self.stack.close, *self.audience.closes(), *self._resources])
+
+
+def _with_rows(new: Mapping[str, Any], old: Mapping[str, Any], where: Any) -> dict[str, Any]:
+    """Return new values with some rows of the old ones, in any nesting."""
+    merged = copied(new)
+    for key, value in merged.items():
+        if isinstance(value, dict):
+            merged[key] = _with_rows(value, old[key], where)
+        else:
+            value[where] = old[key][where]
+    return merged
 
 
 def _listed(faults: Mapping[str, str]) -> str:

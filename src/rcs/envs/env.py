@@ -203,8 +203,9 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         `info["end"]` says why the step ended: `period`, `converged`, `interrupted` or `limit`. A device that enters its
         fault state ends the episode: all devices hold, it is truncated, `info["end"]` is `fault`, and `info["faults"]`
         has the reasons by device; where a device can no longer be measured, the observation is the one of the step
-        before. A simulation that leaves the range of finite numbers does the same, as `diverged`. `info["target"]` has
-        what the action came to, as absolute targets; `info["refused"]` is there when a gate let nothing through.
+        before. A simulation that leaves the range of finite numbers does the same, as `diverged`, with the last good
+        observation. `info["target"]` has what the action came to, as absolute targets; `info["refused"]` is there when
+        a gate let nothing through.
         `info["time"]` is the time of the observation [s], and in real time `info["late"]` how late the step ended [s]
         and `info["ages"]` how old each sensor's reading is [s].
 

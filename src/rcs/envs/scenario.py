@@ -133,7 +133,8 @@ class Scenario:
         """
         if not self.world.leading:
             if not is_faulty:
-                return {"simulation": self.world.why_diverged() or "a step failed"}
+                why = self.world.why_diverged() or "a step failed"
+                return {"simulation": f"{why}; the observation is the last good one"}
             return {name: reason for name, guard in self.guards.items() if (reason := guard.reason(0))}
         reasons: dict[str, Any] = {}
         for name, guard in self.guards.items():

@@ -130,15 +130,35 @@ class Stack:
         measured = {name: chain.measure_devices() for name, chain in self.chains.items()}
         for gate in self.gates:
             start = time.perf_counter()
-            targets = gate.admit(targets, measured)
+            answer = gate.admit(targets, measured)
             taken = time.perf_counter() - start
             if not taken <= gate.deadline:
                 raise Refused(
                     f"{gate} answered after {1e3 * taken:.1f} ms; its deadline is {1e3 * gate.deadline:g} ms."
                 )
-            for name, chain in self.chains.items():
-                _require_target(gate, name, chain, targets)
+            targets = self._checked(gate, answer, targets)
         return {name: dict(targets[name]) for name in self.chains}
+
+    def _checked(self, gate: Gate, answer: Any, given: Mapping[str, Action]) -> Nested:
+        """Return what a gate let through, once it is found to be as valid as what the gate was given.
+
+        Raises:
+            Refused: A robot or key is missing or unknown, or a value has another shape, is no number or out of bounds.
+        """
+        robots = {name for name, chain in self.chains.items() if chain.executed_spaces}
+        if not isinstance(answer, Mapping) or not robots <= answer.keys() <= self.chains.keys():
+            got = sorted(map(str, answer)) if isinstance(answer, Mapping) else type(answer).__name__
+            raise Refused(f"{gate} returned {got}; valid are the targets of {sorted(robots)}.")
+        checked: Nested = {}
+        for name, chain in self.chains.items():
+            own = answer.get(name, {})
+            try:
+                valid = chain.check_executed(own)
+            except InvalidAction as err:
+                raise Refused(f"{gate} returned what {name or 'the robot'} cannot be sent: {err}") from err
+            # What a gate leaves alone stays the same array, by which layers know it.
+            checked[name] = {k: own[k] if own[k] is given[name].get(k) else value for k, value in valid.items()}
+        return checked
 
     def send(self, mapped: Nested) -> None:
         """Set the targets of all devices; nothing moves yet."""
@@ -246,14 +266,6 @@ class Stack:
 def _space(boxes: Mapping[str, Mapping[str, spaces.Space[Any]]]) -> spaces.Dict:
     named: dict[str, spaces.Space[Any]] = {name: spaces.Dict(dict(own)) for name, own in boxes.items() if name and own}
     return spaces.Dict({**named, **boxes.get(NAMELESS, {})})
-
-
-def _require_target(gate: Gate, name: str, chain: Chain, targets: Mapping[str, Action]) -> None:
-    """Check what a gate returned: it must be as complete and finite as what it was given."""
-    for key, box in chain.executed_spaces.items():
-        value = targets.get(name, {}).get(key)
-        if not isinstance(value, np.ndarray) or value.shape[-1:] != box.shape[-1:] or not np.isfinite(value).all():
-            raise Refused(f"{gate} returned {value!r} for {name or 'the robot'}'s {key!r}; valid: {box.shape} finite.")
 
 
 def for_all(calls: Sequence[Callable[[], None]]) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -93,14 +93,19 @@ def write_state(engine: Engine, state: EnvState, copies: NDArray[np.int32]) -> O
         state = state[np.zeros(len(copies), np.intp)]
     if len(state) != len(copies):
         raise InvalidSetup(f"The state is of {len(state)} copies; valid is one, or as many as are set, {len(copies)}.")
-    if (form := _form(state)) != (own := _form(mine)):
+    assert engine.scenario is not None, "read_state has checked it"
+    world = engine.scenario.world
+    # What the state has no values for was not varied when it was read.
+    nominal = {name: np.repeat(world.nominal(name)[None], len(copies), axis=0) for name in world.varied}
+    state = replace(state, fields={**nominal, **state.fields})
+    own = _form(mine) | {f"fields/{name}": np.shape(getattr(world.model, name, ())) for name in state.fields}
+    if (form := _form(state)) != own:
         differing = sorted(name for name in form.keys() | own.keys() if form.get(name) != own.get(name))
         raise InvalidSetup(f"The state is of another environment: it differs in {', '.join(differing)}.")
-    assert engine.scenario is not None, "read_state has checked it"
     # Randomised figures of the models come first: what is computed from the state depends on them.
     _write_memory(engine, state, copies)
-    _write_fields(engine.scenario.world, state, copies)
-    engine.scenario.world.load(state.world, copies)
+    _write_fields(world, state, copies)
+    world.load(state.world, copies)
     engine.set_counters({name: np.asarray(rows) for name, rows in state.episode.items()}, copies)
     observation = engine.go_on(copies)
     _write_memory(engine, state, copies)  # layers may have taken this for one observation more

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,6 +41,17 @@ class DeviceAddress:
     options: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """What else the driver takes, as JSON values."""
 
+    def __post_init__(self) -> None:
+        """Check every field.
+
+        Raises:
+            InvalidSetup: Driver or address is no text, or the options are no mapping.
+        """
+        for name, kind in (("driver", str), ("address", str), ("options", Mapping)):
+            if not isinstance(given := getattr(self, name), kind):
+                valid = "a text" if kind is str else "a mapping from names to values"
+                raise InvalidSetup(f"The {name} of a device is {given!r}; valid is {valid}.")
+
     @staticmethod
     def parse(given: Any, name: str) -> DeviceAddress:
         """Return an address from `driver:address`, or from a mapping with the fields of this class.
@@ -54,6 +66,8 @@ class DeviceAddress:
             given = {"driver": driver, "address": address}
         try:
             return DeviceAddress(**given)
+        except InvalidSetup as err:
+            raise InvalidSetup(f"The device {name!r}: {err}") from err
         except TypeError as err:
             raise InvalidSetup(
                 f"The device {name!r} is given as {given!r}; valid is 'driver:address', a mapping with 'driver', "
@@ -121,8 +135,9 @@ class Site:
             object.__setattr__(self, kind, made)
         if self.on_stale not in get_args(OnStale):
             raise InvalidSetup(f"on_stale is {self.on_stale!r}; valid: {', '.join(map(repr, get_args(OnStale)))}.")
-        if isinstance(self.stale_after, bool) or not isinstance(self.stale_after, int | float) or self.stale_after <= 0:
-            raise InvalidSetup(f"stale_after is {self.stale_after!r} s; valid is a number above 0.")
+        is_number = isinstance(self.stale_after, int | float) and not isinstance(self.stale_after, bool)
+        if not is_number or not 0 < self.stale_after < math.inf:
+            raise InvalidSetup(f"stale_after is {self.stale_after!r} s; valid is a finite number above 0.")
 
     @staticmethod
     def read(path: str | Path) -> Site:
@@ -134,7 +149,7 @@ class Site:
         try:
             content = json.loads(Path(path).read_text("utf-8"))
             return Site(**content)
-        except (OSError, ValueError) as err:
+        except (OSError, ValueError, RecursionError) as err:
             raise InvalidSetup(f"The site file {path} cannot be read: {err}.") from err
         except TypeError as err:
             fields = [one.name for one in dataclasses.fields(Site)]

@@ -96,7 +96,7 @@ class ServedPolicy:
 def _described(path: Path, v: Any) -> Metadata:
     try:
         return v.Metadata.from_dict(json.loads(path.read_text("utf-8")))
-    except (OSError, ValueError) as err:
+    except (OSError, ValueError, RecursionError) as err:
         raise InvalidSetup(f"{path} has no metadata of a policy: {err}") from err
 
 

@@ -201,7 +201,7 @@ def _read_objects(path: Path | None) -> dict[str, Any] | None:
         return None
     try:
         poses = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as err:
+    except (OSError, ValueError, RecursionError) as err:
         raise InvalidSetup(f"Cannot read the objects' poses in {path}: {err}") from err
     if not isinstance(poses, dict) or not all(isinstance(value, dict) for value in poses.values()):
         raise InvalidSetup(f"{path} has no poses; expected {{episode id: {{name: [x, y, z, qx, qy, qz, qw]}}}}.")

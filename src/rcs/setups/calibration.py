@@ -105,7 +105,7 @@ def _read(path: str | Path) -> tuple[dict[str, Calibration], dict[str, KnownBoar
         raise InvalidSetup(f"The calibration file {path} cannot be read: {err}.") from err
     except InvalidSetup as err:
         raise InvalidSetup(f"{path} is not a calibration file: {err}") from err
-    except (ValueError, KeyError, TypeError, AttributeError) as err:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as err:
         raise InvalidSetup(f"{path} is not a calibration file: {err!r}.") from err
 
 

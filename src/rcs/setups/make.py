@@ -9,7 +9,6 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal, Unpack, get_type_hints
 
-import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
@@ -32,6 +31,7 @@ from rcs.sim.own_cameras import cameras_of
 from rcs.sim.scene import CameraPlacement, RobotPlacement
 from rcs.sim.tactile_mounts import on_pads
 from rcs.sim.tactile_placement import TactilePlacement
+from rcs.sim.world import require_count
 from rcs.tasks.distractors import Distractors
 
 NO_END_EFFECTOR = "none"
@@ -127,9 +127,8 @@ def make_vec(
         >>> envs = rcs.make_vec("PickCuboid", copies=24, robot="fr3")
         >>> observations, infos = envs.reset(seed=0)
     """
-    for name, value, least in (("copies", copies, 1), ("threads", threads, 0)):
-        if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
-            raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least}.")
+    require_count("copies", copies, 1)
+    require_count("threads", threads, 0)
     copies, threads = int(copies), int(threads)
     if render_mode is not None:  # pyright: ignore[reportUnnecessaryComparison]
         raise InvalidSetup(

@@ -250,7 +250,7 @@ class SimCameras:
         sizes = [self.size, *(optics.canvas for optics in self._optics)]
         width, height = (max(size[axis] for size in sizes) for axis in (0, 1))
         if self.world.leading:
-            threads = self.world.core.threads
+            threads = min(self.world.core.threads, RenderPool.MOST_THREADS)
             self._renderer = RenderPool(
                 self.world.model, threads=threads, quality=self._quality, max_width=width, max_height=height
             )

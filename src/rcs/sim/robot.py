@@ -219,18 +219,25 @@ class SimRobot:
             center_in_flange: Its centre of mass in the frame of the flange [m], (3,) or (*leading, 3).
 
         Raises:
-            InvalidSetup: A mass is negative, or a number is not finite.
+            InvalidSetup: A mass is negative, a number is not finite, or something has another shape.
         """
-        masses, centers = np.asarray(mass, np.float64), np.asarray(center_in_flange, np.float64)
-        if not (np.isfinite(masses).all() and np.isfinite(centers).all() and (masses >= 0.0).all()):
+        leading = self.world.leading
+        try:
+            masses, centers = np.asarray(mass, np.float64), np.asarray(center_in_flange, np.float64)
+        except (TypeError, ValueError):
+            masses = centers = np.array(np.nan)
+        is_number = bool(np.isfinite(masses).all() and np.isfinite(centers).all() and (masses >= 0.0).all())
+        if not (is_number and masses.shape in ((), leading) and centers.shape in ((3,), (*leading, 3))):
+            per_copy = f", of all {leading[0]} copies or one for each" if leading else ""
             raise InvalidSetup(
-                f"The load of robot {self.placement.name!r} has a mass of {mass} kg and its centre at "
-                f"{center_in_flange} m; valid are a mass from 0 and finite numbers."
+                f"The load of robot {self.placement.name!r} has a mass of {mass!r} kg and its centre at "
+                f"{center_in_flange!r} m; valid are a mass from 0 and three coordinates, finite numbers{per_copy}."
             )
         body = self.world.model.body(self.placement.prefix + LOAD).id
         self.world.vary("body_ipos")[..., body, :] = centers
         # MuJoCo compensates this factor times the body's own mass.
         self.world.vary("body_gravcomp")[..., body] = masses / LOAD_MASS
+        self.world.update_constants()
 
     def arm(self, copy: int = 0) -> SimArm:
         """Return the arm of one copy as a device, closed."""

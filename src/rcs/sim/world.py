@@ -28,6 +28,9 @@ Copies = NDArray[np.integer[Any]] | None
 StepFunction = Callable[[StepView], bool | None]
 """A function that sees a copy during a step; None counts as False."""
 
+MOST = 2**31 - 1
+"""Most copies and threads that can be asked for."""
+
 LOWEST_FREQUENCY = 1e-6
 """Lowest control rate [Hz]: one step in eleven days."""
 
@@ -73,8 +76,9 @@ class World:
         """
         if copies is not None and data is not None:
             raise InvalidSetup("Give data for one copy or copies for many, not both.")
-        if copies is not None and (not isinstance(copies, int | np.integer) or isinstance(copies, bool) or copies < 1):
-            raise InvalidSetup(f"copies is {copies!r}; valid is a whole number from 1, or None.")
+        if copies is not None:
+            require_count("copies", copies, 1)
+            require_count("threads", threads, 0)
         period = control_period(frequency, model.opt.timestep)
         timing = (period.numerator, period.denominator, stepping == "sync", max_substeps)
         self.model = model
@@ -100,7 +104,7 @@ class World:
         """Live user data, (*leading, nuserdata), with the motions of arms; None without any."""
         self.time = self.core.component(state.mjSTATE_TIME.value)[..., 0]
         """Live simulated time [s], (*leading,)."""
-        self._varied: set[str] = set()
+        self._nominal: dict[str, NDArray[Any]] = {}
         self._fields: dict[str, NDArray[Any]] = {}
         self._is_read_out = False
         self._scratch: mujoco.MjData | None = None
@@ -281,16 +285,23 @@ class World:
         Raises:
             ValueError: The field cannot differ between copies.
         """
-        self._varied.add(field)
         self._fields.pop(field, None)
-        if not self.leading:
-            return getattr(self.model, field)
-        return self.core.expand(field).reshape(*self.leading, *getattr(self.model, field).shape)
+        values: NDArray[Any] = getattr(self.model, field)
+        if self.leading:
+            values = self.core.expand(field).reshape(*self.leading, *values.shape)
+        if field not in self._nominal:
+            self._nominal[field] = np.array(values[0] if self.leading else values)
+        return values
 
     @property
     def varied(self) -> list[str]:
         """Names of the fields that `vary` was asked for."""
-        return sorted(self._varied)
+        return sorted(self._nominal)
+
+    def nominal(self, field: str) -> NDArray[Any]:
+        """Return what every copy had for a field before `vary` was asked for it."""
+        values = self._nominal.get(field)
+        return getattr(self.model, field) if values is None else values
 
     def field(self, field: str) -> NDArray[Any]:
         """Return the present values of a field of `MjModel`, read-only, (*leading, *its shape)."""
@@ -377,6 +388,16 @@ class Callback(StepCallback):
     def call(self, view: StepView) -> bool:
         """Call the function."""
         return bool(self._function(view))
+
+
+def require_count(name: str, value: Any, least: int) -> None:
+    """Check a number of copies or threads.
+
+    Raises:
+        InvalidSetup: It is no whole number, too small, or too large for the core.
+    """
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value <= MOST:
+        raise InvalidSetup(f"{name} is {value!r}; valid is a whole number from {least} to {MOST}.")
 
 
 def control_period(frequency: float, physics_step: float) -> Fraction:

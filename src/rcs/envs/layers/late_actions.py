@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs.envs.layers.layer import Layer, Where, everywhere, renew
-from rcs.envs.spaces import Action, Observation
+from rcs.envs.spaces import GRIPPER, HAND, JOINTS, Action, Observation
 from rcs.sim.splitmix import GAMMA, mix, units
 
 if TYPE_CHECKING:
@@ -53,14 +53,13 @@ class LateActions(Layer):
 
     def reset(self, observation: Observation, where: Where = everywhere) -> None:
         """Count steps from 0; before the first action, the robot was told to stay."""
-        self._last = {key: renew(self._last.get(key), np.asarray(value), where) for key, value in observation.items()
-                      if isinstance(value, np.ndarray)}  # fmt: skip
+        self._last = {key: renew(self._last.get(key), value, where) for key, value in _commandable(observation).items()}
         self._steps = renew(self._steps, np.zeros_like(self._steps), where)
         self._is_late = renew(self._is_late, np.zeros_like(self._is_late), where)
 
     def rebase(self, observation: Observation) -> None:
         """Take the measured state for what was sent last."""
-        self._last = {key: value.copy() for key, value in observation.items() if isinstance(value, np.ndarray)}
+        self._last = {key: value.copy() for key, value in _commandable(observation).items()}
 
     def map_action(self, action: Action) -> Action:
         """Return the last action in place of a late one."""
@@ -94,3 +93,8 @@ class LateActions(Layer):
     def __str__(self) -> str:
         """Return the layer for the printed stack."""
         return f"LateActions({self.share:.0%} of the steps)"
+
+
+def _commandable(observation: Observation) -> Action:
+    """Return what an action of the lowest level has, too."""
+    return {key: observation[key] for key in (JOINTS, GRIPPER, HAND) if key in observation}

@@ -85,7 +85,7 @@ class Settings:
             return cls()
         try:
             return cls.from_dict(json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
             raise InvalidInput(f"The settings {path} cannot be read: {error}") from error
         except InvalidInput as error:
             raise InvalidInput(f"{path}: {error}") from error
