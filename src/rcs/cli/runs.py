@@ -10,12 +10,13 @@ from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, cast, get_args
 
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from tyro.constructors import PrimitiveConstructorSpec
 
 from rcs.agents.choice import is_path
 from rcs.envs.reward import RewardKind
@@ -38,6 +39,28 @@ ENDING = "Ending after the episodes at work; Ctrl-C again ends at once."
 """What is told at the first Ctrl-C."""
 
 
+def _preset(words: list[str]) -> Preset:
+    preset, *more = words or ["default"]
+    if more:
+        raise ValueError(f"one of {', '.join(PRESETS)} is expected, not {' '.join(words)}")
+    return cast(Preset, preset)  # tyro has compared it with the choices
+
+
+PRESETS: tuple[Preset, ...] = get_args(Preset)
+AnyPreset = Annotated[
+    Preset,
+    PrimitiveConstructorSpec(
+        nargs="*",
+        metavar=f"[{{{','.join(PRESETS)}}}]",
+        instance_from_str=_preset,
+        is_instance=lambda preset: preset in PRESETS,
+        str_from_instance=lambda preset: [preset],
+        choices=PRESETS,
+    ),
+]
+"""An option with the name of a preset, or with none for the usual one."""
+
+
 @dataclass(kw_only=True)
 class SetupOptions:
     """Options of a command that makes an environment."""
@@ -49,7 +72,7 @@ class SetupOptions:
     """Name of the robot."""
     end_effector: str | None = None
     """Name of the end effector; the robot's usual one by default."""
-    task_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    task_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
     """An option of the task as `name=value`, such as `lift_height=0.05`; may be given several times."""
     reward: RewardKind = "shaped"
     """What a step pays."""
@@ -87,12 +110,13 @@ class SetupOptions:
     """Control steps per second [Hz]."""
     collision_reaction: bool = True
     """Stop an arm that pushes harder than its controller allows, which ends the episode, as on the robot."""
-    randomise: Preset = "none"
-    """Vary looks, objects, physics, start and timing of the robots from episode to episode, within these ranges."""
+    randomise: AnyPreset = "none"
+    """Vary looks, objects, physics, start and timing of the robots from episode to episode, within these ranges; those
+    of `default` when none are named."""
     assets: Assets = "builtin"
     """Looks of the robots: `menagerie` for detailed meshes, which are slow to draw without a GPU."""
 
-    trust: tuple[str, ...] = ()
+    trust: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[MODULE ...]")] = ()
     """Modules of which the environment of a checkpoint may have classes; importing them runs their code."""
 
     @property
