@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import signal
@@ -13,6 +14,7 @@ import pytest
 from rcs_data import Dataset, durable, edit
 from rcs_data.convert.lerobot import export_lerobot
 from rcs_data.convert.lerobot_import import import_lerobot
+from rcs_data.durable import disk_errors
 from rcs_data.errors import DatasetError
 from rcs_data.output import new_output, remove_leftovers
 
@@ -142,3 +144,30 @@ def test_nothing_is_put_among_the_episodes_of_a_dataset(dataset: Path) -> None:
         with pytest.raises(DatasetError, match="among the episodes of"), new_output(place):
             pass
     assert sorted(dataset.rglob("*")) == before
+
+
+@pytest.mark.parametrize("doing", [None, "record rows"])
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_says_to_repeat_what_left_nothing(tmp_path: Path, code: int, doing: str | None) -> None:
+    out = tmp_path / "result"
+    with pytest.raises(DatasetError) as told, new_output(out) as partial:
+        partial.mkdir()
+        if doing is None:
+            raise OSError(code, os.strerror(code))
+        with disk_errors(doing, partial, keeps_rows=True):
+            raise OSError(code, os.strerror(code))
+    words = str(told.value)
+    assert f"Could not write in {out}: {os.strerror(code)}" in words
+    assert "ree some space, then repeat it" in words
+    assert "recover" not in words
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_error_of_another_place_keeps_its_words(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    with (
+        pytest.raises(DatasetError, match=r"Could not read rows in .*source: No such file"),
+        new_output(tmp_path / "o"),
+    ):
+        with disk_errors("read rows", source):
+            source.read_bytes()

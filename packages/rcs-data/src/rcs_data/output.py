@@ -6,6 +6,7 @@ same result removes partial ones whose lock nobody holds.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import logging
 import os
@@ -43,8 +44,14 @@ def new_output(out: str | Path) -> Generator[Path]:
     with disk_errors("write", target):
         target.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(target) as partial:
-            with synced_at_once(target.parent):
-                yield partial
+            try:
+                with synced_at_once(target.parent):
+                    yield partial
+            except DatasetError as err:
+                cause = err.__cause__
+                if isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT):
+                    raise cause from None  # what was written is removed: nothing is left to recover
+                raise
             refuse_existing(target)
             if target.is_dir():
                 target.rmdir()
