@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import logging
 import os
@@ -150,12 +151,9 @@ def test_nothing_is_put_among_the_episodes_of_a_dataset(dataset: Path) -> None:
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
 def test_a_full_disk_says_to_repeat_what_left_nothing(tmp_path: Path, code: int, doing: str | None) -> None:
     out = tmp_path / "result"
-    with pytest.raises(DatasetError) as told, new_output(out) as partial:
-        partial.mkdir()
-        if doing is None:
-            raise OSError(code, os.strerror(code))
-        with disk_errors(doing, partial, keeps_rows=True):
-            raise OSError(code, os.strerror(code))
+    rows = contextlib.nullcontext() if doing is None else disk_errors(doing, out, keeps_rows=True)
+    with pytest.raises(DatasetError) as told, new_output(out), rows:
+        raise OSError(code, os.strerror(code))
     words = str(told.value)
     assert f"Could not write in {out}: {os.strerror(code)}" in words
     assert "ree some space, then repeat it" in words
@@ -165,9 +163,6 @@ def test_a_full_disk_says_to_repeat_what_left_nothing(tmp_path: Path, code: int,
 
 def test_an_error_of_another_place_keeps_its_words(tmp_path: Path) -> None:
     source = tmp_path / "source"
-    with (
-        pytest.raises(DatasetError, match=r"Could not read rows in .*source: No such file"),
-        new_output(tmp_path / "o"),
-    ):
-        with disk_errors("read rows", source):
-            source.read_bytes()
+    told = r"Could not read rows in .*source: No such file"
+    with pytest.raises(DatasetError, match=told), new_output(tmp_path / "out"), disk_errors("read rows", source):
+        source.read_bytes()
