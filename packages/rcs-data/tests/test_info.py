@@ -89,6 +89,8 @@ def test_a_newer_layout_is_refused_with_the_remedy(make_info: MakeInfo) -> None:
         DatasetInfo.from_json({**values, "schema_version": "one"})
 
 
-def test_an_unknown_feature_is_answered_with_the_known_ones(make_info: MakeInfo) -> None:
-    with pytest.raises(InvalidSetup, match="observation/joints, observation/gripper"):
-        make_info().feature("joints")
+def test_an_unknown_feature_is_answered_with_the_nearest_and_all_known_ones(make_info: MakeInfo) -> None:
+    with pytest.raises(
+        InvalidSetup, match=r"Did you mean 'observation/joints'.*observation/gripper, observation/joints"
+    ):
+        make_info().feature("observation/jonits")

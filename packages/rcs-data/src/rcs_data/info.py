@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import pyarrow as pa
 
-from rcs_data.errors import DatasetError, InvalidSetup
+from rcs_data.errors import DatasetError, InvalidSetup, UnknownName
 from rcs_data.feature import Feature
 from rcs_data.json_file import MOST_DEPTH, depth_of
 from rcs_data.layout import check_name
@@ -124,13 +124,12 @@ class DatasetInfo:
         """Return the feature with this key.
 
         Raises:
-            InvalidSetup: There is none; the message lists the known keys.
+            InvalidSetup: There is none; the message has the nearest key and all others.
         """
         for feature in self.features:
             if feature.key == key:
                 return feature
-        known = ", ".join(feature.key for feature in self.features)
-        raise InvalidSetup(f"There is no feature {key!r} in this dataset. Known: {known}.")
+        raise InvalidSetup(UnknownName("feature of this dataset", key, (one.key for one in self.features)).message)
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields as JSON values."""
