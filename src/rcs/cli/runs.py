@@ -290,14 +290,20 @@ def show(
     with Progress(*columns, console=console) as bar:
         task = bar.add_task(title, total=total, told="")
         start = time.perf_counter()
-        for attempt in attempts:
-            made.attempts.append(attempt)
-            speed = len(made.attempts) / (time.perf_counter() - start)
-            told = f"{_rate(made)}, {speed:.2f} episodes/s"
-            if run.cluster is not None and len(run.cluster.machines) > 1:
-                told += f" on {len(run.cluster.machines)} machines"
-            bar.update(task, completed=min(done(), total), told=told)
-        bar.update(task, completed=done())
+        try:
+            for attempt in attempts:
+                made.attempts.append(attempt)
+                speed = len(made.attempts) / (time.perf_counter() - start)
+                told = f"{_rate(made)}, {speed:.2f} episodes/s"
+                if run.cluster is not None and len(run.cluster.machines) > 1:
+                    told += f" on {len(run.cluster.machines)} machines"
+                bar.update(task, completed=min(done(), total), told=told)
+            bar.update(task, completed=min(done(), total))
+        except BaseException:
+            if not made.attempts:  # an empty bar says nothing: the error stands alone
+                bar.live.transient = bar.disable = True
+                bar.live.stop()
+            raise
 
 
 def results_table(summary: Summary, seconds: float, workers: int | str | Tally) -> Table:
