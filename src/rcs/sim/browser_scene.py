@@ -30,6 +30,9 @@ DISTANCE = 2.4
 NEWTON_LENGTH = 0.01
 """Length of an arrow per newton of contact force [m/N]."""
 
+FIELD_OF_VIEW = 38.0
+"""Vertical angle of view of a page at first [degrees]."""
+
 TINTED = 0.6
 """Share of a tint in the colour of what has one."""
 
@@ -145,7 +148,7 @@ class BrowserScene:
         distance = DISTANCE * (reach + np.ptp(bases, axis=0).max() / 2)
         start.position, start.look_at = tuple(middle - distance * forward), tuple(middle)
         start.up = (0.0, 0.0, 1.0)
-        start.fov = float(np.deg2rad(camera.fovy[0]))
+        start.fov = np.deg2rad(FIELD_OF_VIEW)
 
     def _add(self, shape: Shape) -> Any:
         vertices, faces = shape.mesh
