@@ -215,6 +215,8 @@ def differences(
 ) -> list[str]:
     """Describe in which fields two infos differ, one line each; versions are not compared.
 
+    What the setup says comes first, then what follows from it.
+
     Args:
         stored: What a dataset on disk has.
         given: What a new recording would have.
@@ -223,7 +225,7 @@ def differences(
     one, other = names
     left, right = (dict(_leaves("", _comparable(info))) for info in (stored, given))
     lines: list[str] = []
-    for name in sorted(left.keys() | right.keys()):
+    for name in sorted(left.keys() | right.keys(), key=_importance):
         if name not in right:
             lines.append(f"{name}: {one} has {left[name]!r}, which is not in {other}")
         elif name not in left:
@@ -234,6 +236,13 @@ def differences(
     if not lines and order[0] != order[1]:
         lines.append(f"features: {one} has the order {order[0]}, {other} has {order[1]}")
     return lines
+
+
+def _importance(name: str) -> tuple[int, int, str]:
+    """Return by what fields are sorted: the setup with task and robot in front, the rest, features, the origin."""
+    place, _, field = name.partition(".")
+    rank = {"setup": 0, "features": 2, "origin": 3}.get(place, 1)
+    return rank, {"task": 0, "robot": 1}.get(field.partition(".")[0], 2), name
 
 
 def feature_differences(
