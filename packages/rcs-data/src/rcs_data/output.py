@@ -6,7 +6,6 @@ same result removes partial ones whose lock nobody holds.
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import logging
 import os
@@ -15,7 +14,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rcs_data.durable import disk_errors, remove_tree, sync_folder, synced_at_once
+from rcs_data.durable import disk_errors, is_full, remove_tree, sync_folder, synced_at_once
 from rcs_data.errors import DatasetError
 from rcs_data.layout import EPISODES_FOLDER, check_path, has_dataset
 from rcs_data.lock import DatasetLock, try_lock
@@ -49,7 +48,7 @@ def new_output(out: str | Path) -> Generator[Path]:
                     yield partial
             except DatasetError as err:
                 cause = err.__cause__
-                if isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT):
+                if isinstance(cause, OSError) and is_full(cause):
                     raise cause from None  # what was written is removed: nothing is left to recover
                 raise
             refuse_existing(target)
