@@ -102,6 +102,13 @@ def test_the_glossary_defines_each_word_once_in_alphabetical_order() -> None:
     assert words == sorted(set(words)) and len(words) > 40
 
 
+def test_the_search_of_the_site_shows_what_people_wrote_before_the_reference() -> None:
+    site: Any = tool("site_pages")
+    for page in site.reference().values():
+        boost = re.match(r"---\nsearch: \{ boost: ([\d.]+) \}\n---\n\n# ", page)
+        assert boost is not None and float(boost[1]) < 0.5
+
+
 def test_every_public_name_has_a_place_in_the_reference() -> None:
     site: Any = tool("site_pages")
     text = "\n".join(site.reference().values())

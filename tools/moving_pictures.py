@@ -29,31 +29,30 @@ FREQUENCY = 30.0
 PAUSE = 0.7
 """How long the last picture stays [s]."""
 SHOWN = {
-    "pick_cuboid_fr3": ("PickCuboid", "fr3", 3, 1.0),
-    "pick_cuboid_ur5e": ("PickCuboid", "ur5e", 1, 1.2),
-    "pick_cuboid_so101": ("PickCuboid", "so101", 2, 2.6),
-    "pick_toy_xarm7": ("PickToy", "xarm7", 1, 1.1),
-    "lift_bar_dual_fr3": ("LiftBar", "dual_fr3", 1, 1.0),
-    "place_ur5e": ("Place", "ur5e", 1, 1.2),
-    "stack_fr3": ("StackCuboid", "fr3", 1, 1.0),
-    "push_so101": ("Push", "so101", 1, 2.6),
+    "pick_cuboid_fr3": ("PickCuboid", "fr3", 3),
+    "pick_cuboid_ur5e": ("PickCuboid", "ur5e", 1),
+    "pick_cuboid_so101": ("PickCuboid", "so101", 2),
+    "pick_toy_xarm7": ("PickToy", "xarm7", 1),
+    "lift_bar_dual_fr3": ("LiftBar", "dual_fr3", 1),
+    "place_ur5e": ("Place", "ur5e", 1),
+    "stack_fr3": ("StackCuboid", "fr3", 1),
+    "push_so101": ("Push", "so101", 1),
 }
-"""Task, robot, seed and magnification by the file's name; the middle of a magnified picture is shown."""
+"""Task, robot and seed by the file's name."""
 
 
-def episode(task: str, robot: str, seed: int, magnification: float) -> list[NDArray[np.uint8]]:
+def episode(task: str, robot: str, seed: int) -> list[NDArray[np.uint8]]:
     """Return pictures of the expert at work."""
     env = rcs.make(task, robot=robot, frequency=FREQUENCY)
-    width, height = (round(min(OVERSAMPLING, 4 / magnification) * magnification * edge) for edge in SIZE)
+    width, height = (OVERSAMPLING * edge for edge in SIZE)
     picture = Picture(env.scenario.world, size=(width, height), quality="full")
-    left, top = (round(edge * (1 - 1 / magnification) / 2) for edge in (width, height))
     pictures: list[NDArray[np.uint8]] = []
     steps = 0
 
     def look() -> None:
         nonlocal steps
         if steps % round(FREQUENCY / RATE) == 0:
-            pictures.append(np.ascontiguousarray(picture.draw()[top : height - top, left : width - left]))
+            pictures.append(picture.draw())
         steps += 1
 
     result = rcs.run_episode(env, agent_for(env), seed=seed, on_step=look)

@@ -19,6 +19,9 @@ PACKAGES = (
     "rcs.errors",
 )  # fmt: skip
 
+BEHIND_GUIDES = "---\nsearch: { boost: 0.1 }\n---\n\n"
+"""How a page begins that the search of the site shows after those that people have written."""
+
 
 def path_of(package: str) -> Path:
     """Return the folder of a package; with the suffix `.py` it is the file of a module."""
@@ -58,7 +61,7 @@ def reference() -> dict[str, str]:
     for package in PACKAGES:
         homes = homes_of(package)
         elsewhere = {name: home for name, home in homes.items() if home in first}
-        parts = [f"# {package}", summary_of(package)]
+        parts = [f"{BEHIND_GUIDES}# {package}", summary_of(package)]
         if elsewhere:
             links = (f"- `{package}.{name}`: see [`{first[home]}.{name}`][{home}]" for name, home in elsewhere.items())
             parts.append("\n".join(links))

@@ -57,6 +57,32 @@ def test_collect_again_finds_everything_there(capsys: pytest.CaptureFixture[str]
     assert "Nothing to do" in told
 
 
+def test_of_more_episodes_than_were_asked_for_the_bar_is_full(
+    capsys: pytest.CaptureFixture[str], dataset: Path
+) -> None:
+    code, told = call(capsys, "collect", "PickCuboid", "--episodes", "1", "--cameras", "none", "--out", str(dataset))
+    assert code == 0
+    assert "1/1" in told
+    assert "2/1" not in told
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["eval", "LiftBar", "--episodes", "1", "--workers", "1", "--out", "evaluation"],
+        ["collect", "PickCuboid", "--robot", "xarm7", "--episodes", "1", "--workers", "1", "--cameras", "none"],
+        ["data", "export", "nowhere", "--format", "lerobot-v3", "--out", "export"],
+    ],
+)
+def test_an_error_at_the_beginning_stands_alone(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, told = call(capsys, *words)
+    assert code == 1
+    assert told.startswith("error: ")
+
+
 def test_randomised_episodes_are_collected_and_replayed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     options = ["--episodes", "2", "--cameras", "none", "--workers", "1", "--out", str(tmp_path / "varied")]
     assert call(capsys, "collect", "PickCuboid", "--randomise", "default", *options)[0] == 0

@@ -43,6 +43,17 @@ def test_a_name_like_no_other_gives_no_match() -> None:
     assert "Did you mean" not in str(caught.value)
 
 
+def test_a_module_suggests_what_is_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    text = "import numpy as np\nfrom rcs.envs import Task\nclass Knock(Task): ...\nFLAT = Task.Options()\n"
+    (tmp_path / "knocking.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(
+        UnknownName,
+        match=r"no task in the module 'knocking' named 'Knok'\. Did you mean 'Knock'\? Known: FLAT, Knock\.",
+    ):
+        lookup.find("task", "knocking:Knok")
+
+
 def test_the_group_of_policies_has_a_plural_of_its_own() -> None:
     with pytest.raises(UnknownName, match=r"rcs\.policies"):
         lookup.find("policy", "none")

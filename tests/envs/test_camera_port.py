@@ -18,9 +18,10 @@ from rcs.devices import CameraMode, Frame
 from rcs.devices.fakes import FakeCamera
 from rcs.envs.camera_port import cropped, intrinsics_of
 from rcs.envs.observers.record import record
-from rcs.errors import DeviceFault
+from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware import Site
 from rcs.robots.realsense_d435.description import REALSENSE_D435
+from rcs.setups.lab import lab_of
 
 SIZE = (64, 48)
 
@@ -234,6 +235,15 @@ def test_cut_and_scaled_frames_have_the_matrix_of_simulated_ones(size: tuple[int
     np.testing.assert_allclose(intrinsics_of(camera, REALSENSE_D435, size).matrix, expected, rtol=0.01)
     rows, columns = cropped((640, 480), size)
     assert (columns.stop - columns.start) / (rows.stop - rows.start) == pytest.approx(size[0] / size[1], rel=0.01)
+
+
+def test_of_frames_of_another_shape_it_says_where_its_figures_are_from() -> None:
+    of_the_lab = lab_of("fr3").cameras["wrist"].calibration
+    with pytest.raises(InvalidSetup) as told:
+        intrinsics_of(FakeCamera(CameraMode(640, 480, 30.0, False)), REALSENSE_D435, (640, 480), of_the_lab)
+    assert "was calibrated" not in str(told.value)
+    for words in ("848 x 480 px", "640 x 480 px", "data sheet", "calibrate"):
+        assert words in str(told.value)
 
 
 @pytest.mark.gl

@@ -192,7 +192,7 @@ def test_each_physical_range_changes_the_motion(field: str) -> None:
 @pytest.mark.parametrize("field", LOOKS)
 def test_each_visible_range_changes_the_picture(field: str) -> None:
     ranges = Randomisation.off(**{field: EVERYTHING[field]})
-    plain, varied = (make(given, cameras=("side",), image_size=64) for given in (None, ranges))
+    plain, varied = (make(given, cameras=("side",), image_size=96) for given in (None, ranges))
     before = frames_of(plain, 2)["side"].astype(int)
     after = frames_of(varied, 2)["side"].astype(int)
     assert np.abs(before - after).max() > 3

@@ -26,7 +26,9 @@ def test_the_page_has_rates_curves_and_settings_and_words_are_words(tmp_path: Pa
     page: Any = report._page
     text = page(tmp_path, training, rows, [])
     assert "<img" not in text
-    assert text.count("<svg") == 3
+    assert text.count("<svg") == 4
+    for name in ("wide", "narrow"):  # of the rate, one for screens and one for phones
+        assert f'<div class="{name}"><figure' in text
     for words in ("9 of 10 (60 to 98 %)", "Loss of the value", "<h2>Environment</h2>", "1 min 40 s", "<dd>700</dd>"):
         assert words in text
     assert "No evaluation was judged." in page(tmp_path, training, [], [])

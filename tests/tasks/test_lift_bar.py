@@ -103,7 +103,7 @@ def test_a_recorded_episode_of_two_arms_replays_bit_for_bit(tmp_path: Path) -> N
 
 
 def test_one_arm_can_not_be_asked_to_lift_the_bar() -> None:
-    with pytest.raises(InvalidSetup, match="two robots"):
+    with pytest.raises(InvalidSetup, match="2 robots"):
         rcs.make("LiftBar", robot="fr3")
 
 

@@ -190,7 +190,7 @@ def test_4_a_disk_that_fills_up_keeps_what_was_finished(
         episode = writer.episode("during", seed=1)
         episode.add(rows[0], np.zeros(STATE))
         rest = [rows[1]] * 20_000
-        with pytest.raises(DatasetError, match="Free some space"):
+        with pytest.raises(DatasetError, match="Free some space, then run recover"):
             add_all(episode, rest)
         assert episode.state == "aborted"
     assert bytes_of(path, "before") == before

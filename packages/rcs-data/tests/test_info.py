@@ -41,10 +41,10 @@ def test_each_difference_is_one_line(make_info: MakeInfo) -> None:
         info, frequency=15.0, features=features, setup={"robot": "fr3", "task": {"name": "PickCuboid", "goal": 1}}
     )
     assert differences(info, other) == [
+        "setup.task.goal: the dataset has 0.1, this setup has 1",
+        "frequency: the dataset has 30.0, this setup has 15.0",
         "features.executed/joints: this setup has '(3,) float64 plain', which is not in the dataset",
         "features.observation/joints: the dataset has '(3,) float64 [rad] plain', which is not in this setup",
-        "frequency: the dataset has 30.0, this setup has 15.0",
-        "setup.task.goal: the dataset has 0.1, this setup has 1",
     ]
 
 
@@ -89,6 +89,22 @@ def test_a_newer_layout_is_refused_with_the_remedy(make_info: MakeInfo) -> None:
         DatasetInfo.from_json({**values, "schema_version": "one"})
 
 
-def test_an_unknown_feature_is_answered_with_the_known_ones(make_info: MakeInfo) -> None:
-    with pytest.raises(InvalidSetup, match="observation/joints, observation/gripper"):
-        make_info().feature("joints")
+def test_an_unknown_feature_is_answered_with_the_nearest_and_all_known_ones(make_info: MakeInfo) -> None:
+    with pytest.raises(
+        InvalidSetup, match=r"Did you mean 'observation/joints'.*observation/gripper, observation/joints"
+    ):
+        make_info().feature("observation/jonits")
+
+
+def test_what_the_setup_says_comes_before_what_follows_from_it(make_info: MakeInfo) -> None:
+    info = make_info(setup={"task": "Push", "robot": "fr3", "assets": "builtin"}, origin={"cameras": {"side": 1}})
+    other = replace(
+        info,
+        frequency=2 * info.frequency,
+        features=info.features[1:],
+        setup={"task": "PickCuboid", "robot": "ur5e", "assets": "menagerie"},
+        origin={"cameras": {"top": 1}},
+    )
+    names = [line.partition(":")[0] for line in differences(info, other)]
+    assert names[:4] == ["setup.task", "setup.robot", "setup.assets", "frequency"]
+    assert names[-1].startswith("origin.")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import logging
 import os
 import signal
@@ -13,6 +15,7 @@ import pytest
 from rcs_data import Dataset, durable, edit
 from rcs_data.convert.lerobot import export_lerobot
 from rcs_data.convert.lerobot_import import import_lerobot
+from rcs_data.durable import disk_errors
 from rcs_data.errors import DatasetError
 from rcs_data.output import new_output, remove_leftovers, require_writable
 
@@ -168,3 +171,24 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path, path: str, is_file: b
     (tmp_path / "file").write_text("mine")
     with pytest.raises(DatasetError, match=words):
         require_writable(tmp_path / path, is_file=is_file)
+
+
+@pytest.mark.parametrize("doing", [None, "record rows"])
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_says_to_repeat_what_left_nothing(tmp_path: Path, code: int, doing: str | None) -> None:
+    out = tmp_path / "result"
+    rows = contextlib.nullcontext() if doing is None else disk_errors(doing, out, keeps_rows=True)
+    with pytest.raises(DatasetError) as told, new_output(out), rows:
+        raise OSError(code, os.strerror(code))
+    words = str(told.value)
+    assert f"Could not write in {out}: {os.strerror(code)}" in words
+    assert "ree some space, then repeat it" in words
+    assert "recover" not in words
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_error_of_another_place_keeps_its_words(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    told = r"Could not read rows in .*source: No such file"
+    with pytest.raises(DatasetError, match=told), new_output(tmp_path / "out"), disk_errors("read rows", source):
+        source.read_bytes()

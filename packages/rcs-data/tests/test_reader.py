@@ -42,7 +42,7 @@ def test_what_is_no_image_has_no_frames(dataset: Path) -> None:
     episode = Dataset.open(dataset).episodes[0]
     with pytest.raises(InvalidSetup, match="not an image"):
         next(episode.frames("reward"))
-    with pytest.raises(InvalidSetup, match="Known: observation/joints"):
+    with pytest.raises(InvalidSetup, match=r"Known: action/index, .*observation/joints"):
         episode.column("speed")
     with pytest.raises(InvalidSetup, match="no episode 'x'"):
         Dataset.open(dataset)["x"]
@@ -142,3 +142,8 @@ def test_a_dataset_is_a_collection_of_its_episodes(dataset: Path) -> None:
     assert all(episode in opened and episode.id in opened and opened[episode.id] is episode for episode in opened)
     assert "no such" not in opened
     assert 0 not in opened
+
+
+def test_a_dataset_that_is_made_from_a_path_says_how_one_is_opened(dataset: Path) -> None:
+    with pytest.raises(InvalidSetup, match=r"Dataset\.open\('.*set'\)"):
+        Dataset(dataset)

@@ -58,10 +58,21 @@ def test_a_resumed_dataset_keeps_what_it_had(tmp_path: Path, make_info: MakeInfo
 def test_another_setup_is_refused_and_the_differences_are_named(tmp_path: Path, make_info: MakeInfo) -> None:
     DatasetWriter.open(tmp_path, make_info()).close()
     with pytest.raises(
-        DatasetError, match=r"frequency: the dataset has 30.0, this setup has 15.0\n.*setup.robot: .*'xarm7'"
+        DatasetError, match=r"setup.robot: .*'xarm7'.*\n.*frequency: the dataset has 30.0, this setup has 15.0"
     ):
         DatasetWriter.open(tmp_path, make_info(frequency=15.0, setup={"robot": "xarm7"}), resume=True)
     DatasetWriter.open(tmp_path, make_info(), resume=True).close()
+
+
+def test_of_many_differences_the_first_are_named_and_the_rest_counted(tmp_path: Path, make_info: MakeInfo) -> None:
+    DatasetWriter.open(tmp_path, make_info()).close()
+    setup = {"task": "Push", "robot": "xarm7", **{f"option_{i:02d}": i for i in range(30)}}
+    with pytest.raises(DatasetError) as told:
+        DatasetWriter.open(tmp_path, make_info(setup=setup), resume=True)
+    lines = str(told.value).splitlines()
+    assert "setup.task" in lines[1]
+    assert len(lines) == 12
+    assert lines[-1].endswith(" more.")
 
 
 def test_a_dataset_is_not_added_to_by_accident(tmp_path: Path, make_info: MakeInfo) -> None:

@@ -11,13 +11,14 @@ from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, cast, get_args
 
 import tyro
 from rcs_data.output import require_writable
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from tyro.constructors import PrimitiveConstructorSpec
 
 from rcs.agents.choice import is_path
 from rcs.envs.reward import RewardKind
@@ -42,6 +43,28 @@ USUAL_FOLDER = Path("evaluation")
 """Folder of an evaluation for which none is given; with a number where it is taken."""
 
 
+def _preset(words: list[str]) -> Preset:
+    preset, *more = words or ["default"]
+    if more:
+        raise ValueError(f"one of {', '.join(PRESETS)} is expected, not {' '.join(words)}")
+    return cast(Preset, preset)  # tyro has compared it with the choices
+
+
+PRESETS: tuple[Preset, ...] = get_args(Preset)
+AnyPreset = Annotated[
+    Preset,
+    PrimitiveConstructorSpec(
+        nargs="*",
+        metavar=f"[{{{','.join(PRESETS)}}}]",
+        instance_from_str=_preset,
+        is_instance=lambda preset: preset in PRESETS,
+        str_from_instance=lambda preset: [preset],
+        choices=PRESETS,
+    ),
+]
+"""An option with the name of a preset, or with none for the usual one."""
+
+
 @dataclass(kw_only=True)
 class SetupOptions:
     """Options of a command that makes an environment."""
@@ -53,7 +76,7 @@ class SetupOptions:
     """Name of the robot."""
     end_effector: str | None = None
     """Name of the end effector; the robot's usual one by default."""
-    task_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    task_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
     """An option of the task as `name=value`, such as `lift_height=0.05`; may be given several times."""
     reward: RewardKind = "shaped"
     """What a step pays."""
@@ -91,12 +114,13 @@ class SetupOptions:
     """Control steps per second [Hz]."""
     collision_reaction: bool = True
     """Stop an arm that pushes harder than its controller allows, which ends the episode, as on the robot."""
-    randomise: Preset = "none"
-    """Vary looks, objects, physics, start and timing of the robots from episode to episode, within these ranges."""
+    randomise: AnyPreset = "none"
+    """Vary looks, objects, physics, start and timing of the robots from episode to episode, within these ranges; those
+    of `default` when none are named."""
     assets: Assets = "builtin"
     """Looks of the robots: `menagerie` for detailed meshes, which are slow to draw without a GPU."""
 
-    trust: tuple[str, ...] = ()
+    trust: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[MODULE ...]")] = ()
     """Modules of which the environment of a checkpoint may have classes; importing them runs their code."""
 
     @property
@@ -300,14 +324,20 @@ def show(
     with Progress(*columns, console=console) as bar:
         task = bar.add_task(title, total=total, told="")
         start = time.perf_counter()
-        for attempt in attempts:
-            made.attempts.append(attempt)
-            speed = len(made.attempts) / (time.perf_counter() - start)
-            told = f"{_rate(made)}, {speed:.2f} episodes/s"
-            if run.cluster is not None and len(run.cluster.machines) > 1:
-                told += f" on {len(run.cluster.machines)} machines"
-            bar.update(task, completed=min(done(), total), told=told)
-        bar.update(task, completed=done())
+        try:
+            for attempt in attempts:
+                made.attempts.append(attempt)
+                speed = len(made.attempts) / (time.perf_counter() - start)
+                told = f"{_rate(made)}, {speed:.2f} episodes/s"
+                if run.cluster is not None and len(run.cluster.machines) > 1:
+                    told += f" on {len(run.cluster.machines)} machines"
+                bar.update(task, completed=min(done(), total), told=told)
+            bar.update(task, completed=min(done(), total))
+        except BaseException:
+            if not made.attempts:  # an empty bar says nothing: the error stands alone
+                bar.live.transient = bar.disable = True
+                bar.live.stop()
+            raise
 
 
 def results_table(summary: Summary, seconds: float, workers: int | str | Tally) -> Table:

@@ -25,6 +25,9 @@ class SimCommand(ActorOptions):
     wall clock. With `--agent`, or a checkpoint in place of the task, that acts instead. Ctrl-C ends it.
     """
 
+    agent: str | None = None
+    """Who acts in your place: the name of an agent, `module:Class`, which is called with the environment, or the path
+    of a checkpoint. Nobody does by default, and the page can have the task's expert act."""
     browser: bool = False
     """Serve a page for the browser also where there is a display."""
     host: str = "127.0.0.1"

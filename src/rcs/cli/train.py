@@ -18,7 +18,7 @@ from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
 from rich.progress import Progress as Bar
 from rich.text import Text
 
-from rcs.cli.runs import interruptible, option_of_task
+from rcs.cli.runs import AnyPreset, interruptible, option_of_task
 from rcs.cli.train_policy import Imitation, train_policy
 from rcs.cli.train_seeds import train_each
 from rcs.envs.reward import RewardKind
@@ -33,7 +33,7 @@ from rcs.rl.run import read_training
 from rcs.rl.train import Progress, require_trainable, train
 from rcs.rl.training import Training
 from rcs.setups.lab import lab_of
-from rcs.sim.randomisation import Preset, Randomisation
+from rcs.sim.randomisation import Randomisation
 
 
 @dataclass(kw_only=True)
@@ -71,7 +71,7 @@ class TrainCommand:
     """Width and height of every frame in pixels."""
     end_effector: str | None = None
     """Name of the end effector; the robot's usual one by default."""
-    task_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    task_option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
     """An option of the task as `name=value`, such as `lift_height=0.05`; may be given several times."""
     reward: RewardKind | None = None
     """What a step pays."""
@@ -86,8 +86,9 @@ class TrainCommand:
     """Control steps per second [Hz]."""
     max_episode_steps: int | None = None
     """An episode is truncated after this many steps, in evaluations too."""
-    randomise: Preset | None = None
-    """Vary looks, objects, physics, start and timing of the robots from episode to episode, within these ranges."""
+    randomise: AnyPreset | None = None
+    """Vary looks, objects, physics, start and timing of the robots from episode to episode, within these ranges; those
+    of `default` when none are named."""
     learning_rate: float | None = None
     """Step size of the learner at the start."""
     evaluate_every: int = 0
@@ -104,7 +105,7 @@ class TrainCommand:
     """Threads for physics and drawing; 0 to measure which number is fastest. They change no result."""
     torch_threads: int = 0
     """Threads of torch on the CPU; 0 to measure which number is fastest."""
-    trust: tuple[str, ...] = ()
+    trust: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[MODULE ...]")] = ()
     """Modules of which the environment of `--resume` may have classes; importing them runs their code."""
     policy: LerobotPolicy | None = None
     """In place of a task: a policy that LeRobot trains on `--dataset`, in an environment of its own."""
@@ -114,7 +115,7 @@ class TrainCommand:
     """Of `--policy`: folder of LeRobot's environment, as `vlagents recipe lerobot` makes it."""
     state: tuple[str, ...] | None = None
     """Of `--policy`: features that it is told, as for `rcs data export`; joints and grippers if left out."""
-    lerobot: tuple[str, ...] = ()
+    lerobot: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME=VALUE ...]")] = ()
     """Of `--policy`: LeRobot's own options as NAME=VALUE, such as `batch_size=64`."""
 
     def run(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 from importlib.metadata import EntryPoint, entry_points
+from types import FunctionType, ModuleType
 from typing import Any, Literal
 
 from rcs.errors import InvalidSetup, UnknownName
@@ -74,10 +75,22 @@ def _import(kind: Kind, given: str) -> Any:
         raise UnknownName(kind, given, _entries(kind), f"The module {module!r} cannot be imported: {err}.") from err
     for part in path.split("."):
         if not hasattr(found, part):
-            hint = f"The module {module!r} has no {path!r}; a class inside of a function cannot be found by name."
-            raise UnknownName(kind, given, [name for name in vars(found) if not name.startswith("_")], hint)
+            hint = "A class inside of a function cannot be found by name."
+            raise UnknownName(f"{kind} in the module {module!r}", path, _own_names(found), hint)
         found = getattr(found, part)
     return found
+
+
+def _own_names(place: Any) -> list[str]:
+    """Return the public names of a module, or of a class in it, without what it imports."""
+    module = place.__name__ if isinstance(place, ModuleType) else place.__module__
+
+    def is_own(value: Any) -> bool:
+        if isinstance(value, type | FunctionType):
+            return value.__module__ == module
+        return not isinstance(value, ModuleType)
+
+    return [name for name, value in vars(place).items() if not name.startswith("_") and is_own(value)]
 
 
 def _group(kind: Kind) -> str:

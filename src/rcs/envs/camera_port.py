@@ -357,8 +357,9 @@ def intrinsics_of(
         found = calibration.intrinsics
         if abs(found.width * mode[1] - found.height * mode[0]) > max(mode):
             raise InvalidSetup(
-                f"Camera {camera.name!r} was calibrated with {found.width} x {found.height} px and delivers "
-                f"{mode[0]} x {mode[1]} px, another part of its sensor; calibrate it with pictures of that shape."
+                f"Camera {camera.name!r} delivers {mode[0]} x {mode[1]} px; its focal lengths, from its calibration or "
+                f"else from the lab's data sheet, are those of {found.width} x {found.height} px, another part of its "
+                "sensor. Choose a mode of that shape, or calibrate it with pictures of its own."
             )
     elif own is not None:
         found = Intrinsics.of_matrix(own.matrix, mode, own.distortion)

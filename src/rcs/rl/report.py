@@ -111,7 +111,10 @@ def _success(rows: Sequence[Row], training: Training) -> Html:
         told = [f"{y:.0f} %" for y in percent]
         lines.append(replace(explored, y=percent, told=told, colour=1))
     most = _most(rows, training)
-    return element("section", chart(title, lines, most=most, span=(0, 100), width=1000), class_="wide")
+    # One for screens, one for phones, on which the first would be as flat as it is wide.
+    drawn = (chart(title, lines, most=most, span=(0, 100), width=width) for width in (1000, 460))
+    wide, narrow = (element("div", one, class_=name) for one, name in zip(drawn, ("wide", "narrow"), strict=True))
+    return element("section", wide, narrow)
 
 
 def _videos(folder: Path, checkpoints: Sequence[Checkpoint], best: Checkpoint | None) -> Html | None:

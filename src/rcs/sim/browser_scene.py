@@ -30,6 +30,12 @@ DISTANCE = 2.4
 NEWTON_LENGTH = 0.01
 """Length of an arrow per newton of contact force [m/N]."""
 
+FIELD_OF_VIEW = 38.0
+"""Vertical angle of view of a page at first [degrees]."""
+
+TINTED = 0.6
+"""Share of a tint in the colour of what has one."""
+
 MOVED = 1e-6
 """Least change of a coordinate that is sent [m]."""
 
@@ -45,6 +51,7 @@ class BrowserScene:
         *,
         name: str = "scene",
         place: Sequence[float] = (0.0, 0.0, 0.0),
+        tint: Sequence[float] | None = None,
     ) -> None:
         """Show a world.
 
@@ -54,6 +61,7 @@ class BrowserScene:
             robots: Its robots, which pages look at first.
             name: Of this scene on the page, where there are several.
             place: Where the origin of the world is on the page [m].
+            tint: A colour, 0 … 1, that what may move is drawn in, light and dark as it is; None for its own colours.
 
         Raises:
             InvalidSetup: The world has many copies.
@@ -70,6 +78,7 @@ class BrowserScene:
         self._soft: dict[int, NDArray[np.float32]] = {}
         self._arrows: Any = None
         self._root = f"/{name}"
+        self._tint = None if tint is None else np.array(tint, np.float64)
         server.scene.add_frame(self._root, show_axes=False, position=np.array(place, np.float64))
         self.has_contacts = False
         """Whether contact forces are shown."""
@@ -139,7 +148,7 @@ class BrowserScene:
         distance = DISTANCE * (reach + np.ptp(bases, axis=0).max() / 2)
         start.position, start.look_at = tuple(middle - distance * forward), tuple(middle)
         start.up = (0.0, 0.0, 1.0)
-        start.fov = float(np.deg2rad(camera.fovy[0]))
+        start.fov = np.deg2rad(FIELD_OF_VIEW)
 
     def _add(self, shape: Shape) -> Any:
         vertices, faces = shape.mesh
@@ -151,12 +160,18 @@ class BrowserScene:
             f"{body}/{_node(shape.name)}",
             vertices,
             faces,
-            color=np.array(shape.rgba[:3]),
+            color=self._colour(shape),
             opacity=None if shape.rgba[3] == 1.0 else shape.rgba[3],
             side="front" if shape.flex is None else "double",
             position=shape.in_body[:3],
             wxyz=xyzw_to_wxyz(shape.in_body[3:]),
         )
+
+    def _colour(self, shape: Shape) -> NDArray[np.float64]:
+        colour = np.array(shape.rgba[:3])
+        if self._tint is None or shape.body == 0:
+            return colour
+        return (1 - TINTED) * colour + TINTED * self._tint
 
     def _show_contacts(self) -> None:
         """Show the forces of all contacts as arrows, or none."""

@@ -23,6 +23,12 @@ from rcs.sim.textures import add_wood
 
 OVERVIEW = "overview"
 """Name of the camera that shows the whole scene to people; it is not observed."""
+OVERVIEW_EYE, OVERVIEW_TARGET = [1.45, -1.05, 0.85], [0.28, 0.02, 0.22]
+"""Where the overview of an empty scene is, and a point in the middle of it [m]; with robots, it looks the same way."""
+OVERVIEW_MIDDLE = (0.35, 0.0, 0.5)
+"""Point in the middle of the overview, from the base of a robot, in parts of its reach."""
+OVERVIEW_DISTANCE = 2.05
+"""Distance of the overview from it, in parts of the reach: for two arms it stays within the walls."""
 
 LOAD = "load"
 """Name of the body at a robot's flange that carries the compensation of a load (`SimRobot.set_load`)."""
@@ -164,9 +170,9 @@ class Scene:
         scene._add_lights()
         spec.worldbody.add_camera(
             name=OVERVIEW,
-            pos=[1.45, -1.05, 0.85],
-            xyaxes=_axes_looking([1.45, -1.05, 0.85], [0.28, 0.02, 0.22]),
-            fovy=38,
+            pos=OVERVIEW_EYE,
+            xyaxes=_axes_looking(OVERVIEW_EYE, OVERVIEW_TARGET),
+            fovy=42,
         )
         return scene
 
@@ -204,6 +210,18 @@ class Scene:
                     # Only one light casts shadows: four shadow maps cost four times as much and add little.
                     castshadow=x < 0 and y < 0,
                 )
+
+    def _aim_overview(self, robots: list[RobotPlacement]) -> None:
+        """Have the overview see robots whole, however high they reach, from the side from which it looks."""
+        camera = self.spec.camera(OVERVIEW)
+        if camera is None:
+            return  # a scene of somebody else's
+        bases = np.array([robot.base_in_scene.translation for robot in robots])
+        reach = max(robot.arm.workspace_reach for robot in robots)
+        target = bases.mean(axis=0) + np.array(OVERVIEW_MIDDLE) * reach
+        distance = OVERVIEW_DISTANCE * reach + np.ptp(bases, axis=0).max() / 2
+        away = np.subtract(OVERVIEW_EYE, OVERVIEW_TARGET)
+        camera.pos = target + distance * away / np.linalg.norm(away)
 
     def add_table(self) -> None:
         """Add a table whose top is the plane z = 0."""
@@ -257,6 +275,7 @@ class Scene:
             self._lacks_details = not exchange_visuals(arm, parts)
         _add_load(arm, robot.arm)
         self.spec.attach(arm, frame=mount_frame(self.spec.worldbody, robot.base_in_scene), prefix=robot.prefix)
+        self._aim_overview([*self.robots, robot])
         for actuator in robot.arm.actuators:
             # The control of a moving servo leads its target, even where that is a limit; the motion keeps the limits.
             self.spec.actuator(robot.prefix + actuator).ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE

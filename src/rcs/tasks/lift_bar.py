@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
 from rcs.envs.task import Judgement, Task
-from rcs.errors import InvalidSetup
 from rcs.sim.robot import SimRobot
 from rcs.sim.scene import Scene
 from rcs.sim.world import World
 from rcs.tasks.holding import SLIP, Grip, HoldTimer
 from rcs.tasks.lifting import FreeBody, LiftOptions, add_box, lowest, norm, progress, table_height, upright
+from rcs.tasks.robots_needed import require_robots
 
 EDGES = (0.035, 0.50, 0.05)
 """Edges of the bar along its x, y, z [m]: too long and too heavy at one end for one hand."""
@@ -62,8 +62,7 @@ class LiftBar(Task):
         Raises:
             InvalidSetup: There are not exactly two robots, or one has no gripper.
         """
-        if len(robots) != 2 or any(robot.placement.gripper is None for robot in robots):
-            raise InvalidSetup("LiftBar needs two robots with grippers.")
+        require_robots("LiftBar", robots, 2)
         self._world = world
         model = world.model
         self._pose = world.core.read_body_pose(model.body(BAR).id, 0)

@@ -22,6 +22,7 @@ from rcs.tasks.holding import SLIP, TOUCH_FORCE, Grip, HoldTimer
 from rcs.tasks.lifting import FreeBody, LiftOptions, add_box, lowest, progress, table_height, upright
 from rcs.tasks.obstacles import MOST as MOST_OBSTACLES
 from rcs.tasks.obstacles import Obstacles
+from rcs.tasks.robots_needed import require_robots
 from rcs.tasks.sizes import SizedBodies
 
 SIZE = (0.064, 0.032, 0.0576)
@@ -122,8 +123,7 @@ class PickCuboid(Task):
         Raises:
             InvalidSetup: There is not exactly one robot, or it has no gripper.
         """
-        if len(robots) != 1 or robots[0].placement.gripper is None:
-            raise InvalidSetup("PickCuboid needs one robot with a gripper.")
+        require_robots("PickCuboid", robots)
         robot = robots[0]
         placement = robot.placement
         self._world = world

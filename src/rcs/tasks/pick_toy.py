@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from rcs.envs.draws import Draws
 from rcs.envs.layers import Where
 from rcs.envs.task import Judgement, Task
-from rcs.errors import InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.robot import SimRobot
@@ -23,6 +22,7 @@ from rcs.sim.world import World
 from rcs.spatial import Pose, compose, inverse
 from rcs.tasks.holding import HoldTimer, all_but
 from rcs.tasks.lifting import LiftOptions, norm, progress, table_height
+from rcs.tasks.robots_needed import require_robots
 
 SIZE = (0.09, 0.075, 0.07)
 """Length, width and height of the toy, an ellipsoid [m]."""
@@ -86,12 +86,11 @@ class PickToy(Task):
         Raises:
             InvalidSetup: There is not exactly one robot, or it has neither gripper nor hand.
         """
-        effector = robots[0].placement.end_effector
-        if len(robots) != 1 or effector is None:
-            raise InvalidSetup("PickToy needs one robot with a hand or a gripper.")
+        require_robots("PickToy", robots, hands=True)
         self._world = world
         self._robot = robots[0]
-        placement = self._robot.placement
+        placement, effector = self._robot.placement, self._robot.placement.end_effector
+        assert effector is not None, "it is required"
         model = world.model
         self._touched = world.core.read_force(world.subtree_flags(placement.base_body), world.subtree_flags(TOY))
         self._fingers = [

@@ -18,6 +18,7 @@ from rcs.sim.scene import TABLE, Scene
 from rcs.sim.world import World
 from rcs.tasks.lifting import FreeBody, add_box, table_height, upright
 from rcs.tasks.pick_cuboid import CUBOID, MASS, SIZE
+from rcs.tasks.robots_needed import require_robots
 from rcs.tasks.setting_down import Delivery, RestOptions
 
 MARK = "mark"
@@ -79,6 +80,7 @@ class Place(Task):
         Raises:
             InvalidSetup: There is not exactly one robot, or it has no gripper.
         """
+        require_robots("Place", robots)
         rest_time = self.options.rest_time
         self._world = world
         self._delivery = Delivery(world, robots, CUBOID, on=TABLE, at=MARK, rest_time=rest_time)

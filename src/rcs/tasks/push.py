@@ -20,6 +20,7 @@ from rcs.sim.world import World
 from rcs.spatial import xyzw_to_wxyz
 from rcs.tasks.holding import Grip, HoldTimer
 from rcs.tasks.lifting import FreeBody, add_box, lowest, nearness, norm, table_height, upright
+from rcs.tasks.robots_needed import require_robots
 
 EDGES = (0.06, 0.06, 0.05)
 """Edges of the block along its x, y, z [m]. Lower than wide, so that it slides before it tips."""
@@ -124,8 +125,7 @@ class Push(Task):
         Raises:
             InvalidSetup: There is not exactly one robot, or it has neither gripper nor hand.
         """
-        if len(robots) != 1 or robots[0].placement.end_effector is None:
-            raise InvalidSetup("Push needs one robot with a gripper or a hand.")
+        require_robots("Push", robots, hands=True)
         self._world = world
         self._robot = robot = robots[0]
         model, core, placement = world.model, world.core, robots[0].placement

@@ -57,17 +57,12 @@ class Delivery:
 
         Args:
             world: The world, before its first step.
-            robots: The one robot.
+            robots: The one robot, which has a gripper.
             name: Name of the object's body and of its geom.
             on: Name of the body on which it belongs.
             at: Name of the body above whose origin it belongs.
             rest_time: How long it must lie there [s].
-
-        Raises:
-            InvalidSetup: There is not exactly one robot, or it has no gripper.
         """
-        if len(robots) != 1 or robots[0].placement.gripper is None:
-            raise InvalidSetup("A task of setting something down needs one robot with a gripper.")
         robot, core = robots[0], world.core
         surface = world.geom_flags([name])
         self._world = world

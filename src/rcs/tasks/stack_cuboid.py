@@ -17,6 +17,7 @@ from rcs.sim.world import World
 from rcs.tasks.holding import all_but
 from rcs.tasks.lifting import FreeBody, add_box, table_height, upright
 from rcs.tasks.pick_cuboid import CUBOID, MASS, SIZE
+from rcs.tasks.robots_needed import require_robots
 from rcs.tasks.setting_down import Delivery, RestOptions, is_flat
 
 BLOCK = "block"
@@ -64,6 +65,7 @@ class StackCuboid(Task):
         Raises:
             InvalidSetup: There is not exactly one robot, or it has no gripper.
         """
+        require_robots("StackCuboid", robots)
         rest_time = self.options.rest_time
         self._world = world
         self._delivery = Delivery(world, robots, CUBOID, on=BLOCK, at=BLOCK, rest_time=rest_time)

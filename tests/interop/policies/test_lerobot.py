@@ -10,13 +10,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcs_data import DatasetInfo, DatasetWriter, Feature
 from vlagents import InvalidInput, Observation
 from vlagents.connect import connect
+
+from rcs.cli.train import TrainCommand
 
 pytestmark = pytest.mark.interop
 
 PARTS = [{"name": "joints", "size": 7, "unit": "rad"}, {"name": "gripper", "size": 1, "unit": "0 closed, 1 open"}]
 SETTINGS: dict[str, Any] = {"state": PARTS, "action": PARTS, "rate": 10, "device": "cpu"}
+IMPORT_TORCHCODEC = """
+try:
+    import torchcodec
+except (ImportError, OSError, RuntimeError):
+    print("no")
+else:
+    print("yes")
+"""
 HORIZON = {"act": 6, "diffusion": 4, "smolvla": 6}
 
 
@@ -36,6 +47,29 @@ def checkpoint(lerobot: Any, kind: str, tmp_path_factory: pytest.TempPathFactory
     assert "weights" in lerobot.run("python", Path(__file__).parent / "make_lerobot.py", kind, folder)
     (folder / "vlagents.json").write_text(json.dumps(SETTINGS))
     return folder
+
+
+def test_training_reads_videos_with_and_without_ffmpeg(lerobot: Any, tmp_path: Path, capfd: Any) -> None:
+    features = [
+        Feature(key=key, shape=(7,), dtype="float64", unit="rad") for key in ("observation/joints", "action/joints")
+    ]
+    features.append(Feature(key="observation/frames/side/rgb", shape=(48, 64, 3), dtype="uint8", encoding="jpeg"))
+    info = DatasetInfo(frequency=10.0, features=tuple(features), setup={"relative": "last_step"}, instruction="nod")
+    chance = np.random.default_rng(0)
+    with DatasetWriter.open(tmp_path / "nods", info) as writer, writer.episode("000000", seed=0) as episode:
+        for row in range(12):
+            values: dict[str, Any] = {"observation/joints": chance.normal(size=7)}
+            values |= {"action/joints": chance.normal(size=7)} if row else {}
+            episode.add(values | {"observation/frames/side/rgb": np.full((48, 64, 3), 20 * row, np.uint8)})
+        episode.finish(True)
+    loads = "yes" in lerobot.run("python", "-c", IMPORT_TORCHCODEC)
+    command = TrainCommand(
+        policy="act", dataset=tmp_path / "nods", environment=lerobot.folder, out=tmp_path / "run", steps=2,
+        lerobot=("batch_size=2", "policy.dim_model=32", "policy.n_heads=2", "policy.dim_feedforward=64"),
+    )  # fmt: skip
+    assert command.run() == 0
+    assert ("finds no FFmpeg" in capfd.readouterr().err) is not loads
+    assert list((tmp_path / "run" / "run").glob("checkpoints/*/pretrained_model/model.safetensors"))
 
 
 @pytest.fixture(scope="module")

@@ -117,6 +117,15 @@ def test_the_buttons_pause_step_play_and_begin_episodes(view: BrowserView) -> No
     assert (session.seed, control(view, "Seed").value) == (12, 12)
 
 
+def test_what_is_said_of_the_buttons_at_the_end_is_what_they_do(view: BrowserView) -> None:
+    session = view.session
+    session.is_over = True
+    assert "*Reset* repeats it, *Next seed* begins another one" in words(view)
+    before = session.seed
+    give(view, "Begin", "Reset")
+    assert session.seed == before
+
+
 def test_the_gripper_follows_its_slider(view: BrowserView) -> None:
     give(view, "Opening", 0.3)
     for _ in range(60):

@@ -78,7 +78,7 @@ def compact(
         CorruptEpisode: The stream's columns differ from the dataset's.
     """
     folder = open_folder(journal.root, episode_id)
-    with disk_errors(f"finish episode {episode_id!r}", folder):
+    with disk_errors(f"finish episode {episode_id!r}", folder, keeps_rows=True):
         stream = StreamReader(folder / ROWS_FILE)
         header = stream.header
         if header is None or stream.schema is None:
@@ -168,7 +168,7 @@ def publish(journal: Journal, episode_id: str) -> Path:
     about = read_about(opened)
     if episode_id in journal.refresh().episodes:
         raise DatasetError(f"There already is an episode {episode_id!r} in {root}; the other one is in {opened}.")
-    with disk_errors(f"publish episode {episode_id!r}", opened):
+    with disk_errors(f"publish episode {episode_id!r}", opened, keeps_rows=True):
         for name in (ROWS_FILE, ABORTED_FILE):
             (opened / name).unlink(missing_ok=True)
         final = free_folder(root, episode_id, journal.state.removed)

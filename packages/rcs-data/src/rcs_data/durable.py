@@ -29,12 +29,13 @@ def is_full(err: OSError) -> bool:
 
 
 @contextlib.contextmanager
-def disk_errors(doing: str, path: Path) -> Generator[None]:
+def disk_errors(doing: str, path: Path, *, keeps_rows: bool = False) -> Generator[None]:
     """Turn an OSError into one that says what was being done, where, and what to do.
 
     Args:
         doing: What was being done, such as "write the rows of episode 'a'".
         path: Where.
+        keeps_rows: Whether rows of an episode stay on the disk, of which `recover` makes an episode.
 
     Raises:
         DatasetError: Instead of any OSError inside.
@@ -44,9 +45,10 @@ def disk_errors(doing: str, path: Path) -> Generator[None]:
     except DatasetError:
         raise
     except OSError as err:
+        then = "run recover" if keeps_rows else "repeat it"
         remedy = {
-            errno.ENOSPC: " Free some space, then run recover.",
-            errno.EDQUOT: " Your quota is used up; free some space, then run recover.",
+            errno.ENOSPC: f" Free some space, then {then}.",
+            errno.EDQUOT: f" Your quota is used up; free some space, then {then}.",
             errno.EROFS: " The file system is read-only; choose another folder.",
             errno.EACCES: " You have no permission; choose another folder.",
         }.get(err.errno or 0, "")

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import pyarrow as pa
 
-from rcs_data.errors import DatasetError, InvalidSetup
+from rcs_data.errors import DatasetError, InvalidSetup, UnknownName
 from rcs_data.feature import Feature
 from rcs_data.json_file import MOST_DEPTH, depth_of
 from rcs_data.layout import check_name
@@ -124,13 +124,12 @@ class DatasetInfo:
         """Return the feature with this key.
 
         Raises:
-            InvalidSetup: There is none; the message lists the known keys.
+            InvalidSetup: There is none; the message has the nearest key and all others.
         """
         for feature in self.features:
             if feature.key == key:
                 return feature
-        known = ", ".join(feature.key for feature in self.features)
-        raise InvalidSetup(f"There is no feature {key!r} in this dataset. Known: {known}.")
+        raise InvalidSetup(UnknownName("feature of this dataset", key, (one.key for one in self.features)).message)
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields as JSON values."""
@@ -216,6 +215,8 @@ def differences(
 ) -> list[str]:
     """Describe in which fields two infos differ, one line each; versions are not compared.
 
+    What the setup says comes first, then what follows from it.
+
     Args:
         stored: What a dataset on disk has.
         given: What a new recording would have.
@@ -224,7 +225,7 @@ def differences(
     one, other = names
     left, right = (dict(_leaves("", _comparable(info))) for info in (stored, given))
     lines: list[str] = []
-    for name in sorted(left.keys() | right.keys()):
+    for name in sorted(left.keys() | right.keys(), key=_importance):
         if name not in right:
             lines.append(f"{name}: {one} has {left[name]!r}, which is not in {other}")
         elif name not in left:
@@ -235,6 +236,13 @@ def differences(
     if not lines and order[0] != order[1]:
         lines.append(f"features: {one} has the order {order[0]}, {other} has {order[1]}")
     return lines
+
+
+def _importance(name: str) -> tuple[int, int, str]:
+    """Return by what fields are sorted: the setup with task and robot in front, the rest, features, the origin."""
+    place, _, field = name.partition(".")
+    rank = {"setup": 0, "features": 2, "origin": 3}.get(place, 1)
+    return rank, {"task": 0, "robot": 1}.get(field.partition(".")[0], 2), name
 
 
 def feature_differences(

@@ -15,7 +15,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rcs_data.durable import disk_errors, remove_tree, sync_folder, synced_at_once
+from rcs_data.durable import disk_errors, is_full, remove_tree, sync_folder, synced_at_once
 from rcs_data.errors import DatasetError
 from rcs_data.layout import EPISODES_FOLDER, check_path, has_dataset
 from rcs_data.lock import DatasetLock, try_lock
@@ -44,8 +44,14 @@ def new_output(out: str | Path) -> Generator[Path]:
     with disk_errors("write", target):
         target.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(target) as partial:
-            with synced_at_once(target.parent):
-                yield partial
+            try:
+                with synced_at_once(target.parent):
+                    yield partial
+            except DatasetError as err:
+                cause = err.__cause__
+                if isinstance(cause, OSError) and is_full(cause):
+                    raise cause from None  # what was written is removed: nothing is left to recover
+                raise
             refuse_existing(target)
             if target.is_dir():
                 target.rmdir()

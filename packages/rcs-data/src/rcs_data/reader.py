@@ -20,13 +20,18 @@ from rcs_data.layout import episodes_folder
 class Dataset:
     """A dataset on disk, for reading; one that is being recorded can be read too."""
 
-    def __init__(self, path: Path, state: State) -> None:
+    def __init__(self, path: Path, state: State | None = None) -> None:
         """Hold a dataset; use `open` to get one.
 
         Args:
             path: The folder.
             state: What the index says.
+
+        Raises:
+            InvalidSetup: There is no state.
         """
+        if state is None:
+            raise InvalidSetup(f"Dataset(...) holds what is open; open a dataset with Dataset.open({str(path)!r}).")
         self.path = path
         self.info = state.info
         self.history: tuple[Edit, ...] = tuple(state.history)

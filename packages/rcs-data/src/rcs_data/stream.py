@@ -91,7 +91,7 @@ class StreamWriter:
         Raises:
             DatasetError: The disk is full or fails; earlier batches stay readable.
         """
-        with disk_errors("record rows", self._path):
+        with disk_errors("record rows", self._path, keeps_rows=True):
             self._append(batch.serialize())
 
     def close(self) -> None:

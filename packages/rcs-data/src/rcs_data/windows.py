@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs_data.cache import ByteCache
-from rcs_data.errors import InvalidSetup
+from rcs_data.errors import InvalidSetup, require_fields
 from rcs_data.feature import Feature
 from rcs_data.frame_access import INDEX_BYTES, FrameAccess
 from rcs_data.output import OnProgress
@@ -308,10 +308,7 @@ def _chosen_cameras(dataset: Dataset, names: Sequence[str] | None) -> dict[str, 
         raise InvalidSetup(f"cameras is {names!r}; it must be a sequence of names, such as ({names!r},).")
     depth = {f"{name}/depth": feature for name, feature in camera_features(dataset.info, "depth").items()}
     known = {**colour, **depth}
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        told = ", ".join(known) or "none"
-        raise InvalidSetup(f"There is no camera {', '.join(unknown)} in this dataset. Known: {told}.")
+    require_fields("camera of this dataset", names, known)
     return {name: known[name] for name in names}
 
 

@@ -31,6 +31,9 @@ from rcs_data.recover import Leftovers, RecoverReport, settle_leftovers, write_d
 
 _log = logging.getLogger(__name__)
 
+MOST_DIFFERENCES = 10
+"""So many differences of another setup are named; the rest are counted."""
+
 
 class DatasetWriter(Closing):
     """A dataset that is being recorded; a context manager.
@@ -214,6 +217,13 @@ def _refuse_strangers(root: Path) -> None:
 def _refuse_other_info(root: Path, stored: DatasetInfo, info: DatasetInfo, resume: bool) -> None:
     lines = differences(stored, info)
     if lines:
-        raise DatasetError(f"The dataset in {root} was made with another setup. Differences:\n  " + "\n  ".join(lines))
+        told = [
+            *lines[:MOST_DIFFERENCES],
+            *([f"and {more} more."] if (more := len(lines) - MOST_DIFFERENCES) > 0 else []),
+        ]
+        raise DatasetError(
+            f"The dataset in {root} was made with another setup; choose another folder. Differences:\n  "
+            + "\n  ".join(told)
+        )
     if not resume:
         raise DatasetError(f"There already is a dataset in {root}. Resume it (resume=True), or choose another folder.")

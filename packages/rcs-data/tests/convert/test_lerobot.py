@@ -320,9 +320,9 @@ def test_a_rate_that_is_no_whole_number_is_refused_or_claimed_knowingly(make_dat
     [
         ({"episodes": ("take-9",)}, "no episode take-9"),
         ({"episodes": ("take-0", "take-0")}, "given twice: take-0"),
-        ({"cameras": ("top",)}, "no camera top"),
+        ({"cameras": ("top",)}, "no camera of this dataset named 'top'"),
         ({"extra": ("observation/frames/side/rgb",)}, "cannot be a column"),
-        ({"extra": ("observation/speed",)}, "no feature 'observation/speed'"),
+        ({"extra": ("observation/speed",)}, "no feature of this dataset named 'observation/speed'"),
         ({"codec": "av1"}, "AV1"),
     ],
 )

@@ -373,7 +373,10 @@ def test_a_part_is_imported_and_nothing_else_is_needed(source: Dataset, tmp_path
     compared_frames = back.episodes[0].column("observation/frames/side/rgb")[:-1].astype(float)
     truth = source.episodes[1].column("observation/frames/side/rgb")[:-1]
     assert np.abs(compared_frames - truth).mean() < 4
-    for wrong, words in (({"episodes": ("7",)}, "names no episode"), ({"cameras": ("top",)}, "no camera top")):
+    for wrong, words in (
+        ({"episodes": ("7",)}, "names no episode"),
+        ({"cameras": ("top",)}, "no camera of this dataset named 'top'"),
+    ):
         with pytest.raises(InvalidSetup, match=words):
             import_lerobot(tmp_path / "lerobot", tmp_path / "other", ImportOptions(**wrong))
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rcs_data import Dataset, DatasetInfo, DatasetWriter, EpisodeRecord, Feature, Windows
 from rcs_data.view import write_report, write_sample, write_view
-from rcs_data.view.charts import Series, chart
+from rcs_data.view.charts import Series, chart, labels, ticks
 from rcs_data.view.html import Html, element, figure, film, header, joined, json_text, page, pictures_page, table
 
 EVIL = "\"'></script></style></title><script>hacked()</script><img src=x onerror=hacked()>&amp;\u2028"
@@ -158,3 +158,23 @@ def test_an_episode_that_says_nonsense_is_shown_as_damaged_or_as_what_it_is(
     write_report(dataset)
     assert "000001" in opened._repr_html_()  # pyright: ignore[reportPrivateUsage]
     assert "000001" in opened["000001"]._repr_html_()  # pyright: ignore[reportPrivateUsage]
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(99.89, 100.0), (0.0, 100.0), (0.1, 0.1003), (-2e-7, 1e-7), (12_340, 12_360), (0, 3e6)]
+)
+def test_ticks_have_different_labels_that_say_where_they_are(low: float, high: float) -> None:
+    shown = ticks(low, high)
+    told = labels(shown)
+    assert len(set(told)) == len(told) > 1
+    for value, words in zip(shown, told, strict=True):
+        number = float(words.replace("\u2212", "-").translate({ord("k"): "e3", ord("M"): "e6", ord("G"): "e9"}))
+        assert number == pytest.approx(value, abs=0.26 * (shown[1] - shown[0]))
+
+
+def test_a_page_of_pictures_begins_with_its_contents() -> None:
+    made = pictures_page("Gallery", {"fr3": [("a", "a.jpg")], "ur5e": [("b", "b.jpg"), ("c", "c.jpg")]})
+    contents, pictures = made.split("<main", 1)
+    for name in ("fr3", "ur5e"):
+        (where,) = re.findall(rf'<a href="#([^"]+)">{name}</a>', contents)
+        assert f'<h2 id="{where}">{name}</h2>' in pictures

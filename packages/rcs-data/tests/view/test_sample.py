@@ -132,4 +132,4 @@ def test_the_command_draws_what_was_asked_for(
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 1
-    assert "There is no camera top" in capsys.readouterr().err
+    assert "There is no camera of this dataset named 'top'" in capsys.readouterr().err

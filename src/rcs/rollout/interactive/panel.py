@@ -102,7 +102,7 @@ class Panel:
         elif reach and session.agent is None:
             lines.append(f"> The target of {reach} is out of reach.")
         elif session.is_over:
-            lines.append("> The episode is over. *Reset* begins the next one.")
+            lines.append("> The episode is over. *Reset* repeats it, *Next seed* begins another one.")
         text = "\n\n".join(line for line in lines if line)
         if text != self._status.content:
             self._status.content = text

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 APART = 1.3
 """Distance between a robot and its twin, in parts of its reach."""
 
+BLUE = (0.13, 0.38, 0.85)
+"""Colour of the twin."""
+
+LEGEND = "Left the robot, as it is measured; right, in blue, its twin, as it should be."
+
 
 class TwinView:
     """Serves both to browsers; a context manager. One thread calls `show`."""
@@ -53,16 +58,21 @@ class TwinView:
         bases = np.array([robot.base_in_scene.translation for robot in robots])
         apart = APART * max(robot.arm.workspace_reach for robot in robots) + np.ptp(bases[:, 1])
         try:
-            for name, side in (("robot", -0.5), ("twin", 0.5)):
+            for name, side, tint in (("robot", -0.5, None), ("twin", 0.5, BLUE)):
                 world = TimedWorld(robots)  # for this page alone, put where the robots are
                 place = (0.0, side * apart, 0.0)
-                self._pictures.append((world, BrowserScene(server, world.world, robots, name=name, place=place)))
+                scene = BrowserScene(server, world.world, robots, name=name, place=place, tint=tint)
+                self._pictures.append((world, scene))
                 server.scene.add_label(
-                    f"/{name}/label", name, position=(0.0, place[1], 1.1 * robots[0].arm.workspace_reach)
+                    f"/{name}/label",
+                    name,
+                    position=(0.5 * apart, 0.0, 0.0),  # on the floor before it, from the scene's own origin
+                    font_screen_scale=1.6,
+                    anchor="center-center",
                 )
-            server.initial_camera.position = (2.0 * apart, 0.0, 0.8 * apart)
-            server.initial_camera.look_at = (0.0, 0.0, 0.3 * apart)
-            self._text = server.gui.add_markdown("Waiting for the first step.")
+            server.initial_camera.position = (2.4 * apart, 0.25 * apart, 0.8 * apart)  # the panel covers the right side
+            server.initial_camera.look_at = (0.0, 0.25 * apart, 0.3 * apart)
+            self._text = server.gui.add_markdown(f"{LEGEND}\n\nWaiting for the first step.")
         except BaseException:
             self.close()
             raise
@@ -83,7 +93,7 @@ class TwinView:
             for name, one in comparisons.items():
                 world.arms[name].put(getattr(one, which))
             scene.show()
-        self._text.content = "\n\n".join(_words(name, one) for name, one in comparisons.items())
+        self._text.content = "\n\n".join([LEGEND, *(_words(name, one) for name, one in comparisons.items())])
 
     def close(self) -> None:
         """End the server. Closing twice is harmless."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 from rich.table import Table
@@ -38,7 +39,7 @@ class SplitCommand:
     """Folder of the dataset, which is not changed."""
     out: Path
     """Folder for the parts."""
-    parts: tuple[str, ...] = ()
+    parts: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME=SHARE ...]")] = ()
     """The share of each part, as NAME=SHARE; they sum up to 1."""
     seed: int = 0
     """Seed of the draw."""
@@ -65,7 +66,7 @@ class MixCommand:
     """Leave out features that are not in all datasets."""
     drop: tuple[str, ...] = ()
     """Features to leave out: keys, or prefixes of keys."""
-    rename: tuple[str, ...] = ()
+    rename: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[DATASET/CAMERA=NAME ...]")] = ()
     """New names of cameras, as DATASET/CAMERA=NAME."""
     size: tuple[int, int] | None = None
     """Width and height of all frames [px]."""

@@ -35,6 +35,7 @@ def progress(doing: str) -> Generator[OnProgress]:
     """Show a bar while the block runs; yield the function that moves it."""
     from rich.progress import Progress  # most commands show none
 
-    with Progress(console=plain_console(stderr=True, soft_wrap=False), transient=True) as bar:
+    console = plain_console(stderr=True, soft_wrap=False)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(doing, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total or None)

@@ -88,9 +88,7 @@ class Program:
             return self._parse(f"{typed} {verb}", cast(Table, found), rest)
         if not rest and not any(_is_required(field) for field in fields(found)):
             return found()  # there is nothing to parse, and importing tyro takes as long as many commands
-        import tyro
-
-        return tyro.cli(found, prog=f"{typed} {verb}", args=rest, config=_how_to_parse())
+        return _parsed(found, prog=f"{typed} {verb}", args=rest)
 
     def _options_help(self) -> str:
         return (
@@ -106,10 +104,7 @@ class Program:
         """
         if shell not in SHELLS:
             raise UnknownName("completion for a shell", shell, SHELLS)
-        import tyro
-
-        arguments = ["--tyro-write-completion", shell, "-"]
-        tyro.cli(_union(self.verbs), prog=self.name, args=arguments, config=_how_to_parse())
+        _parsed(_union(self.verbs), prog=self.name, args=["--tyro-write-completion", shell, "-"])
 
 
 def run(command: Any) -> int:
@@ -144,10 +139,12 @@ def _is_required(field: Field[Any]) -> bool:
     return field.default is MISSING and field.default_factory is MISSING
 
 
-def _how_to_parse() -> tuple[Any, ...]:
-    from tyro import conf
+def _parsed(kind: Any, *, prog: str, args: list[str]) -> Any:
+    import tyro
 
-    return (conf.OmitArgPrefixes, conf.FlagCreatePairsOff)
+    from rcs_data.cli.options import REGISTRY
+
+    return tyro.cli(kind, prog=prog, args=args, config=(tyro.conf.OmitArgPrefixes,), registry=REGISTRY)
 
 
 def _union(table: Table) -> Any:

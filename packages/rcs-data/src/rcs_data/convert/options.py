@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import get_args
 
-from rcs_data.errors import InvalidSetup
+from rcs_data.errors import InvalidSetup, require_fields
 from rcs_data.feature import Feature
 from rcs_data.output import OnProgress
 from rcs_data.reader import Dataset, EpisodeRecord
@@ -227,7 +227,5 @@ def selected_cameras(names: Iterable[str], options: ExportOptions | ImportOption
     names = list(names)
     if options.cameras is None:
         return tuple(names)
-    unknown = [name for name in options.cameras if name not in names]
-    if unknown:
-        raise InvalidSetup(f"There is no camera {', '.join(unknown)}. Known: {', '.join(names) or 'none'}.")
+    require_fields("camera of this dataset", options.cameras, names)
     return options.cameras

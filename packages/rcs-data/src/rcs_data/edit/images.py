@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rcs_data.codec import decode_frame, encode_frame
 from rcs_data.content import flat_numbers
 from rcs_data.edit.transaction import editing
-from rcs_data.errors import InvalidSetup
+from rcs_data.errors import InvalidSetup, require_fields
 from rcs_data.feature import Feature
 from rcs_data.flags import camera_of
 from rcs_data.info import DatasetInfo
@@ -61,8 +61,7 @@ def renamed(info: DatasetInfo, names: Mapping[str, str]) -> DatasetInfo:
         InvalidSetup: There is no such camera, two would share a name, or a new name is not valid.
     """
     known = cameras_of(info)
-    if unknown := sorted(set(names) - set(known)):
-        raise InvalidSetup(f"There is no camera {', '.join(unknown)}; there are {', '.join(known) or 'none'}.")
+    require_fields("camera of this dataset", names, known)
     after = [names.get(camera, camera) for camera in known]
     if len(set(after)) < len(after):
         raise InvalidSetup(f"Cameras {known} cannot be renamed to {after}: two would share a name.")

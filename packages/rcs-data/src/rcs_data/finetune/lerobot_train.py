@@ -14,6 +14,7 @@ statistics of the data in its normalisation, which LeRobot freezes.
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import sys
@@ -31,6 +32,7 @@ from vlagents.policies.torch_stack import import_stack
 
 import_stack("lerobot", "lerobot")  # torchvision, too, beside a torch for the CPU
 
+from lerobot.datasets import lerobot_dataset  # noqa: E402
 from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 from lerobot.scripts import lerobot_train  # noqa: E402
 from torchvision.ops.misc import FrozenBatchNorm2d  # noqa: E402
@@ -134,6 +136,41 @@ def _video(path: Path) -> tuple[torch.Tensor, float]:
         return torch.from_numpy(frames).permute(0, 3, 1, 2).contiguous(), float(stream.average_rate or 0)
 
 
+def frames_at(
+    path: Path | str, times: list[float], tolerance: float, backend: str | None = None, **_: Any
+) -> torch.Tensor:
+    """Return the frames of a video at some times [s], (times, 3, height, width) from 0 to 1, as LeRobot's decoder does.
+
+    Raises:
+        ValueError: There is none within the tolerance [s].
+    """
+    found: list[tuple[float, Any]] = []
+    with av.open(str(path)) as file:
+        stream = file.streams.video[0]
+        file.seek(max(0, int(min(times) / (stream.time_base or 1))), stream=stream)  # to the key frame before
+        for frame in file.decode(stream):
+            found.append((frame.time or 0.0, frame))
+            if found[-1][0] >= max(times):
+                break
+    away = np.abs(np.subtract.outer(times, [time for time, _ in found]))
+    if not found or away.min(1).max() > tolerance:
+        raise ValueError(f"{path} has no frames at {times} s within {tolerance} s.")
+    shown = np.stack([found[i][1].to_ndarray(format="rgb24") for i in away.argmin(1)])
+    return torch.from_numpy(shown).permute(0, 3, 1, 2).float() / 255
+
+
+def read_videos() -> None:
+    """Have PyAV read videos where torchcodec cannot, which LeRobot reads them with."""
+    try:
+        importlib.import_module("torchcodec")
+    except (ImportError, OSError, RuntimeError):
+        sys.stderr.write(
+            "torchcodec does not work here: it is not installed, or finds no FFmpeg (Debian: apt-get install ffmpeg). "
+            "PyAV reads the videos in its place; that takes longer where they do not fit into memory.\n"
+        )
+        lerobot_dataset.decode_video_frames = frames_at
+
+
 def make_dataset(config: Any) -> Any:
     """Return LeRobot's dataset, in memory if there is room."""
     dataset = _makers["dataset"](config)
@@ -203,5 +240,6 @@ if __name__ == "__main__":
     os.environ.setdefault("ACCELERATE_MIXED_PRECISION", "bf16")
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", str(torch.get_num_threads()))))
     sys.argv[1:] = arguments(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:])
+    read_videos()
     lerobot_train.make_dataset, lerobot_train.make_policy = make_dataset, make_policy
     lerobot_train.main()

@@ -68,12 +68,16 @@ def chart(
         return [",".join(map(str, place(*point))) for point in zip(x, y, strict=True)]
 
     parts: list[Html] = []
-    for value in ticks(low, high):
+    shown = ticks(low, high)
+    for value, label in zip(shown, labels(shown), strict=True):
         _, y = place(0, value)
         parts.append(element("line", class_="rule", x1=_LEFT, x2=width - _RIGHT, y1=y, y2=y))
-        parts.append(element("text", short(value), x=_LEFT - 6, y=y + 4, text_anchor="end"))
+        parts.append(element("text", label, x=_LEFT - 6, y=y + 4, text_anchor="end"))
     counted = [value for value in ticks(0, most) if value == int(value)]
-    parts += [element("text", short(x), x=place(x, low)[0], y=_HEIGHT - 6, text_anchor="middle") for x in counted]
+    parts += [
+        element("text", label, x=place(x, low)[0], y=_HEIGHT - 6, text_anchor="middle")
+        for x, label in zip(counted, labels(counted), strict=True)
+    ]
     for one in series:
         paint = f"var(--line-{one.colour % _COLOURS})"
         if one.low:
@@ -110,12 +114,23 @@ def ticks(low: float, high: float, wanted: int = 4) -> list[float]:
     return [i * step for i in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
-def short(value: float) -> str:
-    """Return a number in a few characters, such as 250k, 1.5M or 0.031."""
+def labels(values: Sequence[float]) -> list[str]:
+    """Return numbers as `short` does, with as many digits as tell each from the next."""
+    told: list[str] = []
+    for digits in range(3, 18):
+        told = [short(value, digits) for value in values]
+        if len(set(told)) == len(told):
+            break
+    return told
+
+
+def short(value: float, digits: int = 3) -> str:
+    """Return a number in a few characters, such as 250k, 1.5M or 0.031, with so many digits at least."""
     for size, letter in ((1e9, "G"), (1e6, "M"), (1e4, "k")):
         if abs(value) >= size:
-            return f"{value / (1e3 if letter == 'k' else size):.4g}{letter}".replace("-", "−")
-    return f"{value:.3g}".replace("-", "−") if abs(value) < 1000 else f"{value:.0f}".replace("-", "−")
+            return f"{value / (1e3 if letter == 'k' else size):.{digits + 1}g}{letter}".replace("-", "−")
+    decimals = f"{value:.{digits - 3}f}" if abs(value) >= 1000 else f"{value:.{digits}g}"
+    return decimals.replace("-", "−")
 
 
 def _span(series: Sequence[Series]) -> tuple[float, float]:

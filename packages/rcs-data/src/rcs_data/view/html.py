@@ -133,17 +133,24 @@ def web(name: str) -> str:
 
 
 def pictures_page(title: str, groups: Mapping[str, Sequence[tuple[str, str]]]) -> str:
-    """Return a page of pictures that lie beside it.
+    """Return a page of pictures that lie beside it, with links to its parts.
 
     Args:
         title: The page's.
         groups: For each heading the captions and the file names of its pictures.
     """
     parts: list[Html] = []
-    for heading, pictures in groups.items():
-        parts.append(element("h2", heading))
+    contents: list[Html] = []
+    for number, (heading, pictures) in enumerate(groups.items()):
+        contents.append(element("a", heading, href=f"#part-{number}"))
+        parts.append(element("h2", heading, id=f"part-{number}"))
         parts += [figure(element("img", src=name, alt=caption), caption) for caption, name in pictures]
-    return page(title, header(title), element("main", *parts, class_="gallery"))
+    return page(
+        title,
+        header(title),
+        element("div", *contents, class_="contents"),
+        element("main", *parts, class_="gallery"),
+    )
 
 
 def _inside(kind: str, data: bytes) -> str:

@@ -6,7 +6,8 @@
 #   VLAGENTS     where vlagents comes from; rcs-vlagents
 #   PYTHON       python3.11; LeRobot 0.5 and later want 3.12
 #
-# To read a dataset's videos, torchcodec needs FFmpeg's libraries: the package ffmpeg of Debian and others.
+# torchcodec reads a dataset's videos with FFmpeg's libraries, the package ffmpeg of Debian and others; `rcs train
+# --policy` reads them with PyAV where there are none.
 set -eu
 folder=${1:?name the folder of the environment}
 "${PYTHON:-python3.11}" -m venv "$folder"
