@@ -175,6 +175,8 @@ void Motion::plan(const mjModel* model, mjData* data, double* memory, Copy& copy
   if (is_asked) {
     if (is_astray(model, data, memory, copy, kAstray)) {
       copy.memory.assign(memory, memory + n);  // the target
+      for (std::size_t i = 0; i < n; ++i)      // where the servos go on pressing
+        copy.measured[i] = std::clamp(trajectory.position()[i], copy.measured[i] - kAstray, copy.measured[i] + kAstray);
       const std::span<const double> measured(copy.measured);
       Trajectory::stand({memory, static_cast<std::size_t>(Trajectory::size(dof()))}, measured.first(n));
       std::ranges::copy(copy.memory, memory);

@@ -17,7 +17,7 @@ namespace rcs {
 /// A motion that would take more torque than the motors have beside gravity (that of a load they were told of, too) is
 /// made with less acceleration, as much as inverse dynamics ask for. Besides the position, the servo is given the
 /// velocity and the force of the acceleration, so that it does not lag behind. An arm that is kept from following is
-/// not run away from: its trajectory begins anew where it is.
+/// not run away from: its trajectory begins anew at most 0.2 rad from it.
 ///
 /// All that the motion remembers is in the copy's `mjData.userdata`: a state that is saved and restored goes on with
 /// the same bits.
