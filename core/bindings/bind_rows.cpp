@@ -72,6 +72,7 @@ void bind_rows(nb::module_& m) {
         "Cut `asked` (..., n) to at most `max_step` (n,) from `last` and `max_lead` (n,) from `measured`: all joints "
         "of a row "
         "go the same share of the way from `last`.\n\nA joint that was pushed out of its lead goes back towards it "
-        "first, by a step at most. Returns the targets and a flag per row that says whether it was cut by more than "
+        "first, by a step at most; one that is asked for less of its lead, or for the other side of the measured "
+        "joint, drops it at once. Returns the targets and a flag per row that says whether it was cut by more than "
         "`rounding`; None if no row was.");
 }

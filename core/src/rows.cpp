@@ -40,16 +40,21 @@ bool limit_rows(std::span<const double> asked, std::span<const double> last, std
       throw InvalidSetup("limit_rows: max_lead must not be negative or NaN, one is " + std::to_string(lead));
   bool is_any = false;
   for (std::size_t row = 0; row < is_cut.size(); ++row) {
-    // From where the last target is, or has to go first when the arm was pushed away: within the lead again, or as far
-    // towards it as a step goes. From there, all joints go the same share of the way, so that the path is not bent.
+    // From where the last target is: or as far back towards the measured joint as it is asked for, which takes no
+    // limit; or where it has to go first when the arm was pushed away: within the lead again, or as far towards it as a
+    // step goes. From there, all joints go the same share of the way, so that the path is not bent.
     double share = 1.0;
     for (std::size_t c = 0; c < width; ++c) {
       const std::size_t i = row * width + c;
-      const double low = std::max(last[i] - max_step[c], measured[i] - max_lead[c]);
-      const double high = std::min(last[i] + max_step[c], measured[i] + max_lead[c]);
-      const bool is_pushed = low > high;
-      const double from = is_pushed ? std::clamp(measured[i], last[i] - max_step[c], last[i] + max_step[c])
-                                    : std::clamp(last[i], low, high);
+      const bool is_pushed = std::abs(measured[i] - last[i]) > max_lead[c] + max_step[c];
+      const double back = std::clamp(asked[i], std::min(last[i], measured[i]), std::max(last[i], measured[i]));
+      const double held = std::clamp(last[i], measured[i] - max_lead[c], measured[i] + max_lead[c]);
+      const double base = is_pushed                                                     ? last[i]
+                          : std::abs(back - measured[i]) < std::abs(held - measured[i]) ? back
+                                                                                        : held;
+      const double low = std::max(base - max_step[c], measured[i] - max_lead[c]);
+      const double high = std::min(base + max_step[c], measured[i] + max_lead[c]);
+      const double from = is_pushed ? std::clamp(measured[i], last[i] - max_step[c], last[i] + max_step[c]) : base;
       target[i] = from;
       const double way = asked[i] - from;
       if (std::abs(way) <= rounding) continue;

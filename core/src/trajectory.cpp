@@ -249,6 +249,7 @@ double Trajectory::gained_share(double ahead, double horizon) {
       const double sign = plan.end[i] < 0.0 ? -1.0 : 1.0;
       const double lead = sign * plan.lead[i], now = sign * plan.velocity[i], speed = sign * share * plan.end[i];
       if (lead <= kRounding) continue;  // it is to go back
+      if (now < -0.5 * horizon * input.max_acceleration[i]) return false;  // it is to stop first
       const double least = changing_time(std::abs(speed - now), input.max_acceleration[i], input.max_jerk[i]);
       double way = 0.5 * least * (speed + now);
       if (now < speed) {

@@ -19,6 +19,7 @@ from rcs.errors import InvalidSetup, Refused, UnknownName
 from rcs.robots.fr3.description import FR3
 from rcs.sim import Scene
 from rcs.tasks.free import Free
+from rcs.tasks.pick_cuboid import PickCuboid
 from rcs.virtual import StandInArm
 
 OPEN = np.ones(1, np.float32)
@@ -196,6 +197,42 @@ def test_experts_still_do_their_work_under_guard(task: str, robot: str) -> None:
         agent = agent_for(env, None)
         successes = [bool(rcs.run_episode(env, agent, seed=seed).success) for seed in range(3)]
     assert all(successes)
+
+
+class PickBesidePlate(PickCuboid):
+    """The task of picking, and a plate that can be put anywhere."""
+
+    def furnish(self, scene: Scene) -> None:
+        super().furnish(scene)
+        plate = scene.spec.worldbody.add_body(name="plate", mocap=True, pos=(0.0, 5.0, 0.0))
+        plate.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.15, 0.15, 0.001))
+
+
+def test_what_a_gripper_holds_is_part_of_the_robot() -> None:
+    with rcs.make(PickBesidePlate, control="tquat", relative=False, max_episode_steps=None, gates=["Guard"]) as env:
+        agent = agent_for(env, None)
+        observation, info = env.reset(seed=0)
+        agent.reset(observation, info)
+        for _ in range(200):
+            observation, *_, info = env.step(agent.act(observation, info))
+            if info["is_grasped"] and info["cuboid"][2] > 0.12:
+                break
+        assert info["is_grasped"]
+        target = {"tquat": observation["tquat"].copy(), "gripper": np.zeros(1, np.float32)}
+        for _ in range(20):
+            *_, info = env.step(target)
+        world, cuboid = env.scenario.world, env.scenario.world.data.body("cuboid")
+        # Below the cuboid, which reaches lower than the fingers.
+        bottom = cuboid.xpos[2] - 0.5 * info["edges"][2]
+        world.data.mocap_pos[0] = (cuboid.xpos[0], cuboid.xpos[1], bottom - 0.03)
+        for _ in range(40):
+            target["tquat"][2] -= 0.002
+            *_, info = env.step(target)
+            if "refused" in info:
+                break
+        assert "'cuboid'" in info["refused"]
+        assert "'plate'" in info["refused"]
+        assert world.data.body("cuboid").xpos[2] - 0.5 * info["edges"][2] > world.data.mocap_pos[0][2] + 0.008
 
 
 def test_refused_all_robots_hold_and_the_episode_goes_on_or_ends_as_chosen() -> None:

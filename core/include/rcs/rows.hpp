@@ -13,7 +13,8 @@ bool clip_rows(std::span<const T> values, std::span<const T> lower, std::span<co
                std::span<T> clipped);
 
 /// Cut `asked` to at most `max_step` from `last` and `max_lead` from `measured`: all joints of a row go the same share
-/// of the way from `last`. A joint that was pushed out of its lead goes back towards it first, by a step at most.
+/// of the way from `last`. A joint that was pushed out of its lead goes back towards it first, by a step at most; one
+/// that is asked for less of its lead, or for the other side of the measured joint, drops it at once.
 ///
 /// Rows have the length of `max_step` and `max_lead`; `is_cut` has one flag per row, for changes above `rounding`.
 /// Returns whether any is set. Throws `InvalidSetup` for limits that are negative or NaN.

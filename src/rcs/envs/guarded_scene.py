@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rcs._core import CollisionChecker
+from rcs.envs.held_objects import HeldObjects, changed
 from rcs.envs.spaces import GRIPPER, HAND, JOINTS
 from rcs.errors import InvalidSetup
 from rcs.sim.scene import TABLE, RobotPlacement, Scene
 from rcs.sim.world import World
+from rcs.spatial import Pose
 
 Box = tuple[Sequence[float], Sequence[float]]
 """Lowest and highest corner [m], in the frame of the scene."""
@@ -29,6 +31,9 @@ WALL = "workspace"
 """Name of the body of the walls around a workspace."""
 WALL_THICKNESS = 0.2
 """How thick they are [m]: nothing is on the other side after one step."""
+
+SLIP, SLIP_TURN = 1e-3, 0.02
+"""A held object that has moved by less in the hand is where it was [m, rad]."""
 
 GEOMETRY = ("geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb", "body_pos", "body_quat")
 """Fields of a model that say where shapes are and how large."""
@@ -92,11 +97,15 @@ class GuardedScene:
         self._allowed = [pair for hand in hands for pair in itertools.combinations_with_replacement(hand, 2)]
         self._allowed += [(body, part) for body in touch for hand in hands for part in hand]
         self._allowed += [(body, part) for body in ignore for arm in arms for part in arm]
+        # What is held comes down on the table and on other objects.
+        self._allowed += [(body, other) for body in touch for other in (*near, *touch) if other != body]
         self._allowed += list(allow)
         if workspace is not None:
             self._allowed += [(WALL, part) for arm, hand in zip(arms, hands, strict=True) for part in arm - hand]
         self._near = [(body, part) for body in near for hand in hands for part in hand]
         self._near += self._close_by_construction(margin)
+        held = () if ignore else touch
+        self._held_objects = HeldObjects(self._model, held, self._robots)
         self._geometry: dict[str, NDArray[Any]] = {}
         self._build()
 
@@ -104,6 +113,7 @@ class GuardedScene:
         """Make the checkers for the present geometry."""
         self._own = self._model.jnt_qposadr[[joint for own in self._joints for joint in own]]
         self._seen: list[NDArray[np.float64]] = []
+        self._held: dict[int, tuple[int, Pose]] = {}
         if self._world is not None:
             for name in GEOMETRY:
                 values: NDArray[Any] = getattr(self._world.model, name)
@@ -139,12 +149,25 @@ class GuardedScene:
         ):
             self._build()
         state = [np.array(part[copy] if world.leading else part) for part in (world.qpos, *self._mocap)]
+        state[0][self._own] = joints
+        held = self._held_objects.find(state[0])
         state[0][self._own] = self._model.qpos0[self._own]  # where robots are is said with every question
-        if self._seen and all(map(np.array_equal, self._seen, state)):
-            return
-        self._seen = state
-        for checker in (self.near, self.far):
-            checker.set_state(*state)
+        if not self._seen or not all(map(np.array_equal, self._seen, state)):
+            self._seen = state
+            for checker in (self.near, self.far):
+                checker.set_state(*state)
+        self._hold(held)
+
+    def _hold(self, held: dict[int, tuple[int, Pose]]) -> None:
+        """Have held objects move with what holds them."""
+        for body in self._held.keys() - held.keys():
+            for checker in (self.near, self.far):
+                checker.detach(body)
+        for body in changed(self._held, held, SLIP, SLIP_TURN):
+            for checker in (self.near, self.far):
+                checker.attach(body, *held[body])
+            self._held = {**self._held, body: held[body]}
+        self._held = {body: self._held[body] for body in held}
 
     def vector(
         self, values: Mapping[str, Mapping[str, Any]], fingers: Mapping[str, Mapping[str, Any]]

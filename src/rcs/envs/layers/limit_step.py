@@ -20,7 +20,8 @@ class LimitStep(Layer):
 
     The first bound is the joint velocity limit times the control period. The second keeps the target from running away
     while the arm is blocked. To a target farther away all joints go the same share of the way, so that the TCP keeps
-    its direction; a joint that is blocked at the end of its lead stops them all. `info["is_limited"]` reports it.
+    its direction; a joint that is blocked at the end of its lead stops them all. What brings a target back towards the
+    measured joint is not bounded: an arm that is to turn round brakes at once. `info["is_limited"]` reports cuts.
     """
 
     memory = ("_target", "_measured", "_is_cut", "_is_limited")
