@@ -1,7 +1,9 @@
 #include "rcs/trajectory.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstdint>
 #include <ruckig/ruckig.hpp>
 #include <string>
 #include <utility>
@@ -15,8 +17,9 @@ namespace {
 // Rows of `dof` numbers in the memory. What is planned follows from the last five and the numbers behind.
 enum Row { kTarget, kLast, kStream, kPosition, kVelocity, kAcceleration, kAim, kEnd, kRows };
 // After the rows: time since the plan's start; its least duration, or below 0 where it is to brake and no more; and the
-// share by which the acceleration is less than its limit; then the order to hold.
-enum Number { kElapsed, kLeast, kSpared, kHold, kNumbers };
+// share by which the acceleration is less than its limit; which joints do not wait for the others, one bit each; then
+// the order to hold.
+enum Number { kElapsed, kLeast, kSpared, kApart, kHold, kNumbers };
 static_assert(Trajectory::size(1) == int{kRows} + int{kNumbers});
 
 // As libfranka, which stays that much below the limits that its robot checks (rate_limiting.h, kLimitEps).
@@ -39,7 +42,7 @@ constexpr double kRounding = 1e-6;
 // Targets may lead by what an arm needs to stop at this share of its acceleration, so that an arm that spares torque is
 // not slowed down.
 constexpr double kSparing = 0.5;
-// Places that a plan is aimed at, each nearer than the one before, until the arm could stop; the last is rest.
+// Places that a joint is aimed at, each nearer than the one before, until it could stop; the last is rest.
 constexpr int kTries = 5;
 // How much nearer, of the way by which it would pass: a nearer place is reached at less speed, too.
 constexpr double kNearer = 0.6;
@@ -107,7 +110,8 @@ std::vector<double> MotionLimits::lead(double period) const {
 // A planned trajectory, and what it was planned for. Another memory, or a restored one, makes it plan anew.
 struct Trajectory::Plan {
   explicit Plan(std::size_t dof) : ruckig(dof), input(dof), trajectory(dof) {
-    for (auto* values : {&position, &velocity, &acceleration, &aim, &end, &lead, &room}) values->assign(dof, 0.0);
+    for (auto* values : {&position, &velocity, &acceleration, &target, &end, &later, &room, &aim, &speed})
+      values->assign(dof, 0.0);
   }
 
   bool compute() {
@@ -131,9 +135,11 @@ struct Trajectory::Plan {
   std::vector<double> source;  // the numbers that it was computed from
   bool is_still = true;        // it starts where it ends
   std::vector<double> position, velocity, acceleration;
-  std::vector<double> aim, end;  // where to, at which velocity
-  std::vector<double> room;      // to the end of the range, from the target on
-  std::vector<double> lead;      // by which the target, where it is in mid-horizon, leads each joint
+  // What the law looks at: the targets, at which velocity they move, how much later the plan is to meet them [s], and
+  // how far the range goes on behind them; where the arm is.
+  std::vector<double> target, end, later, room;
+  std::array<std::vector<double>, 3> from;
+  std::vector<double> aim, speed;  // what it comes to: where to, at which velocity
 };
 
 Trajectory::Trajectory(MotionLimits limits) : limits_(std::move(limits)) {
@@ -166,13 +172,13 @@ Trajectory::Plan& Trajectory::plan(const double* memory) {
   const std::size_t n = limits_.lower.size();
   const double* first = memory + kPosition * n;
   const std::size_t count = (kRows - kPosition) * n;
-  const double least = memory[kRows * n + kLeast], spared = memory[kRows * n + kSpared];
-  if (plan.source.size() == count + 2 && std::equal(first, first + count, plan.source.begin()) &&
-      plan.source[count] == least && plan.source[count + 1] == spared)
+  const double* numbers = memory + kRows * n;
+  const double least = numbers[kLeast], spared = numbers[kSpared], apart = numbers[kApart];
+  if (plan.source.size() == count + 3 && std::equal(first, first + count, plan.source.begin()) &&
+      std::equal(numbers + kLeast, numbers + kHold, plan.source.begin() + static_cast<std::ptrdiff_t>(count)))
     return plan;
   plan.source.assign(first, first + count);
-  plan.source.push_back(least);
-  plan.source.push_back(spared);
+  plan.source.insert(plan.source.end(), numbers + kLeast, numbers + kHold);
   auto& input = plan.input;
   plan.is_still = true;
   for (std::size_t i = 0; i < n; ++i) {
@@ -191,6 +197,14 @@ Trajectory::Plan& Trajectory::plan(const double* memory) {
                     input.target_velocity[i] == 0.0 && input.target_position[i] == input.current_position[i];
   }
   if (plan.is_still) return plan;
+  if (apart != 0.0) {
+    std::vector<ruckig::Synchronization> each(n, ruckig::Synchronization::Time);
+    for (std::size_t i = 0; i < n; ++i)
+      if (static_cast<std::uint64_t>(apart) >> i & 1) each[i] = ruckig::Synchronization::None;
+    input.per_dof_synchronization = std::move(each);
+  } else {
+    input.per_dof_synchronization.reset();
+  }
   input.synchronization = least == kAlone ? ruckig::Synchronization::None : ruckig::Synchronization::Phase;
   input.control_interface = least < 0.0 ? ruckig::ControlInterface::Velocity : ruckig::ControlInterface::Position;
   if (least > 0.0)
@@ -236,29 +250,51 @@ double Trajectory::stay_behind(double share) {
   return behind;
 }
 
-// The share of the targets' speed at which an arm can aim without going back: the place where it may have that speed
-// must be at least as far as the arm comes until it has it.
-double Trajectory::gained_share(double ahead, double horizon) {
+// How far a joint is from where it may have a share of its target's speed, less the way that it takes to come to that
+// speed; what is below 0 makes it go back.
+double Trajectory::spare_way(std::size_t i, double share, double behind, double horizon) const {
+  const Plan& plan = *plan_;
+  const double sign = plan.end[i] < 0.0 ? -1.0 : 1.0;
+  const double lead = sign * (plan.target[i] + plan.end[i] * plan.later[i] - plan.from[0][i]);
+  const double now = sign * plan.from[1][i], speed = sign * share * plan.end[i];
+  if (lead <= kRounding) return 0.0;  // it is to go back
+  const double least = changing_time(std::abs(speed - now), plan.input.max_acceleration[i], plan.input.max_jerk[i]);
+  double way = 0.5 * least * (speed + now);
+  if (now < speed) {
+    // An arm that needs little of the time for that may go on a little slower for a while.
+    const double spare = std::max(horizon - least, 0.0);
+    way += 0.5 * spare * (speed + now - std::clamp(now, 0.0, speed));
+  }
+  return lead - speed * behind - way;
+}
+
+// Have joints that go away from their targets, or are too fast to have the targets' speed there, come to rest at them.
+// They do not wait for the others. Returns them, one bit each.
+std::uint64_t Trajectory::let_go(double horizon) {
   Plan& plan = *plan_;
-  const auto& input = plan.input;
-  for (std::size_t i = 0; i < plan.end.size(); ++i) plan.lead[i] = plan.aim[i] + plan.end[i] * ahead - plan.position[i];
+  const double behind = stay_behind(1.0);
+  std::uint64_t apart = 0;
+  for (std::size_t i = 0; i < plan.end.size(); ++i) {
+    if (plan.end[i] == 0.0) continue;
+    const double now = plan.end[i] < 0.0 ? -plan.from[1][i] : plan.from[1][i];
+    const bool goes_away =
+        now < -0.5 * horizon * plan.input.max_acceleration[i] && (plan.target[i] - plan.from[0][i]) * plan.end[i] > 0.0;
+    const bool is_too_fast = now > std::abs(plan.end[i]) && spare_way(i, 1.0, behind, horizon) < -kRounding;
+    if (!goes_away && !is_too_fast) continue;
+    plan.end[i] = 0.0;
+    apart |= std::uint64_t{1} << i;
+  }
+  return apart;
+}
+
+// The share of the targets' speed at which the arm can aim without going back: the place where it may have that speed
+// must be at least as far as the arm comes until it has it.
+double Trajectory::gained_share(double horizon) {
   const auto can = [&](double share) {
     const double behind = stay_behind(share);
     if (behind == 0.0 && share == 1.0) return true;
-    for (std::size_t i = 0; i < plan.end.size(); ++i) {
-      const double sign = plan.end[i] < 0.0 ? -1.0 : 1.0;
-      const double lead = sign * plan.lead[i], now = sign * plan.velocity[i], speed = sign * share * plan.end[i];
-      if (lead <= kRounding) continue;  // it is to go back
-      if (now < -0.5 * horizon * input.max_acceleration[i]) return false;  // it is to stop first
-      const double least = changing_time(std::abs(speed - now), input.max_acceleration[i], input.max_jerk[i]);
-      double way = 0.5 * least * (speed + now);
-      if (now < speed) {
-        // An arm that needs little of the time for that may go on a little slower for a while.
-        const double spare = std::max(horizon - least, 0.0);
-        way += 0.5 * spare * (speed + now - std::clamp(now, 0.0, speed));
-      }
-      if (lead - speed * behind < way - kRounding) return false;
-    }
+    for (std::size_t i = 0; i < plan_->end.size(); ++i)
+      if (plan_->end[i] != 0.0 && spare_way(i, share, behind, horizon) < -kRounding) return false;
     return true;
   };
   if (can(1.0)) return 1.0;
@@ -299,63 +335,71 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
     const double speed = std::min(std::abs(plan.end[i]),
                                   braking_speed(plan.room[i], plan.input.max_acceleration[i], plan.input.max_jerk[i]));
     plan.end[i] = std::copysign(speed, plan.end[i]);
-    plan.aim[i] = target[i];
   }
-  // The plan is made for the end of the step after this one, were the target to go on like this. Where an arm that is
-  // too fast could not stop at the target then, it is made for a nearer place; and where it cannot at all, for rest.
+  // The plan is made for the end of the step after this one, were the target to go on like this. Where a joint that is
+  // too fast could not stop at its target then, it is made for a nearer place; and where it cannot at all, for rest.
   const double horizon = step.is_synchronous ? 0.0 : (kHorizon - 1.0) * step.period;
   const double soonest = step.is_synchronous ? 0.0 : -step.rest;
-  const std::vector<double>&position = plan.position, &velocity = plan.velocity, &acceleration = plan.acceleration;
-  const std::vector<double> stands(position), goes(velocity), gains(acceleration);
-  double later = step.is_synchronous ? 0.0 : horizon - step.rest;
-  double gained = gained_share(later, step.duration + horizon), behind = stay_behind(gained);
+  std::ranges::fill(plan.later, soonest + horizon);
+  plan.from = {plan.position, plan.velocity, plan.acceleration};
+  std::uint64_t apart = 0, nearer = 0;
   const auto aim = [&] {
-    bool is_same = memory[kRows * n + kSpared] == 1.0 - share && memory[kRows * n + kLeast] >= 0.0;
+    apart |= let_go(step.duration + horizon);
+    const double gained = gained_share(step.duration + horizon), behind = stay_behind(gained);
+    for (std::size_t i = 0; i < n; ++i)  // nor do those wait that are to go back
+      if ((plan.target[i] + plan.end[i] * plan.later[i] - plan.from[0][i]) * plan.end[i] < 0.0)
+        apart |= std::uint64_t{1} << i;
+    bool is_same = memory[kRows * n + kSpared] == 1.0 - share && memory[kRows * n + kLeast] >= 0.0 &&
+                   memory[kRows * n + kApart] == static_cast<double>(apart);
     for (std::size_t i = 0; i < n; ++i) {
-      plan.aim[i] = target[i] + (gained > 0.0 ? plan.end[i] * (later - gained * behind) : 0.0);
-      plan.lead[i] = gained * plan.end[i];
-      is_same = is_same && plan.aim[i] == memory[kAim * n + i] && plan.lead[i] == memory[kEnd * n + i];
+      plan.aim[i] = target[i] + (gained > 0.0 ? plan.end[i] * (plan.later[i] - gained * behind) : 0.0);
+      plan.speed[i] = gained * plan.end[i];
+      is_same = is_same && plan.aim[i] == memory[kAim * n + i] && plan.speed[i] == memory[kEnd * n + i];
     }
     return is_same;
   };
+  std::ranges::copy(std::span(target, n), plan.target.begin());
   if (aim()) return;
-  std::ranges::copy(stands, memory + kPosition * n);
-  std::ranges::copy(goes, memory + kVelocity * n);
-  std::ranges::copy(gains, memory + kAcceleration * n);
+  std::ranges::copy(plan.from[0], memory + kPosition * n);
+  std::ranges::copy(plan.from[1], memory + kVelocity * n);
+  std::ranges::copy(plan.from[2], memory + kAcceleration * n);
   memory[kRows * n + kElapsed] = 0.0;
   memory[kRows * n + kLeast] = step.is_synchronous ? 0.0 : step.duration + horizon;
   memory[kRows * n + kSpared] = 1.0 - share;
-  // Returns by how much time too far the plan is aimed.
-  const auto excess = [&] {
+  for (int k = 0; k <= kTries; ++k) {
     std::ranges::copy(plan.aim, memory + kAim * n);
-    std::ranges::copy(plan.lead, memory + kEnd * n);
+    std::ranges::copy(plan.speed, memory + kEnd * n);
+    memory[kRows * n + kApart] = static_cast<double>(apart);
+    this->plan(memory);
+    // What cannot be at its nearer place in time must not keep the others waiting.
+    const auto& durations = plan.trajectory.get_independent_min_durations();
+    std::uint64_t late = 0;
+    for (std::size_t i = 0; i < n && !plan.is_still; ++i)
+      if ((nearer & ~apart) >> i & 1 && durations[i] > step.duration + horizon) late |= std::uint64_t{1} << i;
+    // Nor must all wait for a time at which one of them, which could be there sooner, can be there again.
+    if (!plan.is_still && !step.is_synchronous &&
+        plan.duration() > 1.01 * std::max(*std::ranges::max_element(durations), step.duration + horizon))
+      late = (std::uint64_t{1} << n) - 1;
+    if (late) memory[kRows * n + kApart] = static_cast<double>(apart |= late);
     this->plan(memory).at(step.duration);
-    double most = 0.0;
-    for (std::size_t i = 0; i < n; ++i) {
-      const double sign = plan.lead[i] < 0.0 ? -1.0 : 1.0, speed = sign * velocity[i];
-      if (plan.lead[i] == 0.0 || speed <= 0.0) continue;
+    bool can_stop = true;
+    for (std::size_t i = 0; i < n && k < kTries; ++i) {
+      const double sign = plan.speed[i] < 0.0 ? -1.0 : 1.0, speed = sign * plan.velocity[i];
+      if (plan.speed[i] == 0.0 || speed <= 0.0) continue;
       const double way =
-          stopping_distance(speed, sign * acceleration[i], plan.input.max_acceleration[i], plan.input.max_jerk[i]);
-      const double past = sign * (position[i] - target[i]) + way - std::min(kPromise, plan.room[i]);
-      most = std::max(most, past / std::abs(plan.end[i]));
+          stopping_distance(speed, sign * plan.acceleration[i], plan.input.max_acceleration[i], plan.input.max_jerk[i]);
+      const double past = sign * (plan.position[i] - target[i]) + way - std::min(kPromise, plan.room[i]);
+      if (past <= kRounding) continue;
+      can_stop = false;
+      nearer |= std::uint64_t{1} << i;
+      plan.later[i] -= kNearer * past / std::abs(plan.end[i]);
+      if (k + 2 >= kTries) plan.later[i] = soonest;
+      if (k + 1 == kTries) plan.end[i] = 0.0;
+      plan.later[i] = std::max(plan.later[i], soonest);
     }
-    return most;
-  };
-  const auto restart = [&] {  // what the law looks at
-    plan.position = stands;
-    plan.velocity = goes;
-    plan.acceleration = gains;
-  };
-  for (int k = 0; k < kTries; ++k) {
-    const double most = excess();
-    if (most <= kRounding) return;
-    restart();
-    later = k + 2 < kTries ? std::max(later - kNearer * most, soonest) : soonest;
-    gained = k + 1 < kTries ? gained_share(later, step.duration + horizon) : 0.0;
-    behind = stay_behind(gained);
+    if (can_stop) return;
     aim();
   }
-  excess();
 }
 
 void Trajectory::put(double* memory, std::span<const double> joints, std::span<const double> velocities) {
@@ -378,7 +422,7 @@ void Trajectory::brake(double* memory, double share) {
     std::ranges::copy(plan_->position, memory + kAim * n);
     std::fill_n(memory + kEnd * n, n, 0.0);
     std::fill_n(memory + kStream * n, n, 0.0);
-    memory[kRows * n + kElapsed] = 0.0;
+    memory[kRows * n + kElapsed] = memory[kRows * n + kApart] = 0.0;
     memory[kRows * n + kSpared] = 1.0 - share;
     least = kTogether;
   }
@@ -415,7 +459,7 @@ void Trajectory::advance(double* memory, double time) {
     memory[kPosition * n + i] = memory[kAim * n + i] = position;
     memory[kVelocity * n + i] = memory[kAcceleration * n + i] = memory[kEnd * n + i] = 0.0;
   }
-  memory[kRows * n + kElapsed] = memory[kRows * n + kLeast] = memory[kRows * n + kSpared] = 0.0;
+  std::fill_n(memory + kRows * n, std::size_t{kHold}, 0.0);
   plan(memory);
 }
 

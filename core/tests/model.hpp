@@ -31,7 +31,7 @@ inline Model make_model(const char* mjcf) {
 /// A cart on a rail with a position servo, and user data for its motion.
 inline constexpr const char* kCart = R"(
 <mujoco>
-  <size nuserdata="12"/>
+  <size nuserdata="13"/>
   <option timestep="0.002" gravity="0 0 0"/>
   <worldbody>
     <body name="cart">

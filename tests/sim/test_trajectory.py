@@ -170,7 +170,7 @@ def test_targets_may_lead_by_what_the_arm_needs_to_stop() -> None:
 
 def test_memory_of_another_size_is_refused() -> None:
     trajectory = Trajectory(FR3.motion_limits)
-    with pytest.raises(InvalidSetup, match="the memory has 7 numbers, valid are 60"):
+    with pytest.raises(InvalidSetup, match="the memory has 7 numbers, valid are 61"):
         trajectory.state(np.zeros(7))
     with pytest.raises(InvalidSetup, match="period above 0"):
         trajectory.follow(np.zeros(Trajectory.size(7)), 0.0)

@@ -1,6 +1,8 @@
 // How the joints of an arm move to targets that are given step by step: within limits, and stoppable at any time.
 #pragma once
 
+#include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <span>
 #include <vector>
@@ -46,7 +48,7 @@ class Trajectory {
   };
 
   /// Numbers that `dof` joints take. The first `dof` are the target, the last is the order to hold.
-  static constexpr int size(int dof) { return 8 * dof + 4; }
+  static constexpr int size(int dof) { return 8 * dof + 5; }
   /// Rows of `dof` numbers that are positions; where the joints stand still, all are equal and every other number is 0.
   static std::vector<int> position_rows();
   /// Write that: the joints stop there at once, whatever their speed.
@@ -91,7 +93,9 @@ class Trajectory {
 
   Plan& plan(const double* memory);
   double stay_behind(double speed_share);
-  double gained_share(double ahead, double horizon);
+  double spare_way(std::size_t joint, double share, double behind, double horizon) const;
+  std::uint64_t let_go(double horizon);
+  double gained_share(double horizon);
 
   MotionLimits limits_;
   std::unique_ptr<Plan> plan_;
