@@ -7,8 +7,13 @@ that any joint is commanded to, over its limits in the description, from the tra
 line starts and ends with half a second of constant acceleration; `behind` and `beside` are the largest distances of
 the TCP from where the target of the step was, along and across the line, at the ends of the steps at full speed.
 
-Prints a table, then one JSON object: `worst_speed`, `worst_acceleration`, `worst_jerk`, and a row per arm and
-stepping.
+The law of single moves: every joint goes from home by ten sizes up to its range, to both sides, at 10, 30 and 100 Hz
+and synchronously. `wrong_way` is how far the trajectory goes away from the target [rad], `past` how far it goes past it,
+`turns` how often its acceleration changes sign, `measured_past` how far the simulated joint goes past. The same along
+straight ways of the TCP by absolute poses, relative poses and velocities, of 5 cm: `tcp_wrong_way_mm`, `tcp_past_mm`.
+
+Prints a table, then one JSON object: `worst_speed`, `worst_acceleration`, `worst_jerk`, the worst of the law, and a row
+per arm and stepping.
 """
 
 from __future__ import annotations
@@ -176,6 +181,78 @@ def line(robot: str) -> dict[str, float]:
     return {"behind_mm": 1e3 * float(np.abs(behind).max()), "beside_mm": 1e3 * float(beside.max())}
 
 
+FREQUENCIES = (10.0, 30.0, 100.0)
+"""Of targets [Hz]."""
+SIZES = 10
+"""Sizes of moves of each joint to each side: four small ones, then up to the end of its range."""
+EDGE = 0.02
+"""Distance that targets keep from the ends of the range [rad]."""
+
+
+def moves(robot: str, stepping: str, frequency: float) -> dict[str, float]:
+    """Move every joint alone, by all sizes to both sides; return the worst of the law."""
+    env = make(robot, stepping, control="joints", frequency=frequency)
+    log, box = Log(env), env.action_space["joints"]
+    arm = log.robot.placement.arm
+    found = dict.fromkeys(("wrong_way", "past", "turns", "measured_past"), 0.0)
+    for joint in range(arm.dof):
+        for sign in (1, -1):
+            home = np.array(arm.home)
+            edge = sign * ((box.high if sign > 0 else box.low)[joint] - home[joint]) - EDGE
+            for size in edge * np.concatenate([0.005 * 2.5 ** np.arange(4), np.linspace(0.2, 1.0, SIZES - 4)]):
+                if size < 1e-3:
+                    continue
+                env.reset(seed=0)
+                env.scenario.robots[0].put(home)
+                target = home.copy()
+                target[joint] += sign * size
+                log.take() if log._rows else None
+                steps = 1 if stepping == "sync" else int((size / arm.velocity_limit[joint] + 1.3) * frequency)
+                for _ in range(steps):
+                    env.step(filled(env, "joints", target))
+                position, _, acceleration, measured, _ = log.take()[:, :, joint]
+                way, real = sign * (position - home[joint]), sign * (measured - home[joint])
+                signs = np.sign(acceleration[np.abs(acceleration) > 0.02 * arm.acceleration_limit[joint]])
+                one = {"wrong_way": -way.min(), "past": way.max() - size, "measured_past": real.max() - size}
+                one["turns"] = np.count_nonzero(np.diff(signs))
+                found = {key: max(value, float(one[key])) for key, value in found.items()}
+    env.close()
+    return found
+
+
+def straight(robot: str, control: str, *, is_absolute: bool) -> dict[str, float]:
+    """Move the TCP by 5 cm in one target, or for a third of a second by the largest relative action."""
+    relative = {"relative": "absolute"} if is_absolute else {}
+    env = rcs.make("Free", robot=robot, control=control, max_episode_steps=None, **relative)
+    env.scenario.world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    along = np.array(DIRECTIONS[robot], float)
+    observation, _ = env.reset(seed=0)
+    start, seen = observation["tquat"][:3].copy(), [0.0]
+    box = env.action_space[control]
+    action = np.zeros(box.shape)
+    for k in range(60):
+        if not is_absolute:
+            action = np.zeros(box.shape)
+            if control == "tquat":
+                action[6] = 1.0  # no turn
+            action[:3] = along * box.high[:3] * (k < 10)
+        elif k == 0:
+            action = observation[control].copy()
+            action[:3] += 0.05 * along
+        observation, *_ = env.step(filled(env, control, action))
+        seen.append(float((observation["tquat"][:3] - start) @ along))
+    env.close()
+    return {"tcp_wrong_way_mm": -1e3 * min(seen), "tcp_past_mm": 1e3 * (max(seen) - seen[-1])}
+
+
+def law(robot: str) -> dict[str, float]:
+    """Return the worst of all single moves of an arm."""
+    found = [moves(robot, "sync", 30.0), *(moves(robot, "async", frequency) for frequency in FREQUENCIES)]
+    found += [straight(robot, control, is_absolute=True) for control in ("tquat", "xyzrpy")]
+    found += [straight(robot, control, is_absolute=False) for control in ("tquat", "xyzrpy", "twist")]
+    return {key: max(one[key] for one in found if key in one) for key in {key for one in found for key in one}}
+
+
 def main(options: Options) -> None:
     """Measure and print."""
     rows: list[dict[str, Any]] = []
@@ -186,7 +263,7 @@ def main(options: Options) -> None:
             row: dict[str, Any] = {"robot": robot, "stepping": stepping, **steps(env, log)}
             row |= {f"stream_{key}": value for key, value in stream(env, log, options).items()}
             env.close()
-            rows.append(row | (line(robot) if stepping == "async" else {}))
+            rows.append(row | ({**line(robot), **law(robot)} if stepping == "async" else {}))
     table = Table(*rows[-1], title="Motion of the arms; peaks are over their limits")
     for row in rows:
         table.add_row(
@@ -200,6 +277,8 @@ def main(options: Options) -> None:
         f"worst_{key}": round(max(row[name] for row in rows for name in (key, f"stream_{key}")), 4)
         for key in ("speed", "acceleration", "jerk", "measured_speed", "measured_acceleration")
     }
+    keys = ("wrong_way", "past", "turns", "measured_past", "tcp_wrong_way_mm", "tcp_past_mm")
+    worst |= {f"worst_{key}": round(max(row.get(key, 0.0) for row in rows), 4) for key in keys}
     print(json.dumps({"benchmark": "motion", **worst, "rows": rows}))
 
 

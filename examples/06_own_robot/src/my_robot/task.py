@@ -88,7 +88,7 @@ class LineExpert(Script):
     task = "PushToLine"
     needs = (BLOCK,)
     phases = (
-        Phase("approach", "above", speed=0.45, opening=0.0),
+        Phase("approach", "above", speed=0.3, opening=0.0),
         Phase("descend", "behind", opening=0.0),
         Phase("push", "beyond", speed=0.10, opening=0.0),
     )
