@@ -8,9 +8,10 @@ line starts and ends with half a second of constant acceleration; `behind` and `
 the TCP from where the target of the step was, along and across the line, at the ends of the steps at full speed.
 
 The law of single moves: every joint goes from home by ten sizes up to its range, to both sides, at 10, 30 and 100 Hz
-and synchronously. `wrong_way` is how far the trajectory goes away from the target [rad], `past` how far it goes past it,
-`turns` how often its acceleration changes sign, `measured_past` how far the simulated joint goes past. The same along
-straight ways of the TCP by absolute poses, relative poses and velocities, of 5 cm: `tcp_wrong_way_mm`, `tcp_past_mm`.
+and synchronously. `wrong_way` is how far the trajectory goes away from the target [rad], `past` how far it goes past
+it, `turns` how often its acceleration changes sign, `measured_past` how far the simulated joint goes past. The same
+along straight ways of the TCP by absolute poses, relative poses and velocities, of 5 cm: `tcp_wrong_way_mm`,
+`tcp_past_mm`.
 
 Prints a table, then one JSON object: `worst_speed`, `worst_acceleration`, `worst_jerk`, the worst of the law, and a row
 per arm and stepping.

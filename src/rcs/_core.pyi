@@ -1699,5 +1699,5 @@ def limit_rows(asked: Annotated[NDArray[numpy.float64], dict(order='C', device='
     """
     Cut `asked` (..., n) to at most `max_step` (n,) from `last` and `max_lead` (n,) from `measured`: all joints of a row go the same share of the way from `last`.
 
-    A joint that was pushed out of its lead goes back towards it first, by a step at most. Returns the targets and a flag per row that says whether it was cut by more than `rounding`; None if no row was.
+    A joint that was pushed out of its lead goes back towards it first, by a step at most; one that is asked for less of its lead, or for the other side of the measured joint, drops it at once. Returns the targets and a flag per row that says whether it was cut by more than `rounding`; None if no row was.
     """
