@@ -44,7 +44,7 @@ class HeldObjects:
         return bool(self._model.geom_contype[geom] or self._model.geom_conaffinity[geom])
 
     def find(self, qpos: NDArray[np.float64]) -> dict[int, tuple[int, Pose]]:
-        """Return what is held in a state (nq,): by the object's body id, the body that holds it and its pose in that."""
+        """Return what is held in a state (nq,): by body id, the body that holds the object and its pose in that."""
         held: dict[int, tuple[int, Pose]] = {}
         if not self._objects:
             return held
