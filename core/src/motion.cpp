@@ -20,12 +20,12 @@ constexpr double kVelocityTolerance = 1e-2;  // rad/s
 constexpr double kAstray = 0.2;
 // An arm that was told to hold and is this far from where it was led to was pushed, or is blocked [rad].
 constexpr double kPushed = 0.03;
-// Places of a motion at which torques are looked at.
-constexpr int kPlaces = 12;
+// Places of a motion at which torques are looked at: of one that is to be gone to its end, and of others.
+constexpr int kPlaces = 12, kFewPlaces = 4;
 // Part of the torque that motions may ask for; the rest is for the servos to correct with.
 constexpr double kUsable = 0.9;
 // A motion whose accelerations take less than this part of the torque is not looked at closely: gravity leaves more.
-constexpr double kHarmless = 0.2;
+constexpr double kHarmless = 0.35;
 // The least share of the acceleration, where gravity alone takes all the torque.
 constexpr double kLeastShare = 0.1;
 
@@ -119,8 +119,9 @@ double Motion::share_of_acceleration(const mjModel* model, mjData* data, const d
     copy.qpos.assign(data->qpos, data->qpos + model->nq);
     copy.qvel.assign(data->qvel, data->qvel + model->nv);
   }
-  for (int place = 0; place <= kPlaces; ++place) {
-    copy.trajectory.look(memory, duration * place / kPlaces);
+  const int places = is_far ? kPlaces : kFewPlaces;
+  for (int place = 0; place <= places; ++place) {
+    copy.trajectory.look(memory, duration * place / places);
     for (std::size_t i = 0; i < n; ++i)
       copy.wanted[static_cast<std::size_t>(model->jnt_dofadr[joints_[i]])] = copy.trajectory.acceleration()[i];
     if (is_far) {

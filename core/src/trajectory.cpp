@@ -44,6 +44,8 @@ constexpr double kRounding = 1e-6;
 constexpr double kSparing = 0.5;
 // Places that a joint is aimed at, each nearer than the one before, until it could stop; the last is rest.
 constexpr int kTries = 5;
+// Torque is spared while the joints could stop on this much less of the way.
+constexpr double kCareful = 1.1;
 // How much nearer, of the way by which it would pass: a nearer place is reached at less speed, too.
 constexpr double kNearer = 0.6;
 // Halvings until a share of the speed is known: to a thousandth.
@@ -112,6 +114,7 @@ struct Trajectory::Plan {
   explicit Plan(std::size_t dof) : ruckig(dof), input(dof), trajectory(dof) {
     for (auto* values : {&position, &velocity, &acceleration, &target, &end, &later, &room, &aim, &speed})
       values->assign(dof, 0.0);
+    for (auto& values : from) values.assign(dof, 0.0);
   }
 
   bool compute() {
@@ -316,7 +319,7 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
     const double way = std::clamp(target[i], limits_.lower[i], limits_.upper[i]) - plan.position[i];
     if (way * plan.velocity[i] <= 0.0) continue;
     const double distance = braking_distance(std::abs(plan.velocity[i]), limits_.acceleration[i], limits_.jerk[i]);
-    share = std::clamp(distance / std::abs(way), share, 1.0);
+    share = std::clamp(kCareful * distance / std::abs(way), share, 1.0);
   }
   for (std::size_t i = 0; i < n; ++i)
     plan.input.max_acceleration[i] = (1.0 - kMargin) * share * limits_.acceleration[i];
@@ -341,7 +344,9 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
   const double horizon = step.is_synchronous ? 0.0 : (kHorizon - 1.0) * step.period;
   const double soonest = step.is_synchronous ? 0.0 : -step.rest;
   std::ranges::fill(plan.later, soonest + horizon);
-  plan.from = {plan.position, plan.velocity, plan.acceleration};
+  std::ranges::copy(plan.position, plan.from[0].begin());
+  std::ranges::copy(plan.velocity, plan.from[1].begin());
+  std::ranges::copy(plan.acceleration, plan.from[2].begin());
   std::uint64_t apart = 0, nearer = 0;
   const auto aim = [&] {
     apart |= let_go(step.duration + horizon);
