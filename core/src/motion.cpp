@@ -25,7 +25,7 @@ constexpr int kPlaces = 12, kFewPlaces = 4;
 // Part of the torque that motions may ask for; the rest is for the servos to correct with.
 constexpr double kUsable = 0.9;
 // A motion whose accelerations take less than this part of the torque is not looked at closely: gravity leaves more.
-constexpr double kHarmless = 0.35;
+constexpr double kHarmless = 0.2;
 // The least share of the acceleration, where gravity alone takes all the torque.
 constexpr double kLeastShare = 0.1;
 
