@@ -22,7 +22,7 @@ from vlagents.wire.message import pack, unpack
 
 MAGIC = b"VLA1"
 PREFIX = struct.Struct("<4sIQ")
-LARGEST_HEADER = 512 << 10
+LARGEST_HEADER = 256 << 10
 """Most bytes of a header, and on other wires of what is no large array."""
 LARGEST_BODY = 256 << 20
 """Most bytes of a body, by default: forty full HD pictures."""
