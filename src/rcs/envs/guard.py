@@ -179,7 +179,7 @@ class Guard(Gate):
         else:
             part = self._part_of(0, here, fingers, goal)
             self._fraction = part.fraction
-            if part.why and self.on_hit != "clip":
+            if part.must_hold:
                 self._fraction = 0.0
                 refused = Refused(part.why)
                 refused.ends_episode = self.on_hit == "stop"
@@ -221,7 +221,9 @@ class Guard(Gate):
             if free > 0.0 or not self._sweep(copy, here, here, self._motions.ways(copy, start)):
                 return _Part(free, why)
         held = self._motions.ways(copy, None)
-        return _Part(0.0, why, dict(zip(asked, (way[-1] for way in held), strict=True)))
+        rest = dict(zip(asked, (way[-1] for way in held), strict=True))
+        is_free = self.on_hit == "clip" and not self._sweep(copy, here, here, self._motions.ways(copy, rest))
+        return _Part(0.0, why, rest, must_hold=not is_free)
 
     def _of_copy(self, joints: Mapping[str, NDArray[np.float64]], copy: int) -> dict[str, NDArray[np.float64]]:
         """Return the joints of one copy, by the names of the robots."""
@@ -307,10 +309,19 @@ class Guard(Gate):
 class _Part:
     """How much of a way is admitted, and why not all of it."""
 
-    def __init__(self, fraction: float, why: str, rest: Mapping[str, NDArray[np.float64]] | None = None) -> None:
+    def __init__(
+        self,
+        fraction: float,
+        why: str,
+        rest: Mapping[str, NDArray[np.float64]] | None = None,
+        *,
+        must_hold: bool = False,
+    ) -> None:
         self.fraction = fraction
         """Of the way from what was commanded last."""
         self.why = why
         """What is in the way; empty for nothing."""
         self.rest = rest
         """Where the arms come to rest when they brake now, where not even the last command may be gone on with."""
+        self.must_hold = must_hold
+        """Whether no target at all may be sent, as only braking is free; copies of a batch are sent `rest`."""
