@@ -76,6 +76,13 @@ def test_a_synchronous_step_ends_at_its_time_limit(clock) -> None:
     assert clock.now == pytest.approx(100.5, abs=2e-3)
 
 
+def test_a_synchronous_step_tells_the_targets_again_once_per_period(clock) -> None:
+    wall = Clock(ports=[Lift(clock, 100.95)], frequency=10.0, is_synchronous=True, now=clock, sleep=clock.sleep)
+    moments: list[float] = []
+    wall.advance(None, lambda: moments.append(clock.now))
+    np.testing.assert_allclose(moments, 100.1 + 0.1 * np.arange(9), atol=2e-3)
+
+
 @pytest.mark.parametrize(
     "numbers", [{"frequency": 0.0}, {"frequency": -1.0}, {"frequency": float("nan")}, {"time_limit": 0.0}]
 )

@@ -105,11 +105,13 @@ class Relative(Layer):
         Raises:
             InvalidAction: A quaternion has no direction.
         """
-        if self._reference is None:
+        if self._reference is None or self._last is None:
             raise RuntimeError("Relative.map_action was called before reset")
         difference = action[self._control]
         if self._control == JOINTS:
-            target = np.minimum(np.maximum(self._reference + difference, self._lower), self._upper)
+            # A joint that was found outside its range may stay there, and goes no farther out.
+            lower, upper = np.minimum(self._lower, self._last), np.maximum(self._upper, self._last)
+            target = np.minimum(np.maximum(self._reference + difference, lower), upper)
         else:
             target = self._move(self._reference, difference)
         mapped: Action = {key: value for key, value in action.items() if key != self._control}
