@@ -10,11 +10,12 @@ import pytest
 from rcs._core import clip_rows, limit_rows
 from rcs.errors import InvalidSetup
 
-
 FREE = np.full(2, np.inf)
 
 
-def limited(asked: Any, last: Any, step: Any, lead: Any = FREE, *, upper: Any = FREE, max_return: float = np.inf) -> Any:
+def limited(
+    asked: Any, last: Any, step: Any, lead: Any = FREE, *, upper: Any = FREE, max_return: float = np.inf
+) -> Any:
     """Limit targets of an arm that has followed the last one."""
     return limit_rows(asked, last, last, np.array(step), np.array(lead), -FREE, np.array(upper), max_return, 0.0)
 

@@ -151,7 +151,9 @@ def test_a_joint_outside_its_limits_stays_or_comes_back(arm: Arm) -> None:
     ends = [kinematics.advance(start, twist, PERIOD, options).joints for twist in np.vstack([np.eye(6), -np.eye(6)])]
     assert all(end[1] <= start[1] for end in ends)
     assert min(end[1] for end in ends) < start[1]
-    assert all((np.abs(end - start) <= np.array(description.velocity_limit) * PERIOD * (1 + 1e-9)).all() for end in ends)
+    assert all(
+        (np.abs(end - start) <= np.array(description.velocity_limit) * PERIOD * (1 + 1e-9)).all() for end in ends
+    )
 
 
 @pytest.mark.parametrize("threads", [1, 3])
