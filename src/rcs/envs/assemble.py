@@ -12,7 +12,7 @@ from rcs.devices import Arm, Gripper
 from rcs.envs import spaces as keys
 from rcs.envs.camera_port import CameraPort, FreshFrames
 from rcs.envs.chain import Chain
-from rcs.envs.clock import Clock
+from rcs.envs.clock import STEP_LIMIT, Clock
 from rcs.envs.control_layers import layers_of
 from rcs.envs.env import Env
 from rcs.envs.follow_port import FollowPort
@@ -46,6 +46,12 @@ from rcs.sim.tactile import SimTactile
 from rcs.sim.textures import add_textures
 from rcs.sim.world import World
 from rcs.spatial import Pose, inverse, tquat_to_matrix
+
+
+VALID_PERIODS = 3.0
+"""A command without another is valid for as many control periods, when nothing else is said."""
+SLOW_READ = 0.5
+"""A gripper or hand that takes a larger share of a control period to read is read on a thread."""
 
 
 def assemble(
@@ -233,13 +239,17 @@ def _ports_of(parts: Parts, placement: RobotPlacement, body: SimRobot | None) ->
     if arm is not None:
         _require_fit(placement, arm)
         kinematics, effort = kinematics_of(placement.arm, placement.end_effector), placement.arm.effort_limit
-        ports.append(ArmPort(arm, kinematics, observed=observed, effort=effort))
+        times = _times(parts, devices.arm_stale_after)
+        ports.append(ArmPort(arm, kinematics, observed=observed, effort=effort, **times))
     elif body is not None:
         ports.append(SimArmPort(body))
         if keys.LOADS.keys() & set(observed):
             ports.append(SimLoadPort(body, observed))
     if effector is not None:
-        ports.append(GripperPort(effector) if isinstance(effector, Gripper) else HandPort(effector))
+        times = _times(parts, devices.stale_after)
+        if times and parts.setup.stepping != "sync":
+            times["slow_after"] = SLOW_READ / parts.setup.frequency
+        ports.append(GripperPort(effector, **times) if isinstance(effector, Gripper) else HandPort(effector, **times))
     elif body is not None and placement.gripper is not None:
         ports.append(SimGripperPort(body))
     elif body is not None and placement.hand is not None:
@@ -252,6 +262,18 @@ def _ports_of(parts: Parts, placement: RobotPlacement, body: SimRobot | None) ->
     if body is not None and real:
         ports = [FollowPort(body, port) if port in real else port for port in ports]
     return ports
+
+
+def _times(parts: Parts, stale_after: float) -> dict[str, float]:
+    """Return how long commands are valid and measurements new, by the host's clock; under another one, for ever."""
+    if parts.now is not None:
+        return {}
+    setup, valid_for = parts.setup, parts.devices.valid_for
+    if setup.stepping == "sync":
+        valid_for = STEP_LIMIT
+    elif valid_for is None:
+        valid_for = VALID_PERIODS / setup.frequency
+    return {"valid_for": valid_for, "stale_after": stale_after}
 
 
 def _require_fit(placement: RobotPlacement, arm: Arm) -> None:

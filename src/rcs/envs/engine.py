@@ -98,10 +98,10 @@ class Engine:
             if self.scenario is not None and start is not None:
                 self.scenario.start_at(start)
             self.stack.open()
-            if faults := self.stack.faults():
-                raise DeviceFault(f"Devices are in their fault state: {_listed(faults)}. Clear it with env.recover().")
+            self._require_no_fault()
             self._clock.reset()
             observation = self.observe_start(copies)
+            self._require_no_fault()  # what was measured may be too old
             if self.scenario is not None:
                 self.scenario.judge_start(copies)
         except BaseException as err:
@@ -128,6 +128,10 @@ class Engine:
             self._break_off(err)
             raise
         return observation
+
+    def _require_no_fault(self) -> None:
+        if faults := self.stack.faults():
+            raise DeviceFault(f"Devices are in their fault state: {_listed(faults)}. Clear it with env.recover().")
 
     def _begin(self, copies: Copies) -> None:
         where: Where = ... if copies is None else copies

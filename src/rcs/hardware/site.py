@@ -90,8 +90,12 @@ class Devices:
     """By camera."""
     platform: Mapping[str, str] = field(default_factory=dict[str, str])
     """Name of the driver of every real part: a robot, `robot/end effector`, or a camera."""
+    valid_for: float | None = None
+    """How long a command is valid without another [s]; None for three control periods."""
     stale_after: float = 0.5
-    """Age of a frame from which a camera counts as stale [s]."""
+    """Age of a frame, or of what a gripper or hand measures, from which it counts as stale [s]."""
+    arm_stale_after: float = 0.25
+    """Age of what an arm measures from which it counts as stale [s]."""
     on_stale: OnStale = "fault"
     """What a stale camera leads to."""
 
@@ -112,8 +116,14 @@ class Site:
     """Hands by the name of the robot that carries them."""
     cameras: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
     """Cameras by the name of their mount in the lab."""
+    valid_for: float | None = None
+    """How long a command is valid without another [s], after which arms, grippers and hands hold; None for three control
+    periods. In synchronous steps, a command is valid for as long as a step may last."""
     stale_after: float = 0.5
-    """Age of a frame from which its camera counts as stale [s]."""
+    """Age of a frame, or of what a gripper or hand measures, from which its device counts as stale [s]."""
+    arm_stale_after: float = 0.25
+    """Age of what an arm measures from which it counts as stale [s]. A stale arm, gripper or hand is in its fault
+    state."""
     on_stale: OnStale = "fault"
     """What a stale camera leads to: `flag` only marks frames, `hold` has all devices hold until there is a new frame,
     `fault` ends the episode."""
@@ -135,9 +145,13 @@ class Site:
             object.__setattr__(self, kind, made)
         if self.on_stale not in get_args(OnStale):
             raise InvalidSetup(f"on_stale is {self.on_stale!r}; valid: {', '.join(map(repr, get_args(OnStale)))}.")
-        is_number = isinstance(self.stale_after, int | float) and not isinstance(self.stale_after, bool)
-        if not is_number or not 0 < self.stale_after < math.inf:
-            raise InvalidSetup(f"stale_after is {self.stale_after!r} s; valid is a finite number above 0.")
+        for name in ("valid_for", "stale_after", "arm_stale_after"):
+            seconds = getattr(self, name)
+            if seconds is None and name == "valid_for":
+                continue
+            is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
+            if not is_number or not 0 < seconds < math.inf:
+                raise InvalidSetup(f"{name} is {seconds!r} s; valid is a finite number above 0.")
 
     @staticmethod
     def read(path: str | Path) -> Site:
@@ -256,7 +270,9 @@ class Site:
             effectors=effectors,
             cameras=views,
             platform=platform,
+            valid_for=self.valid_for,
             stale_after=self.stale_after,
+            arm_stale_after=self.arm_stale_after,
             on_stale=self.on_stale,
         )
 
