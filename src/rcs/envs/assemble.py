@@ -83,7 +83,7 @@ def assemble(
     scenario, stack = _populate(parts, world, cameras)
     picture = None if render_mode is None or world is None else Picture(world, quality=setup.render_quality)
     effectors = [f"{robot.name}/{robot.end_effector.name}" for robot in parts.robots if robot.end_effector is not None]
-    simulated = [*(robot.name for robot in parts.robots), *effectors, *(camera.name for camera in cameras)]
+    simulated = [one.name for one in (*parts.robots, *cameras, *parts.tactile)] + effectors
     return Env(
         stack,
         Clock(
@@ -153,7 +153,7 @@ def _longest_latency(setup: Setup) -> float:
 def _is_all_real(parts: Parts, cameras: Sequence[CameraPlacement]) -> bool:
     devices = parts.devices
     return (
-        not parts.tactile
+        all(sensor.name in devices.tactile for sensor in parts.tactile)
         and all(robot.name in devices.arms for robot in parts.robots)
         and all(robot.end_effector is None or robot.name in devices.effectors for robot in parts.robots)
         and all(camera.name in devices.cameras for camera in cameras)
@@ -198,11 +198,12 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
             "pixels out of the setup."
         )
     points = [PointClouds()] if setup.points else []
-    if real:
-        port = _real_cameras(parts, real)
-        shared.append(port)
-        if devices.on_stale == "hold":
-            gates.append(FreshFrames(port))
+    views = [_real_cameras(parts, real)] if real else []
+    if devices.tactile:
+        views.append(_real_tactile(parts))
+    shared += views
+    if devices.on_stale == "hold":
+        gates += [FreshFrames(port) for port in views]
     chains: dict[str, Chain] = {}
     for placement in parts.robots:
         name = placement.name
@@ -316,8 +317,8 @@ def _simulated_sensors(
             frame_body=robots[0].layout.base_body if len(robots) == 1 else 0,
         )
         ports.append(SimCameraPort(cameras, clock, randomiser))
-    if parts.tactile:
-        ports.append(SimTactilePort([SimTactile(world, sensor) for sensor in parts.tactile]))
+    if felt := [sensor for sensor in parts.tactile if sensor.name not in parts.devices.tactile]:
+        ports.append(SimTactilePort([SimTactile(world, sensor) for sensor in felt]))
     if "privileged" in setup.observe:
         ports.append(PrivilegedPort(world, robots, parts.task))
     return ports
@@ -338,6 +339,18 @@ def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPor
         size=parts.setup.image_size,
         calibrations={camera.name: camera.calibration for camera in cameras if camera.calibration is not None},
         extrinsics=fixed,
+        stale_after=parts.devices.stale_after,
+        on_stale=parts.devices.on_stale,
+        now=parts.now or time.perf_counter,
+    )
+
+
+def _real_tactile(parts: Parts) -> CameraPort:
+    """Return the port of the cameras of real tactile sensors, which are all of one kind."""
+    return CameraPort(
+        parts.devices.tactile,
+        {},
+        size=parts.tactile[0].sensor.frame_size,
         stale_after=parts.devices.stale_after,
         on_stale=parts.devices.on_stale,
         now=parts.now or time.perf_counter,
