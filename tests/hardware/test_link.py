@@ -147,14 +147,14 @@ def test_one_thread_at_a_time_uses_a_connection() -> None:
     gripper = LinkedGripper()
     gripper.link = driver._line("a")
     gripper.open()
-    failures: list[BaseException] = []
+    failures: list[AssertionError] = []
 
     def ask() -> None:
         try:
             for _ in range(10):
                 with gripper.link as line:
                     line.ask()
-        except BaseException as err:
+        except AssertionError as err:
             failures.append(err)
 
     threads = [threading.Thread(target=ask) for _ in range(3)]

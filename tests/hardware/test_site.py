@@ -105,7 +105,7 @@ def test_hardware_that_makes_no_sense_is_refused(hardware: Any, error: type[Exce
 
 
 def test_one_arm_is_not_two() -> None:
-    with pytest.raises(InvalidSetup, match="'left' and 'right' are both at fake:192.0.2.1"):
+    with pytest.raises(InvalidSetup, match=r"'left' and 'right' are both at fake:192\.0\.2\.1"):
         rcs.make("Free", robot="dual_fr3", hardware="fake:192.0.2.1")
     arm = home_arm()
     with pytest.raises(InvalidSetup, match="'left' and 'right' are both the device"):

@@ -47,7 +47,6 @@ from rcs.sim.textures import add_textures
 from rcs.sim.world import World
 from rcs.spatial import Pose, inverse, tquat_to_matrix
 
-
 VALID_PERIODS = 3.0
 """A command without another is valid for as many control periods, when nothing else is said."""
 SLOW_READ = 0.5

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -191,13 +191,12 @@ class ArmPort(Port):
 class EffectorPort(Port):
     """A gripper or a hand; how a slow one is called and how old it may be is written once, for both."""
 
-    device: Gripper | Hand
-
     def __init__(
         self,
         device: Gripper | Hand,
         key: str,
         count: int,
+        send: Callable[[NDArray[np.float32], float], None],
         *,
         valid_for: float = math.inf,
         stale_after: float = math.inf,
@@ -209,21 +208,18 @@ class EffectorPort(Port):
             device: The device.
             key: Of its actions and observations.
             count: How many numbers it takes and gives.
+            send: Sends it as many, for some seconds.
             valid_for: How long a command is valid without another; then the device holds [s].
             stale_after: Age of what it measures from which it is in its fault state [s].
             slow_after: A device that takes longer than this to read is commanded and read on a thread [s].
         """
-        self.device = device
+        self.device = self._device = device
         self.timed = (key,)
         self.action_spaces = {key: keys.normalised_space(count)}
         self.observation_spaces = {key: keys.normalised_space(count)}
         self._key = key
-        self._calls = DeviceCalls(device, device.state, self._send, valid_for=valid_for, slow_after=slow_after)
+        self._calls = DeviceCalls(device, device.state, send, valid_for=valid_for, slow_after=slow_after)
         self._freshness = Freshness(device, stale_after)
-
-    @abstractmethod
-    def _send(self, target: NDArray[np.float32], valid_for: float) -> None:
-        """Send a target that is valid for some seconds."""
 
     def command(self, action: Arrays) -> None:
         """Send the target, or have it sent as soon as a slow device is free."""
@@ -251,7 +247,7 @@ class EffectorPort(Port):
 
     def recover(self) -> None:
         """Clear the fault, if there is one; the device does not move."""
-        if self.device.is_open and self.device.fault:
+        if self._device.is_open and self._device.fault:
             self._calls.recover()
 
     def close(self) -> None:
@@ -262,24 +258,22 @@ class EffectorPort(Port):
 class GripperPort(EffectorPort):
     """Any gripper behind the device interface."""
 
-    device: Gripper
-
     def __init__(self, gripper: Gripper, **times: float) -> None:
         """Use a gripper; `times` are those of `EffectorPort` [s]."""
-        super().__init__(gripper, keys.GRIPPER, 1, **times)
 
-    def _send(self, target: NDArray[np.float32], valid_for: float) -> None:
-        self.device.command_opening(float(target[0]), valid_for=valid_for)
+        def send(opening: NDArray[np.float32], valid_for: float) -> None:
+            gripper.command_opening(float(opening[0]), valid_for=valid_for)
+
+        super().__init__(gripper, keys.GRIPPER, 1, send, **times)
 
 
 class HandPort(EffectorPort):
     """Any hand behind the device interface."""
 
-    device: Hand
-
     def __init__(self, hand: Hand, **times: float) -> None:
         """Use a hand; `times` are those of `EffectorPort` [s]."""
-        super().__init__(hand, keys.HAND, hand.joint_count, **times)
 
-    def _send(self, target: NDArray[np.float32], valid_for: float) -> None:
-        self.device.command_joints(target.astype(np.float64), valid_for=valid_for)
+        def send(joints: NDArray[np.float32], valid_for: float) -> None:
+            hand.command_joints(joints.astype(np.float64), valid_for)
+
+        super().__init__(hand, keys.HAND, hand.joint_count, send, **times)

@@ -58,7 +58,7 @@ class DeviceAddress:
 
     @staticmethod
     def parse(given: Any, name: str) -> DeviceAddress:
-        """Return an address from `driver:address`, `module:Class:address`, or a mapping with the fields of this class.
+        """Return an address from `driver:address`, `module:Class:address`, or a mapping with fields of this class.
 
         Raises:
             InvalidSetup: It is neither.
@@ -125,7 +125,7 @@ class Site:
     tactile: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
     """Cameras of tactile sensors by the name of the sensor, such as `fr3_left` on the left finger of `fr3`."""
     valid_for: float | None = None
-    """How long a command is valid without another [s], after which arms, grippers and hands hold; None for three control
+    """How long a command is valid without another [s]; then arms, grippers and hands hold. None for three control
     periods. In synchronous steps, a command is valid for as long as a step may last."""
     stale_after: float = 0.5
     """Age of a frame, or of what a gripper or hand measures, from which its device counts as stale [s]."""
@@ -156,10 +156,8 @@ class Site:
             raise InvalidSetup(f"on_stale is {self.on_stale!r}; valid: {', '.join(map(repr, get_args(OnStale)))}.")
         for name in ("valid_for", "stale_after", "arm_stale_after"):
             seconds = getattr(self, name)
-            if seconds is None and name == "valid_for":
-                continue
-            is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
-            if not is_number or not 0 < seconds < math.inf:
+            is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool) and 0 < seconds < math.inf
+            if not is_number and (name, seconds) != ("valid_for", None):
                 raise InvalidSetup(f"{name} is {seconds!r} s; valid is a finite number above 0.")
 
     @staticmethod
@@ -238,7 +236,8 @@ class Site:
                     found[kind].setdefault(name, given)
             else:
                 raise UnknownName("robot or camera of this setup", str(name), {*robots, *cameras, *tactile})
-        return Site(**found)
+        arms, grippers, hands, views, skins = (found[kind] for kind in KINDS)
+        return Site(arms=arms, grippers=grippers, hands=hands, cameras=views, tactile=skins)
 
     def devices(
         self,
