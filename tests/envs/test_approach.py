@@ -109,7 +109,7 @@ def test_an_arm_that_does_not_arrive_is_no_start() -> None:
     with make(arm) as env:
         env.reset(seed=0)
         arm.body._speed = np.zeros(7)
-        with pytest.raises(DeviceFault, match="fr3 has not arrived: joint. is 0.20 rad"):
+        with pytest.raises(DeviceFault, match=r"fr3 has not arrived: joint\d is 0\.20 rad"):
             env.reset(seed=0, options={"robot": THERE, "may_move": True, "speed": 1.0})
 
 

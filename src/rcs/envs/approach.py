@@ -79,6 +79,7 @@ class Approach:
             raise Refused(f"Nothing has moved, because nobody agreed to this: {question}")
         ways = self._ways(stack, placements)  # anew: somebody may have moved an arm while the question was open
         stay = _measured(stack)
+        end = stay
         clock.reset()
         steps = math.ceil(self._duration(ways) * clock.frequency)
         settling = math.ceil(SETTLING * clock.frequency)
@@ -92,15 +93,15 @@ class Approach:
                     targets[way.chain].update(way.effector)
             stack.send(stack.admit(targets))
             clock.advance()
-            measured = stack.measure()
+            end = stack.measure()
             if faults := stack.faults():
                 told = "; ".join(f"{name}: {why}" for name, why in faults.items())
                 raise DeviceFault(f"On the way to the start: {told}.")
         for way in ways:
-            apart = np.abs(measured[way.chain][keys.JOINTS] - way.goal)
+            apart = np.abs(end[way.chain][keys.JOINTS] - way.goal)
             if apart.max() > APART:
                 raise DeviceFault(
-                    f"{way.name} has not arrived: {way.joints[apart.argmax()]} is {apart.max():.2f} rad from its target. "
+                    f"{way.name} has not arrived: {way.joints[int(apart.argmax())]} is {apart.max():.2f} rad from its target. "
                     "Look at what holds it, then start again."
                 )
 
@@ -141,7 +142,7 @@ class Approach:
         parts: list[str] = []
         for way in ways:
             turns = np.abs(way.goal - way.start)
-            parts.append(f"{way.name} by up to {turns.max():.2f} rad ({way.joints[turns.argmax()]})")
+            parts.append(f"{way.name} by up to {turns.max():.2f} rad ({way.joints[int(turns.argmax())]})")
         return (
             f"Move {' and '.join(parts)} in {self._duration(ways):.0f} s, at {100 * self.speed:g} % of the largest "
             "speed, each joint straight to its target. Is the way free?"

@@ -1,4 +1,4 @@
-"""The calls of a gripper or a hand: made at once while they are quick, and on a thread of their own once they are not."""
+"""The calls of a gripper or a hand: made at once while they are quick, on a thread of their own once they are not."""
 
 from __future__ import annotations
 

@@ -170,7 +170,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode. On hardware, the first reset connects the devices; without the option `robot`, nothing moves.
+        """Start an episode. On hardware, the first reset connects the devices, and only the option `robot` moves them.
 
         Args:
             seed: Same seed, same episode, and the same episodes after it. Without one, the next episode of the last

@@ -74,8 +74,8 @@ class DeviceAddress:
             raise InvalidSetup(f"The device {name!r}: {err}") from err
         except TypeError as err:
             raise InvalidSetup(
-                f"The device {name!r} is given as {given!r}; valid is 'driver:address', 'module:Class:address', a mapping "
-                "with 'driver', 'address' and 'options', or a device."
+                f"The device {name!r} is given as {given!r}; valid is 'driver:address', 'module:Class:address', "
+                "a mapping with 'driver', 'address' and 'options', or a device."
             ) from err
 
 
