@@ -21,7 +21,7 @@ def _made(control: Any, relative: Any, **options: Any) -> Setup:
 SETUPS = st.builds(
     _made,
     task=st.sampled_from(["PickCuboid", "Free"]),
-    end_effector=st.none() | st.just("franka_hand"),
+    end_effector=st.none() | st.just("franka_hand") | st.just({"left": "robotiq_2f85"}),
     cameras=st.lists(st.sampled_from(["wrist", "side"]), unique=True).map(tuple),
     image_size=st.tuples(st.integers(1, 4096), st.integers(1, 4096)),
     camera_fps=st.none() | st.floats(1.0, 90.0) | st.integers(1, 90),
@@ -117,7 +117,7 @@ def test_a_frame_rate_for_a_camera_that_is_not_there_is_refused() -> None:
         *(("camera_fps", value) for value in (0, -30, float("nan"), float("inf"), True, "30", [30], {"wrist": 0})),
         *(("task", value) for value in (None, 3)),
         *(("robot", value) for value in (None, ["fr3"])),
-        *(("end_effector", value) for value in (3, ("franka_hand",))),
+        *(("end_effector", value) for value in (3, ("franka_hand",), {"left": 3}, {3: "none"})),
         *(("cameras", value) for value in ("wrist", ("wrist", "wrist"), (1,), 5, None)),
         *(
             ("image_size", value)

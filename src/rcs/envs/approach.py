@@ -1,4 +1,4 @@
-"""How real arms come to the start of an episode: slowly, on a straight line of joints, and after a person has agreed."""
+"""How real arms come to the start of an episode: slowly, each joint straight, and after a person has agreed."""
 
 from __future__ import annotations
 
@@ -100,9 +100,10 @@ class Approach:
         for way in ways:
             apart = np.abs(end[way.chain][keys.JOINTS] - way.goal)
             if apart.max() > APART:
+                joint = way.joints[int(apart.argmax())]
                 raise DeviceFault(
-                    f"{way.name} has not arrived: {way.joints[int(apart.argmax())]} is {apart.max():.2f} rad from its target. "
-                    "Look at what holds it, then start again."
+                    f"{way.name} has not arrived: {joint} is {apart.max():.2f} rad from its target. Look at what holds "
+                    "it, then start again."
                 )
 
     def _ways(self, stack: Stack, placements: Sequence[RobotPlacement]) -> list[_Way]:

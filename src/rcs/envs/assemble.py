@@ -82,7 +82,8 @@ def assemble(
     scenario, stack = _populate(parts, world, cameras)
     picture = None if render_mode is None or world is None else Picture(world, quality=setup.render_quality)
     effectors = [f"{robot.name}/{robot.end_effector.name}" for robot in parts.robots if robot.end_effector is not None]
-    simulated = [one.name for one in (*parts.robots, *cameras, *parts.tactile)] + effectors
+    simulated = [robot.name for robot in parts.robots] + effectors
+    simulated += [sensor.name for sensor in (*cameras, *parts.tactile)]
     return Env(
         stack,
         Clock(

@@ -41,8 +41,9 @@ class Setup:
     shaped reward needs it, and the dense one, whose success pays `1 / (1 - discount)`."""
     robot: str = "fr3"
     """Name of the robot."""
-    end_effector: str | None = None
-    """Name of the gripper; None for the robot's usual one."""
+    end_effector: str | Mapping[str, str] | None = None
+    """Name of the gripper or hand, `none` for a bare flange, or one for each of some robots by name, such as
+    `{"left": "robotiq_2f85"}`; None for the usual one."""
     cameras: tuple[str, ...] = ()
     """Names of camera mounts of the robot's lab, such as `wrist` and `side`; more cameras, slower steps."""
     calibration: str | None = None
@@ -117,8 +118,7 @@ class Setup:
         for name in ("task", "robot"):
             if not isinstance(getattr(self, name), str):
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; it must be a name.")
-        if not isinstance(self.end_effector, str | None):
-            raise InvalidSetup(f"end_effector is {self.end_effector!r}; it must be a name, or None.")
+        object.__setattr__(self, "end_effector", _end_effector(self.end_effector))
         if not isinstance(self.tactile, str | None):
             raise InvalidSetup(f"tactile is {self.tactile!r}; it must be the name of a sensor, or None.")
         if not isinstance(self.calibration, str | None):
@@ -180,6 +180,10 @@ class Setup:
         """Equal setups have equal hashes."""
         return hash(json.dumps(self.to_json(), sort_keys=True))
 
+    def end_effector_of(self, robot: str) -> str | None:
+        """Return the name of what a robot carries; None for its usual one."""
+        return self.end_effector.get(robot) if isinstance(self.end_effector, Mapping) else self.end_effector
+
     def fps_of(self, camera: str) -> float | None:
         """Return the wanted frame rate of a camera [frames/s]; None for its highest."""
         return dict(self.camera_fps).get(camera) if isinstance(self.camera_fps, tuple) else self.camera_fps
@@ -213,7 +217,7 @@ class Options(TypedDict, total=False):
     reward: RewardKind
     discount: float
     robot: str
-    end_effector: str | None
+    end_effector: str | Mapping[str, str] | None
     cameras: Sequence[str]
     calibration: str | None
     image_size: int | tuple[int, int]
@@ -237,6 +241,13 @@ class Options(TypedDict, total=False):
     max_episode_steps: int | None
     physics_step: float
     randomisation: Randomisation | Preset | bool | None
+
+
+def _end_effector(value: Any) -> str | dict[str, str] | None:
+    names = [*value, *value.values()] if isinstance(value, Mapping) else [] if value is None else [value]
+    if not all(isinstance(name, str) for name in names):
+        raise InvalidSetup(f"end_effector is {value!r}; it must be a name, a name for each of some robots, or None.")
+    return dict(value) if isinstance(value, Mapping) else value
 
 
 def _task_options(value: Any) -> dict[str, Any]:

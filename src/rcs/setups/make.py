@@ -265,8 +265,10 @@ def resolve(setup: Setup) -> Parts:
     task: Any = lookup.find("task", setup.task)
     if not (isinstance(task, type) and issubclass(task, Task)):
         raise InvalidSetup(f"{setup.task!r} is {task!r}; valid is a subclass of rcs.envs.task.Task.")
-    robots = tuple(_place(stand, setup.end_effector or lab.end_effector) for stand in lab.stands)
-    names = [robot.name for robot in robots]
+    names = [stand.name for stand in lab.stands]
+    if isinstance(setup.end_effector, Mapping) and (unknown := sorted(setup.end_effector.keys() - set(names))):
+        raise UnknownName("robot of this setup", unknown[0], names)
+    robots = tuple(_place(one, setup.end_effector_of(one.name) or lab.end_effector) for one in lab.stands)
     cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras)
     tactile = tuple(sensor for robot in robots for sensor in _feel(setup.tactile, robot))
     count = 0 if setup.randomisation is None else setup.randomisation.distractors
