@@ -198,7 +198,10 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
             "pixels out of the setup."
         )
     points = [PointClouds()] if setup.points else []
-    views = [_real_cameras(parts, real)] if real else []
+    views = [
+        _real_cameras(parts, [camera for camera in real if setup.size_of(camera.name) == size])
+        for size in dict.fromkeys(setup.size_of(camera.name) for camera in real)
+    ]
     if devices.tactile:
         views.append(_real_tactile(parts))
     shared += views
@@ -285,7 +288,8 @@ def _require_fit(placement: RobotPlacement, arm: Arm) -> None:
 def _frame_clock(setup: Setup, cameras: Sequence[CameraPlacement], world: World) -> FrameClock:
     """Return the clock that says when each camera has a new frame."""
     rates = {
-        camera.name: FrameRate.of(camera.camera, setup.image_size, setup.fps_of(camera.name)) for camera in cameras
+        camera.name: FrameRate.of(camera.camera, setup.size_of(camera.name), setup.fps_of(camera.name))
+        for camera in cameras
     }
     return FrameClock(world, rates)
 
@@ -310,6 +314,7 @@ def _simulated_sensors(
             world,
             observed,
             size=setup.image_size,
+            sizes=setup.camera_sizes,
             has_depth=setup.depth,
             has_segmentation=setup.segmentation,
             quality=setup.render_quality,
@@ -325,7 +330,7 @@ def _simulated_sensors(
 
 
 def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPort:
-    """Return the port of real cameras; those that stand still have the poses of the lab."""
+    """Return the port of real cameras with frames of one size; those that stand still have the poses of the lab."""
     scene_in_frame = tquat_to_matrix(inverse(base_in_scene(parts.robots)))
     fixed = {
         camera.name: scene_in_frame
@@ -336,7 +341,7 @@ def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPor
     return CameraPort(
         {camera.name: parts.devices.cameras[camera.name] for camera in cameras},
         {camera.name: camera.camera for camera in cameras},
-        size=parts.setup.image_size,
+        size=parts.setup.size_of(cameras[0].name),
         calibrations={camera.name: camera.calibration for camera in cameras if camera.calibration is not None},
         extrinsics=fixed,
         stale_after=parts.devices.stale_after,

@@ -226,8 +226,8 @@ def _devices(hardware: Any, parts: Parts) -> Devices:
 
 def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:
     """Return the mode of a real camera that frames of a setup are cut out of: the smallest that is large enough."""
-    width, height = setup.image_size
-    rate = camera.camera.frame_rate(setup.image_size, setup.fps_of(camera.name))
+    width, height = setup.size_of(camera.name)
+    rate = camera.camera.frame_rate((width, height), setup.fps_of(camera.name))
     large = [
         mode for mode in camera.camera.modes if mode.width >= width and mode.height >= height and rate in mode.rates
     ]
