@@ -43,9 +43,12 @@ void bind_device(nb::module_& m) {
       "What all devices share: a name, a connection, and a fault that stays until `recover`.\n\n`name`, `is_open`, "
       "`is_guided`, `fault`, `hold` and `set_fault` may be used from any thread at any time, also while\nanother call "
       "is under way. All other calls are for one thread at a time. No call keeps other threads from running. An\nopen "
-      "device stays alive until it is closed; `with device:` opens and closes it.\n\nWhat a function of a driver raises "
-      "is the device's fault, in its words, and reaches the caller as DeviceFault. Errors of\n`rcs.errors` pass as they "
-      "are; a DeviceFault that a driver raises says the fault.\n\nWhen the program ends, by SIGTERM, by an exception or "
+      "device stays alive until it is closed; `with device:` opens and closes it.\n\nWhat a function of a driver "
+      "raises "
+      "is the device's fault, in its words, and reaches the caller as DeviceFault. Errors of\n`rcs.errors` pass as "
+      "they "
+      "are; a DeviceFault that a driver raises says the fault.\n\nWhen the program ends, by SIGTERM, by an exception "
+      "or "
       "without a `close`, every open device that moves holds.")
       .def_prop_ro("name", &rcs::Device::name)
       .def_prop_ro("is_open", &rcs::Device::is_open, "Whether the device is connected.")
@@ -54,7 +57,8 @@ void bind_device(nb::module_& m) {
       .def_prop_ro("is_guided", &rcs::Device::is_guided, "Whether a person may move it by hand now.")
       // An optional override must exist in the base class: nanobind takes a name that it finds nowhere for an error.
       .def(
-          "_open", [](rcs::Device&) {}, "Connect, and energise nothing; nothing unless overridden. After a failure follows `_close`.")
+          "_open", [](rcs::Device&) {},
+          "Connect, and energise nothing; nothing unless overridden. After a failure follows `_close`.")
       .def(
           "_can_guide", [](rcs::Device&) { return false; },
           "Whether a person can move it by hand; no unless overridden.")

@@ -10,7 +10,6 @@
 #include <chrono>
 #include <cstring>
 #include <memory>
-#include <mutex>
 #include <semaphore>
 #include <string>
 #include <thread>
@@ -23,14 +22,17 @@ namespace {
 
 constexpr std::array kSignals{SIGTERM, SIGHUP};
 // How long devices may take to hold. Who sends a signal does not wait for long.
-constexpr std::chrono::seconds kLongest{3};
+constexpr std::chrono::seconds kLongest{1};
 
 sem_t g_told;  // a handler may do little more than post it
 std::atomic<int> g_signal = 0;
-std::mutex g_mutex;
-bool g_is_waiting = false;
+std::atomic<pid_t> g_process = 0;  // in which the thread waits: a child made by `fork` has none of these devices
 
 void on_signal(int number) {
+  if (g_process != getpid()) {
+    raise(number);  // ends the child when this returns
+    return;
+  }
   g_signal = number;
   sem_post(&g_told);
 }
@@ -53,28 +55,16 @@ void wait_for_signal() {
   kill(getpid(), number);
 }
 
-// A child made by `fork` has none of these devices, nor the thread.
-[[maybe_unused]] const int g_registered = pthread_atfork(nullptr, nullptr, [] {
-  if (!g_is_waiting) return;
-  g_is_waiting = false;
-  for (const int number : kSignals) {
-    struct sigaction now{};
-    sigaction(number, nullptr, &now);
-    if (now.sa_handler == on_signal) signal(number, SIG_DFL);
-  }
-});
-
 }  // namespace
 
 void hold_at_termination() {
-  const std::lock_guard lock(g_mutex);
-  if (!g_is_waiting) {
+  if (g_process.exchange(getpid()) != getpid()) {
     sem_init(&g_told, 0, 0);
     std::thread(wait_for_signal).detach();
-    g_is_waiting = true;
   }
   for (const int number : kSignals) {
-    struct sigaction now{}, ours{};
+    struct sigaction now{};
+    struct sigaction ours{};
     sigaction(number, nullptr, &now);
     if ((now.sa_flags & SA_SIGINFO) != 0 || now.sa_handler != SIG_DFL) continue;
     ours.sa_handler = on_signal;

@@ -32,7 +32,7 @@ class TestArm final : public rcs::Arm {
   std::atomic<bool> fails_to_hold = false;
   std::string calls;
   rcs::ArmState measured{{0.0, 0.0}, {0.0, 0.0}};
-  int told = -1;  // where it writes that it holds
+  int told = -1;                        // where it writes that it holds
   std::atomic<int>* holding = nullptr;  // how many arms have begun to hold; each waits for two
 
   bool can_guide() const override { return name() != "stiff"; }
