@@ -1,4 +1,4 @@
-"""What happens to open devices when a program in Python ends: they hold. (`core/src/termination.cpp` minds signals.)"""
+"""What open devices do when a program in Python ends: they hold. Signals are minded in `core/src/termination.cpp`."""
 
 from __future__ import annotations
 

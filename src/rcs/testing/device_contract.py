@@ -577,6 +577,18 @@ class MotionContract(DeviceContract[D]):
             assert device.has_arrived()
             self.use(device)
 
+    def test_a_late_command_goes_on_from_where_the_device_was_held(self) -> None:
+        """A gap in a stream costs time and nothing else."""
+        with self.open_device() as device:
+            target = self.target_of(device)
+            self.command(device, target, 0.01)
+            time.sleep(0.05)
+            self.advance(self.stopping_time)
+            assert self.is_at_rest(device)
+            self.command(device, target)
+            self.require_reached(device, target)
+            assert device.fault == ""
+
     def test_a_stream_of_short_commands_goes_on_to_its_target(self) -> None:
         """Each takes the place of the one before in time."""
         with self.open_device() as device:
