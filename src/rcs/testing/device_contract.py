@@ -562,6 +562,7 @@ class MotionContract(DeviceContract[D]):
                 self.held = time.monotonic()
 
         with self.open_device() as device, Stopwatch() as stopwatch:
+            target: Any = None
             for _ in range(5):
                 stopwatch.held = math.nan
                 target = self.target_of(device)
