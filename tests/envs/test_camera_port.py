@@ -101,6 +101,17 @@ def test_a_camera_that_stalls_has_all_devices_hold_until_it_goes_on(camera: Fake
     env.close()
 
 
+def test_a_camera_that_cannot_be_opened_again_says_why(camera: FakeCamera, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcs.envs.camera_port.RECONNECT", 0.01)
+    env = make(camera, stale_after=0.5)
+    env.reset(seed=0)
+    camera.lose_link()
+    told: list[str] = []
+    wait_for(lambda: bool(told.append(str(env.step(stay(env))[-1].get("faults", ""))) or told[-1]))
+    assert "the link is lost" in told[-1]
+    env.close()
+
+
 def test_a_camera_that_stalls_can_only_be_flagged(camera: FakeCamera, tmp_path: Path) -> None:
     env = make(camera, on_stale="flag", stale_after=0.05)
     with record(env, tmp_path / "takes") as takes:
@@ -118,11 +129,16 @@ def test_a_camera_that_stalls_can_only_be_flagged(camera: FakeCamera, tmp_path: 
 
 def test_without_a_first_frame_nothing_stays_open(camera: FakeCamera, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rcs.envs.camera_port.FIRST_FRAME", 0.2)
-    camera.lose_link()
-    env = make(camera)
-    with pytest.raises(DeviceFault, match="'side' has given no frame"):
+
+    class Dark(FakeCamera):
+        def _read(self) -> Frame:
+            raise OSError("no picture")
+
+    dark = Dark(camera.mode, name="side")
+    env = make(dark)
+    with pytest.raises(DeviceFault, match=r"'side' has given no frame.*read failed: OSError: no picture"):
         env.reset(seed=0)
-    assert not camera.is_open
+    assert not dark.is_open
     assert all(port.device is None or not port.device.is_open for port in env.stack.ports)
     env.close()
 
@@ -198,7 +214,7 @@ def test_why_a_camera_cannot_be_opened_is_what_reset_raises(camera: FakeCamera) 
             raise OSError("no such camera")
 
     env = make(Unplugged(camera.mode, name="side"))
-    with pytest.raises(OSError, match="no such camera"):
+    with pytest.raises(DeviceFault, match="open failed: OSError: no such camera"):
         env.reset(seed=0)
     assert no_arm_is_open(env)
     env.close()

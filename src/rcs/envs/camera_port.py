@@ -113,7 +113,8 @@ class CameraFeedThread:
             except Exception as err:  # noqa: BLE001  a camera may fail in any way; its age tells, and it is opened again
                 if not self.failure:
                     _log.warning("camera %s failed and is opened again: %s", self.name, err)
-                self.failure = f"{type(err).__name__}: {err}"
+                if self._camera.is_open:  # else it says no more than that, and why it could not be opened is known
+                    self.failure = f"{type(err).__name__}: {err}"
                 self._must_end.wait(RECONNECT)
                 self._reopen()
 
