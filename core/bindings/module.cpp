@@ -14,6 +14,7 @@ void bind_device(nb::module_& m);
 void bind_arm(nb::module_& m);
 void bind_hand(nb::module_& m);
 void bind_camera(nb::module_& m);
+void bind_hosted(nb::module_& m);
 void bind_kinematics(nb::module_& m);
 void bind_collision_checker(nb::module_& m);
 void bind_line_profile(nb::module_& m);
@@ -71,6 +72,7 @@ NB_MODULE(_core, m) {
   bind_arm(m);
   bind_hand(m);
   bind_camera(m);
+  bind_hosted(m);
   bind_kinematics(m);
   bind_collision_checker(m);
   bind_line_profile(m);

@@ -81,6 +81,7 @@ class RCS_API Device {
     require_commandable(call, valid_for);
     const bool has_deadline = has_deadline_ || valid_for < kForever;
     const TimePoint former = has_deadline ? exchange_deadline(valid_for) : TimePoint::max();
+    valid_for_ = valid_for;
     try {
       send();
     } catch (...) {
@@ -91,6 +92,9 @@ class RCS_API Device {
     hold();
     require_ready(call);
   }
+
+  /// For how long the command that is being sent is valid [s], for a device that keeps the time by itself, too.
+  double valid_for() const { return valid_for_; }
 
   /// Whether stopping it means anything: not so for sensors.
   virtual bool moves() const { return true; }
@@ -122,6 +126,7 @@ class RCS_API Device {
   std::atomic<bool> has_deadline_ = false;
   std::atomic<bool> has_fault_ = false;  // what commands look at, without a lock
   std::atomic<std::uint64_t> stops_ = 0;
+  double valid_for_ = kForever;
   std::recursive_mutex holding_;  // recursive: a `do_hold` may find a fault and set it
   mutable std::mutex fault_mutex_;
   std::string fault_;

@@ -21,6 +21,7 @@ from typing import Any, Literal, get_args
 from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.hardware.driver import Driver
+from rcs.hardware.hosted import Place, hosted, is_hosted
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
 
 OnStale = Literal["flag", "hold", "fault"]
@@ -39,7 +40,8 @@ class DeviceAddress:
     address: str = ""
     """IP address, serial port or serial number, as the driver takes it."""
     options: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """What else the driver takes, as JSON values."""
+    """What else the driver takes, as JSON values. `host` (true or false) says whether the device runs in a process of
+    its own; without it, the driver does."""
 
     def __post_init__(self) -> None:
         """Check every field.
@@ -261,16 +263,30 @@ class Site:
         )
 
 
+def places_of(site: Site) -> list[Place]:
+    """Return the addresses of a site whose devices run in hosts, each once."""
+    given = [one for kind in KINDS[:3] for one in getattr(site, kind).values() if isinstance(one, DeviceAddress)]
+    hosted_ones = [one for one in given if is_hosted(_driver(one), one.options)]
+    return list(dict.fromkeys(Place(driver=one.driver, address=one.address) for one in hosted_ones))
+
+
+def _driver(given: DeviceAddress) -> Driver:
+    driver = lookup.find("driver", given.driver)
+    driver = driver() if isinstance(driver, type) else driver
+    if not isinstance(driver, Driver):
+        raise InvalidSetup(f"The driver {given.driver!r} is {driver!r}; valid is a subclass of rcs.hardware.Driver.")
+    return driver
+
+
 def _made(given: AnyDevice, kind: str, *about: Any) -> Any:
     device: Any = given
     if isinstance(given, DeviceAddress):
-        driver = lookup.find("driver", given.driver)
-        driver = driver() if isinstance(driver, type) else driver
-        if not isinstance(driver, Driver):
-            raise InvalidSetup(
-                f"The driver {given.driver!r} is {driver!r}; valid is a subclass of rcs.hardware.Driver."
-            )
-        device = getattr(driver, kind)(given.address, *about, given.options)
+        driver = _driver(given)
+        options = {name: value for name, value in given.options.items() if name != "host"}
+        device = getattr(driver, kind)(given.address, *about, options)
+        if kind != "camera" and is_hosted(driver, given.options):
+            place = Place(driver=given.driver, address=given.address)
+            device = hosted(device, place, about[0], options, driver.host_times)
     if not isinstance(device, _CLASSES[kind]):
         raise InvalidSetup(f"Expected a device of rcs.devices.{_CLASSES[kind].__name__}; got {device!r}.")
     return device
