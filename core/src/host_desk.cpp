@@ -42,6 +42,7 @@ HostDesk::~HostDesk() {
   ends_ = true;
   wake_all(memory_->hold_asked);
   watch_.join();
+  tell_fault();
   if (!is_used_) alarm(0);
   if (process_file_ >= 0) close(process_file_);
   unmap_host_memory(memory_);

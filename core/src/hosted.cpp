@@ -147,6 +147,8 @@ class HostLink {
 
  private:
   static HostMemory* mapped(const HostConnection& connection) {
+    if (connection.process <= 1)  // those are no hosts, and a host that hangs is killed
+      throw InvalidSetup("the number of a host's process is " + std::to_string(connection.process));
     HostMemory* memory = map_host_memory(connection.memory);
     ::close(connection.memory);
     return memory;
@@ -210,14 +212,15 @@ class HostLink {
       memory_->sign_of_program = host_clock();
       await_change(memory_->changes_of_fault, changes, kLook);
       if (ends_) return;
+      const bool has_ended = is_gone(socket_, process_file_);
+      tell_of_fault(changes);  // the last thing that it said comes first
       HostText<64> call{};
-      if (is_gone(socket_, process_file_)) {
+      if (has_ended) {
         lose(who() + how_it_ended(process_), false);
       } else if (overdue.look(memory_->next_sign)) {
         memory_->under_way.read(call);
         lose(hangs(call.get()), true);
       } else {
-        tell_of_fault(changes);
         tell_of_late_answer();
       }
     }

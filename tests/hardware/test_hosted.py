@@ -75,12 +75,10 @@ class Staying:
     driver: str
 
     @pytest.fixture(autouse=True, scope="class")
-    def _host(self, request: pytest.FixtureRequest) -> Generator[None]:
-        host = hosted.start(Place(driver=request.cls.driver, address=request.cls.__name__), stays=True)
-        wait_for(Place(driver=request.cls.driver, address=request.cls.__name__).socket.exists)
-        yield
-        host.terminate()
-        assert host.wait(SOON) == 0
+    @classmethod
+    def _host(cls) -> Generator[None]:
+        with hosted.start_all([Place(driver=cls.driver, address=cls.__name__)]):
+            yield
 
     @property
     def address(self) -> str:
@@ -105,6 +103,7 @@ class UnrulyOnes(Staying):
 
 class TestHostedArm(UnrulyOnes, ArmContract):
     stopping_time = 0.05
+    distance = 0.8
 
     def make_arm(self) -> Arm:
         return unruly_arm(self.box, self.address)
@@ -419,7 +418,8 @@ def test_an_environment_runs_on_devices_with_a_host(tmp_path: Path) -> None:
 
 
 def rcs_command(*words: str) -> subprocess.Popen[str]:
-    return subprocess.Popen([sys.executable, "-m", "rcs", *words], stdout=subprocess.PIPE, text=True)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.Popen([sys.executable, "-m", "rcs", *words], stdout=subprocess.PIPE, text=True, env=environment)
 
 
 def test_hosts_of_a_site_run_for_longer_and_rcs_stop_has_all_devices_hold(tmp_path: Path) -> None:

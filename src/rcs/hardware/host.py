@@ -16,6 +16,7 @@ import socket
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
@@ -43,8 +44,9 @@ class Host:
         self._driver: Driver | None = None
         self._lock = threading.Lock()
         self._users: dict[str, int] = {}  # the program of each kind of device
+        self._answering = 0
         self._threads: list[threading.Thread] = []
-        self._ends = os.eventfd(0)
+        self._ends = os.eventfd(0)  # whoever has ended an answer says so
         self._is_ending = False
 
     def run(self, listener: socket.socket) -> None:
@@ -53,9 +55,17 @@ class Host:
         try:
             while True:
                 ready, _, _ = select.select([listener, starter, self._ends], [], [])
-                if listener not in ready:
+                if starter in ready:
                     return
+                if self._ends in ready:
+                    os.eventfd_read(self._ends)
+                    if self._answering == 0:
+                        return
+                if listener not in ready:
+                    continue
                 connection, _ = listener.accept()
+                with self._lock:
+                    self._answering += 1
                 thread = threading.Thread(target=self._answer, args=(connection,), name="rcs host", daemon=True)
                 self._threads.append(thread)
                 thread.start()
@@ -66,6 +76,15 @@ class Host:
                 thread.join(HostTimes.close)
 
     def _answer(self, connection: socket.socket) -> None:
+        try:
+            self._converse(connection)
+        finally:
+            with self._lock:
+                self._answering -= 1
+            if not self._stays:
+                os.eventfd_write(self._ends, 1)
+
+    def _converse(self, connection: socket.socket) -> None:
         """Do what the other side asks for."""
         with connection:
             process = peer(connection)
@@ -88,8 +107,6 @@ class Host:
             finally:
                 records.close()
                 os.close(files[0])
-                if not self._stays and not self._users:
-                    os.eventfd_write(self._ends, 1)
 
     def _serve(self, records: Connection, memory: int, process: int) -> None:
         wanted: Wanted = records.recv()
@@ -243,11 +260,16 @@ def main() -> None:
     listener.bind(str(path))
     os.umask(old)
     listener.listen()
+    code = 0
     try:
         Host(place, stays="--stay" in sys.argv).run(listener)
-    finally:
-        path.unlink(missing_ok=True)
-        os._exit(0)  # a driver's thread that does not end must not keep the process
+    except Exception:  # noqa: BLE001  it is printed
+        traceback.print_exc()
+        code = 1
+    except SystemExit:
+        pass
+    path.unlink(missing_ok=True)
+    os._exit(code)  # a thread of a driver that does not end must not keep the process
 
 
 if __name__ == "__main__":

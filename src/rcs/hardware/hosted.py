@@ -204,7 +204,8 @@ def stop_hosts() -> dict[str, str]:
 
     A host that does not answer within a second is killed.
     """
-    return {path.stem: _stop(path) for path in sorted(folder().glob("*.sock"))}
+    told = {path.stem: _stop(path) for path in sorted(folder().glob("*.sock"))}
+    return {name: outcome for name, outcome in told.items() if outcome}
 
 
 def _stop(path: Path) -> str:
@@ -214,7 +215,7 @@ def _stop(path: Path) -> str:
         try:
             connection.connect(str(path))
         except OSError:
-            return "not running"
+            return ""  # one that was killed has left its socket behind
         process = peer(connection)
         with suppress(OSError):
             connection.sendall(STOP)
