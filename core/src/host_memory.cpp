@@ -1,5 +1,6 @@
 #include "host_memory.hpp"
 
+#include <fcntl.h>
 #include <linux/futex.h>
 #include <poll.h>
 #include <sys/mman.h>
@@ -32,6 +33,10 @@ std::int64_t host_clock() {
 std::size_t host_memory_size() { return sizeof(HostMemory); }
 
 HostMemory* map_host_memory(int file) {
+  // Memory that the other side made smaller would end this one.
+  const int seals = fcntl(file, F_GET_SEALS);
+  if (seals < 0 || (seals & F_SEAL_SHRINK) == 0)
+    throw InvalidSetup("the memory shared with a host must be a memfd that cannot shrink (F_SEAL_SHRINK)");
   struct stat about{};
   if (fstat(file, &about) != 0 || about.st_size < static_cast<off_t>(sizeof(HostMemory)))
     throw InvalidSetup("the memory shared with a host needs " + std::to_string(sizeof(HostMemory)) + " bytes");

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,7 @@ class HostCommand:
     """The file of the site."""
 
     def run(self) -> int:
-        """Start a process per address, and wait. Exit code 1 when one ends by itself."""
+        """Start a process per address, and wait. Exit code 1 when all have ended by themselves."""
         places = places_of(Site.read(self.site))
         if not places:
             raise InvalidSetup(f"{self.site} has no device that runs in a host; its drivers run in the program itself.")
@@ -34,11 +35,15 @@ class HostCommand:
             about = [{"name": str(place), "process": process.pid} for place, process in hosts.items()]
             print(json.dumps({"hosts": about}), flush=True)
             try:
-                while True:
-                    for place, process in hosts.items():
+                while hosts:
+                    for place, process in list(hosts.items()):
                         if process.poll() is not None:
-                            print(f"The host of {place} ended with exit code {process.returncode}.")
-                            return 1
+                            print(
+                                f"The host of {place} has ended; a program that recovers starts another.",
+                                file=sys.stderr,
+                            )
+                            del hosts[place]
                     time.sleep(0.1)
             except KeyboardInterrupt:
                 return 0
+            return 1

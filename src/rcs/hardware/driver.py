@@ -15,7 +15,7 @@ from rcs.robots.description import ArmDescription, CameraDescription, GripperDes
 class HostTimes:
     """How long calls of a driver in a host may take; a host in which one takes longer is killed, as a fault."""
 
-    answer: float = 0.25
+    answer: float = 0.2
     """A measurement, a command or a stop [s]."""
     open: float = 3.0
     """Connecting, with the import of the vendor's library [s]."""

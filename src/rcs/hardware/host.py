@@ -45,6 +45,8 @@ class Host:
         self._lock = threading.Lock()
         self._users: dict[str, int] = {}  # the program of each kind of device
         self._answering = 0
+        self._opening = 0.0  # how long the opening of a device may take now [s]
+        self._desks: list[HostDesk] = []
         self._threads: list[threading.Thread] = []
         self._ends = os.eventfd(0)  # whoever has ended an answer says so
         self._is_ending = False
@@ -113,12 +115,15 @@ class Host:
         try:
             with self._claim(wanted.kind, process):
                 device, times = self._make(wanted)
+                with self._others_wait(times):
+                    device.open()
                 with device:
                     desk = HostDesk(memory, records.fileno(), process, device)
-                    if not _measure(device, desk, times):
+                    if not _measure(device, desk, times.answer):
                         raise DeviceFault(f"{device.name}: {device.fault}")
                     records.send(None)
-                    self._work(device, desk, times)
+                    with self._listed(desk):
+                        self._work(device, desk, times)
         except Exception as err:  # noqa: BLE001  the program raises it
             records.send(err if isinstance(err, RcsError) else DeviceFault(f"{wanted.place}: {in_words(err)}"))
 
@@ -140,35 +145,52 @@ class Host:
             with self._lock:
                 del self._users[kind]
 
+    @contextmanager
+    def _others_wait(self, times: HostTimes) -> Generator[None]:
+        """Let the other devices be late while one is opened, which may keep the interpreter."""
+        self._opening = times.open
+        for desk in list(self._desks):
+            desk.promise("opening of another device", times.open)
+        try:
+            yield
+        finally:
+            self._opening = 0.0
+
+    @contextmanager
+    def _listed(self, desk: HostDesk) -> Generator[None]:
+        self._desks.append(desk)
+        try:
+            yield
+        finally:
+            self._desks.remove(desk)
+
     def _make(self, wanted: Wanted) -> tuple[Arm | Gripper | Hand, HostTimes]:
         sys.path.extend(path for path in wanted.path if path not in sys.path)
         with self._lock:
-            if self._driver is None:
-                self._driver = lookup.find("driver", wanted.place.driver)()
-        return getattr(self._driver, wanted.kind)(self.place.address, wanted.about, wanted.options), (
-            self._driver.host_times
-        )
+            driver = self._driver = self._driver or lookup.find("driver", wanted.place.driver)()
+        return getattr(driver, wanted.kind)(self.place.address, wanted.about, wanted.options), driver.host_times
 
     def _work(self, device: Arm | Gripper | Hand, desk: HostDesk, times: HostTimes) -> None:
         """Measure, and do what the program asks for, until it closes the device or ends."""
         while desk.is_used and not self._is_ending:
-            rest = times.period if _measure(device, desk, times) else FAILED_REST
+            answer = max(times.answer, self._opening)
+            rest = times.period if _measure(device, desk, answer) else FAILED_REST
             until = time.monotonic() + rest
             while (left := until - time.monotonic()) > 0:
-                desk.promise("a pause", left + times.answer)
+                desk.promise("a pause", left + answer)
                 request = desk.next(left)
                 if request is None:
                     break
-                limit = {HostCall.recover: times.recover, HostCall.close: times.close}.get(request.call, times.answer)
+                limit = {HostCall.recover: times.recover, HostCall.close: times.close}.get(request.call, answer)
                 desk.promise(request.call.name, limit)
                 _answer(device, desk, request)
                 if request.call is HostCall.close:
                     return
 
 
-def _measure(device: Arm | Gripper | Hand, desk: HostDesk, times: HostTimes) -> bool:
+def _measure(device: Arm | Gripper | Hand, desk: HostDesk, seconds: float) -> bool:
     """Measure and hand it out; return whether that succeeded."""
-    desk.promise("state", times.answer)
+    desk.promise("state", seconds)
     try:
         desk.show(device.state())
         return True

@@ -6,6 +6,7 @@ moves a device then goes through memory that program and host share (`core/src/h
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import re
@@ -231,9 +232,10 @@ def _connector(wanted: Wanted, name: str, times: HostTimes) -> Callable[[], tupl
     def connect() -> tuple[int, int, int]:
         connection = _reach(wanted.place)
         process = peer(connection)
-        memory = os.memfd_create("rcs host", os.MFD_CLOEXEC)
+        memory = os.memfd_create("rcs host", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         try:
             os.ftruncate(memory, HOST_MEMORY)
+            fcntl.fcntl(memory, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK)
             socket.send_fds(connection, [DEVICE], [memory])
             _ask(connection, process, wanted, name, times)
         except BaseException:
