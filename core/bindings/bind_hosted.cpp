@@ -27,6 +27,16 @@ rcs::HostLine::Connect to_connect(nb::callable connect) {
   };
 }
 
+/// The same, with what `connect` raises.
+template <typename Hosted>
+struct Connected final : Hosted {
+  using Hosted::Hosted;
+  std::optional<std::string> words_of(const std::exception& error) const override {
+    const auto* raised = dynamic_cast<const nb::python_error*>(&error);
+    return raised ? words_of_python(*raised) : Hosted::words_of(error);
+  }
+};
+
 #define RCS_HOSTED_INIT(base)                                                      \
   "def __init__(self, like: " base                                                 \
   ", connect: collections.abc.Callable[[], tuple[int, int, int]], answer: float) " \
@@ -34,11 +44,12 @@ rcs::HostLine::Connect to_connect(nb::callable connect) {
 
 template <typename Hosted, typename Base>
 void bind(nb::module_& m, const char* name, const char* doc, const char* signature) {
+  static_assert(sizeof(Connected<Hosted>) == sizeof(Hosted));
   nb::class_<Hosted, Base>(m, name, doc)
       .def(
           "__init__",
           [](Hosted* self, const Base& like, nb::callable connect, double answer) {
-            new (self) Hosted(like, to_connect(std::move(connect)), answer);
+            new (self) Connected<Hosted>(like, to_connect(std::move(connect)), answer);
           },
           "like"_a, "connect"_a, "answer"_a, nb::sig(signature),
           "Be as `like`, a device of the driver that is never opened.\n\n`connect` starts a host where needed, opens "

@@ -5,9 +5,7 @@
 #include <exception>
 #include <string>
 
-#include "rcs/result.hpp"
-
-namespace nb = nanobind;
+#include "overrides.hpp"
 
 void bind_pose(nb::module_& m);
 void bind_device(nb::module_& m);
@@ -29,16 +27,22 @@ void bind_rows(nb::module_& m);
 
 namespace {
 
-void raise_as(const char* name, const std::exception& error) {
-  // Python's own classes, so that one `except rcs.errors.X` catches the error from both languages.
-  const nb::object type = nb::module_::import_("rcs.errors").attr(name);
+/// Whether an exception of Python is the cause of an error, also of its cause; it is then the present one.
+bool restore_cause(const std::exception& error) {
   try {
     std::rethrow_if_nested(error);
   } catch (nb::python_error& cause) {
     cause.restore();
-    return nb::chain_error(type, "%s", error.what());
-  } catch (const std::exception&) {  // from C++: its message is in that of `error`
+    return true;
+  } catch (const std::exception& cause) {  // from C++: its message is in that of `error`
+    return restore_cause(cause);
   }
+  return false;
+}
+
+void raise_as(const char* name, const std::exception& error) {
+  const nb::object type = error_class(name);
+  if (restore_cause(error)) return nb::chain_error(type, "%s", error.what());
   PyErr_SetString(type.ptr(), error.what());
 }
 

@@ -8,6 +8,8 @@
 #include <thread>
 #include <utility>
 
+#include "termination.hpp"
+
 namespace rcs {
 
 namespace {
@@ -30,6 +32,7 @@ OpenDevices::Entry& OpenDevices::entry(Device& device) {
 }
 
 void OpenDevices::add(Device& device) {
+  if (device.moves()) hold_at_termination();
   const std::lock_guard lock(mutex_);
   entry(device).deadline = kNever;
 }

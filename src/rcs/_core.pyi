@@ -175,6 +175,11 @@ class Device:
     `name`, `is_open`, `is_guided`, `fault`, `hold` and `set_fault` may be used from any thread at any time, also while
     another call is under way. All other calls are for one thread at a time. No call keeps other threads from running. An
     open device stays alive until it is closed; `with device:` opens and closes it.
+
+    What a function of a driver raises is the device's fault, in its words, and reaches the caller as DeviceFault. Errors of
+    `rcs.errors` pass as they are; a DeviceFault that a driver raises says the fault.
+
+    When the program ends, by SIGTERM, by an exception or without a `close`, every open device that moves holds.
     """
 
     @property
@@ -197,11 +202,18 @@ class Device:
         """Whether a person may move it by hand now."""
 
     def open(self) -> None:
-        """Connect. Nothing moves. Opening an open device does nothing."""
+        """
+        Connect, and read what the device is and where.
+
+        Nothing is energised and nothing moves: the first command does that, from the measured state. When it fails, the
+        device is closed again. Opening an open device does nothing.
+        """
 
     def hold(self) -> None:
         """
-        Stop where the device is now and stay there. Allowed in the fault state.
+        Stop where the device is now and stay there.
+
+        One that no command has energised stays as it is. Allowed in the fault state.
         """
 
     def has_arrived(self) -> bool:
@@ -231,7 +243,11 @@ class Device:
         """
 
     def close(self) -> None:
-        """Hold and let go of the device. Closing twice is harmless."""
+        """
+        Hold and let go of the device. Closing twice is harmless.
+
+        What fails is a fault and is raised when all is done; nothing is raised in the fault state, which is known.
+        """
 
     def __enter__(self) -> Self: ...
 

@@ -110,7 +110,7 @@ class Hosted : public Base {
 };
 
 /// An arm with a host.
-class HostedArm final : public Hosted<Arm> {
+class HostedArm : public Hosted<Arm> {
  public:
   /// `like` is an arm of the driver that is never opened: its name, limits and kinds of commands are this one's.
   HostedArm(const Arm& like, HostLine::Connect connect, double answer);
@@ -125,7 +125,7 @@ class HostedArm final : public Hosted<Arm> {
 };
 
 /// A gripper with a host.
-class HostedGripper final : public Hosted<Gripper> {
+class HostedGripper : public Hosted<Gripper> {
  public:
   HostedGripper(const Gripper& like, HostLine::Connect connect, double answer);
 
@@ -135,7 +135,7 @@ class HostedGripper final : public Hosted<Gripper> {
 };
 
 /// A hand with a host.
-class HostedHand final : public Hosted<Hand> {
+class HostedHand : public Hosted<Hand> {
  public:
   HostedHand(const Hand& like, HostLine::Connect connect, double answer);
 

@@ -94,8 +94,8 @@ class Trajectory {
   Plan& plan(const double* memory);
   double stay_behind(double speed_share);
   double spare_way(std::size_t joint, double share, double behind, double horizon) const;
-  std::uint64_t let_go(double horizon);
-  double gained_share(double horizon);
+  void let_go(std::size_t joint, double behind, double horizon);
+  double gained_share(std::size_t first, std::size_t count, double horizon);
 
   MotionLimits limits_;
   std::unique_ptr<Plan> plan_;
