@@ -1,7 +1,7 @@
 """A driver of fakes that do what a test says at their next call of a kind: crash, hang, raise, lose their link.
 
 Hosts import it by name. A test drops a file into the folder that the option `box` names: its name is the call, its text
-the deed. The log in the same folder says when the devices held.
+the deed; while there is a file `cut`, the link is lost. The log in the same folder says when the devices held.
 """
 
 from __future__ import annotations
@@ -72,19 +72,23 @@ class Unruly:
     box: Path | None = None
 
     def look(self, call: str) -> None:
-        if self.box is None or not (self.box / call).exists():
+        if self.box is None:
+            return
+        if self.body.has_link and (self.box / "cut").exists():
+            self.lose_link()
+        self.body.has_link = not (self.box / "cut").exists()
+        if not (self.box / call).exists():
             return
         deed = (self.box / call).read_text()
         (self.box / call).unlink()
-        if deed == "lose":
-            self.lose_link()
-        elif deed == "trip":
+        if deed == "trip":
             self.trip("collision")
         else:
             DEEDS[deed]()
 
     def _open(self) -> None:
         self.look("open")
+        super()._open()
 
     def _state(self) -> Any:
         self.look("state")
@@ -103,6 +107,7 @@ class Unruly:
 
     def _close(self) -> None:
         self.look("close")
+        super()._close()
 
 
 class UnrulyArm(Unruly, FakeArm):

@@ -32,6 +32,8 @@ from rcs.spatial import Pose
 
 FAILED_REST = 0.05
 """How long the host waits after a measurement that failed [s]."""
+LETTING_GO = 0.5
+"""How long a program waits for one that just lets go of a device [s]."""
 
 
 class Host:
@@ -42,7 +44,7 @@ class Host:
         self.place = place
         self._stays = stays
         self._driver: Driver | None = None
-        self._lock = threading.Lock()
+        self._lock = threading.Condition()
         self._users: dict[str, int] = {}  # the program of each kind of device
         self._answering = 0
         self._opening = 0.0  # how long the opening of a device may take now [s]
@@ -134,16 +136,21 @@ class Host:
         Raises:
             DeviceFault: One has it.
         """
+
+        def others() -> list[int]:
+            return [user for other, user in self._users.items() if user != process or other == kind]
+
         with self._lock:
-            for other, user in self._users.items():
-                if user != process or other == kind:
-                    raise DeviceFault(f"{self.place} is in use by process {user} ({_command_of(user)}); end it first.")
+            if not self._lock.wait_for(lambda: not others(), LETTING_GO):
+                user = others()[0]
+                raise DeviceFault(f"{self.place} is in use by process {user} ({_command_of(user)}); end it first.")
             self._users[kind] = process
         try:
             yield
         finally:
             with self._lock:
                 del self._users[kind]
+                self._lock.notify_all()
 
     @contextmanager
     def _others_wait(self, times: HostTimes) -> Generator[None]:
@@ -183,7 +190,7 @@ class Host:
                     break
                 limit = {HostCall.recover: times.recover, HostCall.close: times.close}.get(request.call, answer)
                 desk.promise(request.call.name, limit)
-                _answer(device, desk, request)
+                _answer(device, desk, request, answer)
                 if request.call is HostCall.close:
                     return
 
@@ -201,7 +208,7 @@ def _measure(device: Arm | Gripper | Hand, desk: HostDesk, seconds: float) -> bo
         return False
 
 
-def _answer(device: Arm | Gripper | Hand, desk: HostDesk, request: HostRequest) -> None:
+def _answer(device: Arm | Gripper | Hand, desk: HostDesk, request: HostRequest, seconds: float) -> None:
     """Do what is asked for, and tell how it ended."""
     try:
         flag = bool(_do(device, request))
@@ -214,6 +221,8 @@ def _answer(device: Arm | Gripper | Hand, desk: HostDesk, request: HostRequest) 
             device.set_fault(in_words(err))
         desk.answer(request, HostOutcome.fault, device.fault or str(err))
     else:
+        if flag or request.call is HostCall.recover:  # what is measured next must not be from before
+            _measure(device, desk, seconds)
         desk.answer(request, HostOutcome.done, flag=flag)
 
 
