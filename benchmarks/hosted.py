@@ -49,7 +49,7 @@ def main() -> None:
 
 def arm_in(box: Path) -> Any:
     """Return an arm whose host logs its holds."""
-    given = {"driver": "unruly:UnrulyDriver", "address": "benchmark", "options": {"box": str(box)}}
+    given: Any = {"driver": "unruly:UnrulyDriver", "address": "benchmark", "options": {"box": str(box)}}
     return Site(arms={"fr3": given}).devices({"fr3": (FR3, None)}, {}).arms["fr3"]
 
 
@@ -63,7 +63,7 @@ def reach(box: Path) -> dict[str, float]:
             "command": lambda: arm.command_joints(HOME, 0.1),
             "hold": arm.hold,
         }
-        found = {"start_ms": round(1e3 * start)}
+        found: dict[str, float] = {"start_ms": round(1e3 * start)}
         for name, call in calls.items():
             times = []
             for _ in range(500):
