@@ -379,6 +379,16 @@ def test_a_second_program_is_refused_and_told_who_has_the_device(tmp_path: Path)
         process.communicate()
 
 
+def test_a_host_that_stays_serves_the_next_program_after_one_was_killed(tmp_path: Path) -> None:
+    with hosted.start_all([Place(driver="unruly:UnrulyDriver", address="unruly")]) as hosts:
+        process, host = program(tmp_path, "time.sleep(60)")
+        process.kill()
+        process.communicate()
+        with unruly_arm(tmp_path) as arm:
+            assert [arm.host] == [host] == [one.pid for one in hosts.values()]
+            arm.command_joints(FAR)
+
+
 def test_a_second_arm_at_one_address_is_refused(tmp_path: Path) -> None:
     with unruly_arm(tmp_path), pytest.raises(DeviceFault, match=f"in use by process {os.getpid()}"):
         unruly_arm(tmp_path).open()

@@ -23,11 +23,11 @@ from rcs.hardware.fake import limits_of
 
 
 def keep_interpreter(seconds: float) -> None:
-    """Keep the interpreter's lock in one call of C for about a time, as some libraries do while they connect."""
-    count, begin = 16, time.perf_counter()
-    while (passed := time.perf_counter() - begin) < seconds:
-        count += 1 + max(0, int(np.log2(max(seconds / max(passed, 1e-3), 1.0))) - 2)
-        re.match(r"(a+)+$", "a" * count + "b")
+    """Keep the interpreter's lock in calls of C, the last for half of the time at least, as some libraries do while they connect."""
+    count, begin = 18, time.perf_counter()
+    while time.perf_counter() < begin + seconds:
+        re.match(r"(a+)+$", "a" * count + "b")  # takes twice as long with each letter
+        count += 1
 
 
 def raise_index_error() -> None:
