@@ -23,7 +23,7 @@ from rcs.hardware.fake import limits_of
 
 
 def keep_interpreter(seconds: float) -> None:
-    """Keep the interpreter's lock in calls of C, the last for half of the time at least, as some libraries do while they connect."""
+    """Keep the interpreter's lock in calls of C, the last one for half of the time, as some libraries do."""
     count, begin = 18, time.perf_counter()
     while time.perf_counter() < begin + seconds:
         re.match(r"(a+)+$", "a" * count + "b")  # takes twice as long with each letter
