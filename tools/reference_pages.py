@@ -23,7 +23,7 @@ import rcs
 from rcs.devices import lookup
 from rcs.envs import Task
 from rcs.envs.reward import RewardKind
-from rcs.envs.setup import Options, RelativeTo
+from rcs.envs.setup import AtEnd, Options, RelativeTo
 from rcs.envs.spaces import UNITS, Control
 from rcs.robots import ArmDescription, CameraDescription, GripperDescription, HandDescription
 from rcs.setups import CameraMount, Lab, ids, lab_of, tasks_of
@@ -76,6 +76,7 @@ MEANINGS = {  # keys of observations, then those of info
 VALUES = {
     "Quality": get_args(Quality), "Assets": get_args(Assets), "Control": get_args(Control), "Preset": get_args(Preset),
     "RelativeTo": get_args(RelativeTo), "RewardKind": get_args(RewardKind), "Stepping": get_args(Stepping),
+    "AtEnd": get_args(AtEnd),
 }  # fmt: skip
 """Values of options by the name of their type."""
 

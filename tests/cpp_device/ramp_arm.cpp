@@ -41,22 +41,38 @@ class RampArm final : public rcs::Arm {
   /// Have the device report what no device should: a joint too few, or a value that is not a number.
   void lose_joint() { joints_.pop_back(); }
   void measure_nan() { joints_.front() = std::nan(""); }
-  /// Have commands and measurements fail as with a broken connection.
-  void disconnect() { is_connected_ = false; }
+  /// Have every call fail as with a broken connection; the controller stops the arm.
+  void disconnect() {
+    do_hold();
+    is_connected_ = false;
+  }
+  void reconnect() { is_connected_ = true; }
 
  protected:
+  void do_open() override { reach(); }
   rcs::ArmState do_state() override {
-    if (!is_connected_) fail("no answer from the controller");
+    reach();
     return {joints_, velocities_, rcs::kNaN, time_};
   }
   void do_command_joints(std::span<const double> joints) override {
-    if (!is_connected_) throw std::runtime_error("no answer from the controller");
+    reach();
     target_.assign(joints.begin(), joints.end());
   }
-  bool do_has_arrived() override { return target_ == joints_; }
-  void do_hold() override { target_ = joints_; }
+  bool do_has_arrived() override {
+    reach();
+    return target_ == joints_;
+  }
+  void do_hold() override {
+    reach();
+    target_ = joints_;
+  }
+  void do_recover() override { reach(); }
 
  private:
+  void reach() const {
+    if (!is_connected_) throw std::runtime_error("no answer from the controller");
+  }
+
   std::vector<double> joints_;      // rad
   std::vector<double> velocities_;  // rad/s
   std::vector<double> target_;      // rad
@@ -76,5 +92,6 @@ NB_MODULE(ramp_arm, m) {
       .def("advance", &RampArm::advance, "seconds"_a)
       .def("lose_joint", &RampArm::lose_joint)
       .def("measure_nan", &RampArm::measure_nan)
-      .def("disconnect", &RampArm::disconnect);
+      .def("disconnect", &RampArm::disconnect)
+      .def("reconnect", &RampArm::reconnect);
 }

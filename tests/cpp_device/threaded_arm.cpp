@@ -3,10 +3,12 @@
 #include <nanobind/nanobind.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <mutex>
 #include <span>
+#include <stdexcept>
 #include <stop_token>
 #include <thread>
 #include <utility>
@@ -32,19 +34,26 @@ class ThreadedArm final : public rcs::Arm {
   }
   ~ThreadedArm() override { close(); }
 
-  void lose_link() { thread_ = {}; }
+  /// Have every call fail as without a link; the arm stops by itself.
+  void lose_link() {
+    do_hold();
+    has_link_ = false;
+  }
+  void restore_link() { has_link_ = true; }
   bool can_guide() const override { return true; }
 
  protected:
   void do_open() override {
+    reach();
     thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
   }
   rcs::ArmState do_state() override {
-    if (!thread_.joinable()) fail("the control thread has ended");
+    reach();
     const std::lock_guard lock(mutex_);
     return measured_;
   }
   void do_command_joints(std::span<const double> joints) override {
+    reach();
     const std::lock_guard lock(mutex_);
     measured_.commanded_joints.assign(joints.begin(), joints.end());
     speed_ = limits().joint_velocity;
@@ -57,16 +66,23 @@ class ThreadedArm final : public rcs::Arm {
     }
   }
   bool do_has_arrived() override {
+    reach();
     const std::lock_guard lock(mutex_);
     return measured_.joints == measured_.commanded_joints;
   }
   void do_hold() override {
+    reach();
     const std::lock_guard lock(mutex_);
     measured_.commanded_joints = measured_.joints;
   }
+  void do_recover() override { reach(); }
   void do_close() override { thread_ = {}; }
 
  private:
+  void reach() const {
+    if (!has_link_) throw std::runtime_error("the link is lost");
+  }
+
   void run(const std::stop_token& stop) {
     const double period = std::chrono::duration<double>(kPeriod).count();
     while (!stop.stop_requested()) {
@@ -82,6 +98,7 @@ class ThreadedArm final : public rcs::Arm {
     }
   }
 
+  std::atomic<bool> has_link_ = true;
   std::mutex mutex_;
   rcs::ArmState measured_;     // its commanded joints are where the thread goes
   std::vector<double> speed_;  // rad/s
@@ -96,5 +113,6 @@ NB_MODULE(threaded_arm, m) {
   nb::set_leak_warnings(false);  // as in ramp_arm
   nb::class_<ThreadedArm, rcs::Arm>(m, "ThreadedArm")
       .def(nb::init<rcs::ArmLimits>(), "limits"_a)
-      .def("lose_link", &ThreadedArm::lose_link);
+      .def("lose_link", &ThreadedArm::lose_link)
+      .def("restore_link", &ThreadedArm::restore_link);
 }

@@ -34,6 +34,9 @@ class TestRampArm(ArmContract):
     def lose_link(self, device: Any) -> None:
         device.disconnect()
 
+    def restore_link(self, device: Any) -> None:
+        device.reconnect()
+
 
 class TestThreadedArm(ArmContract):
     distance = 0.3
@@ -48,6 +51,9 @@ class TestThreadedArm(ArmContract):
 
     def lose_link(self, device: Any) -> None:
         device.lose_link()
+
+    def restore_link(self, device: Any) -> None:
+        device.restore_link()
 
     def test_velocities_end_when_their_time_is_over(self) -> None:
         with self.open_device() as arm:
@@ -110,7 +116,7 @@ def test_a_measurement_that_is_not_finite_is_a_fault_that_stays(arm) -> None:
         arm.command_joints(np.zeros(3))
 
 
-def test_an_exception_of_the_device_reaches_python_with_its_message(arm) -> None:
+def test_an_exception_of_the_device_is_a_fault_with_its_message(arm) -> None:
     arm.disconnect()
-    with pytest.raises(RuntimeError, match="no answer from the controller"):
+    with pytest.raises(DeviceFault, match="ramp: command_joints failed: no answer from the controller"):
         arm.command_joints(np.zeros(3))

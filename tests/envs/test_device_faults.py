@@ -10,6 +10,7 @@ import pytest
 import rcs
 from rcs.devices import ArmState
 from rcs.devices.fakes import FakeArm, FakeGripper
+from rcs.envs.env import Env
 from rcs.errors import DeviceFault
 from rcs.hardware.fake import limits_of
 from rcs.robots import FR3
@@ -41,7 +42,7 @@ class Glitching(FakeArm):
         super()._command_joints(joints)
 
 
-def made(arm: FakeArm, gripper: FakeGripper | None = None) -> rcs.Env:
+def made(arm: FakeArm, gripper: FakeGripper | None = None) -> Env:
     hardware = {"fr3": arm, "fr3/gripper": gripper or FakeGripper()}
     return rcs.make("Free", robot="fr3", hardware=hardware, frequency=60)
 

@@ -22,7 +22,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from rcs.agents.choice import is_path
 from rcs.envs.reward import RewardKind
-from rcs.envs.setup import Setup
+from rcs.envs.setup import AtEnd, Setup
 from rcs.envs.spaces import Control, Observed
 from rcs.errors import InvalidSetup
 from rcs.rollout.cluster import LOCAL
@@ -114,6 +114,8 @@ class SetupOptions:
     """Control steps per second [Hz]."""
     collision_reaction: bool = True
     """Stop an arm that pushes harder than its controller allows, which ends the episode, as on the robot."""
+    at_end: AtEnd = "hold"
+    """What real arms do in the end: `park` has them go home, slowly."""
     randomise: AnyPreset = "none"
     """Vary looks, objects, physics, start and timing of the robots from episode to episode, within these ranges; those
     of `default` when none are named."""
@@ -168,7 +170,7 @@ class SetupOptions:
 _AS_THEY_ARE = (
     "reward", "discount", "robot", "end_effector", "layers", "observe", "gates", "camera_mode", "camera_fps",
     "camera_noise", "depth", "segmentation", "tactile", "control", "frequency", "assets",
-    "collision_reaction",
+    "collision_reaction", "at_end",
 )  # fmt: skip
 """Options that are fields of a setup."""
 

@@ -61,17 +61,24 @@ class Approach:
                 "they agree, or True where somebody watches."
             )
 
-    def go(self, stack: Stack, clock: Clock, placements: Sequence[RobotPlacement]) -> None:
+    def go(
+        self,
+        stack: Stack,
+        clock: Clock,
+        placements: Sequence[RobotPlacement],
+        is_held: Callable[[], bool] = lambda: False,
+    ) -> None:
         """Ask, and move; gates see every target on the way.
 
         Args:
             stack: All robots. Those without a target stay where they are measured.
             clock: Keeps the rate.
             placements: The robots of the environment.
+            is_held: Whether another thread has said since that all devices shall hold.
 
         Raises:
             InvalidSetup: A target is out of the range of the device; nothing has moved.
-            Refused: The person does not agree, and nothing has moved; or a gate does not on the way.
+            Refused: The person does not agree, and nothing has moved; or a gate does not on the way, or `is_held`.
             DeviceFault: A device failed on the way, or an arm has not arrived.
         """
         question = self._question(self._ways(stack, placements))
@@ -91,6 +98,9 @@ class Approach:
                 if step > steps:
                     targets[way.chain].update(way.effector)
             stack.send(stack.admit(targets))
+            if is_held():
+                stack.hold()  # anew: it may have been said before the targets were sent
+                raise Refused("The arms were told to hold on their way, and stay where they are.")
             clock.advance()
             measured = stack.measure()
             if faults := stack.faults():

@@ -6,6 +6,7 @@ serves both: `array[where] = value` is for all copies with `where = ...`.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -33,6 +34,10 @@ _FAILED, _FAULT = StepEnd.failed.value, StepEnd.fault.value
 _ENDS = {end.value: end.name for end in StepEnd}
 END_NAMES = np.array([{**_ENDS, _FAILED: DIVERGED}.get(i, "") for i in range(1 + max(_ENDS))])
 """What `info["end"]` says of a step, by the value of `StepEnd`."""
+
+
+Approaches = Callable[[Stack, Clock, Callable[[], bool]], None]
+"""Moves real robots slowly, unless the last argument says that they are told to hold."""
 
 
 class Engine:
@@ -85,7 +90,7 @@ class Engine:
         *,
         state: NDArray[np.float64] | None = None,
         start: Start | None = None,
-        approach: Callable[[Stack, Clock], None] | None = None,
+        approach: Approaches | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Start the next episode of some copies, or of all when an error broke the last ones off.
 
@@ -109,7 +114,7 @@ class Engine:
             observation = self.observe_start(copies)
             self._require_no_fault()  # what was measured may be too old
             if approach is not None:
-                approach(self.stack, self._clock)
+                self._approach(approach)
                 self._clock.reset()
                 observation = self.observe_start(copies)
             if self.scenario is not None:
@@ -124,6 +129,10 @@ class Engine:
         info = info if self.leading else row(info, ...)
         self.audience.tell_starts(observation, info, self._seeds_of(copies))
         return observation, info
+
+    def _approach(self, approach: Approaches) -> None:
+        self._must_rebase = False
+        approach(self.stack, self._clock, lambda: self._must_rebase)
 
     def restart(self, copies: NDArray[np.int32]) -> Observation:
         """Start the next episode of some copies right after their last step."""
@@ -411,16 +420,23 @@ class Engine:
         self._must_rebase = True
         self.stack.recover()
 
-    def close(self) -> None:
+    def close(self, park: Approaches | None = None) -> None:
         """Let go of all devices, then of observers, pictures and the world, whatever fails. Closing twice is harmless.
 
         Called while another thread makes a step, it has all devices hold at once, and closes them after the step.
+
+        Args:
+            park: Moves real robots before; not where a step failed, a device is in fault or an error is under way.
         """
         if not self.is_open:
             return
         self.is_open = False
         held = [self.stack.hold, self.turn.wait] if self.turn.is_of_another_thread else []
-        for_all([*held, self.stack.close, *self.audience.closes(), *self._resources])
+        try:
+            if park is not None and self._is_started and not held and not self.stack.faults() and not sys.exc_info()[0]:
+                self._approach(park)
+        finally:
+            for_all([*held, self.stack.close, *self.audience.closes(), *self._resources])
 
 
 def _with_rows(new: Mapping[str, Any], old: Mapping[str, Any], where: Any) -> dict[str, Any]:

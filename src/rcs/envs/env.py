@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, SupportsFloat
 
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from rcs.envs.approach import Approach
 from rcs.envs.clock import Clock
 from rcs.envs.draws import SEED_LIMIT, check_seed
-from rcs.envs.engine import DIVERGED, FAULT, Engine
+from rcs.envs.engine import DIVERGED, FAULT, Approaches, Engine
 from rcs.envs.html import to_html
 from rcs.envs.limits import Limits, limits_of
 from rcs.envs.observers import Observer
 from rcs.envs.scenario import Scenario
 from rcs.envs.setup import Setup
-from rcs.envs.spaces import Observation
+from rcs.envs.spaces import JOINTS, Observation
 from rcs.envs.stack import Stack
 from rcs.envs.start import Start, check_start, check_state
 from rcs.envs.state import EnvState, read_state, write_state
@@ -318,16 +318,26 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
     def close(self) -> None:
         """Let go of all devices, then of observers and pictures, whatever fails. Closing twice is harmless.
 
-        Called while another thread makes a step, it has all devices hold at once, and closes them after the step.
+        Called while another thread makes a step, it has all devices hold at once, and closes them after the step. With
+        `at_end="park"` in the setup, real arms go home before, unless something has gone wrong.
 
         Raises:
             BaseException: The first failure, with a note of the others; everything else is closed.
         """
-        self._engine.close()
+        placements = list(self.robots.values())
+        homes = {
+            one.name: {JOINTS: np.array(one.arm.home)}
+            for one in placements
+            if self.platform.get(one.name) != "simulation"
+        }
+        if not homes or not self.has_setup or self.setup.at_end == "hold":
+            return self._engine.close()
+        home = Approach(robots=homes, may_move=True)
+        return self._engine.close(lambda stack, clock, is_held: home.go(stack, clock, placements, is_held))
 
     def _check_options(
         self, options: Mapping[str, Any] | None
-    ) -> tuple[NDArray[np.float64] | None, Start | None, Callable[[Stack, Clock], None] | None]:
+    ) -> tuple[NDArray[np.float64] | None, Start | None, Approaches | None]:
         if options is not None and not isinstance(options, Mapping):
             raise InvalidSetup(f"The reset options are {options!r}; valid is a dictionary, or None.")
         given = dict(options or {})
@@ -346,7 +356,7 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         others = {name: own for name, own in start.robots.items() if name not in real}
         approach = Approach(robots=real, **manner)
         simulated = replace(start, robots=others) if self.is_simulated else None
-        return None, simulated, lambda stack, clock: approach.go(stack, clock, placements)
+        return None, simulated, lambda stack, clock, is_held: approach.go(stack, clock, placements, is_held)
 
     def __str__(self) -> str:
         """Return the environment, its task and its stack, part by part."""

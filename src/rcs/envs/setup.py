@@ -23,6 +23,9 @@ from rcs.sim.world import Stepping
 RelativeTo = Literal["last_step", "origin", "absolute"]
 """The reference to which an arm's action is added; `absolute` for none."""
 
+AtEnd = Literal["hold", "park"]
+"""What real devices do when their environment is closed."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
@@ -88,6 +91,9 @@ class Setup:
     target."""
     binary_gripper: bool = True
     """Whether the gripper only opens and closes fully."""
+    at_end: AtEnd = "hold"
+    """What real arms do when the environment is closed: `hold`, or `park`, which is to go home at 5 % of their largest
+    speeds, each joint straight there. They hold after an error or a fault, and when the program is told to end."""
     layers: tuple[str, ...] = ()
     """Names of more layers on top, or `module:Class`, from the lowest to the highest; each robot has its own."""
     gates: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Mapping[str, Any]])
@@ -152,6 +158,7 @@ class Setup:
             object.__setattr__(self, "relative", "last_step" if relative else "absolute")
         choices = {
             "reward": RewardKind,
+            "at_end": AtEnd,
             "control": Control,
             "relative": RelativeTo,
             "stepping": Stepping,
@@ -232,6 +239,7 @@ class Options(TypedDict, total=False):
     control: Control
     relative: RelativeTo | bool
     binary_gripper: bool
+    at_end: AtEnd
     frequency: float
     stepping: Stepping
     max_episode_steps: int | None

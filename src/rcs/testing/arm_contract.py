@@ -125,6 +125,7 @@ class ArmContract(MotionContract[Arm]):
         with self.open_device() as arm:
             start, target = self.position(arm), self.target_of(arm)
             self.begin(arm, target)
+            state, share = arm.state(), 0.0
             for _ in range(math.ceil(self.time_limit / self.tick)):
                 state = arm.state()
                 share = (state.joints - start) @ (target - start) / ((target - start) @ (target - start))

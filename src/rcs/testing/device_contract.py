@@ -12,6 +12,7 @@ from typing import Any, Generic, TypeVar
 import pytest
 
 from rcs.devices import Device, stop_all
+from rcs.devices.fakes import FakeGripper
 from rcs.errors import DeviceFault, InvalidAction, WrongOrder
 
 D = TypeVar("D", bound=Device)
@@ -553,15 +554,8 @@ class MotionContract(DeviceContract[D]):
         A machine that is busy holds it late. How late is seen by a stopwatch, which is held after it; a device that may
         have arrived by then is sent once more.
         """
-        from rcs.devices.fakes import FakeGripper
-
-        class Stopwatch(FakeGripper):
-            held = math.nan
-
-            def _hold(self) -> None:
-                self.held = time.monotonic()
-
         with self.open_device() as device, Stopwatch() as stopwatch:
+            target: Any = None
             for _ in range(5):
                 stopwatch.held = math.nan
                 target = self.target_of(device)
@@ -770,6 +764,15 @@ class MotionContract(DeviceContract[D]):
             self.require_stopped(device, target)
             self.command(device, target)
             self.require_reached(device, target)
+
+
+class Stopwatch(FakeGripper):
+    """Is held after what was commanded just before it for the same time, and says when."""
+
+    held: float = math.nan
+
+    def _hold(self) -> None:
+        self.held = time.monotonic()
 
 
 def in_a_thread(call: Callable[[], None]) -> None:
