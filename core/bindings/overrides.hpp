@@ -51,6 +51,13 @@ inline bool has_override(const nb::detail::trampoline& trampoline, const char* n
 /// One of Python's own classes of errors, which both languages raise.
 inline nb::object error_class(const char* name) { return nb::module_::import_("rcs.errors").attr(name); }
 
+/// What an exception of a driver says as a fault. Ctrl-C, and errors of ours such as a missing package, are none.
+inline std::optional<std::string> words_of_python(const nb::python_error& error) {
+  const HeldGil gil;
+  if (!error.matches(PyExc_Exception) || error.matches(error_class("RcsError"))) return {};
+  return full_name(error.type()) + ": " + nb::str(error.value()).c_str();
+}
+
 inline Array to_python(std::span<const double> values) { return to_array(values); }
 template <typename T>
 const T& to_python(const T& value) {
@@ -75,13 +82,6 @@ Result call_override(const nb::detail::trampoline& trampoline, const char* name,
                           full_name(answer.type()) + ", it must return " + valid)
                              .c_str());
   }
-}
-
-/// What an exception of a driver says as a fault. Ctrl-C, and errors of ours such as a missing package, are none.
-inline std::optional<std::string> words_of_python(const nb::python_error& error) {
-  const HeldGil gil;
-  if (!error.matches(PyExc_Exception) || error.matches(error_class("RcsError"))) return {};
-  return full_name(error.type()) + ": " + nb::str(error.value()).c_str();
 }
 
 /// A device that is written in Python: what all devices share. Sensors need not hold or arrive.
