@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import textwrap
 import time
 from collections.abc import Callable, Generator
@@ -33,16 +31,6 @@ HOME = np.array(FR3.home)
 FAR = HOME + 0.5
 SOON = 5.0
 """How long to wait for what takes a tenth of a second on an idle machine [s]."""
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _own_hosts() -> Generator[None]:
-    """Keep hosts of this file apart from those of the machine; a path of pytest is too long for a socket."""
-    folder = tempfile.mkdtemp(prefix="rcs", dir="/tmp")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(hosted.FOLDER, folder)
-        yield
-    shutil.rmtree(folder)
 
 
 def wait_for(what: Callable[[], object]) -> None:
