@@ -71,7 +71,7 @@ class Host:
                 with self._lock:
                     self._answering += 1
                 thread = threading.Thread(target=self._answer, args=(connection,), name="rcs host", daemon=True)
-                self._threads.append(thread)
+                self._threads = [*(one for one in self._threads if one.is_alive()), thread]
                 thread.start()
         finally:
             self._is_ending = True
