@@ -114,6 +114,19 @@ class HostLink {
     return answer;
   }
 
+  void recover() {
+    // Faults from before must not count as new ones.
+    struct Recovering {
+      std::atomic<bool>& is_recovering;
+      ~Recovering() { is_recovering = false; }
+    } const recovering{is_recovering_};
+    is_recovering_ = true;
+    ask(HostCall::recover);
+    seen_ = memory_->changes_of_fault;
+    HostText<512> fault{};
+    if (memory_->fault.read(fault) && fault.characters[0] != '\0') throw DeviceFault(fault.get());
+  }
+
   void hold() {
     if (is_lost_) refuse();
     ++memory_->stops;
@@ -206,14 +219,13 @@ class HostLink {
     sigset_t all;
     sigfillset(&all);
     pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are for the threads of the program
-    std::uint32_t changes = 0;
     Overdue overdue;
     while (!ends_ && !is_lost_) {
       memory_->sign_of_program = host_clock();
-      await_change(memory_->changes_of_fault, changes, kLook);
+      await_change(memory_->changes_of_fault, seen_, kLook);
       if (ends_) return;
       const bool has_ended = is_gone(socket_, process_file_);
-      tell_of_fault(changes);  // the last thing that it said comes first
+      tell_of_fault();  // the last thing that it said comes first
       HostText<64> call{};
       if (has_ended) {
         lose(who() + how_it_ended(process_), false);
@@ -226,10 +238,10 @@ class HostLink {
     }
   }
 
-  void tell_of_fault(std::uint32_t& changes) {
+  void tell_of_fault() {
     const std::uint32_t now = memory_->changes_of_fault;
-    if (now == changes) return;
-    changes = now;
+    if (now == seen_ || is_recovering_) return;
+    seen_ = now;
     HostText<512> fault{};
     if (memory_->fault.read(fault) && fault.characters[0] != '\0') tell(device_, fault.get());
   }
@@ -248,6 +260,8 @@ class HostLink {
   const int socket_, process_, process_file_;
   HostMemory* const memory_;
   std::uint32_t asked_ = 0;
+  std::atomic<std::uint32_t> seen_ = 0;  // changes of the host's fault that the device was told of
+  std::atomic<bool> is_recovering_ = false;
   std::atomic<std::uint32_t> late_ = 0;  // the command whose end nobody waits for
   std::atomic<bool> is_lost_ = false;
   std::atomic<bool> ends_ = false;
@@ -291,7 +305,7 @@ void HostLine::hold() {
 void HostLine::recover() {
   const auto link = this->link();
   if (!link->is_lost()) {
-    link->ask(HostCall::recover);
+    link->recover();
     return;
   }
   exchange(nullptr);
