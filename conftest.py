@@ -12,6 +12,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import textwrap
 import time
 from collections.abc import Callable, Iterator
@@ -34,6 +35,13 @@ def pytest_configure(config: pytest.Config) -> None:
     """Take Ctrl-C as usual: under `nohup make test &` it is ignored, and the programs that tests start inherit that."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    # Hosts of devices that tests start are apart from those of the machine. A path of pytest is too long for a socket.
+    os.environ["RCS_HOSTS"] = tempfile.mkdtemp(prefix="rcs", dir="/tmp")
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Remove the folder."""
+    shutil.rmtree(os.environ["RCS_HOSTS"], ignore_errors=True)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -51,6 +51,13 @@ inline bool has_override(const nb::detail::trampoline& trampoline, const char* n
 /// One of Python's own classes of errors, which both languages raise.
 inline nb::object error_class(const char* name) { return nb::module_::import_("rcs.errors").attr(name); }
 
+/// What an exception of a driver says as a fault. Ctrl-C, and errors of ours such as a missing package, are none.
+inline std::optional<std::string> words_of_python(const nb::python_error& error) {
+  const HeldGil gil;
+  if (!error.matches(PyExc_Exception) || error.matches(error_class("RcsError"))) return {};
+  return full_name(error.type()) + ": " + nb::str(error.value()).c_str();
+}
+
 inline Array to_python(std::span<const double> values) { return to_array(values); }
 template <typename T>
 const T& to_python(const T& value) {
@@ -103,13 +110,9 @@ struct PyCalls : Base {
   void call_if_there(const char* name) const {
     if (has_override(nb_trampoline, name)) call<void>(name, "None");
   }
-  /// Ctrl-C, and errors of ours such as a missing package, are no faults of the device.
   std::optional<std::string> words_of(const std::exception& error) const override {
     const auto* raised = dynamic_cast<const nb::python_error*>(&error);
-    if (!raised) return Base::words_of(error);
-    const HeldGil gil;
-    if (!raised->matches(PyExc_Exception) || raised->matches(error_class("RcsError"))) return {};
-    return full_name(raised->type()) + ": " + nb::str(raised->value()).c_str();
+    return raised ? words_of_python(*raised) : Base::words_of(error);
   }
 };
 

@@ -1,6 +1,6 @@
 """The C++ core of the Robot Control Stack."""
 
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 import enum
 from typing import Annotated, Any, Final, Self, overload
 
@@ -575,6 +575,152 @@ class Camera(Device):
         The newest frame. Raises DeviceFault when its size is not that of the mode, and when its time is ahead of the
         host's monotonic clock by more than 0.1 s.
         """
+
+class HostedArm(Arm):
+    """An arm whose driver runs in a process of its own."""
+
+    def __init__(self, like: Arm, connect: Callable[[], tuple[int, int, int]], answer: float) -> None:
+        """
+        Be as `like`, a device of the driver that is never opened.
+
+        `connect` starts a host where needed, opens the device there, and returns a file of shared memory, one of a socket, and
+        the number of the host's process. `answer` is how long the host may take to hold [s].
+        """
+
+    @property
+    def host(self) -> int:
+        """The number of the process of the host, or 0 where there is none."""
+
+class HostedGripper(Gripper):
+    """A gripper whose driver runs in a process of its own."""
+
+    def __init__(self, like: Gripper, connect: Callable[[], tuple[int, int, int]], answer: float) -> None:
+        """
+        Be as `like`, a device of the driver that is never opened.
+
+        `connect` starts a host where needed, opens the device there, and returns a file of shared memory, one of a socket, and
+        the number of the host's process. `answer` is how long the host may take to hold [s].
+        """
+
+    @property
+    def host(self) -> int:
+        """The number of the process of the host, or 0 where there is none."""
+
+class HostedHand(Hand):
+    """A hand whose driver runs in a process of its own."""
+
+    def __init__(self, like: Hand, connect: Callable[[], tuple[int, int, int]], answer: float) -> None:
+        """
+        Be as `like`, a device of the driver that is never opened.
+
+        `connect` starts a host where needed, opens the device there, and returns a file of shared memory, one of a socket, and
+        the number of the host's process. `answer` is how long the host may take to hold [s].
+        """
+
+    @property
+    def host(self) -> int:
+        """The number of the process of the host, or 0 where there is none."""
+
+class HostCall(enum.Enum):
+    """What a program asks of the host of a device."""
+
+    joints = 0
+
+    pose = 1
+
+    twist = 2
+
+    velocities = 3
+
+    torques = 4
+
+    opening = 5
+
+    has_arrived = 6
+
+    guide = 7
+
+    recover = 8
+
+    close = 9
+
+class HostOutcome(enum.Enum):
+    """How a call ended in the host."""
+
+    done = 0
+
+    invalid = 1
+
+    wrong_order = 2
+
+    fault = 3
+
+class HostRequest:
+    """One call that the program asks for."""
+
+    @property
+    def call(self) -> HostCall: ...
+
+    @property
+    def values(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def valid_for(self) -> float:
+        """What is left of the time of a command [s]."""
+
+    @property
+    def force(self) -> float | None:
+        """Grasping force [N], or None."""
+
+    @property
+    def is_void(self) -> bool:
+        """Whether the device was held after the program asked."""
+
+class HostDesk:
+    """
+    Where one device of a host is served: requests of the program come in, measurements and answers go out.
+
+    A thread holds the device when the program says so, ends or stands still.
+    """
+
+    def __init__(self, memory: int, socket: int, program: int, device: Device) -> None:
+        """
+        `program` is the number of its process; the files stay those of the caller.
+        """
+
+    @property
+    def is_used(self) -> bool:
+        """Whether the program is still there."""
+
+    def promise(self, under_way: str, seconds: float) -> None:
+        """
+        Say what is done from now on, and that there is a sign after `seconds` at the latest.
+        """
+
+    def next(self, seconds: float) -> HostRequest | None:
+        """
+        The next request, or None after `seconds` or when the program has ended.
+        """
+
+    def answer(self, request: HostRequest, outcome: HostOutcome, text: str = '', flag: bool = False) -> None:
+        """
+        Tell how a request ended. If the device was told to hold meanwhile, it is held again first.
+        """
+
+    @overload
+    def show(self, state: ArmState) -> None:
+        """Hand out a measurement."""
+
+    @overload
+    def show(self, state: GripperState) -> None: ...
+
+    @overload
+    def show(self, state: HandState) -> None: ...
+
+    def show_failure(self, reason: str) -> None:
+        """Say why there is no newer measurement."""
+
+HOST_MEMORY: int = 3896
 
 class IkStatus(enum.Enum):
     """What inverse kinematics found."""

@@ -94,6 +94,7 @@ class RCS_API Device {
     require_commandable(call, valid_for);
     const bool has_deadline = has_deadline_ || valid_for < kForever;
     const TimePoint former = has_deadline ? exchange_deadline(valid_for) : TimePoint::max();
+    valid_for_ = valid_for;
     try {
       send();
     } catch (...) {
@@ -105,6 +106,8 @@ class RCS_API Device {
     require_ready(call);
   }
 
+  /// For how long the command that is being sent is valid [s], for a device that keeps the time by itself, too.
+  double valid_for() const { return valid_for_; }
   /// Call a function of the driver. What it throws becomes the device's fault, and `DeviceFault`.
   template <typename Function>
   auto driven(const char* call, Function function) {
@@ -154,6 +157,7 @@ class RCS_API Device {
   std::atomic<double> deadline_ = kForever;
   std::atomic<bool> has_fault_ = false;  // what commands look at, without a lock
   std::atomic<std::uint64_t> stops_ = 0;
+  double valid_for_ = kForever;
   std::recursive_mutex holding_;  // recursive: a `do_hold` may find a fault and set it
   bool is_holding_ = false;       // the thread that has the lock is inside of `do_hold`
   mutable std::mutex fault_mutex_;

@@ -22,6 +22,8 @@ VERBS: Table = {
     "twin": "rcs.cli.twin:TwinCommand",
     "gallery": "rcs.cli.gallery:GalleryCommand",
     "list": "rcs.cli.list:ListCommand",
+    "host": "rcs.cli.host:HostCommand",
+    "stop": "rcs.cli.stop:StopCommand",
     "doctor": "rcs.cli.doctor:DoctorCommand",
 }
 

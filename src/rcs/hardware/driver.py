@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NoReturn, TypeVar
+from dataclasses import dataclass
+from typing import Any, ClassVar, NoReturn, TypeVar
 
 from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand
 from rcs.errors import InvalidSetup
@@ -14,12 +15,35 @@ from rcs.robots.tactile import TactileDescription
 Connection = TypeVar("Connection")
 
 
+@dataclass(frozen=True, kw_only=True)
+class HostTimes:
+    """How long calls of a driver in a host may take; a host in which one takes longer is killed, as a fault."""
+
+    answer: float = 0.2
+    """A measurement, a command or a stop [s]."""
+    open: float = 3.0
+    """Connecting, with the import of the vendor's library [s]."""
+    recover: float = 15.0
+    """Leaving a fault state [s]."""
+    close: float = 3.0
+    """Letting go [s]."""
+    period: float = 0.005
+    """Time between a measurement and the next one [s]."""
+
+
 class Driver:
     """Makes devices. A driver overrides what it has; nothing is connected before a device's `open`.
 
     A package offers one through the entry-point group `rcs.drivers`, as a class without arguments. One object of it
     makes all devices of a site that name it, so that they can share connections; see `link`.
     """
+
+    hosted: ClassVar[bool] = False
+    """Whether its arms, grippers and hands run in a process of their own, one for each address. So do those that call
+    a vendor's library from Python: such a library may keep the interpreter, crash, or never return. A site's option
+    `host` overrides it."""
+    host_times: ClassVar[HostTimes] = HostTimes()
+    """How long its calls may take there."""
 
     def __init__(self) -> None:
         """Connect nothing."""

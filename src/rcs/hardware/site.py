@@ -24,6 +24,7 @@ from typing import Any, Literal, get_args
 from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.hardware.driver import Driver
+from rcs.hardware.hosted import Place, hosted, is_hosted
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
 from rcs.robots.tactile import TactileDescription
 
@@ -43,7 +44,8 @@ class DeviceAddress:
     address: str = ""
     """IP address, serial port or serial number, as the driver takes it."""
     options: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """What else the driver takes, as JSON values."""
+    """What else the driver takes, as JSON values. `host` (true or false) says whether the device runs in a process of
+    its own; without it, the driver does."""
 
     def __post_init__(self) -> None:
         """Check every field.
@@ -300,22 +302,38 @@ class Site:
         )
 
 
+def places_of(site: Site) -> list[Place]:
+    """Return the addresses of a site whose devices run in hosts, each once."""
+    drivers: dict[str, Driver] = {}
+    given = [one for kind in KINDS[:3] for one in getattr(site, kind).values() if isinstance(one, DeviceAddress)]
+    hosts = [one for one in given if is_hosted(_driver(drivers, one.driver), one.options)]
+    return list(dict.fromkeys(Place(driver=one.driver, address=one.address) for one in hosts))
+
+
 def _made(drivers: dict[str, Driver], given: AnyDevice, kind: str, *about: Any) -> Any:
     """Return a device, made by the one object of its driver."""
     device: Any = given
     if isinstance(given, DeviceAddress):
-        if given.driver not in drivers:
-            found = lookup.find("driver", given.driver)
-            found = found() if isinstance(found, type) else found
-            if not isinstance(found, Driver):
-                raise InvalidSetup(
-                    f"The driver {given.driver!r} is {found!r}; valid is a subclass of rcs.hardware.Driver."
-                )
-            drivers[given.driver] = found
-        device = getattr(drivers[given.driver], kind)(given.address, *about, given.options)
+        driver = _driver(drivers, given.driver)
+        options = {name: value for name, value in given.options.items() if name != "host"}
+        device = getattr(driver, kind)(given.address, *about, options)
+        if isinstance(device, Arm | Gripper | Hand) and is_hosted(driver, given.options):
+            place = Place(driver=given.driver, address=given.address)
+            device = hosted(device, place, about[0], options, driver.host_times)
     if not isinstance(device, _CLASSES[kind]):
         raise InvalidSetup(f"Expected a device of rcs.devices.{_CLASSES[kind].__name__}; got {device!r}.")
     return device
+
+
+def _driver(drivers: dict[str, Driver], name: str) -> Driver:
+    """Return the one object of a driver."""
+    if name not in drivers:
+        found = lookup.find("driver", name)
+        found = found() if isinstance(found, type) else found
+        if not isinstance(found, Driver):
+            raise InvalidSetup(f"The driver {name!r} is {found!r}; valid is a subclass of rcs.hardware.Driver.")
+        drivers[name] = found
+    return drivers[name]
 
 
 def _parted(text: str) -> tuple[str, str]:

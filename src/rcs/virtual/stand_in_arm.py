@@ -110,7 +110,7 @@ class StandInArm(Arm):
             return ArmState(
                 list(joints),
                 list(robot.velocities),
-                time=world.time,
+                time=min(world.time, self._clock()),  # it is ahead by a part of a physics step
                 device_time=world.time,
                 commanded_joints=list(world.goal(_NAME)),
                 mode="frozen" if self._is_frozen else "position",

@@ -1,0 +1,307 @@
+"""The process in which a driver runs: it serves the devices at one address to one program at a time.
+
+A program or `rcs host` starts it as `python -m rcs.hardware.host DRIVER ADDRESS [--stay]`. It ends with whoever started
+it, on SIGTERM, and, unless it stays, when no program uses it any more. Its devices hold first, whatever ends it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import fcntl
+import os
+import select
+import signal
+import socket
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, NoReturn
+
+from rcs._core import HostCall, HostDesk, HostOutcome, HostRequest
+from rcs.devices import Arm, Gripper, Hand, lookup, stop_all
+from rcs.errors import DeviceFault, InvalidAction, RcsError, WrongOrder
+from rcs.hardware.driver import Driver, HostTimes
+from rcs.hardware.hosted import GREETING, IN_USE, STOP, STOPPED, Place, Wanted, peer
+from rcs.spatial import Pose
+
+FAILED_REST = 0.05
+"""How long the host waits after a measurement that failed [s]."""
+LETTING_GO = 0.5
+"""How long a program waits for one that just lets go of a device [s]."""
+
+
+class Host:
+    """Serves the devices of one address, a thread for each."""
+
+    def __init__(self, place: Place, *, stays: bool) -> None:
+        """Serve a place; `stays` when it goes on without a program."""
+        self.place = place
+        self._stays = stays
+        self._driver: Driver | None = None
+        self._lock = threading.Condition()
+        self._users: dict[str, int] = {}  # the program of each kind of device
+        self._answering = 0
+        self._opening = 0.0  # how long the opening of a device may take now [s]
+        self._desks: list[HostDesk] = []
+        self._threads: list[threading.Thread] = []
+        self._ends = os.eventfd(0)  # whoever has ended an answer says so
+        self._is_ending = False
+
+    def run(self, listener: socket.socket) -> None:
+        """Answer programs until the end."""
+        starter = os.pidfd_open(os.getppid())
+        try:
+            while True:
+                ready, _, _ = select.select([listener, starter, self._ends], [], [])
+                if starter in ready:
+                    return
+                if self._ends in ready:
+                    os.eventfd_read(self._ends)
+                    if self._answering == 0:
+                        return
+                if listener not in ready:
+                    continue
+                connection, _ = listener.accept()
+                with self._lock:
+                    self._answering += 1
+                thread = threading.Thread(target=self._answer, args=(connection,), name="rcs host", daemon=True)
+                self._threads = [*(one for one in self._threads if one.is_alive()), thread]
+                thread.start()
+        finally:
+            self._is_ending = True
+            stop_all("its host was told to end")
+            for thread in self._threads:
+                thread.join(HostTimes.close)
+
+    def _answer(self, connection: socket.socket) -> None:
+        try:
+            self._converse(connection)
+        finally:
+            with self._lock:
+                self._answering -= 1
+            if not self._stays:
+                os.eventfd_write(self._ends, 1)
+
+    def _converse(self, connection: socket.socket) -> None:
+        """Do what the other side asks for."""
+        with connection:
+            process = peer(connection)
+            try:
+                connection.sendall(GREETING)
+                word, files, _, _ = socket.recv_fds(connection, len(STOP), 1)
+            except OSError:
+                return
+            if word == STOP:
+                stop_all(f"`rcs stop`, process {process}")
+                with contextlib.suppress(OSError):
+                    connection.sendall(STOPPED)
+            if not files:
+                return
+            records = Connection(os.dup(connection.fileno()))
+            try:
+                self._serve(records, files[0], process)
+            except (EOFError, OSError):
+                pass  # the program ended before it had its device
+            finally:
+                records.close()
+                os.close(files[0])
+
+    def _serve(self, records: Connection, memory: int, process: int) -> None:
+        wanted: Wanted = records.recv()
+        try:
+            with self._claim(wanted.kind, process):
+                device, times = self._make(wanted)
+                with self._others_wait(times):
+                    device.open()
+                with device:
+                    desk = HostDesk(memory, records.fileno(), process, device)
+                    if not _measure(device, desk, times.answer):
+                        raise DeviceFault(f"{device.name}: {device.fault}")
+                    records.send(None)
+                    with self._listed(desk):
+                        self._work(device, desk, times)
+        except Exception as err:  # noqa: BLE001  the program raises it
+            records.send(err if isinstance(err, RcsError) else DeviceFault(f"{wanted.place}: {in_words(err)}"))
+
+    @contextmanager
+    def _claim(self, kind: str, process: int) -> Generator[None]:
+        """Let a program have a device, and no other.
+
+        Raises:
+            DeviceFault: One has it.
+        """
+
+        def others() -> list[int]:
+            return [user for other, user in self._users.items() if user != process or other == kind]
+
+        with self._lock:
+            if not self._lock.wait_for(lambda: not others(), LETTING_GO):
+                user = others()[0]
+                raise DeviceFault(f"{self.place} is in use by process {user} ({_command_of(user)}); end it first.")
+            self._users[kind] = process
+        try:
+            yield
+        finally:
+            with self._lock:
+                del self._users[kind]
+                self._lock.notify_all()
+
+    @contextmanager
+    def _others_wait(self, times: HostTimes) -> Generator[None]:
+        """Let the other devices be late while one is opened, which may keep the interpreter."""
+        self._opening = times.open
+        for desk in list(self._desks):
+            desk.promise("opening of another device", times.open)
+        try:
+            yield
+        finally:
+            self._opening = 0.0
+
+    @contextmanager
+    def _listed(self, desk: HostDesk) -> Generator[None]:
+        self._desks.append(desk)
+        try:
+            yield
+        finally:
+            self._desks.remove(desk)
+
+    def _make(self, wanted: Wanted) -> tuple[Arm | Gripper | Hand, HostTimes]:
+        sys.path.extend(path for path in wanted.path if path not in sys.path)
+        with self._lock:
+            driver = self._driver = self._driver or lookup.find("driver", wanted.place.driver)()
+        return getattr(driver, wanted.kind)(self.place.address, wanted.about, wanted.options), driver.host_times
+
+    def _work(self, device: Arm | Gripper | Hand, desk: HostDesk, times: HostTimes) -> None:
+        """Measure, and do what the program asks for, until it closes the device or ends."""
+        while desk.is_used and not self._is_ending:
+            answer = max(times.answer, self._opening)
+            rest = times.period if _measure(device, desk, answer) else FAILED_REST
+            until = time.monotonic() + rest
+            while (left := until - time.monotonic()) > 0:
+                desk.promise("a pause", left + answer)
+                request = desk.next(left)
+                if request is None:
+                    break
+                limit = {HostCall.recover: times.recover, HostCall.close: times.close}.get(request.call, answer)
+                desk.promise(request.call.name, limit)
+                _answer(device, desk, request, answer)
+                if request.call is HostCall.close:
+                    return
+
+
+def _measure(device: Arm | Gripper | Hand, desk: HostDesk, seconds: float) -> bool:
+    """Measure and hand it out; return whether that succeeded."""
+    desk.promise("state", seconds)
+    try:
+        desk.show(device.state())
+        return True
+    except Exception as err:  # noqa: BLE001  whatever a driver raises is its device's fault
+        if not device.fault:
+            device.set_fault(in_words(err))
+        desk.show_failure(device.fault)
+        return False
+
+
+def _answer(device: Arm | Gripper | Hand, desk: HostDesk, request: HostRequest, seconds: float) -> None:
+    """Do what is asked for, and tell how it ended."""
+    try:
+        flag = bool(_do(device, request))
+    except InvalidAction as err:
+        desk.answer(request, HostOutcome.invalid, str(err))
+    except WrongOrder as err:
+        desk.answer(request, HostOutcome.wrong_order, str(err))
+    except Exception as err:  # noqa: BLE001  whatever a driver raises is its device's fault
+        if not device.fault and not isinstance(err, DeviceFault):
+            device.set_fault(in_words(err))
+        desk.answer(request, HostOutcome.fault, device.fault or str(err))
+    else:
+        if flag or request.call is HostCall.recover:  # what is measured next must not be from before
+            _measure(device, desk, seconds)
+        desk.answer(request, HostOutcome.done, flag=flag)
+
+
+def _do(device: Any, request: HostRequest) -> bool | None:
+    if request.call is HostCall.has_arrived:
+        return device.has_arrived()
+    if request.call is HostCall.recover:
+        return device.recover()
+    if request.call is HostCall.close:
+        return device.close()
+    if request.is_void:  # it was held since
+        return None
+    if request.call is HostCall.guide:
+        return device.guide(True)
+    if request.valid_for <= 0:  # too late: it ends the command before as it would have done in time
+        return device.hold()
+    command = _COMMANDS[request.call]
+    return command(device, request)
+
+
+_COMMANDS: dict[HostCall, Callable[[Any, HostRequest], None]] = {
+    HostCall.joints: lambda device, request: device.command_joints(request.values, request.valid_for),
+    HostCall.pose: lambda device, request: device.command_pose(Pose.from_tquat(request.values), request.valid_for),
+    HostCall.twist: lambda device, request: device.command_twist(request.values, request.valid_for),
+    HostCall.velocities: lambda device, request: device.command_velocities(request.values, request.valid_for),
+    HostCall.torques: lambda device, request: device.command_torques(request.values, request.valid_for),
+    HostCall.opening: lambda device, request: device.command_opening(
+        request.values[0], request.force, request.valid_for
+    ),
+}
+
+
+def in_words(err: Exception) -> str:
+    """Return what an exception of a driver says, with its class unless it is one of ours."""
+    return str(err) if isinstance(err, RcsError) else f"{type(err).__name__}: {err}"
+
+
+def _command_of(process: int) -> str:
+    try:
+        words = Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+    except OSError:
+        return "unknown"
+    return words if len(words) <= 80 else f"{words[:77]}..."
+
+
+def _end(*_: object) -> NoReturn:
+    sys.exit(0)
+
+
+def main() -> None:
+    """Serve until the end."""
+    words = [word for word in sys.argv[1:] if word != "--stay"]
+    place = Place(driver=words[0], address=words[1])
+    faulthandler.enable()
+    signal.signal(signal.SIGTERM, _end)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program, which ends this one
+    path = place.socket
+    lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        sys.exit(IN_USE)
+    path.unlink(missing_ok=True)  # left behind by one that was killed
+    listener = socket.socket(socket.AF_UNIX)
+    old = os.umask(0o177)
+    listener.bind(str(path))
+    os.umask(old)
+    listener.listen()
+    code = 0
+    try:
+        Host(place, stays="--stay" in sys.argv).run(listener)
+    except Exception:  # noqa: BLE001  it is printed
+        traceback.print_exc()
+        code = 1
+    except SystemExit:
+        pass
+    path.unlink(missing_ok=True)
+    os._exit(code)  # a thread of a driver that does not end must not keep the process
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,294 @@
+"""Devices whose driver runs in a process of its own, the host: how a program starts, finds and stops hosts.
+
+A host serves the devices at one address. It listens on a Unix socket in a folder that only its user can enter; what
+moves a device then goes through memory that program and host share (`core/src/hosted.cpp`).
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Generator, Iterable, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from rcs._core import HOST_MEMORY, HostedArm, HostedGripper, HostedHand
+from rcs.devices import Arm, Gripper, Hand
+from rcs.errors import DeviceFault, InvalidSetup
+from rcs.hardware.driver import Driver, HostTimes
+
+START = 10.0
+"""Longest time in which a host starts [s]: it imports this package and NumPy, 0.3 s on an idle machine."""
+GREETING, DEVICE, STOP, STOPPED = b"here", b"open", b"stop", b"held"
+"""What is said over the socket, before the records; all of one length."""
+FOLDER = "RCS_HOSTS"
+"""The environment variable that names another folder for the sockets of hosts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """The address that a host serves."""
+
+    driver: str
+    """Name of the driver, as in a site."""
+    address: str
+    """As the driver takes it."""
+
+    @property
+    def socket(self) -> Path:
+        """Where the host listens."""
+        text = f"{self.driver}:{self.address}"
+        readable = re.sub(r"[^\w.-]", "_", text)[:24]
+        return folder() / f"{readable}-{hashlib.sha256(text.encode()).hexdigest()[:8]}.sock"
+
+    def __str__(self) -> str:
+        return f"{self.driver}:{self.address}" if self.address else self.driver
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """What a program asks a host to open."""
+
+    place: Place
+    kind: str
+    """`arm`, `gripper` or `hand`."""
+    about: Any
+    """Its description."""
+    options: Mapping[str, Any]
+    path: tuple[str, ...]
+    """Where the program finds modules."""
+
+
+def folder() -> Path:
+    """Return the folder of the sockets, which only this user can enter.
+
+    Raises:
+        InvalidSetup: Somebody else has made it.
+    """
+    user = Path(f"/run/user/{os.getuid()}")
+    path = Path(os.environ.get(FOLDER) or (user / "rcs" if user.is_dir() else f"/tmp/rcs-{os.getuid()}"))
+    path.mkdir(mode=0o700, exist_ok=True)
+    about = path.lstat()
+    if about.st_uid != os.getuid() or about.st_mode & 0o077:
+        raise InvalidSetup(f"{path} is not this user's alone; remove it, or name another folder in {FOLDER}.")
+    return path
+
+
+def is_hosted(driver: Driver, options: Mapping[str, Any]) -> bool:
+    """Return whether devices of a driver run in a host: as the option `host` says, else as the driver does.
+
+    Raises:
+        InvalidSetup: The option is neither true nor false.
+    """
+    host = options.get("host", driver.hosted)
+    if not isinstance(host, bool):
+        raise InvalidSetup(f"The option 'host' is {host!r}; valid is true or false.")
+    return host
+
+
+def hosted(
+    device: Arm | Gripper | Hand, place: Place, about: Any, options: Mapping[str, Any], times: HostTimes
+) -> HostedArm | HostedGripper | HostedHand:
+    """Return a device like one of a driver, but in a host, which is started or found when the device is opened.
+
+    Args:
+        device: What the driver makes in this process; it is never opened.
+        place: Driver and address.
+        about: The device's description.
+        options: Those of the driver.
+        times: How long calls may take.
+    """
+    kind = "arm" if isinstance(device, Arm) else "gripper" if isinstance(device, Gripper) else "hand"
+    wanted = Wanted(place=place, kind=kind, about=about, options=dict(options), path=tuple(sys.path))
+    connect = _connector(wanted, device.name, times)
+    if isinstance(device, Arm):
+        return HostedArm(device, connect, times.answer)
+    if isinstance(device, Gripper):
+        return HostedGripper(device, connect, times.answer)
+    return HostedHand(device, connect, times.answer)
+
+
+def start(place: Place, *, stays: bool = False) -> subprocess.Popen[bytes]:
+    """Start a host: in a session of its own, so that Ctrl-C in the program's terminal does not reach it.
+
+    Args:
+        place: Driver and address.
+        stays: It goes on when no program uses it any more, until this process ends.
+    """
+    _started[:] = [process for process in _started if process.poll() is None]
+    words = [sys.executable, "-P", "-m", "rcs.hardware.host", place.driver, place.address, *(["--stay"] * stays)]
+    # What a vendor's library prints is no output of the program.
+    process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=2, start_new_session=True)
+    _started.append(process)
+    return process
+
+
+@contextmanager
+def start_all(places: Iterable[Place]) -> Generator[dict[Place, subprocess.Popen[bytes]]]:
+    """Start hosts that stay, give their processes when all of them listen, and end them.
+
+    Raises:
+        DeviceFault: One does not start, as where there is one already.
+    """
+    hosts: dict[Place, subprocess.Popen[bytes]] = {}
+    try:
+        for place in places:
+            hosts[place] = start(place, stays=True)
+        limit = time.monotonic() + START
+        for place, process in hosts.items():
+            while (connection := call(place.socket)) is None or peer(connection) != process.pid:
+                if process.poll() == IN_USE:
+                    raise DeviceFault(f"{place} has a host already, as of another `rcs host` or of a program.")
+                if process.returncode is not None or time.monotonic() > limit:
+                    raise DeviceFault(f"The host of {place} did not start; what it printed says why.")
+                time.sleep(0.005)
+            connection.close()
+        yield hosts
+    finally:
+        for process in hosts.values():
+            process.terminate()
+        for process in hosts.values():
+            try:
+                process.wait(2 * HostTimes.close)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+_started: list[subprocess.Popen[bytes]] = []
+"""Hosts that this process has started; a later start takes leave of those that have ended."""
+
+
+def call(path: Path) -> socket.socket | None:
+    """Return a connection to the host at a socket, or None when there is none, or none any more.
+
+    Raises:
+        DeviceFault: There is one, and it does not answer.
+    """
+    connection = socket.socket(socket.AF_UNIX)
+    connection.settimeout(1.0)
+    try:
+        connection.connect(str(path))
+        if connection.recv(len(GREETING)) == GREETING:
+            return connection
+    except TimeoutError as err:
+        raise DeviceFault(
+            f"The host at {path} (process {peer(connection)}) does not answer; `rcs stop` ends it, and its device "
+            "must be looked at."
+        ) from err
+    except OSError:
+        pass
+    connection.close()
+    return None
+
+
+def peer(connection: socket.socket) -> int:
+    """Return the number of the process on the other side of a Unix socket, as the kernel knows it; 0 if unknown."""
+    with suppress(OSError):
+        size = struct.calcsize("3i")
+        return int(struct.unpack("3i", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))[0])
+    return 0
+
+
+def stop_hosts() -> dict[str, str]:
+    """Have the devices of all hosts of this user hold and be at fault; return what came of it, by the name of the host.
+
+    A host that does not answer within a second is killed.
+    """
+    told = {path.stem: _stop(path) for path in sorted(folder().glob("*.sock"))}
+    return {name: outcome for name, outcome in told.items() if outcome}
+
+
+def _stop(path: Path) -> str:
+    connection = socket.socket(socket.AF_UNIX)
+    connection.settimeout(1.0)
+    with connection:
+        try:
+            connection.connect(str(path))
+        except OSError:
+            return ""  # one that was killed has left its socket behind
+        process = peer(connection)
+        with suppress(OSError):
+            connection.sendall(STOP)
+            while answer := connection.recv(64):
+                if STOPPED in answer:
+                    return f"holds (process {process})"
+        with suppress(ProcessLookupError):
+            os.kill(process, signal.SIGKILL)
+        return f"did not answer and was killed (process {process}); look at its device"
+
+
+def _connector(wanted: Wanted, name: str, times: HostTimes) -> Callable[[], tuple[int, int, int]]:
+    def connect() -> tuple[int, int, int]:
+        connection = _reach(wanted.place)
+        process = peer(connection)
+        memory = os.memfd_create("rcs host", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+        try:
+            os.ftruncate(memory, HOST_MEMORY)
+            fcntl.fcntl(memory, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK)
+            socket.send_fds(connection, [DEVICE], [memory])
+            _ask(connection, process, wanted, name, times)
+        except BaseException:
+            os.close(memory)
+            connection.close()
+            raise
+        connection.setblocking(True)
+        return memory, connection.detach(), process
+
+    return connect
+
+
+def _reach(place: Place) -> socket.socket:
+    """Return a connection to the host of a place, which is started if there is none.
+
+    Raises:
+        DeviceFault: It does not start.
+    """
+    path, process = place.socket, None
+    limit = time.monotonic() + START
+    while (connection := call(path)) is None:
+        if process is None or process.poll() is not None:
+            if process is not None and process.returncode not in (0, IN_USE):
+                raise DeviceFault(
+                    f"The host of {place} did not start (exit code {process.returncode}); what it printed says why."
+                )
+            process = start(place)
+        if time.monotonic() > limit:
+            process.kill()
+            raise DeviceFault(f"The host of {place} did not start within {START:g} s; is the machine too busy?")
+        time.sleep(0.005)
+    return connection
+
+
+IN_USE = 3
+"""Exit code of a host that found another one at its address."""
+
+
+def _ask(connection: socket.socket, process: int, wanted: Wanted, name: str, times: HostTimes) -> None:
+    """Have the device opened in the host; raise what its driver raises there."""
+    records = Connection(os.dup(connection.fileno()))
+    try:
+        records.send(wanted)
+        if not records.poll(times.open):
+            os.kill(process, signal.SIGKILL)
+            raise DeviceFault(
+                f"{name}: opening {wanted.place} did not end within {times.open:g} s, and its host (process {process}) "
+                "was killed. Look at the address, the cable, and whether the device is switched on."
+            )
+        answer = records.recv()
+    except (EOFError, OSError) as err:
+        raise DeviceFault(f"{name}: the host (process {process}) of {wanted.place} ended while it opened it.") from err
+    finally:
+        records.close()
+    if isinstance(answer, Exception):
+        raise answer
