@@ -24,8 +24,8 @@ from rcs.extras import package_of
 BAUD = 1_000_000
 TIMEOUT = 0.09
 """How long servos may not answer before they count as lost [s]; adapters keep what they have got for up to 16 ms."""
-ATTEMPTS = 3
-"""Requests that are made in this time."""
+PATIENCE = 1 / 3
+"""Part of this time after which the last servo that was asked is asked again."""
 LENGTHS = 8
 """How many lengths reads that repeat go through, so that a late answer is known by its length."""
 
@@ -105,21 +105,18 @@ class ServoBus:
         Raises:
             DeviceFault: Some servos do not answer; the message has their names.
         """
-        missing: Sequence[int] = servos
-        begin = time.monotonic()
         with self.lock:
-            for attempt in range(ATTEMPTS):
+            request = _Request(self, servos)
+            while request.goes_on():
                 self._turn = (self._turn + 1) % LENGTHS
                 length = count + self._turn
                 self._begin()
-                sent = self._packets.syncReadTx(self._port, first, length, list(servos), len(servos))
-                if sent == 0:
+                if self._packets.syncReadTx(self._port, first, length, list(servos), len(servos)) == 0:
                     found = self._answers(servos, length)
                     if len(found) == len(servos):
                         return {servo: (errors, values[:count]) for servo, (errors, values) in found.items()}
-                    missing = [servo for servo in servos if servo not in found]
-                self._count_failure(attempt, missing)
-        raise self._lost(missing, begin)
+                    request.missing = [servo for servo in servos if servo not in found]
+        raise request.lost()
 
     def write(self, servo: int, register: int, value: int, size: int) -> None:
         """Write a register and wait until the servo says that it has it.
@@ -133,15 +130,14 @@ class ServoBus:
         Raises:
             DeviceFault: The servo does not answer.
         """
-        begin = time.monotonic()
         with self.lock:
-            for attempt in range(ATTEMPTS):
+            request = _Request(self, [servo])
+            while request.goes_on():
                 self._begin()
                 packet = [0, 0, servo, size + 3, 3, register, *value.to_bytes(size, "little"), 0]
                 if self._packets.txPacket(self._port, packet) == 0 and self._answers([servo], 0):
                     return
-                self._count_failure(attempt, [servo])
-        raise self._lost([servo], begin)
+        raise request.lost()
 
     def write_all(self, register: int, values: Mapping[int, int], size: int = 2) -> None:
         """Write a register of several servos at once; no servo answers that.
@@ -172,10 +168,10 @@ class ServoBus:
     def _answers(self, servos: Sequence[int], length: int) -> dict[int, tuple[int, bytes]]:
         """Return errors and values of the servos that answer with this many values in time."""
         found: dict[int, tuple[int, bytes]] = {}
-        deadline = time.monotonic() + self.timeout / ATTEMPTS
+        deadline = time.monotonic() + self.timeout * PATIENCE
         expected = (length + 6) * len(servos)
         try:
-            while len(found) < len(servos):
+            while servos[-1] not in found:  # they answer in turn: who comes before the last one and is missing was lost
                 self._wait(expected - (length + 6) * len(found), deadline)
                 self._port.setPacketTimeoutMillis(0.0)
                 packet, result = self._packets.rxPacket(self._port)
@@ -196,19 +192,6 @@ class ServoBus:
             select.select([self._port.ser.fileno()], [], [], rest)
             time.sleep(min(2e-4, max(rest, 0.0)))
 
-    def _count_failure(self, attempt: int, servos: Sequence[int]) -> None:
-        self.failures += 1
-        _log.debug("servo bus %s: request %d, no answer of %s", self.address, attempt + 1, servos)
-
-    def _lost(self, servos: Sequence[int], begin: float) -> DeviceFault:
-        names = ", ".join(f"{self.names[servo]} (servo {servo})" for servo in servos)
-        who = "none of the servos answers" if len(servos) == len(self.names) else f"no answer of {names}"
-        passed = 1e3 * (time.monotonic() - begin)
-        return DeviceFault(
-            f"{who} on the servo bus at {self.address}, asked {ATTEMPTS} times in {passed:.0f} ms; look at the power "
-            "supply and at the cable before the first that is missing."
-        )
-
     def _gone(self, err: OSError) -> DeviceFault:
         return DeviceFault(f"The servo bus at {self.address} is gone: {err}. Look at the USB cable.")
 
@@ -216,6 +199,33 @@ class ServoBus:
         return DeviceFault(
             f"The servo bus at {self.address} is not permitted: {err}. Join the group of the port and log in anew: "
             "sudo usermod -aG dialout $USER."
+        )
+
+
+class _Request:
+    """One request, until it is answered or its time is over."""
+
+    def __init__(self, bus: ServoBus, servos: Sequence[int]) -> None:
+        self.missing = servos
+        self._bus, self._asked, self._begin = bus, 0, time.monotonic()
+
+    def goes_on(self) -> bool:
+        """Whether to ask, once more or for the first time."""
+        self._asked += 1
+        if self._asked == 1:
+            return True
+        self._bus.failures += 1
+        _log.debug("servo bus %s: no answer of %s to request %d", self._bus.address, self.missing, self._asked - 1)
+        return time.monotonic() - self._begin < self._bus.timeout
+
+    def lost(self) -> DeviceFault:
+        names = self._bus.names
+        some = ", ".join(f"{names[servo]} (servo {servo})" for servo in self.missing)
+        who = "none of the servos answers" if len(self.missing) == len(names) else f"no answer of {some}"
+        return DeviceFault(
+            f"{who} on the servo bus at {self._bus.address}, asked {self._asked - 1} times in "
+            f"{1e3 * (time.monotonic() - self._begin):.0f} ms; look at the power supply, and at the cable before the "
+            "first that is missing"
         )
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from math import tau
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -420,6 +421,10 @@ class So101Gripper(Gripper):
         return reading
 
 
+_LINKS: WeakValueDictionary[tuple[str, str], So101Link] = WeakValueDictionary()
+"""The buses of this process that have devices, by address and options: arm and gripper share one."""
+
+
 class So101Driver(Driver):
     """Makes SO101 arms and their grippers, at a serial port.
 
@@ -427,10 +432,6 @@ class So101Driver(Driver):
     that which the servos have. `at_close`: `hold` (the default) or `release`. `timeout`: how long servos may not answer
     before they count as lost [s].
     """
-
-    def __init__(self) -> None:
-        """Have no bus yet."""
-        self._links: dict[str, So101Link] = {}
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> So101Arm:
         """Return an arm, at the path of its serial port."""
@@ -454,13 +455,15 @@ class So101Driver(Driver):
     def _link(self, address: str, options: Mapping[str, Any]) -> So101Link:
         if not address:
             raise InvalidSetup("An SO101 has no address; give the path of its serial port, such as /dev/ttyACM0.")
-        if address not in self._links:
-            given, timeout = options.get("calibration"), options.get("timeout", TIMEOUT)
+        given, timeout = options.get("calibration"), options.get("timeout", TIMEOUT)
+        key = address, json.dumps([given, timeout])
+        link = _LINKS.get(key)
+        if link is None:
             if not isinstance(timeout, int | float) or not 0.01 <= timeout <= 10.0:
                 raise InvalidSetup(f"timeout is {timeout!r} s; valid is 0.01 to 10 s.")
             calibration = None if given is None else read_calibration(given)
-            self._links[address] = So101Link(address, calibration, float(timeout))
-        return self._links[address]
+            link = _LINKS[key] = So101Link(address, calibration, float(timeout))
+        return link
 
 
 def read_calibration(given: str | Path | Mapping[str, Any]) -> dict[str, MotorCalibration]:

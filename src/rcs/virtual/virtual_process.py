@@ -55,7 +55,7 @@ class VirtualProcess:
         Raises:
             InvalidSetup: It does not start; the message has its words.
         """
-        self._words = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed by `close`
+        self._words = tempfile.TemporaryFile("w+")
         self._process = subprocess.Popen(
             self._command, stdout=subprocess.PIPE, stderr=self._words, stdin=subprocess.DEVNULL, text=True
         )
