@@ -77,24 +77,12 @@ Result call_override(const nb::detail::trampoline& trampoline, const char* name,
   }
 }
 
-/// A device that is written in Python: what all devices share. Sensors need not hold or arrive.
+/// A device that is written in Python, and how its functions are called.
 template <typename Base>
-struct PyDevice : Base {
+struct PyCalls : Base {
   NB_TRAMPOLINE(Base);
-  static constexpr bool kMoves = !std::is_base_of_v<rcs::Camera, Base>;
 
   bool can_guide() const override { return call_or("_can_guide", "a bool", false); }
-  void do_open() override { call_if_there("_open"); }
-  void do_guide() override { call_if_there("_guide"); }
-  void do_recover() override { call_if_there("_recover"); }
-  void do_close() override { call_if_there("_close"); }
-  void do_hold() override {
-    if constexpr (kMoves) call<void>("_hold", "None");
-  }
-  bool do_has_arrived() override {
-    if constexpr (kMoves) return call<bool>("_has_arrived", "a bool");
-    return true;
-  }
 
  protected:
   template <typename Result, typename... Args>
@@ -122,6 +110,25 @@ struct PyDevice : Base {
     const HeldGil gil;
     if (!raised->matches(PyExc_Exception) || raised->matches(error_class("RcsError"))) return {};
     return full_name(raised->type()) + ": " + nb::str(raised->value()).c_str();
+  }
+};
+
+/// What all devices share. Sensors need not hold or arrive.
+template <typename Base>
+struct PyDevice : PyCalls<Base> {
+  using PyCalls<Base>::PyCalls;
+  static constexpr bool kMoves = !std::is_base_of_v<rcs::Camera, Base>;
+
+  void do_open() override { this->call_if_there("_open"); }
+  void do_guide() override { this->call_if_there("_guide"); }
+  void do_recover() override { this->call_if_there("_recover"); }
+  void do_close() override { this->call_if_there("_close"); }
+  void do_hold() override {
+    if constexpr (kMoves) this->template call<void>("_hold", "None");
+  }
+  bool do_has_arrived() override {
+    if constexpr (kMoves) return this->template call<bool>("_has_arrived", "a bool");
+    return true;
   }
 };
 
