@@ -29,7 +29,10 @@ void call_and_keep(nb::handle_t<rcs::Device> self, void (rcs::Device::*call)()) 
   (device.*call)();
 }
 
-void open_device(nb::handle_t<rcs::Device> self) { call_and_keep(self, &rcs::Device::open); }
+void open_device(nb::handle_t<rcs::Device> self) {
+  call_and_keep(self, &rcs::Device::open);
+  if (nb::cast<rcs::Device&>(self).moves()) nb::module_::import_("rcs.devices.ending").attr("hold_at_the_end")();
+}
 void close_device(nb::handle_t<rcs::Device> self) { call_and_keep(self, &rcs::Device::close); }
 
 }  // namespace
@@ -40,7 +43,13 @@ void bind_device(nb::module_& m) {
       "What all devices share: a name, a connection, and a fault that stays until `recover`.\n\n`name`, `is_open`, "
       "`is_guided`, `fault`, `hold` and `set_fault` may be used from any thread at any time, also while\nanother call "
       "is under way. All other calls are for one thread at a time. No call keeps other threads from running. An\nopen "
-      "device stays alive until it is closed; `with device:` opens and closes it.")
+      "device stays alive until it is closed; `with device:` opens and closes it.\n\nWhat a function of a driver "
+      "raises "
+      "is the device's fault, in its words, and reaches the caller as DeviceFault. Errors of\n`rcs.errors` pass as "
+      "they "
+      "are; a DeviceFault that a driver raises says the fault.\n\nWhen the program ends, by SIGTERM, by an exception "
+      "or "
+      "without a `close`, every open device that moves holds.")
       .def_prop_ro("name", &rcs::Device::name)
       .def_prop_ro("is_open", &rcs::Device::is_open, "Whether the device is connected.")
       .def_prop_ro("fault", &rcs::Device::fault, "The reason of the fault state, empty when there is none.")
@@ -48,7 +57,8 @@ void bind_device(nb::module_& m) {
       .def_prop_ro("is_guided", &rcs::Device::is_guided, "Whether a person may move it by hand now.")
       // An optional override must exist in the base class: nanobind takes a name that it finds nowhere for an error.
       .def(
-          "_open", [](rcs::Device&) {}, "Connect; nothing unless overridden.")
+          "_open", [](rcs::Device&) {},
+          "Connect, and energise nothing; nothing unless overridden. After a failure follows `_close`.")
       .def(
           "_can_guide", [](rcs::Device&) { return false; },
           "Whether a person can move it by hand; no unless overridden.")
@@ -58,10 +68,15 @@ void bind_device(nb::module_& m) {
           "_recover", [](rcs::Device&) {},
           "Leave the device's own fault state, in which it may refuse to hold; nothing unless overridden.")
       .def(
-          "_close", [](rcs::Device&) {}, "Let go of the device; nothing unless overridden.")
-      .def("open", &open_device, "Connect. Nothing moves. Opening an open device does nothing.")
+          "_close", [](rcs::Device&) {},
+          "Let go of all that `_open` took, or of the part that it had when it failed; nothing unless overridden.")
+      .def("open", &open_device,
+           "Connect, and read what the device is and where.\n\nNothing is energised and nothing moves: the first "
+           "command does that, from the measured state. When it fails, the\ndevice is closed again. Opening an open "
+           "device does nothing.")
       .def("hold", &rcs::Device::hold, WithoutGil(),
-           "Stop where the device is now and stay there. Allowed in the fault state.")
+           "Stop where the device is now and stay there.\n\nOne that no command has energised stays as it is. Allowed "
+           "in the fault state.")
       .def("has_arrived", &rcs::Device::has_arrived, WithoutGil(),
            "Whether the last target is reached and the device stands still.")
       .def("guide", &rcs::Device::guide, WithoutGil(), "on"_a,
@@ -75,7 +90,9 @@ void bind_device(nb::module_& m) {
       .def("recover", &rcs::Device::recover, WithoutGil(),
            "Have the device leave its own fault state, hold where it is now, and only then forget the fault.\n\nRaises "
            "DeviceFault if one of these fails or a new fault comes meanwhile; the device is then in the fault state.")
-      .def("close", &close_device, "Hold and let go of the device. Closing twice is harmless.")
+      .def("close", &close_device,
+           "Hold and let go of the device. Closing twice is harmless.\n\nWhat fails is a fault and is raised when all "
+           "is done; nothing is raised in the fault state, which is known.")
       .def(
           "__enter__",
           [](nb::handle_t<rcs::Device> self) {

@@ -5,13 +5,12 @@
 #include <exception>
 #include <string>
 
-#include "rcs/result.hpp"
-
-namespace nb = nanobind;
+#include "overrides.hpp"
 
 void bind_pose(nb::module_& m);
 void bind_device(nb::module_& m);
 void bind_arm(nb::module_& m);
+void bind_streamed_arm(nb::module_& m);
 void bind_hand(nb::module_& m);
 void bind_camera(nb::module_& m);
 void bind_kinematics(nb::module_& m);
@@ -28,16 +27,22 @@ void bind_rows(nb::module_& m);
 
 namespace {
 
-void raise_as(const char* name, const std::exception& error) {
-  // Python's own classes, so that one `except rcs.errors.X` catches the error from both languages.
-  const nb::object type = nb::module_::import_("rcs.errors").attr(name);
+/// Whether an exception of Python is the cause of an error, also of its cause; it is then the present one.
+bool restore_cause(const std::exception& error) {
   try {
     std::rethrow_if_nested(error);
   } catch (nb::python_error& cause) {
     cause.restore();
-    return nb::chain_error(type, "%s", error.what());
-  } catch (const std::exception&) {  // from C++: its message is in that of `error`
+    return true;
+  } catch (const std::exception& cause) {  // from C++: its message is in that of `error`
+    return restore_cause(cause);
   }
+  return false;
+}
+
+void raise_as(const char* name, const std::exception& error) {
+  const nb::object type = error_class(name);
+  if (restore_cause(error)) return nb::chain_error(type, "%s", error.what());
   PyErr_SetString(type.ptr(), error.what());
 }
 
@@ -72,6 +77,7 @@ NB_MODULE(_core, m) {
   bind_hand(m);
   bind_camera(m);
   bind_kinematics(m);
+  bind_streamed_arm(m);
   bind_collision_checker(m);
   bind_line_profile(m);
   bind_callback(m);

@@ -6,6 +6,8 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/trampoline.h>
 
+#include <exception>
+#include <optional>
 #include <span>
 #include <stdexcept>
 #include <string>
@@ -15,6 +17,7 @@
 #include "arrays.hpp"
 #include "gil.hpp"
 #include "rcs/camera.hpp"
+#include "rcs/result.hpp"
 
 namespace nb = nanobind;
 
@@ -45,6 +48,9 @@ inline bool has_override(const nb::detail::trampoline& trampoline, const char* n
   return nb::detail::ticket(trampoline, name, nb::detail::str_hash(name), false).key.is_valid();
 }
 
+/// One of Python's own classes of errors, which both languages raise.
+inline nb::object error_class(const char* name) { return nb::module_::import_("rcs.errors").attr(name); }
+
 inline Array to_python(std::span<const double> values) { return to_array(values); }
 template <typename T>
 const T& to_python(const T& value) {
@@ -71,37 +77,58 @@ Result call_override(const nb::detail::trampoline& trampoline, const char* name,
   }
 }
 
-/// A device that is written in Python: what all devices share. Sensors need not hold or arrive.
+/// A device that is written in Python, and how its functions are called.
 template <typename Base>
-struct PyDevice : Base {
+struct PyCalls : Base {
   NB_TRAMPOLINE(Base);
-  static constexpr bool kMoves = !std::is_base_of_v<rcs::Camera, Base>;
 
   bool can_guide() const override { return call_or("_can_guide", "a bool", false); }
-  void do_open() override { call_if_there("_open"); }
-  void do_guide() override { call_if_there("_guide"); }
-  void do_recover() override { call_if_there("_recover"); }
-  void do_close() override { call_if_there("_close"); }
-  void do_hold() override {
-    if constexpr (kMoves) call<void>("_hold", "None");
-  }
-  bool do_has_arrived() override {
-    if constexpr (kMoves) return call<bool>("_has_arrived", "a bool");
-    return true;
-  }
 
  protected:
   template <typename Result, typename... Args>
-  Result call(const char* name, const char* valid, const Args&... args) {
-    return call_override<Result>(nb_trampoline, name, valid, args...);
+  Result call(const char* name, const char* valid, const Args&... args) const {
+    try {
+      return call_override<Result>(nb_trampoline, name, valid, args...);
+    } catch (const nb::python_error& error) {
+      const HeldGil gil;
+      if (!error.matches(error_class("DeviceFault"))) throw;
+      std::throw_with_nested(rcs::DeviceFault(nb::str(error.value()).c_str()));
+    }
   }
   /// The same where the class overrides the method, else a value.
   template <typename Result>
   Result call_or(const char* name, const char* valid, Result otherwise) const {
-    return has_override(nb_trampoline, name) ? call_override<Result>(nb_trampoline, name, valid) : otherwise;
+    return has_override(nb_trampoline, name) ? call<Result>(name, valid) : otherwise;
   }
-  void call_if_there(const char* name) {
-    if (has_override(nb_trampoline, name)) call_override<void>(nb_trampoline, name, "None");
+  void call_if_there(const char* name) const {
+    if (has_override(nb_trampoline, name)) call<void>(name, "None");
+  }
+  /// Ctrl-C, and errors of ours such as a missing package, are no faults of the device.
+  std::optional<std::string> words_of(const std::exception& error) const override {
+    const auto* raised = dynamic_cast<const nb::python_error*>(&error);
+    if (!raised) return Base::words_of(error);
+    const HeldGil gil;
+    if (!raised->matches(PyExc_Exception) || raised->matches(error_class("RcsError"))) return {};
+    return full_name(raised->type()) + ": " + nb::str(raised->value()).c_str();
+  }
+};
+
+/// What all devices share. Sensors need not hold or arrive.
+template <typename Base>
+struct PyDevice : PyCalls<Base> {
+  using PyCalls<Base>::PyCalls;
+  static constexpr bool kMoves = !std::is_base_of_v<rcs::Camera, Base>;
+
+  void do_open() override { this->call_if_there("_open"); }
+  void do_guide() override { this->call_if_there("_guide"); }
+  void do_recover() override { this->call_if_there("_recover"); }
+  void do_close() override { this->call_if_there("_close"); }
+  void do_hold() override {
+    if constexpr (kMoves) this->template call<void>("_hold", "None");
+  }
+  bool do_has_arrived() override {
+    if constexpr (kMoves) return this->template call<bool>("_has_arrived", "a bool");
+    return true;
   }
 };
 

@@ -42,7 +42,7 @@ Arm::Arm(std::string name, ArmLimits limits, std::set<CommandKind> more_commands
 
 ArmState Arm::state() {
   require_open("state");
-  ArmState state = do_state();
+  ArmState state = driven("state", [this] { return do_state(); });
   const auto n = limits_.joint_lower.size();
   if (state.joints.size() != n || state.joint_velocities.size() != n)
     fail("the device measured " + std::to_string(state.joints.size()) + " joints, it has " + std::to_string(n));
@@ -65,14 +65,14 @@ ArmState Arm::state() {
 void Arm::command_joints(std::span<const double> joints, double valid_for) {
   command("command_joints", valid_for, [&] {
     check_command(name(), "joints", joints, limits_.joint_lower, limits_.joint_upper);
-    do_command_joints(joints);
+    driven("command_joints", [&] { do_command_joints(joints); });
   });
 }
 
 void Arm::command_pose(const Pose& pose_tcp_in_base, double valid_for) {
   command("command_pose", valid_for, [&] {
     require_kind(CommandKind::pose);
-    do_command_pose(pose_tcp_in_base);
+    driven("command_pose", [&] { do_command_pose(pose_tcp_in_base); });
   });
 }
 
@@ -81,7 +81,7 @@ void Arm::command_twist(std::span<const double> twist, double valid_for) {
     require_kind(CommandKind::twist);
     const std::vector<double> limit(6, kForever);
     check_command(name(), "twist", twist, negated(limit), limit);
-    do_command_twist(twist);
+    driven("command_twist", [&] { do_command_twist(twist); });
   });
 }
 
@@ -89,7 +89,7 @@ void Arm::command_velocities(std::span<const double> velocities, double valid_fo
   command("command_velocities", valid_for, [&] {
     require_kind(CommandKind::velocities);
     check_command(name(), "velocities", velocities, negated(limits_.joint_velocity), limits_.joint_velocity);
-    do_command_velocities(velocities);
+    driven("command_velocities", [&] { do_command_velocities(velocities); });
   });
 }
 
@@ -99,7 +99,7 @@ void Arm::command_torques(std::span<const double> torques, double valid_for) {
     const std::vector<double> limit =
         limits_.joint_effort.empty() ? std::vector<double>(limits_.joint_lower.size(), kForever) : limits_.joint_effort;
     check_command(name(), "torques", torques, negated(limit), limit);
-    do_command_torques(torques);
+    driven("command_torques", [&] { do_command_torques(torques); });
   });
 }
 

@@ -19,7 +19,7 @@ Camera::Camera(std::string name, CameraMode mode, int built_for) : Device(std::m
 
 Frame Camera::read() {
   require_ready("read");
-  Frame frame = do_read();
+  Frame frame = driven("read", [this] { return do_read(); });
   const bool has_depth = frame.depth_mm != nullptr;
   if (!frame.rgb || frame.width != mode_.width || frame.height != mode_.height || has_depth != mode_.has_depth)
     fail("a frame is " + describe(frame.width, frame.height, has_depth) + ", the camera's mode is " +

@@ -18,11 +18,9 @@ constexpr double kClockError = 0.1;
 // Longer than that is for ever, as far as a clock of nanoseconds goes [s].
 constexpr double kLongest = 1e9;
 
-// The message of an exception. One from Python has its whole traceback, of which the last line says what happened.
-std::string summary(const std::exception& error) {
-  std::string text = error.what();
-  while (text.ends_with('\n')) text.pop_back();
-  return text.starts_with("Traceback ") ? text.substr(text.rfind('\n') + 1) : text;
+// Why a call of the driver failed. A `DeviceFault` of its own is reason enough.
+std::string reason_of(const char* call, const std::exception& error, const std::string& words) {
+  return dynamic_cast<const DeviceFault*>(&error) ? words : std::string(call) + " failed: " + words;
 }
 }  // namespace
 
@@ -49,29 +47,77 @@ std::string Device::fault() const {
   return fault_;
 }
 
+std::optional<std::string> Device::words_of(const std::exception& error) const {
+  if (dynamic_cast<const InvalidCommand*>(&error) || dynamic_cast<const InvalidSetup*>(&error) ||
+      dynamic_cast<const WrongOrder*>(&error))
+    return {};
+  const std::string words = error.what(), own = name_ + ": ";
+  return words.starts_with(own) ? words.substr(own.size()) : words;
+}
+
+void Device::blame(const char* call, const std::exception& error) {
+  const auto words = words_of(error);
+  if (!words) return;
+  std::string reason = reason_of(call, error, *words);
+  if (!has_fault_) {
+    set_fault(reason);
+    reason = fault();
+  }
+  std::throw_with_nested(DeviceFault(name_ + ": " + reason));
+}
+
 void Device::open() {
   if (is_open_) return;
-  do_open();
+  try {
+    do_open();
+  } catch (const std::exception& error) {
+    const auto words = words_of(error);
+    std::string reason = words ? reason_of("open", error, *words) : "";
+    try {
+      do_close();
+    } catch (const std::exception& also) {
+      reason += "; close failed: " + words_of(also).value_or(also.what());
+    }
+    if (!words) throw;
+    std::throw_with_nested(DeviceFault(name_ + ": " + reason));
+  }
   is_open_ = true;
   OpenDevices::get().add(*this);
 }
 
 void Device::stop() {
+  // Before the count: a command whose deadline this takes away sees that it was stopped, or is held below.
+  deadline_ = kForever;
+  if (has_deadline_.exchange(false)) OpenDevices::get().exchange_deadline(*this, OpenDevices::kNever);
   ++stops_;
   is_guided_ = false;
-  if (has_deadline_.exchange(false)) OpenDevices::get().exchange_deadline(*this, OpenDevices::kNever);
-  do_hold();
+  if (std::exchange(is_holding_, true)) return;
+  try {
+    do_hold();
+  } catch (...) {
+    is_holding_ = false;
+    throw;
+  }
+  is_holding_ = false;
 }
 
 void Device::hold() {
   const std::lock_guard lock(holding_);
   require_open("hold");
-  stop();
+  try {
+    stop();
+  } catch (const std::exception& error) {
+    const auto words = words_of(error);
+    if (!words) throw;
+    const std::string reason = reason_of("hold", error, *words);
+    mark_fault(reason);  // and no more: to hold is what has just failed
+    std::throw_with_nested(DeviceFault(name_ + ": " + reason));
+  }
 }
 
 bool Device::has_arrived() {
   require_open("has_arrived");
-  return do_has_arrived();
+  return driven("has_arrived", [this] { return do_has_arrived(); });
 }
 
 void Device::guide(bool on) {
@@ -80,7 +126,7 @@ void Device::guide(bool on) {
   if (on == is_guided_) return;
   if (!on) return hold();
   command("guide", kForever, [this] {
-    do_guide();
+    driven("guide", [this] { do_guide(); });
     is_guided_ = true;
   });
 }
@@ -98,6 +144,7 @@ void Device::require_commandable(const char* call, double valid_for) const {
 Device::TimePoint Device::exchange_deadline(double valid_for) {
   using std::chrono::steady_clock;
   has_deadline_ = valid_for < kLongest;
+  deadline_ = has_deadline_ ? monotonic_time() + valid_for : kForever;
   const std::chrono::duration<double> time(has_deadline_ ? valid_for : 0.0);
   return OpenDevices::get().exchange_deadline(
       *this, has_deadline_ ? steady_clock::now() + std::chrono::duration_cast<steady_clock::duration>(time)
@@ -106,6 +153,7 @@ Device::TimePoint Device::exchange_deadline(double valid_for) {
 
 void Device::restore_deadline(TimePoint former) {
   has_deadline_ = former < OpenDevices::kNever;
+  deadline_ = has_deadline_ ? std::chrono::duration<double>(former.time_since_epoch()).count() : kForever;
   OpenDevices::get().exchange_deadline(*this, former);
 }
 
@@ -135,9 +183,9 @@ void Device::set_fault(const std::string& reason) {
     stop();
   } catch (const std::exception& error) {
     // Before the lock: an exception from Python waits for the interpreter to give its message.
-    const std::string failure = "; holding failed: " + summary(error);
+    const std::string words = words_of(error).value_or(error.what());
     const std::lock_guard fault_lock(fault_mutex_);
-    if (!fault_.ends_with(failure)) fault_ += failure;
+    if (fault_.find(words) == std::string::npos) fault_ += "; hold failed: " + words;
   }
 }
 
@@ -149,13 +197,17 @@ void Device::recover() {
   }
   try {
     do_recover();
-    hold();
+    const std::lock_guard lock(holding_);
+    require_open("recover");
+    stop();
   } catch (const std::exception& error) {
-    const std::string failure = "recover failed: " + summary(error);
+    const auto words = words_of(error);
+    const std::string failure = "recover failed: " + words.value_or(error.what());
     const std::lock_guard lock(fault_mutex_);
     if (fault_.empty()) fault_ = failure;
     is_recovering_ = false;
     has_fault_ = true;
+    if (!words) throw;
     std::throw_with_nested(DeviceFault(name_ + ": " + failure + "; the fault stays (" + fault_ + ")"));
   }
   const std::lock_guard lock(fault_mutex_);
@@ -171,16 +223,31 @@ void Device::close() {
     // The device counts as closed even when letting go of it fails, so that a second close is harmless.
     if (!is_open_.exchange(false)) return;
     is_guided_ = has_deadline_ = false;
+    deadline_ = kForever;
   }
   OpenDevices::get().remove(*this);
   // A target must not outlive the connection: the device would move on unwatched, or at the next `open`.
+  const std::exception_ptr unheld = let_go("hold", &Device::do_hold);
+  const std::exception_ptr unclosed = let_go("close", &Device::do_close);
+  if (unheld || unclosed) std::rethrow_exception(unheld ? unheld : unclosed);
+}
+
+std::exception_ptr Device::let_go(const char* call, void (Device::*function)()) try {
+  (this->*function)();
+  return nullptr;
+} catch (const std::exception& error) {
+  const auto words = words_of(error);
+  if (!words) return std::current_exception();
+  if (has_fault_) return nullptr;  // whoever has the device was told
+  const std::string reason = reason_of(call, error, *words);
+  mark_fault(reason);
   try {
-    do_hold();
+    std::throw_with_nested(DeviceFault(name_ + ": " + reason));
   } catch (...) {
-    do_close();
-    throw;
+    return std::current_exception();
   }
-  do_close();
+} catch (...) {
+  return std::current_exception();
 }
 
 void Device::require_open(const char* call) const {

@@ -17,7 +17,7 @@ Gripper::Gripper(std::string name, double max_width, double max_force, int built
 
 GripperState Gripper::state() {
   require_open("state");
-  GripperState state = do_state();
+  GripperState state = driven("state", [this] { return do_state(); });
   if (!std::isfinite(state.opening)) fail("the device measured an opening that is not finite");
   require_past("its state", state.time);
   if (std::isnan(state.time)) state.time = monotonic_time();
@@ -32,7 +32,7 @@ void Gripper::command_opening(double opening, std::optional<double> force, doubl
       text << name() << ": force is " << *force << " N, valid is more than 0 and up to " << max_force_;
       throw InvalidCommand(text.str());
     }
-    do_command_opening(opening, force);
+    driven("command_opening", [&] { do_command_opening(opening, force); });
   });
 }
 

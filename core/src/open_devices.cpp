@@ -8,6 +8,8 @@
 #include <thread>
 #include <utility>
 
+#include "termination.hpp"
+
 namespace rcs {
 
 namespace {
@@ -30,6 +32,7 @@ OpenDevices::Entry& OpenDevices::entry(Device& device) {
 }
 
 void OpenDevices::add(Device& device) {
+  if (device.moves()) hold_at_termination();
   const std::lock_guard lock(mutex_);
   entry(device).deadline = kNever;
 }
@@ -72,7 +75,11 @@ void OpenDevices::stop_all(const std::string& reason) {
   {
     // One that takes its time must not keep the others moving.
     std::vector<std::jthread> threads;
-    for (Device* device : devices) threads.emplace_back([device, &reason] { device->set_fault(reason); });
+    for (Device* device : devices)
+      threads.emplace_back([device, &reason] {
+        device->set_fault(reason);
+        device->do_await_rest();
+      });
   }
   const std::lock_guard lock(mutex_);
   for (Device* device : devices) release(device);

@@ -1,4 +1,8 @@
 // Commands: kinds, deadlines, guiding by hand, and a stop of all devices.
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
 #include <atomic>
 #include <chrono>
 #include <span>
@@ -28,6 +32,7 @@ class TestArm final : public rcs::Arm {
   std::atomic<bool> fails_to_hold = false;
   std::string calls;
   rcs::ArmState measured{{0.0, 0.0}, {0.0, 0.0}};
+  int told = -1;                        // where it writes that it holds
   std::atomic<int>* holding = nullptr;  // how many arms have begun to hold; each waits for two
 
   bool can_guide() const override { return name() != "stiff"; }
@@ -49,6 +54,7 @@ class TestArm final : public rcs::Arm {
   void do_guide() override { calls += "guide "; }
   void do_hold() override {
     ++holds;
+    if (told >= 0) CHECK(write(told, "h", 1) == 1);
     if (holding) {
       ++*holding;
       CHECK(comes([this] { return *holding >= 2; }));
@@ -103,7 +109,7 @@ void an_arm_that_cannot_be_held_at_the_end_of_a_command_is_in_fault() {
   arm.open();
   arm.fails_to_hold = true;
   arm.command_joints(kTwo, 0.01);
-  CHECK(TestArm::comes([&] { return arm.fault().find("holding failed: no answer") != std::string::npos; }));
+  CHECK(TestArm::comes([&] { return arm.fault().find("hold failed: no answer") != std::string::npos; }));
   arm.fails_to_hold = false;
 }
 
@@ -177,6 +183,30 @@ void all_open_devices_that_move_stop_at_once() {
   eye.close();
 }
 
+// In a process of its own, which ends.
+void open_devices_hold_before_sigterm_ends_the_program() {
+  int ends[2];
+  CHECK(pipe(ends) == 0);
+  const pid_t child = fork();
+  if (child == 0) {
+    TestArm arm;
+    arm.told = ends[1];
+    arm.open();
+    CHECK(write(ends[1], "o", 1) == 1);
+    pause();
+    _exit(0);
+  }
+  close(ends[1]);
+  char told = 0;
+  CHECK(read(ends[0], &told, 1) == 1 && told == 'o');
+  kill(child, SIGTERM);
+  CHECK(read(ends[0], &told, 1) == 1 && told == 'h');
+  int status = 0;
+  CHECK(waitpid(child, &status, 0) == child);
+  CHECK(WIFSIGNALED(status) && WTERMSIG(status) == SIGTERM);
+  close(ends[0]);
+}
+
 void a_device_of_another_version_of_the_interfaces_is_refused() {
   try {
     TestArm("old", {}, rcs::kInterfaceVersion - 1);
@@ -217,6 +247,7 @@ int main() {
   an_arm_takes_the_kinds_that_it_names_and_no_others();
   a_guided_arm_takes_no_commands_until_it_is_held();
   all_open_devices_that_move_stop_at_once();
+  open_devices_hold_before_sigterm_ends_the_program();
   a_device_of_another_version_of_the_interfaces_is_refused();
   what_is_measured_has_times_and_makes_sense();
   return rcs::test::result();

@@ -5,6 +5,7 @@
 #include <stdexcept>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "check.hpp"
@@ -69,9 +70,21 @@ void an_arm_that_fails_to_hold_is_let_go_of() {
   TestArm arm;
   arm.open();
   arm.fails_to_hold = true;
-  CHECK_THROWS(std::runtime_error, arm.close());
+  CHECK_THROWS(rcs::DeviceFault, arm.close());
   CHECK(!arm.is_open());
+  CHECK(arm.fault() == "hold failed: no answer");
   CHECK(arm.calls == "open hold close ");
+}
+
+void an_arm_whose_fault_is_known_closes_without_a_word() {
+  TestArm arm;
+  arm.open();
+  arm.fails_to_hold = true;
+  arm.set_fault("the link is lost");
+  CHECK(arm.fault() == "the link is lost; hold failed: no answer");
+  arm.close();
+  CHECK(!arm.is_open());
+  CHECK(arm.calls == "open hold hold close ");
 }
 
 void bad_targets_are_refused_and_the_target_stays() {
@@ -158,7 +171,7 @@ void an_arm_that_refuses_to_hold_in_a_reflex_recovers() {
   arm.open();
   arm.has_reflex = true;
   arm.set_fault("collision");
-  CHECK(arm.fault() == "collision; holding failed: refused in a reflex");
+  CHECK(arm.fault() == "collision; hold failed: refused in a reflex");
   arm.calls.clear();
   arm.recover();
   CHECK(arm.calls == "recover hold ");
@@ -194,7 +207,99 @@ void a_hold_that_fails_does_not_replace_the_reason_of_a_fault() {
   arm.has_reflex = true;
   const std::string thrown = fault_thrown_by([&] { arm.state(); });
   CHECK(thrown.find("not finite at joint 0") != std::string::npos);
-  CHECK(thrown.find("holding failed: refused in a reflex") != std::string::npos);
+  CHECK(thrown.find("hold failed: refused in a reflex") != std::string::npos);
+}
+
+// An arm all of whose calls fail from some moment on, as a vendor's library does without a link.
+class LostArm final : public rcs::Arm {
+ public:
+  LostArm() : Arm("lost arm", kLimits) {}
+  std::string calls;
+  bool is_lost = false;
+  bool sets_fault = false;
+  bool refuses = false;
+
+ protected:
+  void do_open() override { reach("open "); }
+  rcs::ArmState do_state() override {
+    reach("state ");
+    return {{0.0, 0.0}, {0.0, 0.0}};
+  }
+  void do_command_joints(std::span<const double>) override {
+    if (refuses) throw rcs::InvalidCommand("lost arm: too far");
+    reach("command ");
+  }
+  bool do_has_arrived() override {
+    reach("arrived ");
+    return true;
+  }
+  bool can_guide() const override { return true; }
+  void do_guide() override { reach("guide "); }
+  void do_hold() override {
+    calls += "hold ";
+    if (is_lost && sets_fault) set_fault("the link is lost");
+    if (is_lost && !sets_fault) throw std::out_of_range("index 7");
+  }
+  void do_close() override { reach("close "); }
+
+ private:
+  void reach(const char* call) {
+    calls += call;
+    if (is_lost) throw std::out_of_range("index 7");
+  }
+};
+
+void what_a_driver_throws_is_a_fault_in_its_words() {
+  using Call = void (*)(LostArm&);
+  const std::vector<std::pair<std::string, Call>> all{
+      {"state", [](LostArm& arm) { arm.state(); }},
+      {"command_joints", [](LostArm& arm) { arm.command_joints(std::vector{0.0, 0.0}, 10.0); }},
+      {"has_arrived", [](LostArm& arm) { arm.has_arrived(); }},
+      {"guide", [](LostArm& arm) { arm.guide(true); }},
+      {"hold", [](LostArm& arm) { arm.hold(); }},
+  };
+  for (const auto& [name, call] : all) {
+    LostArm arm;
+    arm.open();
+    arm.is_lost = true;
+    CHECK(fault_thrown_by([&] { call(arm); }).starts_with("lost arm: " + name + " failed: index 7"));
+    CHECK(arm.fault().starts_with(name + " failed: index 7"));
+    CHECK(arm.calls.find("hold ") != std::string::npos);
+    CHECK(!arm.is_guided());
+    arm.close();
+    CHECK(arm.calls.ends_with("close "));
+  }
+}
+
+void a_command_that_the_driver_refuses_is_no_fault() {
+  LostArm arm;
+  arm.open();
+  arm.refuses = true;
+  CHECK_THROWS(rcs::InvalidCommand, arm.command_joints(std::vector{0.0, 0.0}));
+  CHECK(arm.fault().empty());
+  arm.close();
+}
+
+void a_hold_that_sets_a_fault_ends() {
+  LostArm arm;
+  arm.open();
+  arm.is_lost = arm.sets_fault = true;
+  CHECK(fault_thrown_by([&] { arm.state(); }) == "lost arm: state failed: index 7");
+  CHECK(arm.fault() == "state failed: index 7");
+  CHECK(arm.calls == "open state hold ");
+  arm.close();
+}
+
+void what_failed_to_open_is_closed() {
+  LostArm arm;
+  arm.is_lost = true;
+  CHECK(fault_thrown_by([&] { arm.open(); }) == "lost arm: open failed: index 7; close failed: index 7");
+  CHECK(!arm.is_open());
+  CHECK(arm.calls == "open close ");
+  arm.is_lost = false;
+  arm.open();
+  CHECK(arm.is_open() && arm.fault().empty());
+  arm.close();
 }
 
 // An arm that stays in its calls until it is let go.
@@ -307,6 +412,7 @@ int main() {
   a_closed_arm_refuses_every_call();
   opening_and_closing_twice_reaches_the_device_once();
   an_arm_that_fails_to_hold_is_let_go_of();
+  an_arm_whose_fault_is_known_closes_without_a_word();
   bad_targets_are_refused_and_the_target_stays();
   a_message_names_the_joint_what_came_and_what_is_valid();
   a_fault_stays_with_its_first_reason_until_recover();
@@ -314,6 +420,10 @@ int main() {
   a_fault_whose_recovery_fails_stays_and_the_error_says_so();
   a_fault_that_comes_during_recover_is_not_forgotten();
   a_hold_that_fails_does_not_replace_the_reason_of_a_fault();
+  what_a_driver_throws_is_a_fault_in_its_words();
+  a_command_that_the_driver_refuses_is_no_fault();
+  a_hold_that_sets_a_fault_ends();
+  what_failed_to_open_is_closed();
   a_fault_is_set_and_read_while_a_call_of_the_device_blocks();
   a_command_that_was_under_way_at_a_stop_moves_nothing();
   faults_may_be_set_and_read_from_many_threads();

@@ -175,6 +175,11 @@ class Device:
     `name`, `is_open`, `is_guided`, `fault`, `hold` and `set_fault` may be used from any thread at any time, also while
     another call is under way. All other calls are for one thread at a time. No call keeps other threads from running. An
     open device stays alive until it is closed; `with device:` opens and closes it.
+
+    What a function of a driver raises is the device's fault, in its words, and reaches the caller as DeviceFault. Errors of
+    `rcs.errors` pass as they are; a DeviceFault that a driver raises says the fault.
+
+    When the program ends, by SIGTERM, by an exception or without a `close`, every open device that moves holds.
     """
 
     @property
@@ -197,11 +202,18 @@ class Device:
         """Whether a person may move it by hand now."""
 
     def open(self) -> None:
-        """Connect. Nothing moves. Opening an open device does nothing."""
+        """
+        Connect, and read what the device is and where.
+
+        Nothing is energised and nothing moves: the first command does that, from the measured state. When it fails, the
+        device is closed again. Opening an open device does nothing.
+        """
 
     def hold(self) -> None:
         """
-        Stop where the device is now and stay there. Allowed in the fault state.
+        Stop where the device is now and stay there.
+
+        One that no command has energised stays as it is. Allowed in the fault state.
         """
 
     def has_arrived(self) -> bool:
@@ -231,7 +243,11 @@ class Device:
         """
 
     def close(self) -> None:
-        """Hold and let go of the device. Closing twice is harmless."""
+        """
+        Hold and let go of the device. Closing twice is harmless.
+
+        What fails is a fault and is raised when all is done; nothing is raised in the fault state, which is known.
+        """
 
     def __enter__(self) -> Self: ...
 
@@ -785,6 +801,123 @@ class DampedLeastSquares(Kinematics):
     def __init__(self, model: mujoco.MjModel, joints: Sequence[int], tcp_site: int, base_body: int) -> None:
         """
         Take the chain out of a model; the ids of joints (base to tip), TCP site and base body are its. The model is not kept.
+        """
+
+class StreamPoint:
+    """Where the joints are to be at one tick."""
+
+    @property
+    def position(self) -> NDArray[numpy.float64]:
+        """Joint positions [rad]."""
+
+    @property
+    def velocity(self) -> NDArray[numpy.float64]:
+        """Joint velocities [rad/s]."""
+
+    @property
+    def acceleration(self) -> NDArray[numpy.float64]:
+        """Joint accelerations [rad/s²]."""
+
+class TcpBox:
+    """Where the TCP may be, in the frame of the base."""
+
+    def __init__(self, lower: Sequence[float], upper: Sequence[float], kinematics: Kinematics) -> None:
+        """
+        Bounds [m]. The kinematics are asked several times per tick: those that are written in Python make ticks late.
+        """
+
+class StreamOptions:
+    """How an arm is streamed to."""
+
+    def __init__(self, *, rate: float = 1000.0, period: float = 0.03333333333333333, is_paced_by_read: bool = False, margin: float = 0.0, first_step: float = 0.2, tracking_error: float = 0.3, arrival: float = 0.01, silence: float = 0.25, missed_ticks: int = 20, box: TcpBox | None = None) -> None:
+        """
+        Points per second, and the time between commands [s].
+
+        With `is_paced_by_read`, `_read` returns once per tick and is waited for. Targets keep the `margin` [rad] from the ends of
+        the joints' ranges; the first one is within `first_step` [rad] of the measured joints. A joint that is farther than
+        `tracking_error` [rad] from where it is led, calls that do not return for longer than `silence` [s] and more than
+        `missed_ticks` in a row are faults. A joint has arrived within `arrival` [rad].
+        """
+
+    @property
+    def rate(self) -> float: ...
+
+    @property
+    def period(self) -> float: ...
+
+    @property
+    def is_paced_by_read(self) -> bool: ...
+
+    @property
+    def margin(self) -> float: ...
+
+    @property
+    def first_step(self) -> float: ...
+
+    @property
+    def tracking_error(self) -> float: ...
+
+    @property
+    def arrival(self) -> float: ...
+
+    @property
+    def silence(self) -> float: ...
+
+    @property
+    def missed_ticks(self) -> int: ...
+
+class StreamedArm(Arm):
+    """
+    An arm that a thread leads from command to command, at the arm's rate, along the trajectory of a simulated one.
+
+    Subclasses override `_read`, `_write`, `_stop` and, where needed, `_open`, `_start`, `_clear`, `_guide` with `_can_guide`,
+    and `_close`; users call what every `Arm` has. `open` connects and reads; the first command, which must be near the
+    measured joints, starts the arm. From then on each tick writes a point, within the limits of position, speed,
+    acceleration and jerk. A command whose time is over, `hold` and faults from outside brake the arm within these limits,
+    and it is led where it stands. What `_read` or `_write` raises, a joint that is not where it is led, and too many missed
+    ticks are faults that call `_stop` at once; after `recover`, the next command starts the arm again.
+
+    All of the vendor's functions run on the arm's thread but `_open`, `_close` and, while another one does not return, `_stop`.
+    """
+
+    def __init__(self, name: str, limits: ArmLimits, options: StreamOptions = ...) -> None:
+        """
+        Raises InvalidSetup where the limits lack acceleration or jerk, or an option makes no sense.
+        """
+
+    @property
+    def options(self) -> StreamOptions: ...
+
+    @property
+    def period(self) -> float:
+        """
+        Time between commands [s], for which they are planned. Set it before the first one.
+        """
+
+    @period.setter
+    def period(self, arg: float, /) -> None: ...
+
+    def clamped(self) -> dict[str, int]:
+        """
+        How many commands since `open` asked for more than is allowed, by what was too much.
+        """
+
+    @property
+    def ticks(self) -> int:
+        """Points written since `open`."""
+
+    @property
+    def missed_ticks(self) -> int:
+        """Ticks left out because the thread came too late."""
+
+    @property
+    def lapses(self) -> int:
+        """Commands whose time was over before the next one."""
+
+    @property
+    def real_time_advice(self) -> str:
+        """
+        What keeps the thread from running in real time and the line that mends it; may be empty.
         """
 
 class Clearance:

@@ -28,6 +28,12 @@ class OnAHandClock:
     def lose_link(self, device: Any) -> None:
         device.lose_link()
 
+    def restore_link(self, device: Any) -> None:
+        device.restore()
+
+    def is_energised(self, device: Any) -> bool:
+        return device.body.has_power
+
 
 class TestFakeArm(OnAHandClock, ArmContract):
     def make_arm(self) -> Arm:

@@ -1,4 +1,4 @@
-"""Devices written in Python: what they do wrong is found, and their exceptions arrive as they are."""
+"""Devices written in Python: what they do wrong is found, and what they raise is a fault in their words."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rcs.devices import (
     HandState,
     stop_all,
 )
-from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, WrongOrder
+from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, MissingDependency, WrongOrder
 from rcs.spatial import Pose
 from tests.devices.test_python_grippers_and_cameras import RGB, Eye, Pincers
 
@@ -78,47 +78,112 @@ def test_calls_reach_the_device_in_order(limits: ArmLimits) -> None:
 
 
 @pytest.mark.parametrize("call", ["open", "state", "command_joints", "has_arrived", "hold", "close"])
-def test_an_exception_of_the_device_arrives_as_it_is(limits: ArmLimits, call: str) -> None:
-    arm = Scripted(limits, **{call: TimeoutError("no answer within 10 ms")})
+def test_what_a_driver_raises_is_a_fault_in_its_words(limits: ArmLimits, call: str) -> None:
+    arm = Scripted(limits, **{call: IndexError("list index out of range")})
     arguments = (np.zeros(3),) if call == "command_joints" else ()
     if call != "open":
         arm.open()
-    with pytest.raises(TimeoutError, match="no answer within 10 ms") as caught:
+    with pytest.raises(DeviceFault, match=f"scripted: {call} failed: IndexError: list index out of range") as caught:
         getattr(arm, call)(*arguments)
-    assert any(entry.name == "_answer" for entry in caught.traceback)
+    assert caught.value.__cause__ is arm.answers[call]
+    if call != "open":
+        assert arm.fault == f"{call} failed: IndexError: list index out of range"
+        assert "hold" in arm.calls
+        arm.close()
 
 
-def test_an_arm_that_failed_to_open_is_closed(limits: ArmLimits) -> None:
-    arm = Scripted(limits, open=OSError("unplugged"))
-    with pytest.raises(OSError, match="unplugged"):
+def test_a_fault_that_a_driver_raises_is_told_as_it_says(limits: ArmLimits) -> None:
+    raised = DeviceFault("joint 3 is above 60 degrees")
+    arm = Scripted(limits, state=raised)
+    with arm:
+        with pytest.raises(DeviceFault, match="scripted: joint 3 is above 60 degrees") as caught:
+            arm.state()
+        assert caught.value.__cause__ is raised
+        assert arm.fault == "joint 3 is above 60 degrees"
+
+
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), SystemExit(3), MissingDependency("no such library"), InvalidAction("too far")]
+)
+@pytest.mark.parametrize("call", ["open", "state", "command_joints", "hold", "recover", "close"])
+def test_ctrl_c_and_errors_of_ours_are_no_faults(limits: ArmLimits, call: str, error: BaseException) -> None:
+    arm = Scripted(limits, **{call: error})
+    if call != "open":
         arm.open()
+    if call == "recover":
+        arm.set_fault("collision")
+    with pytest.raises(type(error)) as caught:
+        getattr(arm, call)(*[np.zeros(3)] * (call == "command_joints"))
+    assert caught.value is error
+    assert arm.fault == ("collision" if call == "recover" else "")
+    arm.answers.clear()
+    arm.close()
+
+
+def test_what_failed_to_open_is_closed_and_can_be_opened_again(limits: ArmLimits) -> None:
+    arm = Scripted(limits, open=OSError("unplugged"))
+    with pytest.raises(DeviceFault, match="open failed: OSError: unplugged"):
+        arm.open()
+    assert arm.calls == ["open", "close"]
     assert not arm.is_open
     with pytest.raises(WrongOrder):
         arm.state()
+    arm.answers.clear()
+    with arm:
+        assert arm.fault == ""
 
 
 @pytest.mark.parametrize("call", ["hold", "close"])
 def test_an_arm_that_failed_to_close_is_closed_and_let_go_of(limits: ArmLimits, call: str) -> None:
     arm = Scripted(limits, **{call: OSError("unplugged")})
     arm.open()
-    with pytest.raises(OSError, match="unplugged"):
+    with pytest.raises(DeviceFault, match=f"{call} failed: OSError: unplugged"):
         arm.close()
     assert not arm.is_open
     assert arm.calls[-1] == "close"
     arm.close()
 
 
+def test_an_arm_whose_fault_is_known_closes_without_a_word(limits: ArmLimits) -> None:
+    arm = Scripted(limits, state=OSError("unplugged"), hold=OSError("unplugged"), close=OSError("unplugged"))
+    with arm, pytest.raises(DeviceFault, match="state failed: OSError: unplugged"):
+        arm.state()
+    assert not arm.is_open
+    assert arm.fault == "state failed: OSError: unplugged"
+    assert arm.calls == ["open", "state", "hold", "hold", "close"]
+
+
+class Reporting(Scripted):
+    """An arm that finds in its `_hold` that the link is lost."""
+
+    def _hold(self) -> None:
+        self.set_fault("the link is lost")
+        super()._hold()
+
+
+def test_a_hold_that_sets_a_fault_ends(limits: ArmLimits) -> None:
+    arm = Reporting(limits, hold=OSError("no route"))
+    with arm:
+        with pytest.raises(DeviceFault, match="hold failed: OSError: no route"):
+            arm.hold()
+        assert arm.fault == "the link is lost"
+        arm.set_fault("another")
+        assert arm.fault == "the link is lost; hold failed: OSError: no route"
+    assert arm.calls == ["open", "hold", "hold", "hold", "close"]
+
+
 def test_a_hold_that_fails_is_added_to_the_reason_of_the_fault(limits: ArmLimits) -> None:
     arm = Scripted(limits, hold=OSError("unplugged"))
     arm.open()
     arm.set_fault("collision")
-    assert arm.fault == "collision; holding failed: OSError: unplugged"
+    assert arm.fault == "collision; hold failed: OSError: unplugged"
+    arm.close()
 
 
 def test_a_hold_that_fails_does_not_hide_a_bad_measurement(limits: ArmLimits) -> None:
     arm = Scripted(limits, hold=OSError("unplugged"), state=ArmState([0.0], [0.0], 0.0))
     arm.open()
-    with pytest.raises(DeviceFault, match="measured 1 joints, it has 3; holding failed: OSError: unplugged"):
+    with pytest.raises(DeviceFault, match="measured 1 joints, it has 3; hold failed: OSError: unplugged"):
         arm.state()
 
 
@@ -241,8 +306,9 @@ def ask(device: Device, name: str) -> object:
 def test_a_wrong_return_type_is_named_with_class_and_method(limits: ArmLimits, make: Any, call: str, text: str) -> None:
     device = make(limits)
     device.open()
-    with pytest.raises(TypeError, match=text):
+    with pytest.raises(TypeError if call == "can_guide" else DeviceFault, match=text):
         ask(device, call)
+    device.close()
 
 
 class Half(Arm):
@@ -250,9 +316,7 @@ class Half(Arm):
 
 
 def test_a_method_that_was_forgotten_is_named_with_its_class(limits: ArmLimits) -> None:
-    arm = Half("half", limits)
-    arm.open()
-    with pytest.raises(TypeError, match=r"Half must define the method _state"):
+    with Half("half", limits) as arm, pytest.raises(DeviceFault, match=r"Half must define the method _state"):
         arm.state()
 
 
@@ -301,7 +365,7 @@ def test_the_kinds_of_commands_that_an_arm_names_reach_it(limits: ArmLimits) -> 
         arm.command_twist(np.array(twist), valid_for=10.0)
         with pytest.raises(InvalidAction, match="takes no velocities; it takes joints, pose, twist, torques"):
             arm.command_velocities(np.zeros(3))
-        with pytest.raises(TypeError, match="Streamed must define the method _command_torques"):
+        with pytest.raises(DeviceFault, match="Streamed must define the method _command_torques"):
             arm.command_torques(np.zeros(3))
     assert arm.calls[1:3] == [pose, twist]
 

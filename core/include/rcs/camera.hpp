@@ -60,14 +60,17 @@ class RCS_API Camera : public Device {
 
   const CameraMode& mode() const { return mode_; }
   /// Nothing when it is unknown, which may be so until the camera is open.
-  std::optional<CameraCalibration> calibration() { return do_calibration(); }
+  std::optional<CameraCalibration> calibration() {
+    return driven("calibration", [this] { return do_calibration(); });
+  }
 
   /// The newest frame. A frame whose driver gives no time has that at which its number was first read. Throws
   /// `DeviceFault` when its size is not that of the mode, when it has no number, and when it is from the future.
   Frame read();
 
- protected:
   bool moves() const override { return false; }
+
+ protected:
   virtual Frame do_read() = 0;
   virtual std::optional<CameraCalibration> do_calibration() { return {}; }
 

@@ -4,8 +4,10 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <exception>
 #include <limits>
 #include <mutex>
+#include <optional>
 #include <span>
 #include <string>
 
@@ -27,6 +29,9 @@ RCS_API double monotonic_time();
 /// a command that another thread gave before does not move the device: if it was still under way, the device is held
 /// again as soon as it ends. All other calls are for one thread at a time.
 ///
+/// What a driver's function throws is the device's fault, in its words, and reaches the caller as `DeviceFault`; only
+/// what refuses a command or an option passes as it is.
+///
 /// An open device can be stopped from elsewhere at any time, so close it before you destroy it.
 class RCS_API Device {
  public:
@@ -40,9 +45,11 @@ class RCS_API Device {
   /// The reason of the fault state, empty when there is none.
   std::string fault() const;
 
-  /// Connect. Nothing moves. Opening an open device does nothing.
+  /// Connect, and read what the device is and where. Nothing is energised and nothing moves: the first command does
+  /// that, from the measured state. When it fails, the device is closed again. Opening an open device does nothing.
   void open();
-  /// Stop where the device is now and stay there. Allowed in the fault state.
+  /// Stop where the device is now and stay there; one that no command has energised stays as it is. Allowed in the
+  /// fault state.
   void hold();
   /// Whether the last target is reached and the device stands still.
   bool has_arrived();
@@ -61,8 +68,11 @@ class RCS_API Device {
   /// Have the device leave its own fault state, hold where it is now, and only then forget the fault. Throws
   /// `DeviceFault` if one of these fails or a new fault comes meanwhile; the device is then in the fault state.
   void recover();
-  /// Hold and let go of the device. Closing twice is harmless.
+  /// Hold and let go of the device. Closing twice is harmless. What fails is a fault and is thrown when all is done;
+  /// nothing is thrown in the fault state, which is known.
   void close();
+  /// Whether stopping it means anything: not so for sensors.
+  virtual bool moves() const { return true; }
 
  protected:
   /// Throw `WrongOrder` when the device is not open.
@@ -71,6 +81,9 @@ class RCS_API Device {
   void require_ready(const char* call) const;
   /// Fail when something was measured later than now, by more than clocks differ: it would never look old.
   void require_past(const char* what, double time);
+  /// When the time of the last command is over [s], on the host's monotonic clock: for devices whose own thread keeps
+  /// it, so that they do not depend on the thread that calls `hold` then.
+  double deadline() const { return deadline_; }
   /// Enter the fault state and throw it.
   [[noreturn]] void fail(const std::string& reason);
   /// Send a command if the device is ready, and have it held when `valid_for` [s] has passed without another. No lock
@@ -84,7 +97,7 @@ class RCS_API Device {
     try {
       send();
     } catch (...) {
-      if (has_deadline) restore_deadline(former);
+      if (has_deadline && !has_fault_) restore_deadline(former);
       throw;
     }
     if (stops_ == stops) return;
@@ -92,17 +105,33 @@ class RCS_API Device {
     require_ready(call);
   }
 
-  /// Whether stopping it means anything: not so for sensors.
-  virtual bool moves() const { return true; }
+  /// Call a function of the driver. What it throws becomes the device's fault, and `DeviceFault`.
+  template <typename Function>
+  auto driven(const char* call, Function function) {
+    try {
+      return function();
+    } catch (const std::exception& error) {
+      blame(call, error);
+      throw;
+    }
+  }
+  /// What something says that the driver has thrown, as a fault; nothing when it refuses a command or an option.
+  virtual std::optional<std::string> words_of(const std::exception& error) const;
+
+  /// Connect; energise nothing. After a failure follows `do_close`.
   virtual void do_open() {}
   /// Stop, and end guiding. Runs on the thread that stops, beside whatever else the device does, but never twice at
-  /// once, and never beside `do_open` or `do_close`.
+  /// once, and never beside `do_open` or `do_close`. It throws when the device cannot be reached.
   virtual void do_hold() {}
+  /// Return when the device, which was told to hold, stands still, or does not in time: where it brakes on a thread of
+  /// the program, which may end next.
+  virtual void do_await_rest() {}
   virtual bool do_has_arrived() { return true; }
   /// Give way to a person's hand until `do_hold`.
   virtual void do_guide() {}
   /// Leave the device's own fault state, in which it may refuse to hold.
   virtual void do_recover() {}
+  /// Let go of what `do_open` took, all of it or the part that it had when it failed.
   virtual void do_close() {}
 
  private:
@@ -113,6 +142,8 @@ class RCS_API Device {
   TimePoint exchange_deadline(double valid_for);
   void restore_deadline(TimePoint former);
   void mark_fault(const std::string& reason);
+  void blame(const char* call, const std::exception& error);
+  std::exception_ptr let_go(const char* call, void (Device::*function)());
   void stop();
   void lapse();
 
@@ -120,9 +151,11 @@ class RCS_API Device {
   std::atomic<bool> is_open_ = false;
   std::atomic<bool> is_guided_ = false;
   std::atomic<bool> has_deadline_ = false;
+  std::atomic<double> deadline_ = kForever;
   std::atomic<bool> has_fault_ = false;  // what commands look at, without a lock
   std::atomic<std::uint64_t> stops_ = 0;
   std::recursive_mutex holding_;  // recursive: a `do_hold` may find a fault and set it
+  bool is_holding_ = false;       // the thread that has the lock is inside of `do_hold`
   mutable std::mutex fault_mutex_;
   std::string fault_;
   bool is_recovering_ = false;  // the next fault is a new one, not a consequence of the first

@@ -1,7 +1,8 @@
 """Devices without hardware and without physics, for tests and for writing a program before the robot arrives.
 
 All take a `clock`, which returns the time [s]: give the clock of a simulation to run faster than real time.
-Measurements have its time as that of the device. `lose_link`, `restore` and `trip` are what happens to real devices.
+Measurements have its time as that of the device. `lose_link`, `restore` and `trip` are what happens to real devices:
+without a link every call fails, `hold` too. Power comes with the first command, and goes when the device is closed.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ class Body:
         self.time = clock()
         self.has_link = True
         self.has_reflex = False
+        self.has_power = False
 
     def move(self, *, stops: bool = False) -> None:
         """Let the time pass that has passed on the clock, and stay there if it stops."""
@@ -66,14 +68,23 @@ def _reach(device: Fake) -> Body:
     """Return what is behind a device as it is now, unless its link is lost."""
     body = device.body
     if not body.has_link:
-        device.set_fault("the link is lost")
-        raise DeviceFault(f"{device.name}: the link is lost")
+        raise DeviceFault("the link is lost")
     body.move()
     return body
 
 
+def _command(device: Fake, target: NDArray[np.float64]) -> None:
+    body = _reach(device)
+    body.has_power = True
+    body.target = target
+
+
+def _open(device: Fake) -> None:
+    _reach(device)
+
+
 def _lose_link(device: Fake) -> None:
-    """Have every later call fail, as when the cable is out; the device stops by itself."""
+    """Have every later call fail, also `hold`, as when the cable is out; the device stops by itself."""
     device.body.stop()
     device.body.has_link = False
 
@@ -92,8 +103,8 @@ def _trip(device: Fake, reason: str) -> None:
 
 def _hold(device: Fake) -> None:
     if device.body.has_reflex:
-        raise DeviceFault(f"{device.name}: hold is refused in a reflex; call recover() first")
-    device.body.stop()
+        raise DeviceFault("hold is refused in a reflex; call recover() first")
+    _reach(device).stop()
 
 
 def _recover(device: Fake) -> None:
@@ -105,11 +116,15 @@ def _has_arrived(device: Fake) -> bool:
     return bool(np.abs(body.target - body.values).max() < 1e-9)
 
 
+def _close(device: Fake) -> None:
+    device.body.has_power = False
+
+
 class FakeArm(Arm):
     """An arm that moves to its target at its largest joint velocities; `push` is a person's hand."""
 
     lose_link, restore, trip = _lose_link, _restore, _trip
-    _hold, _recover, _has_arrived = _hold, _recover, _has_arrived
+    _open, _hold, _recover, _has_arrived, _close = _open, _hold, _recover, _has_arrived, _close
 
     def __init__(
         self,
@@ -155,14 +170,14 @@ class FakeArm(Arm):
         )
 
     def _command_joints(self, joints: NDArray[np.float64]) -> None:
-        _reach(self).target = np.clip(joints, self.limits.joint_lower, self.limits.joint_upper)
+        _command(self, np.clip(joints, self.limits.joint_lower, self.limits.joint_upper))
 
 
 class FakeGripper(Gripper):
     """A gripper that opens and closes at a constant speed."""
 
     lose_link, restore, trip = _lose_link, _restore, _trip
-    _hold, _recover, _has_arrived = _hold, _recover, _has_arrived
+    _open, _hold, _recover, _has_arrived, _close = _open, _hold, _recover, _has_arrived, _close
 
     def __init__(
         self,
@@ -190,14 +205,14 @@ class FakeGripper(Gripper):
         return GripperState(float(body.values[0]), device_time=body.time)
 
     def _command_opening(self, opening: float, force: float | None) -> None:
-        _reach(self).target = np.clip([opening], 0.0, 1.0)
+        _command(self, np.clip([opening], 0.0, 1.0))
 
 
 class FakeHand(Hand):
     """A hand whose joints move at a constant speed."""
 
     lose_link, restore, trip = _lose_link, _restore, _trip
-    _hold, _recover, _has_arrived = _hold, _recover, _has_arrived
+    _open, _hold, _recover, _has_arrived, _close = _open, _hold, _recover, _has_arrived, _close
 
     def __init__(
         self, joint_count: int, *, speed: float = 2.5, clock: Clock = time.monotonic, name: str = "fake hand"
@@ -211,13 +226,13 @@ class FakeHand(Hand):
         return HandState(list(body.values), device_time=body.time)
 
     def _command_joints(self, joints: NDArray[np.float64]) -> None:
-        _reach(self).target = np.clip(joints, 0.0, 1.0)
+        _command(self, np.clip(joints, 0.0, 1.0))
 
 
 class FakeCamera(Camera):
     """A camera that sees a grey ramp which moves one pixel per frame, so that repeats can be told from new frames."""
 
-    lose_link, _recover = _lose_link, _recover
+    lose_link, _open, _recover = _lose_link, _open, _recover
 
     def __init__(
         self,

@@ -65,8 +65,8 @@ def make(
     Args:
         task: A task by name, as a class or as `module:Class`; or a whole setup.
         hardware: What is real: a `Site` or the path of its file, `driver:address` for all arms with their end
-            effectors, or a mapping from names of robots and cameras to addresses or devices. All else is simulated, in
-            real time and in one world. None for simulation alone.
+            effectors, or a mapping from names of robots, cameras and tactile sensors to addresses or devices. All else
+            is simulated, in real time and in one world. None for simulation alone.
         layers: Your own layers on top of those of the setup, from the lowest to the highest, as objects, classes or
             names; of several robots, a sequence per robot by name. Names and classes in a sequence, up to its first
             object, become part of the setup, which recordings keep; replays go without the others.
@@ -219,9 +219,9 @@ def _devices(hardware: Any, parts: Parts) -> Devices:
     if hardware is None:
         return Devices()
     robots = {robot.name: (robot.arm, robot.end_effector) for robot in parts.robots}
-    site = Site.of(hardware, robots, {camera.name: camera.camera for camera in parts.cameras})
     cameras = {camera.name: (camera.camera, _mode(parts.setup, camera)) for camera in parts.cameras}
-    return site.devices(robots, cameras)
+    tactile = {sensor.name: sensor.sensor for sensor in parts.tactile}
+    return Site.of(hardware, robots, cameras, tactile).devices(robots, cameras, tactile)
 
 
 def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,8 @@ class ArmContract(MotionContract[Arm]):
     """How close to its target an arm must come, and how far one that stands still may move [rad]."""
     speed_margin: float = 1.05
     """By which factor a measured speed may exceed the limit: measurements are noisy."""
+    still: float = 0.02
+    """Measured speed of a joint that stands still, at most [rad/s]."""
 
     def make_arm(self) -> Arm:
         """Return a new arm, not opened. To be overridden."""
@@ -51,11 +54,17 @@ class ArmContract(MotionContract[Arm]):
         middle = (device.limits.joint_lower + device.limits.joint_upper) / 2
         return joints + np.where(joints < middle, self.distance, -self.distance)
 
+    def least_time(self, device: Arm, target: Any) -> float:
+        """Return how long the joint that has the longest way takes at its largest velocity [s]."""
+        way = np.abs(np.asarray(target) - self.position(device)) - self.tolerance
+        return float((way / device.limits.joint_velocity).max())
+
     def bad_targets(self, device: Arm) -> list[NDArray[np.float64]]:
         """Return targets of a wrong size, not finite and out of limits."""
         joints, limits = self.position(device), device.limits
         values = (math.nan, math.inf, -math.inf, limits.joint_upper[0] + 0.01, limits.joint_lower[0] - 0.01)
         bad = [np.array([value, *joints[1:]]) for value in values]
+        bad += [np.where(np.arange(device.dof) == i, math.nan, joints) for i in range(device.dof)]
         return [np.zeros(0), joints[1:], np.append(joints, 0.0), *bad]
 
     def look_while_moving(self, device: Arm) -> None:
@@ -75,6 +84,123 @@ class ArmContract(MotionContract[Arm]):
             assert state.wrench.shape in ((6,), (0,))
             state.joints[:] = 9.0
             assert (arm.state().joints < 9.0).all()
+
+    def test_limits_make_sense_and_the_arm_is_within_them(self) -> None:
+        """One of each per joint; those that are not known are empty. They are copies."""
+        with self.open_device() as arm:
+            limits = arm.limits
+            assert arm.dof >= 1
+            for values in (limits.joint_lower, limits.joint_upper, limits.joint_velocity):
+                assert values.shape == (arm.dof,)
+                assert np.isfinite(values).all()
+            assert (limits.joint_lower < limits.joint_upper).all()
+            for values in (
+                limits.joint_velocity,
+                limits.joint_acceleration,
+                limits.joint_jerk,
+                limits.joint_effort,
+            ):
+                assert values.shape in ((arm.dof,), (0,))
+                assert (values > 0).all()
+            joints = self.position(arm)
+            assert (joints >= limits.joint_lower - self.tolerance).all()
+            assert (joints <= limits.joint_upper + self.tolerance).all()
+            limits.joint_upper[:] = 9.0
+            assert (arm.limits.joint_upper < 9.0).all()
+
+    def test_an_arm_that_stands_still_measures_no_speed(self) -> None:
+        """Before the first command, and at a target; the controller wants it where it is."""
+        with self.open_device() as arm:
+            assert (np.abs(arm.state().joint_velocities) <= self.still).all()
+            self.begin(arm, self.target_of(arm))
+            self.move(arm)
+            self.advance(self.stopping_time)
+            state = arm.state()
+            assert (np.abs(state.joint_velocities) <= self.still).all()
+            if state.commanded_joints.size:
+                np.testing.assert_allclose(state.commanded_joints, state.joints, rtol=0.0, atol=self.tolerance)
+
+    def test_measured_speeds_point_where_the_arm_goes(self) -> None:
+        """Seen in the middle of its way."""
+        with self.open_device() as arm:
+            start, target = self.position(arm), self.target_of(arm)
+            self.begin(arm, target)
+            for _ in range(math.ceil(self.time_limit / self.tick)):
+                state = arm.state()
+                share = (state.joints - start) @ (target - start) / ((target - start) @ (target - start))
+                if share > 0.3:
+                    break
+                self.advance(self.tick)
+            self.stop(lambda: None)
+            if share > 0.8 and self.may_have_arrived:
+                pytest.skip("the machine is too busy to see the arm on its way")
+            assert 0.3 < share <= 0.8
+            assert state.joint_velocities @ (target - start) > 0.0
+
+    def test_a_far_first_target_is_refused_or_approached_slowly_enough(self) -> None:
+        """Never jumped to: the arm keeps to its speeds, and stops short of it when its time is over."""
+        with self.open_device() as arm:
+            joints, limits = self.position(arm), arm.limits
+            middle = (limits.joint_lower + limits.joint_upper) / 2
+            far = np.where(joints < middle, limits.joint_upper, limits.joint_lower)
+            began = time.monotonic()
+            try:
+                self.command(arm, far, 3 * self.tick)
+            except InvalidAction as error:
+                assert arm.name in str(error)  # noqa: PT017  it may be refused, and then says by whom
+            passed = 0.0
+            for _ in range(3):
+                self.advance(self.tick)
+                passed += self.tick
+                state = arm.state()
+                reach = self.speed_margin * limits.joint_velocity * max(passed, time.monotonic() - began)
+                assert (np.abs(state.joints - joints) <= reach + self.tolerance).all()
+                self.look_while_moving(arm)
+            arm.hold()
+            self.advance(self.stopping_time)
+            assert self.is_at_rest(arm)
+            assert not self.is_near(arm, far)
+            assert arm.fault == ""
+
+    def test_a_target_is_copied(self) -> None:
+        """What becomes of the array afterwards is no business of the arm."""
+        with self.open_device() as arm:
+            target = self.target_of(arm)
+            given = target.copy()
+            self.command(arm, given)
+            given[:] = math.nan
+            self.require_reached(arm, target)
+
+    def test_targets_are_numbers_of_any_kind(self) -> None:
+        """Of single precision, and every second one of a longer array."""
+        with self.open_device() as arm:
+            target = self.target_of(arm)
+            for given in (target.astype(np.float32), np.repeat(target, 2)[::2]):
+                self.command(arm, given)
+                self.require_reached(arm, target)
+
+    def test_values_that_are_not_finite_are_refused_in_every_kind_of_command(self) -> None:
+        """And times to live that are none; nothing moves."""
+        with self.open_device() as arm:
+            before = self.position(arm)
+            for kind, send, size in (
+                (CommandKind.joints, arm.command_joints, arm.dof),
+                (CommandKind.twist, arm.command_twist, 6),
+                (CommandKind.velocities, arm.command_velocities, arm.dof),
+                (CommandKind.torques, arm.command_torques, arm.dof),
+            ):
+                if kind not in arm.commands():
+                    continue
+                for value in (math.nan, math.inf, -math.inf):
+                    for i in range(size):
+                        with pytest.raises(InvalidAction, match="valid is"):
+                            send(np.where(np.arange(size) == i, value, 0.0))
+                for valid_for in (0.0, -1.0, math.nan):
+                    with pytest.raises(InvalidAction, match="valid for"):
+                        send(np.zeros(size), valid_for)
+            self.advance(self.stopping_time)
+            assert self.is_near(arm, before)
+            assert arm.fault == ""
 
     def test_an_arm_refuses_commands_of_a_kind_that_it_does_not_name(self) -> None:
         """And those of a wrong size where it names them; nothing moves."""

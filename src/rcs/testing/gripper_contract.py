@@ -67,5 +67,45 @@ class GripperContract(MotionContract[Gripper]):
             assert self.is_near(gripper, before)
             for opening, force in ((target, gripper.max_force), (1.0 - target, gripper.max_force / 2)):
                 gripper.command_opening(opening, force)
-                self.move(gripper)
-                assert self.is_near(gripper, opening)
+                self.require_reached(gripper, opening)
+
+    def test_figures_make_sense(self) -> None:
+        """Known before the gripper is opened (connected)."""
+        gripper = self.make_gripper()
+        assert 0 < gripper.max_width < math.inf
+        assert 0 < gripper.max_force < math.inf
+
+    def test_fingers_go_all_the_way_and_half_of_it(self) -> None:
+        """In any order."""
+        with self.open_device() as gripper:
+            for opening in (0.0, 1.0, 0.5, 1.0, 0.0, 0.5):
+                self.command(gripper, opening)
+                self.require_reached(gripper, opening)
+
+    def test_a_refused_force_leaves_a_motion_as_it_is(self) -> None:
+        """The fingers go on to the opening of the command before."""
+        with self.moving_device() as (gripper, target):
+            with pytest.raises(InvalidAction, match="force"):
+                gripper.command_opening(1.0 - target, -1.0)
+            self.require_reached(gripper, target)
+
+    def test_an_opening_with_a_force_has_a_time_to_live_too(self) -> None:
+        """Which must be more than nothing."""
+        with self.open_device() as gripper:
+            before, target = self.position(gripper), self.target_of(gripper)
+            for valid_for in (0.0, -1.0, math.nan):
+                with pytest.raises(InvalidAction, match="valid for"):
+                    gripper.command_opening(target, gripper.max_force, valid_for)
+            self.advance(self.stopping_time)
+            assert self.is_near(gripper, before)
+
+    def test_fingers_at_their_target_have_arrived(self) -> None:
+        """Also when they are sent there again."""
+        with self.moving_device() as (gripper, target):
+            self.require_reached(gripper, target)
+            self.command(gripper, target)
+            self.require_reached(gripper, target)
+            gripper.hold()
+            self.advance(self.stopping_time)
+            assert gripper.has_arrived()
+            assert self.is_near(gripper, target)

@@ -86,7 +86,7 @@ class StandInArm(Arm):
         self._is_frozen = False
 
     def lose_link(self) -> None:
-        """Have every later call fail, as when the cable is out; the arm stops by itself."""
+        """Have every later call fail, also `hold`, as when the cable is out; the arm stops by itself."""
         with self._lock:
             if self._world is not None:
                 self._now(self._world).stop(_NAME)
@@ -97,6 +97,7 @@ class StandInArm(Arm):
         self._has_link = True
 
     def _open(self) -> None:
+        self._require_link()
         if self._world is None:
             self._world = TimedWorld([self._placement], smoothing=self._smoothing)
         self._world.start(self._clock())
@@ -130,19 +131,20 @@ class StandInArm(Arm):
 
     def _hold(self) -> None:
         with self._lock:
-            if self._world is not None:
-                self._now(self._world).stop(_NAME)
+            self._reach().stop(_NAME)
 
     def _recover(self) -> None:
         self._reach()
 
     def _reach(self) -> TimedWorld:
         """Return the world as it is now, unless the link is lost."""
-        if not self._has_link:
-            self.set_fault("the link is lost")
-            raise DeviceFault(f"{self.name}: the link is lost")
+        self._require_link()
         assert self._world is not None, "a call before `open` is refused by the interface"
         return self._now(self._world)
+
+    def _require_link(self) -> None:
+        if not self._has_link:
+            raise DeviceFault("the link is lost")
 
     def _now(self, world: TimedWorld) -> TimedWorld:
         world.advance_to(self._clock())
