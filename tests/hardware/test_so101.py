@@ -18,6 +18,7 @@ import pytest
 import rcs
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.hardware import DeviceAddress
+from rcs.hardware.servo_bus import ServoBus
 from rcs.hardware.so101 import GRIPPER, NAMES, So101Arm, So101Driver, So101Gripper, read_calibration
 from rcs.robots.so101.description import SO101
 from rcs.robots.so101_gripper.description import SO101_GRIPPER
@@ -49,6 +50,16 @@ def lead(arm: So101Arm, to: np.ndarray, seconds: float = 1.0) -> None:
     for part in np.linspace(0, 1, round(seconds * 30)):
         arm.command_joints(start + (to - start) * part)
         time.sleep(1 / 30)
+
+
+def bus_of(device: So101Arm | So101Gripper) -> ServoBus:
+    with device.link as servos:
+        return servos.bus
+
+
+def position_of_lift(arm: So101Arm) -> int:
+    with arm.link as servos:
+        return servos.read().positions[2]
 
 
 def wait_until(is_so, patience: float = 8.0) -> None:
@@ -111,11 +122,11 @@ def test_the_grippers_torque_and_current_are_capped(virtual):
     arm, gripper = devices(virtual)
     with arm, gripper:
         gripper.command_opening(0.9)
-        _, settings = gripper.link.bus.read([GRIPPER], 0, 50)[GRIPPER]
+        _, settings = bus_of(gripper).read([GRIPPER], 0, 50)[GRIPPER]
         assert int.from_bytes(settings[16:18], "little") == 500
         assert int.from_bytes(settings[28:30], "little") == 250
         gripper.command_opening(0.5, 9.0)
-        _, settings = gripper.link.bus.read([GRIPPER], 0, 50)[GRIPPER]
+        _, settings = bus_of(gripper).read([GRIPPER], 0, 50)[GRIPPER]
         assert int.from_bytes(settings[48:50], "little") == 250
 
 
@@ -177,7 +188,7 @@ def test_no_joint_is_read_wrong_where_one_packet_in_100_goes_wrong(virtual, tmp_
             readings.append((state.time, np.array(state.joints)))
             time.sleep(5e-3)
         assert arm.fault == ""
-        assert arm.link.bus.failures > 0
+        assert bus_of(arm).failures > 0
     virtual.close()
     ticks = read_ticks(tmp_path / "log")
     for at, joints in readings:
@@ -196,11 +207,11 @@ def test_an_overload_is_named_by_joint_and_recovers_without_a_lunge(virtual, tmp
         with pytest.raises(DeviceFault):
             arm.command_joints(start)
         time.sleep(0.5)
-        before = np.array(arm.link.read().positions[2])
+        before = position_of_lift(arm)
         arm.recover()
         began = time.monotonic()
         time.sleep(0.4)
-        assert abs(arm.link.read().positions[2] - before) < 40
+        assert abs(position_of_lift(arm) - before) < 40
         here = np.array(arm.state().joints)
         lead(arm, here + 0.3 * (start - here), 0.5)
         assert arm.fault == ""
@@ -271,7 +282,7 @@ def test_a_second_program_at_one_port_is_refused_and_told_who_has_it(virtual):
             "import sys; from rcs.hardware.so101 import *; from rcs.robots.so101.description import SO101\n"
             "try: So101Driver().arm(sys.argv[1], SO101, {}).open()\nexcept DeviceFault as err: print(err)"
         )
-        told = subprocess.run([sys.executable, "-c", code, arm.link.bus.address], capture_output=True, text=True)
+        told = subprocess.run([sys.executable, "-c", code, arm.name], capture_output=True, text=True)
         assert f"process {os.getpid()}" in told.stdout, told.stderr
         assert arm.fault == ""
 

@@ -12,7 +12,6 @@ import fcntl
 import logging
 import os
 import select
-import threading
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -33,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 
 class ServoBus:
-    """Reads and writes registers of servos; every call is safe from any thread, and one at a time."""
+    """Reads and writes registers of servos; for one thread at a time."""
 
     def __init__(self, address: str, names: Mapping[int, str], timeout: float = TIMEOUT) -> None:
         """Describe the bus; nothing is opened.
@@ -48,8 +47,6 @@ class ServoBus:
         self.timeout = timeout
         self.failures = 0
         """Requests that had to be repeated."""
-        self.lock = threading.RLock()
-        """Held by every call; hold it around several that belong together."""
         self._turn = 0
         self._port: Any = None
         self._packets: Any = None
@@ -66,33 +63,31 @@ class ServoBus:
             MissingDependency: The vendor's library is not installed.
             DeviceFault: There is no such port, it is not permitted, or another program has it.
         """
-        with self.lock:
-            sdk = package_of("so101", "scservo_sdk", "An SO101 needs")
-            port = sdk.PortHandler(self.address)
-            try:
-                port.setBaudRate(BAUD)
-                fcntl.flock(port.ser.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except PermissionError as err:
+        sdk = package_of("so101", "scservo_sdk", "An SO101 needs")
+        port = sdk.PortHandler(self.address)
+        try:
+            port.setBaudRate(BAUD)
+            fcntl.flock(port.ser.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except PermissionError as err:
+            raise self._not_permitted(err) from err
+        except BlockingIOError as err:
+            port.closePort()
+            raise DeviceFault(
+                f"The servo bus at {self.address} is in use by {_holder(self.address)}; end that first."
+            ) from err
+        except OSError as err:  # pyserial's is one
+            if getattr(err, "errno", None) == 13:
                 raise self._not_permitted(err) from err
-            except BlockingIOError as err:
-                port.closePort()
-                raise DeviceFault(
-                    f"The servo bus at {self.address} is in use by {_holder(self.address)}; end that first."
-                ) from err
-            except OSError as err:  # pyserial's is one
-                if getattr(err, "errno", None) == 13:
-                    raise self._not_permitted(err) from err
-                raise DeviceFault(
-                    f"There is no servo bus at {self.address}: {err}. Look at the cable, and for the port: ls /dev/tty*"
-                ) from err
-            self._port, self._packets = port, sdk.PacketHandler(0)
+            raise DeviceFault(
+                f"There is no servo bus at {self.address}: {err}. Look at the cable, and for the port: ls /dev/tty*"
+            ) from err
+        self._port, self._packets = port, sdk.PacketHandler(0)
 
     def close(self) -> None:
         """Close the port; closing twice is harmless."""
-        with self.lock:
-            if self._port is not None:
-                self._port.closePort()
-                self._port = None
+        if self._port is not None:
+            self._port.closePort()
+            self._port = None
 
     def read(self, servos: Sequence[int], first: int, count: int) -> dict[int, tuple[int, bytes]]:
         """Return errors and registers of servos.
@@ -105,17 +100,16 @@ class ServoBus:
         Raises:
             DeviceFault: Some servos do not answer; the message has their names.
         """
-        with self.lock:
-            request = _Request(self, servos)
-            while request.goes_on():
-                self._turn = (self._turn + 1) % LENGTHS
-                length = count + self._turn
-                self._begin()
-                if self._packets.syncReadTx(self._port, first, length, list(servos), len(servos)) == 0:
-                    found = self._answers(servos, length)
-                    if len(found) == len(servos):
-                        return {servo: (errors, values[:count]) for servo, (errors, values) in found.items()}
-                    request.missing = [servo for servo in servos if servo not in found]
+        request = _Request(self, servos)
+        while request.goes_on():
+            self._turn = (self._turn + 1) % LENGTHS
+            length = count + self._turn
+            self._begin()
+            if self._packets.syncReadTx(self._port, first, length, list(servos), len(servos)) == 0:
+                found = self._answers(servos, length)
+                if len(found) == len(servos):
+                    return {servo: (errors, values[:count]) for servo, (errors, values) in found.items()}
+                request.missing = [servo for servo in servos if servo not in found]
         raise request.lost()
 
     def write(self, servo: int, register: int, value: int, size: int) -> None:
@@ -130,13 +124,12 @@ class ServoBus:
         Raises:
             DeviceFault: The servo does not answer.
         """
-        with self.lock:
-            request = _Request(self, [servo])
-            while request.goes_on():
-                self._begin()
-                packet = [0, 0, servo, size + 3, 3, register, *value.to_bytes(size, "little"), 0]
-                if self._packets.txPacket(self._port, packet) == 0 and self._answers([servo], 0):
-                    return
+        request = _Request(self, [servo])
+        while request.goes_on():
+            self._begin()
+            packet = [0, 0, servo, size + 3, 3, register, *value.to_bytes(size, "little"), 0]
+            if self._packets.txPacket(self._port, packet) == 0 and self._answers([servo], 0):
+                return
         raise request.lost()
 
     def write_all(self, register: int, values: Mapping[int, int], size: int = 2) -> None:
@@ -150,10 +143,9 @@ class ServoBus:
         Raises:
             DeviceFault: The port is gone.
         """
-        with self.lock:
-            self._begin()
-            words = [byte for servo, value in values.items() for byte in (servo, *value.to_bytes(size, "little"))]
-            self._packets.syncWriteTxOnly(self._port, register, size, words, len(words))
+        self._begin()
+        words = [byte for servo, value in values.items() for byte in (servo, *value.to_bytes(size, "little"))]
+        self._packets.syncWriteTxOnly(self._port, register, size, words, len(words))
 
     def _begin(self) -> None:
         """Drop what an earlier request has left."""

@@ -12,17 +12,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import tau
 from pathlib import Path
-from typing import Any
-from weakref import WeakValueDictionary
+from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from rcs.devices import ArmLimits, ArmState, Gripper, GripperState
+from rcs.devices import ArmLimits, ArmState, Gripper, GripperState, StreamedArm, StreamOptions, StreamPoint
 from rcs.errors import DeviceFault, InvalidSetup, require_fields
 from rcs.hardware.driver import Driver
 from rcs.hardware.fake import limits_of
-from rcs.hardware.paced_arm import PacedArm
+from rcs.hardware.link import Link
 from rcs.hardware.servo_bus import TIMEOUT, ServoBus, signed
 from rcs.robots.description import ArmDescription, GripperDescription
 
@@ -39,6 +35,8 @@ MARGIN = 4
 """Positions at the ends of the calibrated range to which nothing is led."""
 FRESH = 0.02
 """The gripper is shown as the arm's last read has it when that is not older than this [s]."""
+STILL = 20
+"""A gripper that is slower than this stands still [positions/s]."""
 JUMP = 0.15
 """A joint that is farther than this from where its fastest motion may have brought it is read once more [rad]."""
 FASTEST = 10.0
@@ -112,6 +110,34 @@ class MotorCalibration:
 
 
 @dataclass(frozen=True, kw_only=True)
+class So101Options:
+    """What a site may say of an SO101."""
+
+    calibration: str | Mapping[str, Any] | None = None
+    """Path of the file that LeRobot has written for this arm, or what is in it; None for that which the servos have."""
+    at_close: Literal["hold", "release"] = "hold"
+    """Whether the arm stays where it is when it is closed, or its motors are switched off, in which case it falls."""
+    timeout: float = TIMEOUT
+    """How long servos may not answer before they count as lost [s], 0.01 to 10."""
+
+    @staticmethod
+    def of(options: Mapping[str, Any]) -> So101Options:
+        """Return the options of a site.
+
+        Raises:
+            InvalidSetup: One is unknown, or has a value that makes no sense.
+        """
+        require_fields("option of an SO101", options, So101Options.__dataclass_fields__)
+        given = So101Options(**options)
+        if given.at_close not in ("hold", "release"):
+            raise InvalidSetup(f"at_close is {given.at_close!r}; valid: 'hold', 'release'.")
+        timeout: Any = given.timeout
+        if isinstance(timeout, bool) or not isinstance(timeout, int | float) or not 0.01 <= timeout <= 10.0:
+            raise InvalidSetup(f"timeout is {timeout!r} s; valid is 0.01 to 10 s.")
+        return given
+
+
+@dataclass(frozen=True, kw_only=True)
 class Reading:
     """What all servos measured at one time."""
 
@@ -137,49 +163,32 @@ class Reading:
         return "; ".join(told)
 
 
-class So101Link:
-    """The bus of one SO101, shared by its arm and its gripper; the last to leave closes it."""
+class Servos:
+    """The six servos of one SO101, connected."""
 
     def __init__(self, address: str, calibration: Mapping[str, MotorCalibration] | None, timeout: float) -> None:
-        """Describe it; nothing is opened.
+        """Open the bus, and check that it is the arm that is meant; no motor is switched on or off.
 
         Args:
             address: Path of the serial port.
             calibration: What the servos must have, by motor; None to take what they have.
             timeout: How long servos may not answer before they count as lost [s].
-        """
-        self.bus = ServoBus(address, dict(enumerate(NAMES, 1)), timeout)
-        self.calibration: dict[int, MotorCalibration] = {}
-        """By servo, once it is open."""
-        self.last: Reading | None = None
-        """The newest reading."""
-        self._given = calibration
-        self._users: set[object] = set()
-
-    def join(self, user: object) -> None:
-        """Open the bus if it is not, and check that it is the arm that is meant; no motor is switched on or off.
 
         Raises:
             DeviceFault: A servo does not answer, is of another model, or has no calibration or another one.
             MissingDependency: The vendor's library is not installed.
         """
-        with self.bus.lock:
-            if not self._users:
-                try:
-                    self.bus.open()
-                    self.calibration = self._check()
-                    self.last = None
-                except BaseException:
-                    self.bus.close()
-                    raise
-            self._users.add(user)
-
-    def leave(self, user: object) -> None:
-        """Close the bus if nobody else uses it; leaving twice is harmless."""
-        with self.bus.lock:
-            self._users.discard(user)
-            if not self._users:
-                self.bus.close()
+        self.bus = ServoBus(address, dict(enumerate(NAMES, 1)), timeout)
+        self.last: Reading | None = None
+        """The newest reading."""
+        self._given = calibration
+        self.bus.open()
+        try:
+            self.calibration = self._check()
+            """By servo."""
+        except BaseException:
+            self.bus.close()
+            raise
 
     def read(self) -> Reading:
         """Read all servos at once.
@@ -187,12 +196,11 @@ class So101Link:
         Raises:
             DeviceFault: A servo does not answer.
         """
-        with self.bus.lock:
-            reading = self._read()
-            if self.last is not None and _has_jumped(self.last, reading):
-                reading = self._read()  # it has come that far, or its checksum was right by chance
-            self.last = reading
-            return reading
+        reading = self._read()
+        if self.last is not None and _has_jumped(self.last, reading):
+            reading = self._read()  # it has come that far, or its checksum was right by chance
+        self.last = reading
+        return reading
 
     def newest(self, age: float) -> Reading:
         """Return the last reading if it is not older than this [s], else a new one."""
@@ -213,24 +221,22 @@ class So101Link:
 
     def hold(self, servos: Sequence[int]) -> None:
         """Have servos stay where they are."""
-        with self.bus.lock:
-            reading = self.read()
-            self.bus.write_all(GOAL[0], {servo: _goal(reading.positions[servo]) for servo in servos})
+        reading = self.read()
+        self.bus.write_all(GOAL[0], {servo: _goal(reading.positions[servo]) for servo in servos})
 
     def power(self, servos: Sequence[int]) -> None:
         """Switch servos on where they are: first their goal, then the torque, or they would jump to an old one.
 
         One in overload is switched off before, which is what ends that.
         """
-        with self.bus.lock:
-            reading = self.read()
-            for servo in servos:
-                if reading.errors[servo] & _OVERLOAD:
-                    self.bus.write(servo, *_with(TORQUE_ON, 0))
-            positions = self.read().positions
-            for servo in servos:
-                self.bus.write(servo, *_with(GOAL, _goal(positions[servo])))
-                self.bus.write(servo, *_with(TORQUE_ON, 1))
+        reading = self.read()
+        for servo in servos:
+            if reading.errors[servo] & _OVERLOAD:
+                self.bus.write(servo, *_with(TORQUE_ON, 0))
+        positions = self.read().positions
+        for servo in servos:
+            self.bus.write(servo, *_with(GOAL, _goal(positions[servo])))
+            self.bus.write(servo, *_with(TORQUE_ON, 1))
 
     def release(self, servos: Sequence[int]) -> None:
         """Switch servos off; an arm that nobody holds falls."""
@@ -283,77 +289,78 @@ class So101Link:
         return calibration
 
 
-class So101Arm(PacedArm):
+class So101Arm(StreamedArm):
     """The arm of an SO101; guided, it is a leader. No motor is switched on before the first command."""
 
-    def __init__(self, link: So101Link, limits: ArmLimits, *, at_close: str, name: str) -> None:
+    def __init__(self, link: Link[Servos], limits: ArmLimits, *, options: So101Options, name: str) -> None:
         """Describe the arm; nothing is connected.
 
         Args:
-            link: Its bus.
+            link: Its servos.
             limits: Its limits.
-            at_close: `hold` to stay where it is, `release` to switch the motors off, in which case it falls.
+            options: What else the site says.
             name: Name in messages.
         """
-        super().__init__(name, limits, rate=RATE)
+        silence = options.timeout + 0.2
+        super().__init__(name, limits, StreamOptions(rate=RATE, silence=silence, missed_ticks=round(RATE * silence)))
         self.link = link
-        self._at_close = at_close
+        self._options = options
         self._is_powered = False
 
     def _open(self) -> None:
-        self.link.join(self)
-        super()._open()
+        self.link.open(self)
 
     def _close(self) -> None:
-        super()._close()
         try:
-            if self._is_powered and self._at_close == "release" and self.link.bus.is_open:
-                self.link.release(ARM)
+            if self._is_powered and self._options.at_close == "release":
+                with self.link as servos:
+                    servos.release(ARM)
         finally:
             self._is_powered = False
-            self.link.leave(self)
+            self.link.close(self)
 
     def _can_guide(self) -> bool:
         return True
 
     def _guide(self) -> None:
-        super()._guide()
-        self.link.release(ARM)
+        with self.link as servos:
+            servos.release(ARM)
         self._is_powered = False
 
     def _read(self) -> ArmState:
-        reading = self.link.read()
+        with self.link as servos:
+            reading, calibrations = servos.read(), servos.calibration
         if told := reading.faults(ARM):
             raise DeviceFault(told)
-        calibrations = self.link.calibration
         joints = [calibrations[servo].joint(reading.positions[servo]) for servo in ARM]
         signs = [-1.0 if calibrations[servo].drive_mode else 1.0 for servo in ARM]
         speeds = [sign * reading.speeds[servo] * tau / STEPS for sign, servo in zip(signs, ARM, strict=True)]
         return ArmState(joints, speeds, time=reading.time, mode="position" if self._is_powered else "off")
 
     def _start(self) -> None:
-        for servo in ARM:
-            for register, value in GAINS.items():
-                self.link.set(servo, register, value)
-            self.link.set(servo, ACCELERATION, 0)
-        self.link.power(ARM)
+        with self.link as servos:
+            for servo in ARM:
+                for register, value in {**GAINS, ACCELERATION: 0}.items():
+                    servos.set(servo, register, value)
+            servos.power(ARM)
         self._is_powered = True
 
-    def _write(self, point: NDArray[np.float64]) -> None:
-        calibrations = self.link.calibration
-        goals = {servo: calibrations[servo].position(float(q)) for servo, q in zip(ARM, point, strict=True)}
-        self.link.bus.write_all(GOAL[0], goals)
+    def _write(self, point: StreamPoint) -> None:
+        with self.link as servos:
+            goals = {servo: servos.calibration[servo].position(q) for servo, q in zip(ARM, point.position, strict=True)}
+            servos.bus.write_all(GOAL[0], goals)
 
     def _stop(self) -> None:
         if self._is_powered:
-            self.link.hold(ARM)
+            with self.link as servos:
+                servos.hold(ARM)
 
     def _clear(self) -> None:
-        reading = self.link.read()
-        over = [servo for servo in ARM if reading.errors[servo] & _OVERLOAD]
-        if self._is_powered and over:
-            self.link.power(over)
-            reading = self.link.read()
+        with self.link as servos:
+            over = [servo for servo in ARM if servos.read().errors[servo] & _OVERLOAD]
+            if self._is_powered and over:
+                servos.power(over)
+            reading = servos.read()
         if told := reading.faults(ARM):
             raise DeviceFault(told)
 
@@ -361,109 +368,90 @@ class So101Arm(PacedArm):
 class So101Gripper(Gripper):
     """The gripper of an SO101, whose servo never has more than half of its torque."""
 
-    def __init__(self, link: So101Link, about: GripperDescription, *, at_close: str, name: str) -> None:
+    def __init__(self, link: Link[Servos], about: GripperDescription, *, options: So101Options, name: str) -> None:
         """Describe the gripper; arguments as those of the arm."""
         super().__init__(name, about.max_width, about.max_force)
         self.link = link
-        self._at_close = at_close
+        self._options = options
         self._is_powered = False
-        self._goal = 0.0
 
     def _open(self) -> None:
-        self.link.join(self)
+        self.link.open(self)
 
     def _close(self) -> None:
         try:
-            if self._is_powered and self._at_close == "release":
-                self.link.release([GRIPPER])
+            if self._is_powered and self._options.at_close == "release":
+                with self.link as servos:
+                    servos.release([GRIPPER])
         finally:
             self._is_powered = False
-            self.link.leave(self)
+            self.link.close(self)
 
     def _state(self) -> GripperState:
-        reading = self._newest()
-        opening = self.link.calibration[GRIPPER].opening(reading.positions[GRIPPER])
+        with self.link as servos:
+            reading = self._newest(servos)
+            opening = servos.calibration[GRIPPER].opening(reading.positions[GRIPPER])
         return GripperState(min(max(opening, 0.0), 1.0), time=reading.time)
 
     def _command_opening(self, opening: float, force: float | None) -> None:
         torque = round(GRIP_TORQUE * (1.0 if force is None else force / self.max_force))
-        if not self._is_powered:
-            self._newest()
-            for register, value in {**GAINS, MOST_TORQUE: GRIP_TORQUE, MOST_CURRENT: GRIP_CURRENT}.items():
-                self.link.set(GRIPPER, register, value)
-            self.link.bus.write(GRIPPER, *_with(TORQUE_LIMIT, torque))
-            self.link.power([GRIPPER])
-            self._is_powered = True
-        self.link.bus.write(GRIPPER, *_with(TORQUE_LIMIT, torque))
-        self.link.bus.write(GRIPPER, *_with(GOAL, self.link.calibration[GRIPPER].position_of_opening(opening)))
-        self._goal = opening
+        with self.link as servos:
+            self._newest(servos)
+            if not self._is_powered:
+                for register, value in {**GAINS, MOST_TORQUE: GRIP_TORQUE, MOST_CURRENT: GRIP_CURRENT}.items():
+                    servos.set(GRIPPER, register, value)
+            servos.bus.write(GRIPPER, *_with(TORQUE_LIMIT, torque))
+            if not self._is_powered:
+                servos.power([GRIPPER])
+                self._is_powered = True
+            servos.bus.write(GRIPPER, *_with(GOAL, servos.calibration[GRIPPER].position_of_opening(opening)))
 
     def _has_arrived(self) -> bool:
-        reading = self._newest()
-        return abs(reading.speeds[GRIPPER]) < 20
+        with self.link as servos:
+            return abs(self._newest(servos).speeds[GRIPPER]) < STILL
 
     def _hold(self) -> None:
-        # Fingers that press on an object go on pressing: letting it fall is not holding.
-        if self._is_powered and not self._has_arrived():
-            self.link.hold([GRIPPER])
+        if not self._is_powered:
+            return
+        with self.link as servos:
+            # Fingers that press on an object go on pressing: letting it fall is not holding.
+            if abs(servos.read().speeds[GRIPPER]) >= STILL:
+                servos.hold([GRIPPER])
 
     def _recover(self) -> None:
-        reading = self.link.read()
-        if self._is_powered and reading.errors[GRIPPER] & _OVERLOAD:
-            self.link.power([GRIPPER])
-        self._newest()
+        with self.link as servos:
+            if self._is_powered and servos.read().errors[GRIPPER] & _OVERLOAD:
+                servos.power([GRIPPER])
+            if told := servos.read().faults([GRIPPER]):
+                raise DeviceFault(told)
 
-    def _newest(self) -> Reading:
-        reading = self.link.newest(FRESH)
+    def _newest(self, servos: Servos) -> Reading:
+        reading = servos.newest(FRESH)
         if told := reading.faults([GRIPPER]):
-            self.set_fault(told)
-            raise DeviceFault(f"{self.name}: {told}")
+            raise DeviceFault(told)
         return reading
 
 
-_LINKS: WeakValueDictionary[tuple[str, str], So101Link] = WeakValueDictionary()
-"""The buses of this process that have devices, by address and options: arm and gripper share one."""
-
-
 class So101Driver(Driver):
-    """Makes SO101 arms and their grippers, at a serial port.
-
-    Options: `calibration`, the path of the file that LeRobot has written for this arm, or what is in it; without one,
-    that which the servos have. `at_close`: `hold` (the default) or `release`. `timeout`: how long servos may not answer
-    before they count as lost [s].
-    """
+    """Makes SO101 arms and their grippers, at a serial port; options are those of `So101Options`."""
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> So101Arm:
         """Return an arm, at the path of its serial port."""
         if tuple(about.joints) != NAMES[:5]:
             raise InvalidSetup(f"The driver of SO101 arms cannot drive {about.label}.")
-        at_close = self._checked(options)
-        return So101Arm(self._link(address, options), limits_of(about), at_close=at_close, name=address)
+        given = So101Options.of(options)
+        return So101Arm(self._servos(address, given), limits_of(about), options=given, name=address)
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> So101Gripper:
         """Return a gripper, at the path of the serial port of its arm."""
-        at_close = self._checked(options)
-        return So101Gripper(self._link(address, options), about, at_close=at_close, name=f"{address} gripper")
+        given = So101Options.of(options)
+        return So101Gripper(self._servos(address, given), about, options=given, name=f"{address} gripper")
 
-    def _checked(self, options: Mapping[str, Any]) -> str:
-        require_fields("option of an SO101", options, ("calibration", "at_close", "timeout"))
-        at_close = options.get("at_close", "hold")
-        if at_close not in ("hold", "release"):
-            raise InvalidSetup(f"at_close is {at_close!r}; valid: 'hold', 'release'.")
-        return at_close
-
-    def _link(self, address: str, options: Mapping[str, Any]) -> So101Link:
+    def _servos(self, address: str, options: So101Options) -> Link[Servos]:
         if not address:
             raise InvalidSetup("An SO101 has no address; give the path of its serial port, such as /dev/ttyACM0.")
-        given, timeout = options.get("calibration"), options.get("timeout", TIMEOUT)
-        key = address, json.dumps([given, timeout])
-        link = _LINKS.get(key)
-        if link is None:
-            if not isinstance(timeout, int | float) or not 0.01 <= timeout <= 10.0:
-                raise InvalidSetup(f"timeout is {timeout!r} s; valid is 0.01 to 10 s.")
-            calibration = None if given is None else read_calibration(given)
-            link = _LINKS[key] = So101Link(address, calibration, float(timeout))
-        return link
+        calibration = None if options.calibration is None else read_calibration(options.calibration)
+        return self.link(address, lambda: Servos(address, calibration, options.timeout), lambda one: one.bus.close())
 
 
 def read_calibration(given: str | Path | Mapping[str, Any]) -> dict[str, MotorCalibration]:
