@@ -45,6 +45,12 @@ def devices(virtual: VirtualProcess, **options: object) -> tuple[So101Arm, So101
     return driver.arm(entry.address, SO101, given), driver.gripper(entry.address, SO101_GRIPPER, given)
 
 
+def switch_on(arm: So101Arm) -> None:
+    """Command the arm to stay, and wait until its motors do."""
+    arm.command_joints(arm.state().joints)
+    wait_until(lambda: arm.state().mode == "position")
+
+
 def lead(arm: So101Arm, to: np.ndarray, seconds: float = 1.0) -> None:
     start = np.array(arm.state().joints)
     for part in np.linspace(0, 1, round(seconds * 30)):
@@ -79,10 +85,8 @@ def test_opening_switches_nothing_on_and_the_first_command_holds_where_the_arm_i
         assert arm.state().mode == "off"
         assert gripper.state().opening == pytest.approx(1.0, abs=0.02)
         assert events(tmp_path / "log", "torque") == []
-        arm.command_joints(arm.state().joints)
-        on = [event["servo"] for event in events(tmp_path / "log", "torque")]
-        assert on == list(NAMES[:5])
-        wait_until(lambda: arm.state().mode == "position")
+        switch_on(arm)
+        assert [event["servo"] for event in events(tmp_path / "log", "torque")] == list(NAMES[:5])
 
 
 def test_arm_and_gripper_go_where_they_are_told(virtual):
@@ -177,7 +181,7 @@ def test_no_joint_is_read_wrong_where_one_packet_in_100_goes_wrong(virtual, tmp_
     readings: list[tuple[float, np.ndarray]] = []
     with arm:
         start = np.array(arm.state().joints)
-        arm.command_joints(start)
+        switch_on(arm)
         every = (("late", "300/300"), ("lose", "1/300"), ("corrupt", "1/300"))
         for one in every if fault == ("all",) else (fault,):
             virtual.tell(*one)
@@ -234,7 +238,7 @@ def test_an_overload_is_named_by_joint_and_recovers_without_a_lunge(virtual, tmp
 def test_what_goes_wrong_is_told_in_words_and_mended_by_recover(virtual, fault, told):
     arm, gripper = devices(virtual, timeout=0.2)
     with arm, gripper:
-        arm.command_joints(arm.state().joints)
+        switch_on(arm)
         virtual.tell(*fault)
         begin = time.monotonic()
         wait_until(lambda: arm.fault != "", 5.0)
@@ -244,7 +248,7 @@ def test_what_goes_wrong_is_told_in_words_and_mended_by_recover(virtual, fault, 
             arm.recover()
         virtual.tell("clear")
         wait_until(lambda: recovers(arm))
-        arm.command_joints(arm.state().joints)
+        switch_on(arm)
         assert arm.fault == ""
 
 
@@ -290,7 +294,7 @@ def test_a_second_program_at_one_port_is_refused_and_told_who_has_it(virtual):
 def test_a_guided_arm_is_a_leader_whose_joints_are_read(virtual, tmp_path):
     arm, gripper = devices(virtual)
     with arm, gripper:
-        arm.command_joints(arm.state().joints)
+        switch_on(arm)
         arm.guide(True)
         wait_until(lambda: arm.state().mode == "off")
         off = [event["servo"] for event in events(tmp_path / "log", "torque") if not event["on"]]
@@ -304,7 +308,7 @@ def test_at_close_the_arm_holds_or_is_released(virtual, tmp_path):
     for at_close in ("hold", "release"):
         arm, _ = devices(virtual, at_close=at_close)
         with arm:
-            arm.command_joints(arm.state().joints)
+            switch_on(arm)
         off = [event for event in events(tmp_path / "log", "torque") if not event["on"]]
         assert bool(off) == (at_close == "release")
 
