@@ -35,6 +35,8 @@ MARGIN = 4
 """Positions at the ends of the calibrated range to which nothing is led."""
 FRESH = 0.02
 """The gripper is shown as the arm's last read has it when that is not older than this [s]."""
+RECOVERY = 0.3
+"""How long a servo may still tell an overload when it has been switched off [s]."""
 STILL = 20
 """A gripper that is slower than this stands still [positions/s]."""
 JUMP = 0.15
@@ -115,8 +117,8 @@ class So101Options:
 
     calibration: str | Mapping[str, Any] | None = None
     """Path of the file that LeRobot has written for this arm, or what is in it; None for that which the servos have."""
-    at_close: Literal["hold", "release"] = "hold"
-    """Whether the arm stays where it is when it is closed, or its motors are switched off, in which case it falls."""
+    at_close: Literal["release", "hold"] = "release"
+    """Whether the motors are switched off when the arm is closed, so that it falls, or it keeps its place and power."""
     timeout: float = TIMEOUT
     """How long servos may not answer before they count as lost [s], 0.01 to 10."""
 
@@ -225,18 +227,21 @@ class Servos:
         self.bus.write_all(GOAL[0], {servo: _goal(reading.positions[servo]) for servo in servos})
 
     def power(self, servos: Sequence[int]) -> None:
-        """Switch servos on where they are: first their goal, then the torque, or they would jump to an old one.
-
-        One in overload is switched off before, which is what ends that.
-        """
-        reading = self.read()
-        for servo in servos:
-            if reading.errors[servo] & _OVERLOAD:
-                self.bus.write(servo, *_with(TORQUE_ON, 0))
+        """Switch servos on where they are: first their goal, then the torque, or they would jump to an old one."""
+        self.end_overload(servos)
         positions = self.read().positions
         for servo in servos:
             self.bus.write(servo, *_with(GOAL, _goal(positions[servo])))
             self.bus.write(servo, *_with(TORQUE_ON, 1))
+
+    def end_overload(self, servos: Sequence[int]) -> list[int]:
+        """Switch off those servos that are in overload, which ends it, and return them."""
+        over = [servo for servo in servos if self.read().errors[servo] & _OVERLOAD]
+        self.release(over)
+        end = time.monotonic() + RECOVERY
+        while any(self.read().errors[servo] & _OVERLOAD for servo in over) and time.monotonic() < end:
+            time.sleep(5e-3)
+        return over
 
     def release(self, servos: Sequence[int]) -> None:
         """Switch servos off; an arm that nobody holds falls."""
@@ -309,12 +314,17 @@ class So101Arm(StreamedArm):
 
     def _open(self) -> None:
         self.link.open(self)
+        with self.link as servos:
+            servos.end_overload(ARM)  # of one that was left so
 
     def _close(self) -> None:
         try:
             if self._is_powered and self._options.at_close == "release":
                 with self.link as servos:
                     servos.release(ARM)
+        except DeviceFault:
+            if not self.fault:  # else it is known that they do not answer
+                raise
         finally:
             self._is_powered = False
             self.link.close(self)
@@ -357,8 +367,8 @@ class So101Arm(StreamedArm):
 
     def _clear(self) -> None:
         with self.link as servos:
-            over = [servo for servo in ARM if servos.read().errors[servo] & _OVERLOAD]
-            if self._is_powered and over:
+            over = servos.end_overload(ARM)
+            if self._is_powered:
                 servos.power(over)
             reading = servos.read()
         if told := reading.faults(ARM):
@@ -383,6 +393,9 @@ class So101Gripper(Gripper):
             if self._is_powered and self._options.at_close == "release":
                 with self.link as servos:
                     servos.release([GRIPPER])
+        except DeviceFault:
+            if not self.fault:
+                raise
         finally:
             self._is_powered = False
             self.link.close(self)
@@ -420,8 +433,9 @@ class So101Gripper(Gripper):
 
     def _recover(self) -> None:
         with self.link as servos:
-            if self._is_powered and servos.read().errors[GRIPPER] & _OVERLOAD:
-                servos.power([GRIPPER])
+            over = servos.end_overload([GRIPPER])
+            if self._is_powered:
+                servos.power(over)
             if told := servos.read().faults([GRIPPER]):
                 raise DeviceFault(told)
 

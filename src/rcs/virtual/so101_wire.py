@@ -289,8 +289,9 @@ class So101Wire(Wire):
         self._is_on_stand &= not own[TORQUE_ON]
         if before != own[TORQUE_ON]:
             self._robot.note("torque", servo=self._names[servo], on=bool(own[TORQUE_ON]))
-            if not own[TORQUE_ON]:
-                self._is_overloaded[servo], self._overloaded_for[servo] = False, 0.0
+        if first <= TORQUE_ON < first + len(values) and not own[TORQUE_ON]:
+            self._is_overloaded[servo], self._overloaded_for[servo] = False, 0.0
+            own[ERRORS] &= ~OVERLOAD
 
     def _reply(self, servo: int, values: bytes, used: int) -> int:
         """Send an answer after so many bytes on the bus; return how many there are with it."""
