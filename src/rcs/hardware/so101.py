@@ -35,6 +35,8 @@ MARGIN = 4
 """Positions at the ends of the calibrated range to which nothing is led."""
 FRESH = 0.02
 """The gripper is shown as the arm's last read has it when that is not older than this [s]."""
+OPENING = 1.0
+"""How long servos may take to answer when they are connected [s]."""
 RECOVERY = 0.3
 """How long a servo may still tell an overload when it has been switched off [s]."""
 STILL = 20
@@ -180,7 +182,7 @@ class Servos:
             DeviceFault: A servo does not answer, is of another model, or has no calibration or another one.
             MissingDependency: The vendor's library is not installed.
         """
-        self.bus = ServoBus(address, dict(enumerate(NAMES, 1)), timeout)
+        self.bus = ServoBus(address, dict(enumerate(NAMES, 1)), max(timeout, OPENING))
         self.last: Reading | None = None
         """The newest reading."""
         self._given = calibration
@@ -191,6 +193,7 @@ class Servos:
         except BaseException:
             self.bus.close()
             raise
+        self.bus.timeout = timeout
 
     def read(self) -> Reading:
         """Read all servos at once.
@@ -228,7 +231,6 @@ class Servos:
 
     def power(self, servos: Sequence[int]) -> None:
         """Switch servos on where they are: first their goal, then the torque, or they would jump to an old one."""
-        self.end_overload(servos)
         positions = self.read().positions
         for servo in servos:
             self.bus.write(servo, *_with(GOAL, _goal(positions[servo])))
@@ -340,7 +342,7 @@ class So101Arm(StreamedArm):
     def _read(self) -> ArmState:
         with self.link as servos:
             reading, calibrations = servos.read(), servos.calibration
-        if told := reading.faults(ARM):
+        if not self.fault and (told := reading.faults(ARM)):  # one that is known is told once, until `recover`
             raise DeviceFault(told)
         joints = [calibrations[servo].joint(reading.positions[servo]) for servo in ARM]
         signs = [-1.0 if calibrations[servo].drive_mode else 1.0 for servo in ARM]
@@ -424,11 +426,9 @@ class So101Gripper(Gripper):
             return abs(self._newest(servos).speeds[GRIPPER]) < STILL
 
     def _hold(self) -> None:
-        if not self._is_powered:
-            return
         with self.link as servos:
             # Fingers that press on an object go on pressing: letting it fall is not holding.
-            if abs(servos.read().speeds[GRIPPER]) >= STILL:
+            if abs(servos.read().speeds[GRIPPER]) >= STILL and self._is_powered:
                 servos.hold([GRIPPER])
 
     def _recover(self) -> None:
