@@ -7,6 +7,7 @@
 # make test-interop  open our exports with the readers of LeRobot and others, and serve tiny policies of other projects; each
 #                    gets an environment of its own (first time: about 10 GB and 20 minutes)
 # make test-wires    policies over openpi's wire, asked and served by its own client and layout; part of test-interop
+# make test-hardware the drivers, over their vendors' libraries, against virtual robots; some minutes. As in .ci/run
 # make test-cluster  Ray clusters of two machines on this one, parts of which are killed; 3 to 5 minutes
 # make test-sanitize the C++ tests, and the Python tests of what uses the core, under the sanitizers of addresses and undefined
 #                    behaviour; the C++ tests under that of threads. Any finding ends it. About 15 minutes; FUZZ=300000 has the
@@ -39,7 +40,7 @@ CXX_FILES = $(shell find core tests -name '*.cpp' -o -name '*.hpp')
 STUB := src/rcs/_core.pyi
 STUBGEN = $(BIN)/python -m nanobind.stubgen --quiet --module rcs._core --output-file
 
-.PHONY: help build gl demo docs test test-all test-cpp test-sanitize test-extras test-cluster test-wheel test-interop check bench format stubs clean
+.PHONY: help build gl demo docs test test-all test-cpp test-sanitize test-extras test-hardware test-cluster test-wheel test-interop check bench format stubs clean
 
 help:
 	@sed '/^$$/q; s/^# \{0,1\}//' Makefile
@@ -166,6 +167,21 @@ test-extras: test-wheel $(VENV)/.stamp-extras gl
 	@tools/system_packages browser
 	@echo "==> Testing what needs extras"
 	@$(PYTEST) -m "extras or browser"
+
+# The extras that bring the vendors' libraries.
+DRIVERS := so101
+
+$(VENV)/.stamp-drivers: $(VENV)/.stamp-built pyproject.toml
+	@echo "==> Installing the vendors' libraries of $(DRIVERS)"
+	@$(BIN)/python -c "import sys, tomllib; extras = tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']; \
+	  print(*sorted({one for name in sys.argv[1:] for one in extras[name]}), sep='\n')" $(DRIVERS) | \
+	  xargs -d '\n' $(PIP) install -c constraints.txt
+	@touch $@
+
+# One at a time: a virtual robot keeps real time, and so does its driver.
+test-hardware: $(VENV)/.stamp-drivers
+	@echo "==> Testing drivers against virtual robots"
+	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m hardware --durations=10
 
 # Minutes in which processes start, are killed and are waited for: by itself, on a machine that does nothing else.
 test-cluster: $(VENV)/.stamp-extras gl

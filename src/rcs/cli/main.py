@@ -20,6 +20,7 @@ VERBS: Table = {
     "plan": "rcs.cli.plan:PlanCommand",
     "home": "rcs.cli.home:HomeCommand",
     "twin": "rcs.cli.twin:TwinCommand",
+    "virtual": "rcs.cli.virtual:VirtualCommand",
     "gallery": "rcs.cli.gallery:GalleryCommand",
     "list": "rcs.cli.list:ListCommand",
     "host": "rcs.cli.host:HostCommand",
