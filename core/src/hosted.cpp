@@ -122,7 +122,7 @@ class HostLink {
     } const recovering{is_recovering_};
     is_recovering_ = true;
     ask(HostCall::recover);
-    seen_ = memory_->changes_of_fault;
+    seen_ = memory_->changes_of_fault.load();
     HostText<512> fault{};
     if (memory_->fault.read(fault) && fault.characters[0] != '\0') throw DeviceFault(fault.get());
   }
