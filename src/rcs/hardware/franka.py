@@ -1,0 +1,279 @@
+"""The Franka Research 3 and the Franka Hand, on the vendor's network interface (FCI) through `franky-control`.
+
+Time: franky's own thread answers the robot 1000 times a second, in C++ and without Python. It makes torques, from a
+reference that the arm's thread gives it `RATE` times a second; a reference that comes late is one that stands still, and
+not a packet that is missing. So the arm needs no kernel for real time where the computer is otherwise idle.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.devices import Arm, ArmLimits, ArmState, StreamedArm, StreamOptions, StreamPoint
+from rcs.errors import DeviceFault, InvalidSetup, require_fields
+from rcs.extras import package_of
+from rcs.hardware.driver import Driver
+from rcs.hardware.franka_faults import advice_for, connected, fault_of, within
+from rcs.hardware.franka_hand import FrankaHand
+from rcs.kinematics import kinematics_of
+from rcs.robots.description import ArmDescription, GripperDescription
+
+RATE: Final = 500.0
+"""References per second [Hz]."""
+STOPPING: Final = 0.5
+"""How long it may take to confirm a stop [s]."""
+SILENCE: Final = 0.1
+"""Age of a state from which the controller counts as silent [s]; it sends one every millisecond."""
+
+# Ranges within which an FR3 admits these speeds everywhere; beyond them it is the slower the nearer a joint is to its end
+# (vendor's Control Interface Specification and Robot Limits).
+STEADY_LOWER: Final = (-2.3093, -1.5133, -2.4937, -2.7478, -2.48, 0.8521, -2.6895)
+STEADY_UPPER: Final = (2.3093, 1.5133, 2.4937, -0.4461, 2.48, 4.2094, 2.6895)
+STEADY_VELOCITY: Final = (2.0, 1.0, 1.5, 1.25, 3.0, 1.5, 3.0)
+
+# libfranka (Apache-2.0), examples/joint_impedance_control.cpp; those of the TCP are ours.
+JOINT_STIFFNESS: Final = (600.0, 600.0, 600.0, 600.0, 250.0, 150.0, 50.0)
+JOINT_DAMPING: Final = (50.0, 50.0, 50.0, 50.0, 30.0, 25.0, 15.0)
+TCP_STIFFNESS: Final = (1000.0, 1000.0, 1000.0, 60.0, 60.0, 60.0)
+POSTURE_STIFFNESS: Final = 5.0
+"""With which an arm that is stiff at the TCP keeps its elbow [N·m/rad]; ours."""
+
+Compliance = Literal["joints", "tcp"]
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrankaOptions:
+    """What a site may say of an arm."""
+
+    compliance: Compliance = "joints"
+    """What a push moves, as a spring does: each joint, or the TCP as a whole (operational space)."""
+    stiffness: tuple[float, ...] | None = None
+    """Of the joints [N·m/rad], seven, or of the TCP, six: x, y, z [N/m] and about x, y, z [N·m/rad], in the frame of the
+    base. Lower ones push less and come less close to where the arm is led."""
+    damping: tuple[float, ...] | None = None
+    """As many, [N·m·s/rad] or [N·s/m]; None for what suits the stiffness."""
+    collision_torque: tuple[float, ...] | None = None
+    """Torque at each joint from which the arm takes a push for a collision [N·m], seven; None for the description's."""
+    collision_force: float | None = None
+    """The same for the TCP [N], and its moment [N·m]; None for the description's."""
+    whole_range: bool = False
+    """Use all of the joints' ranges and speeds. Fast ways towards the end of a range then end in a reflex."""
+
+    def __post_init__(self) -> None:
+        """Check every field, and make tuples of lists.
+
+        Raises:
+            InvalidSetup: A value makes no sense.
+        """
+        if self.compliance not in get_args(Compliance):
+            raise InvalidSetup(f"compliance is {self.compliance!r}; valid: {', '.join(get_args(Compliance))}.")
+        if not isinstance(self.whole_range, bool):
+            raise InvalidSetup(f"whole_range is {self.whole_range!r}; valid: true, false.")
+        count = 7 if self.compliance == "joints" else 6
+        for name, wanted in (("stiffness", count), ("damping", count), ("collision_torque", 7)):
+            given = getattr(self, name)
+            if given is None:
+                continue
+            if not isinstance(given, list | tuple) or len(given) != wanted or not all(map(_is_amount, given)):
+                raise InvalidSetup(f"{name} is {given!r}; valid are {wanted} finite numbers from 0.")
+            object.__setattr__(self, name, tuple(map(float, given)))
+        if self.collision_force is not None and not _is_amount(self.collision_force):
+            raise InvalidSetup(f"collision_force is {self.collision_force!r}; valid is a finite number from 0.")
+
+
+def _is_amount(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value >= 0
+
+
+class FrankaDriver(Driver):
+    """Makes arms and hands; the address is that of the control box. Options of an arm: those of `FrankaOptions`."""
+
+    def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
+        """Return an arm.
+
+        Raises:
+            UnknownName: There is no such option.
+            InvalidSetup: An option makes no sense, or the description is that of another arm.
+        """
+        require_fields("option of a Franka arm", options, [field.name for field in fields(FrankaOptions)])
+        return FrankaArm(address, about, FrankaOptions(**options))
+
+    def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> FrankaHand:
+        """Return a hand, which has no options."""
+        require_fields("option of a Franka Hand", options, [])
+        return FrankaHand(address, about)
+
+
+class FrankaArm(StreamedArm):
+    """An FR3, led by torques that pull it towards where it is led, like springs and dampers."""
+
+    def __init__(self, address: str, about: ArmDescription, options: FrankaOptions | None = None) -> None:
+        """Describe the arm; nothing is connected.
+
+        Args:
+            address: Address of the control box.
+            about: The arm's figures.
+            options: What else is to be said; None for the defaults.
+
+        Raises:
+            InvalidSetup: The description has not the FR3's seven joints.
+        """
+        if about.dof != 7:
+            raise InvalidSetup(f"The driver franka leads arms of seven joints; {about.name!r} has {about.dof}.")
+        self._options = FrankaOptions() if options is None else options
+        is_stiff = self._options.compliance == "joints"
+        super().__init__(
+            f"{about.name} at {address}",
+            limits_of_fr3(about, whole_range=self._options.whole_range),
+            StreamOptions(rate=RATE, arrival=0.01 if is_stiff else 0.05, tracking_error=0.3 if is_stiff else 1.0),
+        )
+        self._address, self._about = address, about
+        self._flange = kinematics_of(about)
+        self._franky: Any = None
+        self._robot: Any = None
+        self._tracker: Any = None
+        self._newest: Any = None  # state
+        self._led: Vector | None = None
+        self._has_link = False
+        self._seen = (math.nan, 0.0)  # the newest state's time, of the robot and of the host
+
+    def _open(self) -> None:
+        self._franky = franky = package_of("franka", "franky", "The driver franka needs")
+        robot = connected(
+            lambda: franky.Robot(self._address, realtime_config=franky.RealtimeConfig.Ignore), self._address, "the arm"
+        )
+        self._robot, self._has_link, self._led = robot, True, None
+        limits, given = self._about.collision, self._options
+        assert limits is not None, "the description of an FR3 has them"
+        torque = list(limits.joint_torque if given.collision_torque is None else given.collision_torque)
+        force = [limits.force] * 3 + [limits.moment] * 3
+        force = force if given.collision_force is None else [given.collision_force] * 6
+        robot.set_collision_behavior(torque, force)
+
+    def _read(self) -> ArmState:
+        state = self._fresh_state()
+        if (reason := fault_of(state, self._about.joints)) or not self._is_in_control():
+            self._end_tracker()
+            if reason:
+                raise DeviceFault(reason)
+        return ArmState(
+            list(state.q),
+            list(state.dq),
+            time=self._seen[1],
+            device_time=self._seen[0],
+            commanded_joints=list(state.q if self._led is None else self._led),
+            efforts=list(state.tau_J),
+            wrench=list(-state.O_F_ext_hat_K),  # the controller tells what the arm does to others
+            mode=str(state.robot_mode).rpartition(".")[2],
+        )
+
+    def _start(self) -> None:
+        franky, options = self._franky, self._options
+        self._end_tracker()
+        if options.compliance == "joints":
+            damping = options.damping
+            if damping is None and options.stiffness is None:
+                damping = JOINT_DAMPING
+            self._tracker = franky.JointImpedanceTracker(
+                self._robot, stiffness=np.array(options.stiffness or JOINT_STIFFNESS), damping=_array(damping)
+            )
+        else:
+            posture = franky.PostureTask(self._robot.current_joint_positions, stiffness=POSTURE_STIFFNESS)
+            stiffness = list(options.stiffness or TCP_STIFFNESS)
+            damping = [2.0 * math.sqrt(one) for one in stiffness] if options.damping is None else list(options.damping)
+            gains = franky.CartesianImpedanceGains.diagonal(stiffness, damping)
+            self._tracker = franky.CartesianImpedanceTracker(self._robot, gains=gains, posture_task=posture)
+
+    def _write(self, point: StreamPoint) -> None:
+        position, velocity = np.array(point.position), np.array(point.velocity)
+        self._led = position
+        if self._tracker is None:
+            raise DeviceFault("the controller has ended the motion without saying why")
+        if self._options.compliance == "joints":
+            mass = np.array(self._robot.model.mass(self._newest))
+            self._tracker.set_target(position, velocity, mass @ np.array(point.acceleration))
+            return
+        pose_tool_in_flange = self._newest.F_T_EE.matrix
+        pose_flange_in_base = self._flange.forward(position).matrix
+        twist = self._flange.jacobian(position) @ velocity
+        lever = pose_flange_in_base[:3, :3] @ pose_tool_in_flange[:3, 3]
+        twist[:3] += np.cross(twist[3:], lever)
+        self._tracker.set_target(
+            self._franky.Affine(pose_flange_in_base @ pose_tool_in_flange), self._franky.Twist(twist[:3], twist[3:])
+        )
+
+    def _stop(self) -> None:
+        robot = self._robot
+        if robot is None or self._tracker is None or not self._has_link:
+            return
+        within(STOPPING, robot.stop)
+        within(STOPPING, self._end_tracker)
+
+    def _clear(self) -> None:
+        self._end_tracker()
+        state = self._robot.state
+        if reason := fault_of(state, self._about.joints, is_recoverable=False):
+            raise DeviceFault(reason)
+        self._robot.recover_from_errors()
+
+    def _close(self) -> None:
+        tracker, self._tracker = self._tracker, None
+        if tracker is not None and self._has_link and tracker.is_running:
+            within(STOPPING, tracker.stop)
+        self._robot = self._newest = tracker = None
+
+    def _fresh_state(self) -> Any:
+        try:
+            state = self._robot.state
+        except self._franky.NetworkException as err:
+            self._has_link = False
+            raise DeviceFault(f"the connection to the controller is lost: {err}. {advice_for(self._address)}") from err
+        now, at = time.monotonic(), state.time.to_sec()
+        if at != self._seen[0]:
+            self._seen = (at, now)
+        elif now - self._seen[1] > SILENCE:
+            raise DeviceFault(f"the controller has sent no state for {now - self._seen[1]:.2f} s; look at the cable")
+        self._newest = state
+        return state
+
+    def _is_in_control(self) -> bool:
+        return self._tracker is None or self._robot.is_in_control
+
+    def _end_tracker(self) -> None:
+        """Let go of a motion that has ended; a later one would raise what is wrong with it."""
+        if self._tracker is None:
+            return
+        try:
+            self._robot.join_motion(STOPPING)
+        except (self._franky.ControlException, self._franky.NetworkException):
+            # Known: the state says in which mode the arm is, and why its last motion ended.
+            pass
+        self._tracker = None
+
+
+def limits_of_fr3(about: ArmDescription, *, whole_range: bool) -> ArmLimits:
+    """Return the limits of an FR3: the description's, or those within which it admits the same speed everywhere."""
+    lower, upper, fastest = np.array(about.joint_lower), np.array(about.joint_upper), np.array(about.velocity_limit)
+    if not whole_range:
+        lower, upper = np.maximum(lower, STEADY_LOWER), np.minimum(upper, STEADY_UPPER)
+        fastest = np.minimum(fastest, STEADY_VELOCITY)
+    return ArmLimits(
+        list(lower),
+        list(upper),
+        list(fastest),
+        joint_acceleration=list(about.acceleration_limit),
+        joint_jerk=list(about.jerk_limit),
+        joint_effort=list(about.effort_limit),
+    )
+
+
+def _array(values: tuple[float, ...] | None) -> Vector | None:
+    return None if values is None else np.array(values)
