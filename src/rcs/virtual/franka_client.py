@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rcs.virtual.line import Line
-from rcs.virtual.virtual_robot import require_free
+from rcs.virtual.wire import taken
 
 MOST_BYTES = 4096
 """A longer message is none."""
@@ -119,7 +119,7 @@ class Listener:
         try:
             self._socket = socket.create_server((address, port))
         except OSError as err:
-            raise require_free(f"Port {port} of the virtual Franka robot", address, err) from err
+            raise taken(f"Port {port} of a virtual Franka robot", address, err) from err
         self._socket.setblocking(False)
 
     def files(self) -> Sequence[socket.socket]:

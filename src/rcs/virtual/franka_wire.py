@@ -60,7 +60,7 @@ class FrankaWire(Wire):
     rate: ClassVar[int] = 1000
     address: ClassVar[str] = "127.0.0.1"
     faults: ClassVar[Mapping[str, str]] = {
-        "reflex": "JOINT",
+        "reflex": "",
         "user_stop": "",
         "brakes": "",
         "code": "N",
@@ -79,7 +79,6 @@ class FrankaWire(Wire):
         self._listener = Listener(robot.line, address, ARM_PORT, ARM_HEADER, REQUESTS)
         self._hand = FrankaHandWire(robot, address, self._listener) if robot.gripper is not None else None
         self._version = ARM_VERSION
-        self._mode = Mode.IDLE
         self._is_stopped_by_user = self._is_braked = False
         self._errors: set[Error] = set()
         self._reasons: set[Error] = set()  # of the last motion's end
@@ -92,7 +91,9 @@ class FrankaWire(Wire):
         self._load = (0.0, np.zeros(3), np.zeros(9))
         self._forget_motion()
         self._torques = np.zeros(7)
-        self._joints = robot.joints  # where the arm is led to
+        self._rest(Mode.IDLE)
+        model = robot.body.world.model  # the controller measures torques behind the gears, and makes up for friction
+        model.dof_frictionloss[model.jnt_dofadr[robot.body.layout.joint_ids]] = 0.0
         self._received = deque([1.0] * 100, maxlen=100)
         self._state = np.zeros((), ARM_STATE)
 
@@ -135,8 +136,7 @@ class FrankaWire(Wire):
     def tell(self, fault: Fault) -> None:
         """Have the arm collide, be stopped or braked, complain with the number of an error, or be of another version."""
         if fault.name == "reflex":
-            joint = self.robot.joint_of(fault.value)
-            self._collided[joint] = 1.0
+            self._collided[3] = 1.0  # as something that pushes against the forearm
             self._abort(MoveStatus.REFLEX_ABORTED, [Error.JOINT_REFLEX])
         elif fault.name == "code":
             if fault.number not in list(Error):
@@ -275,16 +275,17 @@ class FrankaWire(Wire):
         if command is None:
             self._miss()
             return
-        state = self._listener.client.sent if self._listener.client is not None else 0
-        ticks = max(state - int(command["message_id"]) + 1, self._lost + 1)
-        self._answered, self._lost = int(command["message_id"]), 0
+        number = int(command["message_id"])
+        ticks = 1 if self._answered < 0 else number - self._answered
+        self._answered, self._lost = number, 0
         self._received.append(1.0)
         if self._generator is None:
             torques = np.array(command["tau_J_d"])
             if not np.isfinite(torques).all():
                 self._abort(MoveStatus.INPUT_ERROR_ABORTED, [Error.TAU_J_RANGE_VIOLATION])
                 return
-            if errors := torque_errors(self._arm, torques, self._torques, ticks):
+            # A client computes from the last torques it was told, which may be two commands old.
+            if errors := torque_errors(self._arm, torques, self._torques, ticks + 1):
                 self._abort(MoveStatus.REFLEX_ABORTED, errors)
                 return
             self._torques = torques
@@ -292,7 +293,7 @@ class FrankaWire(Wire):
             if command["torque_command_finished"]:
                 self._finish(self.robot.velocities)
             return
-        if errors := self._generator.take(command):
+        if errors := self._generator.take(command, ticks):
             self._abort(MoveStatus.REFLEX_ABORTED, errors)
             return
         self._lead(self._generator)
@@ -301,18 +302,19 @@ class FrankaWire(Wire):
 
     def _miss(self) -> None:
         client = self._listener.client
-        if self._answered < 0 or client is None or not client.had_time:
+        if self._answered < 0 or client is None:
             return
-        self._lost += 1
-        self._received.append(0.0)
-        if self._lost > MOST_LOST:
-            self._abort(MoveStatus.REFLEX_ABORTED, [Error.COMMUNICATION_CONSTRAINTS_VIOLATION])
-        elif self._generator is not None:
+        if self._generator is not None:
             self._generator.extrapolate()
             self._lead(self._generator)
+        if client.had_time:
+            self._lost += 1
+            self._received.append(0.0)
+            if self._lost > MOST_LOST:
+                self._abort(MoveStatus.REFLEX_ABORTED, [Error.COMMUNICATION_CONSTRAINTS_VIOLATION])
 
     def _lead(self, generator: MotionGenerator) -> None:
-        self._joints = generator.joints
+        self._joints, self._pose = generator.joints, generator.pose
         self.robot.lead(generator.joints, generator.velocities, generator.accelerations)
 
     def _finish(self, velocities: Vector) -> None:
@@ -346,7 +348,8 @@ class FrankaWire(Wire):
         """Stand: the arm holds its position from now on."""
         self._mode = mode
         self.robot.rest()
-        self._joints = self.robot.joints
+        self._joints = self.robot.joints  # where the arm is led to
+        self._pose = self._kinematics.forward(self._joints)
 
     # --- Senses ---
 
@@ -367,16 +370,16 @@ class FrankaWire(Wire):
         robot, state, carried = self.robot, self._state, self._carried
         joints, velocities = robot.joints, robot.velocities
         generator = self._generator
-        led = self._joints if generator is None or self._mode is not Mode.MOVE else generator.joints
-        if self._mode is not Mode.IDLE and generator is None:
-            led = joints  # torques and brakes lead nothing
         pose = Pose.from_tquat(robot.pose_tcp_in_base)
+        led, pose_led = self._joints, self._pose
+        if self._mode is not Mode.IDLE and generator is None:
+            led, pose_led = joints, pose  # torques and brakes lead nothing
         matrix = _columns(pose)
         pose_ee_in_flange = carried.pose_tcp_in_flange * self._pose_ee_in_ne
         client.sent += 1
         state["message_id"] = client.sent
         state["O_T_EE"] = matrix if self._pose_ee_in_ne == Pose() else _columns(pose * self._pose_ee_in_ne)
-        state["O_T_EE_d"] = state["O_T_EE_c"] = matrix if generator is None else _columns(generator.pose)
+        state["O_T_EE_d"] = state["O_T_EE_c"] = _columns(pose_led)
         state["F_T_EE"] = _columns(pose_ee_in_flange)
         state["EE_T_K"] = _columns(self._pose_k_in_ee)
         state["F_T_NE"] = _columns(carried.pose_tcp_in_flange)
