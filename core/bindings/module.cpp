@@ -12,6 +12,7 @@ namespace nb = nanobind;
 void bind_pose(nb::module_& m);
 void bind_device(nb::module_& m);
 void bind_arm(nb::module_& m);
+void bind_streamed_arm(nb::module_& m);
 void bind_hand(nb::module_& m);
 void bind_camera(nb::module_& m);
 void bind_kinematics(nb::module_& m);
@@ -72,6 +73,7 @@ NB_MODULE(_core, m) {
   bind_hand(m);
   bind_camera(m);
   bind_kinematics(m);
+  bind_streamed_arm(m);
   bind_collision_checker(m);
   bind_line_profile(m);
   bind_callback(m);

@@ -1,75 +1,94 @@
-// An arm of your own: override the `do_` functions, and the checks around them come with the interface.
-#include <algorithm>
+// An arm of your own: say how its controller is read, sent a point and stopped. The thread that leads it from command
+// to command, its limits and all checks come with the interface.
+#include <chrono>
 #include <cmath>
 #include <cstdio>
-#include <exception>
-#include <span>
+#include <thread>
 #include <vector>
 
-#include "rcs/arm.hpp"
 #include "rcs/result.hpp"
+#include "rcs/streamed_arm.hpp"
 
 namespace {
 
-/// Two joints that run to their target at their largest velocity.
-class TurnTable final : public rcs::Arm {
+/// What a vendor's library gives: a connection that is read from and written to. This one is a turn table that follows
+/// within some milliseconds.
+class Controller {
  public:
-  TurnTable() : Arm("turn table", {{-3.0, -1.0}, {3.0, 1.0}, {1.0, 0.5}}) {}
-
-  /// Let time pass [s].
-  void advance(double seconds) {
-    for (std::size_t i = 0; i < joints_.size(); ++i) {
-      const double reach = limits().joint_velocity[i] * seconds;
-      const double step = std::clamp(target_[i] - joints_[i], -reach, reach);
-      joints_[i] += step;
-      velocities_[i] = step / seconds;
-    }
-    time_ += seconds;
+  void enable() { is_enabled_ = true; }
+  void disable() { is_enabled_ = false; }
+  const std::vector<double>& angles() const { return angles_; }
+  void send(const std::vector<double>& target) {
+    for (std::size_t i = 0; i < angles_.size() && is_enabled_; ++i) angles_[i] += 0.2 * (target[i] - angles_[i]);
   }
 
+ private:
+  bool is_enabled_ = false;
+  std::vector<double> angles_{0.0, 0.0};  // rad
+};
+
+rcs::ArmLimits figures() {
+  rcs::ArmLimits limits;
+  limits.joint_lower = {-3.0, -1.0};        // rad
+  limits.joint_upper = {3.0, 1.0};          // rad
+  limits.joint_velocity = {2.0, 1.0};       // rad/s
+  limits.joint_acceleration = {10.0, 8.0};  // rad/s²
+  limits.joint_jerk = {500.0, 500.0};       // rad/s³
+  return limits;
+}
+
+class TurnTable final : public rcs::StreamedArm {
+ public:
+  TurnTable() : StreamedArm("turn table", figures(), {.rate = 500.0, .missed_ticks = 500}) {}
+  ~TurnTable() override { close(); }
+
  protected:
-  rcs::ArmState do_state() override { return {joints_, velocities_, rcs::kNaN, time_}; }
-  void do_command_joints(std::span<const double> joints) override { target_.assign(joints.begin(), joints.end()); }
-  bool do_has_arrived() override { return joints_ == target_; }
-  void do_hold() override { target_ = joints_; }
+  void read(rcs::ArmState& state) override {
+    state.joint_velocities.assign(2, 0.0);  // it has no tachometers
+    state.joints = controller_.angles();
+  }
+  void start() override { controller_.enable(); }
+  void write(const rcs::StreamPoint& point) override { controller_.send(point.position); }
+  void stop() override { controller_.disable(); }
 
  private:
-  std::vector<double> joints_{0.0, 0.0};      // rad
-  std::vector<double> velocities_{0.0, 0.0};  // rad/s
-  std::vector<double> target_{0.0, 0.0};      // rad
-  double time_ = 0.0;                         // s
+  Controller controller_;
 };
+
+void lead(TurnTable& arm, const std::vector<double>& target) {
+  arm.command_joints(target);
+  while (!arm.has_arrived()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  std::printf("arrived:  %.2f %.2f rad after %.0f points\n", arm.state().joints[0], arm.state().joints[1],
+              static_cast<double>(arm.ticks()));
+}
+
+/// Prints why a command was refused.
+void try_to_lead(TurnTable& arm, const std::vector<double>& target) {
+  try {
+    lead(arm, target);
+  } catch (const std::exception& error) {
+    std::printf("refused:  %s\n", error.what());
+  }
+}
 
 }  // namespace
 
 int main() {
   TurnTable arm;
-  arm.open();
+  arm.open();  // connected, and nothing is switched on
 
-  // A target is set; time passes elsewhere, here by hand.
-  const std::vector<double> target{0.5, -0.2};
-  arm.command_joints(target);
-  while (!arm.has_arrived()) arm.advance(0.01);
-  const rcs::ArmState state = arm.state();
-  std::printf("arrived at %.2f %.2f rad after %.2f s\n", state.joints[0], state.joints[1], state.device_time);
+  try_to_lead(arm, {0.5, -0.2});  // the first target must be near the arm …
+  lead(arm, {0.1, 0.0});          // … from then on the arm is led
+  lead(arm, {0.5, -0.2});
 
-  // A bad target never reaches the device.
-  try {
-    const std::vector<double> bad{0.5, std::nan("")};
-    arm.command_joints(bad);
-  } catch (const rcs::InvalidCommand& error) {
-    std::printf("refused:  %s\n", error.what());
-  }
+  try_to_lead(arm, {0.5, std::nan("")});  // a bad target never reaches the controller
 
-  // A fault stops the arm and stays until somebody has looked.
+  // A fault brakes the arm and stays until somebody has looked.
   arm.set_fault("emergency stop");
-  try {
-    arm.command_joints(target);
-  } catch (const rcs::DeviceFault& error) {
-    std::printf("refused:  %s\n", error.what());
-  }
+  try_to_lead(arm, {0.1, 0.0});
   arm.recover();
-  arm.command_joints(target);
-  arm.close();
+  lead(arm, {0.1, 0.0});
+
+  arm.close();  // brakes, stops, and lets go
   return arm.is_open() ? 1 : 0;
 }

@@ -7,6 +7,7 @@
 
 #include "open_devices.hpp"
 #include "rcs/result.hpp"
+#include "summary.hpp"
 
 namespace rcs {
 
@@ -17,13 +18,6 @@ constexpr double kTolerance = 1e-6;
 constexpr double kClockError = 0.1;
 // Longer than that is for ever, as far as a clock of nanoseconds goes [s].
 constexpr double kLongest = 1e9;
-
-// The message of an exception. One from Python has its whole traceback, of which the last line says what happened.
-std::string summary(const std::exception& error) {
-  std::string text = error.what();
-  while (text.ends_with('\n')) text.pop_back();
-  return text.starts_with("Traceback ") ? text.substr(text.rfind('\n') + 1) : text;
-}
 }  // namespace
 
 void require_interface(int built_for) {
@@ -57,9 +51,11 @@ void Device::open() {
 }
 
 void Device::stop() {
+  // Before the count: a command whose deadline this takes away sees that it was stopped, or is held below.
+  deadline_ = kForever;
+  if (has_deadline_.exchange(false)) OpenDevices::get().exchange_deadline(*this, OpenDevices::kNever);
   ++stops_;
   is_guided_ = false;
-  if (has_deadline_.exchange(false)) OpenDevices::get().exchange_deadline(*this, OpenDevices::kNever);
   do_hold();
 }
 
@@ -98,6 +94,7 @@ void Device::require_commandable(const char* call, double valid_for) const {
 Device::TimePoint Device::exchange_deadline(double valid_for) {
   using std::chrono::steady_clock;
   has_deadline_ = valid_for < kLongest;
+  deadline_ = has_deadline_ ? monotonic_time() + valid_for : kForever;
   const std::chrono::duration<double> time(has_deadline_ ? valid_for : 0.0);
   return OpenDevices::get().exchange_deadline(
       *this, has_deadline_ ? steady_clock::now() + std::chrono::duration_cast<steady_clock::duration>(time)
@@ -106,6 +103,7 @@ Device::TimePoint Device::exchange_deadline(double valid_for) {
 
 void Device::restore_deadline(TimePoint former) {
   has_deadline_ = former < OpenDevices::kNever;
+  deadline_ = has_deadline_ ? std::chrono::duration<double>(former.time_since_epoch()).count() : kForever;
   OpenDevices::get().exchange_deadline(*this, former);
 }
 
@@ -171,6 +169,7 @@ void Device::close() {
     // The device counts as closed even when letting go of it fails, so that a second close is harmless.
     if (!is_open_.exchange(false)) return;
     is_guided_ = has_deadline_ = false;
+    deadline_ = kForever;
   }
   OpenDevices::get().remove(*this);
   // A target must not outlive the connection: the device would move on unwatched, or at the next `open`.

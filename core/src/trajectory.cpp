@@ -17,8 +17,8 @@ namespace {
 // Rows of `dof` numbers in the memory. What is planned follows from the last five and the numbers behind.
 enum Row { kTarget, kLast, kStream, kPosition, kVelocity, kAcceleration, kAim, kEnd, kRows };
 // After the rows: time since the plan's start; its least duration, or below 0 where it is to brake and no more; and the
-// share by which the acceleration is less than its limit; which joints do not wait for the others, one bit each; then
-// the order to hold.
+// share by which the acceleration is less than its limit; whether each joint goes by itself (1), or all wait for each
+// other (0); then the order to hold.
 enum Number { kElapsed, kLeast, kSpared, kApart, kHold, kNumbers };
 static_assert(Trajectory::size(1) == int{kRows} + int{kNumbers});
 
@@ -37,6 +37,12 @@ constexpr double kHorizon = 2.0;
 constexpr double kTogether = -1.0, kAlone = -2.0;
 // Part of the velocity limit at which targets are followed; what is left is for catching up.
 constexpr double kCruise = 0.9995;
+// Part of its way by which a joint that moves may fall short: it then goes a little slower, not back.
+constexpr double kSlack = 0.005;
+// Part of the velocity limit below which a target is at rest.
+constexpr double kResting = 1e-4;
+// By how much a plan may last longer than it must.
+constexpr double kDetour = 1.01;
 // What rounding makes of the end of a trajectory [rad].
 constexpr double kRounding = 1e-6;
 // Targets may lead by what an arm needs to stop at this share of its acceleration, so that an arm that spares torque is
@@ -111,22 +117,43 @@ std::vector<double> MotionLimits::lead(double period) const {
 
 // A planned trajectory, and what it was planned for. Another memory, or a restored one, makes it plan anew.
 struct Trajectory::Plan {
-  explicit Plan(std::size_t dof) : ruckig(dof), input(dof), trajectory(dof) {
+  explicit Plan(std::size_t dof) : ruckig(dof), input(dof), trajectory(dof), each(dof) {
     for (auto* values : {&position, &velocity, &acceleration, &target, &end, &later, &room, &aim, &speed})
       values->assign(dof, 0.0);
     for (auto& values : from) values.assign(dof, 0.0);
   }
 
-  bool compute() {
-    const ruckig::Result result = ruckig.calculate(input, trajectory);
+  bool compute() { return is_planned(ruckig.calculate(input, trajectory)); }
+  // The plan of one joint by itself.
+  bool compute(std::size_t i) {
+    one.current_position[0] = input.current_position[i];
+    one.current_velocity[0] = input.current_velocity[i];
+    one.current_acceleration[0] = input.current_acceleration[i];
+    one.target_position[0] = input.target_position[i];
+    one.target_velocity[0] = input.target_velocity[i];
+    one.max_velocity[0] = input.max_velocity[i];
+    one.max_acceleration[0] = input.max_acceleration[i];
+    one.max_jerk[0] = input.max_jerk[i];
+    return is_planned(single.calculate(one, each[i]));
+  }
+  static bool is_planned(ruckig::Result result) {
     return result == ruckig::Result::Working || result == ruckig::Result::Finished;
   }
-  double duration() const { return is_still ? 0.0 : trajectory.get_duration(); }
+  double duration() const {
+    if (is_still) return 0.0;
+    if (!is_apart) return trajectory.get_duration();
+    double longest = 0.0;
+    for (const auto& joint : each) longest = std::max(longest, joint.get_duration());
+    return longest;
+  }
+  double soonest(std::size_t i) const { return each[i].get_independent_min_durations()[0]; }
   void at(double time) {
     if (is_still) {
       position = input.current_position;
       std::ranges::fill(velocity, 0.0);
       std::ranges::fill(acceleration, 0.0);
+    } else if (is_apart) {
+      for (std::size_t i = 0; i < each.size(); ++i) each[i].at_time(time, position[i], velocity[i], acceleration[i]);
     } else {
       trajectory.at_time(time, position, velocity, acceleration);
     }
@@ -135,8 +162,13 @@ struct Trajectory::Plan {
   ruckig::Ruckig<ruckig::DynamicDOFs> ruckig;
   ruckig::InputParameter<ruckig::DynamicDOFs> input;
   ruckig::Trajectory<ruckig::DynamicDOFs> trajectory;
+  ruckig::Ruckig<1> single;
+  ruckig::InputParameter<1> one;
+  std::vector<ruckig::Trajectory<1>> each;
   std::vector<double> source;  // the numbers that it was computed from
-  bool is_still = true;        // it starts where it ends
+  std::vector<double> source_before;
+  bool is_still = true;   // it starts where it ends
+  bool is_apart = false;  // each joint goes by itself
   std::vector<double> position, velocity, acceleration;
   // What the law looks at: the targets, at which velocity they move, how much later the plan is to meet them [s], and
   // how far the range goes on behind them; where the arm is.
@@ -180,8 +212,17 @@ Trajectory::Plan& Trajectory::plan(const double* memory) {
   if (plan.source.size() == count + 3 && std::equal(first, first + count, plan.source.begin()) &&
       std::equal(numbers + kLeast, numbers + kHold, plan.source.begin() + static_cast<std::ptrdiff_t>(count)))
     return plan;
+  auto& before = plan.source_before;
+  std::swap(before, plan.source);
+  const bool was_apart =
+      plan.is_apart && !plan.is_still && numbers[kLeast] == before[count] && spared == before[count + 1];
   plan.source.assign(first, first + count);
   plan.source.insert(plan.source.end(), numbers + kLeast, numbers + kHold);
+  const auto is_new = [&](std::size_t i) {
+    for (std::size_t row = 0; row < count; row += n)
+      if (before[row + i] != plan.source[row + i]) return true;
+    return false;
+  };
   auto& input = plan.input;
   plan.is_still = true;
   for (std::size_t i = 0; i < n; ++i) {
@@ -200,20 +241,29 @@ Trajectory::Plan& Trajectory::plan(const double* memory) {
                     input.target_velocity[i] == 0.0 && input.target_position[i] == input.current_position[i];
   }
   if (plan.is_still) return plan;
-  if (apart != 0.0) {
-    std::vector<ruckig::Synchronization> each(n, ruckig::Synchronization::Time);
-    for (std::size_t i = 0; i < n; ++i)
-      if (static_cast<std::uint64_t>(apart) >> i & 1) each[i] = ruckig::Synchronization::None;
-    input.per_dof_synchronization = std::move(each);
-  } else {
-    input.per_dof_synchronization.reset();
-  }
+  plan.is_apart = apart != 0.0;
   input.synchronization = least == kAlone ? ruckig::Synchronization::None : ruckig::Synchronization::Phase;
   input.control_interface = least < 0.0 ? ruckig::ControlInterface::Velocity : ruckig::ControlInterface::Position;
   if (least > 0.0)
     input.minimum_duration = least;
   else
     input.minimum_duration.reset();
+  if (plan.is_apart) {
+    for (std::size_t i = 0; i < n; ++i) {
+      if (was_apart && !is_new(i)) continue;
+      plan.one.control_interface = input.control_interface;
+      plan.one.minimum_duration = input.minimum_duration;
+      // It need not wait for a time at which it can be there again where it could be there sooner.
+      if (plan.compute(i) && plan.each[i].get_duration() <= kDetour * std::max(plan.soonest(i), least)) continue;
+      plan.one.minimum_duration.reset();
+      if (plan.compute(i)) continue;
+      input.target_velocity[i] = 0.0;
+      if (plan.compute(i)) continue;
+      plan.one.control_interface = ruckig::ControlInterface::Velocity;
+      if (!plan.compute(i)) plan.is_still = true;
+    }
+    return plan;
+  }
   if (plan.compute()) return plan;
   // Rounding may leave no trajectory of that duration, or to that speed: what is always left is to come to rest.
   input.minimum_duration.reset();
@@ -271,33 +321,29 @@ double Trajectory::spare_way(std::size_t i, double share, double behind, double 
   return lead - speed * behind - way;
 }
 
-// Have joints that go away from their targets, or are too fast to have the targets' speed there, come to rest at them.
-// They do not wait for the others. Returns them, one bit each.
-std::uint64_t Trajectory::let_go(double horizon) {
+// Have a joint that goes away from its target, or is too fast to have the target's speed there, come to rest at it.
+void Trajectory::let_go(std::size_t i, double behind, double horizon) {
   Plan& plan = *plan_;
-  const double behind = stay_behind(1.0);
-  std::uint64_t apart = 0;
-  for (std::size_t i = 0; i < plan.end.size(); ++i) {
-    if (plan.end[i] == 0.0) continue;
-    const double now = plan.end[i] < 0.0 ? -plan.from[1][i] : plan.from[1][i];
-    const bool goes_away =
-        now < -0.5 * horizon * plan.input.max_acceleration[i] && (plan.target[i] - plan.from[0][i]) * plan.end[i] > 0.0;
-    const bool is_too_fast = now > std::abs(plan.end[i]) && spare_way(i, 1.0, behind, horizon) < -kRounding;
-    if (!goes_away && !is_too_fast) continue;
-    plan.end[i] = 0.0;
-    apart |= std::uint64_t{1} << i;
-  }
-  return apart;
+  if (plan.end[i] == 0.0) return;
+  const double now = plan.end[i] < 0.0 ? -plan.from[1][i] : plan.from[1][i];
+  const bool goes_away =
+      now < -0.5 * horizon * plan.input.max_acceleration[i] && (plan.target[i] - plan.from[0][i]) * plan.end[i] > 0.0;
+  const bool is_too_fast = now > std::abs(plan.end[i]) && spare_way(i, 1.0, behind, horizon) < -kRounding;
+  if (goes_away || is_too_fast) plan.end[i] = 0.0;
 }
 
-// The share of the targets' speed at which the arm can aim without going back: the place where it may have that speed
-// must be at least as far as the arm comes until it has it.
-double Trajectory::gained_share(double horizon) {
+// The share of the targets' speed at which joints can aim without going back: the place where they may have that speed
+// must be at least as far as they come until they have it.
+double Trajectory::gained_share(std::size_t first, std::size_t count, double horizon) {
+  const auto slack = [&](std::size_t i) {
+    const double now = plan_->end[i] < 0.0 ? -plan_->from[1][i] : plan_->from[1][i];
+    return kSlack * std::max(now, 0.0) * horizon;
+  };
   const auto can = [&](double share) {
     const double behind = stay_behind(share);
     if (behind == 0.0 && share == 1.0) return true;
-    for (std::size_t i = 0; i < plan_->end.size(); ++i)
-      if (plan_->end[i] != 0.0 && spare_way(i, share, behind, horizon) < -kRounding) return false;
+    for (std::size_t i = first; i < first + count; ++i)
+      if (plan_->end[i] != 0.0 && spare_way(i, share, behind, horizon) < -kRounding - slack(i)) return false;
     return true;
   };
   if (can(1.0)) return 1.0;
@@ -318,7 +364,9 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
   for (std::size_t i = 0; i < n && share < 1.0; ++i) {
     const double way = std::clamp(target[i], limits_.lower[i], limits_.upper[i]) - plan.position[i];
     if (way * plan.velocity[i] <= 0.0) continue;
-    const double distance = braking_distance(std::abs(plan.velocity[i]), limits_.acceleration[i], limits_.jerk[i]);
+    const double sign = way < 0.0 ? -1.0 : 1.0;
+    const double distance = stopping_distance(sign * plan.velocity[i], sign * plan.acceleration[i],
+                                              limits_.acceleration[i], limits_.jerk[i]);
     share = std::clamp(kCareful * distance / std::abs(way), share, 1.0);
   }
   for (std::size_t i = 0; i < n; ++i)
@@ -333,77 +381,73 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
     last[i] = target[i];
   }
   for (std::size_t i = 0; i < n; ++i) {
-    plan.end[i] /= most;
+    plan.end[i] = std::abs(plan.end[i]) < kResting * limits_.velocity[i] ? 0.0 : plan.end[i] / most;
     plan.room[i] = plan.end[i] > 0.0 ? limits_.upper[i] - target[i] : target[i] - limits_.lower[i];
-    const double speed = std::min(std::abs(plan.end[i]),
-                                  braking_speed(plan.room[i], plan.input.max_acceleration[i], plan.input.max_jerk[i]));
-    plan.end[i] = std::copysign(speed, plan.end[i]);
+    const double allowed = braking_speed(plan.room[i], plan.input.max_acceleration[i], plan.input.max_jerk[i]);
+    if (std::abs(plan.end[i]) <= allowed) continue;
+    // The target is about to stop at the end of the range: a joint that can stop at the target does so.
+    const double sign = plan.end[i] < 0.0 ? -1.0 : 1.0, now = sign * plan.velocity[i];
+    const double distance = stopping_distance(std::max(now, 0.0), sign * plan.acceleration[i],
+                                              plan.input.max_acceleration[i], plan.input.max_jerk[i]);
+    plan.end[i] = distance <= sign * (target[i] - plan.position[i]) ? 0.0 : sign * allowed;
   }
-  // The plan is made for the end of the step after this one, were the target to go on like this. Where a joint that is
-  // too fast could not stop at its target then, it is made for a nearer place; and where it cannot at all, for rest.
   const double horizon = step.is_synchronous ? 0.0 : (kHorizon - 1.0) * step.period;
-  const double soonest = step.is_synchronous ? 0.0 : -step.rest;
+  const double soonest = step.is_synchronous ? 0.0 : -step.rest, planned = step.duration + horizon;
   std::ranges::fill(plan.later, soonest + horizon);
+  std::ranges::copy(std::span(target, n), plan.target.begin());
   std::ranges::copy(plan.position, plan.from[0].begin());
   std::ranges::copy(plan.velocity, plan.from[1].begin());
   std::ranges::copy(plan.acceleration, plan.from[2].begin());
-  std::uint64_t apart = 0, nearer = 0;
-  const auto aim = [&] {
-    apart |= let_go(step.duration + horizon);
-    const double gained = gained_share(step.duration + horizon), behind = stay_behind(gained);
-    for (std::size_t i = 0; i < n; ++i)  // nor do those wait that are to go back
-      if ((plan.target[i] + plan.end[i] * plan.later[i] - plan.from[0][i]) * plan.end[i] < 0.0)
-        apart |= std::uint64_t{1} << i;
-    bool is_same = memory[kRows * n + kSpared] == 1.0 - share && memory[kRows * n + kLeast] >= 0.0 &&
-                   memory[kRows * n + kApart] == static_cast<double>(apart);
-    for (std::size_t i = 0; i < n; ++i) {
+  double* numbers = memory + kRows * n;
+  const bool is_stream = std::ranges::any_of(plan.end, [](double speed) { return speed != 0.0; });
+  const auto aim = [&](std::size_t first, std::size_t count) {
+    const double all_behind = stay_behind(1.0);
+    for (std::size_t i = first; i < first + count; ++i) let_go(i, all_behind, planned);
+    const double gained = gained_share(first, count, planned), behind = stay_behind(gained);
+    for (std::size_t i = first; i < first + count; ++i) {
       plan.aim[i] = target[i] + (gained > 0.0 ? plan.end[i] * (plan.later[i] - gained * behind) : 0.0);
       plan.speed[i] = gained * plan.end[i];
-      is_same = is_same && plan.aim[i] == memory[kAim * n + i] && plan.speed[i] == memory[kEnd * n + i];
     }
-    return is_same;
   };
-  std::ranges::copy(std::span(target, n), plan.target.begin());
-  if (aim()) return;
+  aim(0, n);
+  if (numbers[kSpared] == 1.0 - share && numbers[kLeast] >= 0.0 && (numbers[kApart] != 0.0) == is_stream &&
+      std::equal(plan.aim.begin(), plan.aim.end(), memory + kAim * n) &&
+      std::equal(plan.speed.begin(), plan.speed.end(), memory + kEnd * n))
+    return;
   std::ranges::copy(plan.from[0], memory + kPosition * n);
   std::ranges::copy(plan.from[1], memory + kVelocity * n);
   std::ranges::copy(plan.from[2], memory + kAcceleration * n);
-  memory[kRows * n + kElapsed] = 0.0;
-  memory[kRows * n + kLeast] = step.is_synchronous ? 0.0 : step.duration + horizon;
-  memory[kRows * n + kSpared] = 1.0 - share;
-  for (int k = 0; k <= kTries; ++k) {
-    std::ranges::copy(plan.aim, memory + kAim * n);
-    std::ranges::copy(plan.speed, memory + kEnd * n);
-    memory[kRows * n + kApart] = static_cast<double>(apart);
-    this->plan(memory);
-    // What cannot be at its nearer place in time must not keep the others waiting.
+  std::ranges::copy(plan.aim, memory + kAim * n);
+  std::ranges::copy(plan.speed, memory + kEnd * n);
+  numbers[kElapsed] = 0.0;
+  numbers[kLeast] = step.is_synchronous ? 0.0 : planned;
+  numbers[kSpared] = 1.0 - share;
+  numbers[kApart] = is_stream ? 1.0 : 0.0;
+  if (!is_stream) {
+    // Nor are all to wait for a time at which one of them, which could be there sooner, can be there again.
+    if (step.is_synchronous || this->plan(memory).is_still) return;
     const auto& durations = plan.trajectory.get_independent_min_durations();
-    std::uint64_t late = 0;
-    for (std::size_t i = 0; i < n && !plan.is_still; ++i)
-      if ((nearer & ~apart) >> i & 1 && durations[i] > step.duration + horizon) late |= std::uint64_t{1} << i;
-    // Nor must all wait for a time at which one of them, which could be there sooner, can be there again.
-    if (!plan.is_still && !step.is_synchronous &&
-        plan.duration() > 1.01 * std::max(*std::ranges::max_element(durations), step.duration + horizon))
-      late = (std::uint64_t{1} << n) - 1;
-    if (late) memory[kRows * n + kApart] = static_cast<double>(apart |= late);
-    this->plan(memory).at(step.duration);
-    bool can_stop = true;
-    for (std::size_t i = 0; i < n && k < kTries; ++i) {
+    if (plan.duration() > kDetour * std::max(*std::ranges::max_element(durations), planned)) numbers[kApart] = 1.0;
+    return;
+  }
+  // The plan is made for the end of the step after this one, were the target to go on like this. Where a joint that is
+  // too fast could not stop at its target then, it is made for a nearer place; and where it cannot at all, for rest.
+  for (std::size_t i = 0; i < n; ++i) {
+    for (int k = 0; k < kTries && plan.speed[i] != 0.0; ++k) {
+      this->plan(memory).at(step.duration);
       const double sign = plan.speed[i] < 0.0 ? -1.0 : 1.0, speed = sign * plan.velocity[i];
-      if (plan.speed[i] == 0.0 || speed <= 0.0) continue;
+      if (speed <= 0.0) break;
       const double way =
           stopping_distance(speed, sign * plan.acceleration[i], plan.input.max_acceleration[i], plan.input.max_jerk[i]);
       const double past = sign * (plan.position[i] - target[i]) + way - std::min(kPromise, plan.room[i]);
-      if (past <= kRounding) continue;
-      can_stop = false;
-      nearer |= std::uint64_t{1} << i;
-      plan.later[i] -= kNearer * past / std::abs(plan.end[i]);
-      if (k + 2 >= kTries) plan.later[i] = soonest;
+      if (past <= kRounding) break;
+      plan.later[i] =
+          k + 2 < kTries ? std::max(plan.later[i] - kNearer * past / std::abs(plan.end[i]), soonest) : soonest;
       if (k + 1 == kTries) plan.end[i] = 0.0;
-      plan.later[i] = std::max(plan.later[i], soonest);
+      aim(i, 1);
+      memory[kAim * n + i] = plan.aim[i];
+      memory[kEnd * n + i] = plan.speed[i];
     }
-    if (can_stop) return;
-    aim();
   }
 }
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rcs.devices import Arm, ArmLimits, CommandKind
+from rcs.devices import Arm, ArmLimits, CommandKind, StreamOptions
 from rcs.errors import DeviceFault
 from rcs.testing import ArmContract
 
@@ -57,6 +59,52 @@ class TestThreadedArm(ArmContract):
             self.move(arm)
             assert (self.position(arm) > before).all()
             assert (self.position(arm) < arm.limits.joint_upper).all()
+
+
+@pytest.fixture
+def servo_arm(import_device: Callable[[str], ModuleType], limits: ArmLimits) -> Callable[[], Any]:
+    """Make a streamed arm that stands a busy machine."""
+    module = import_device("servo_arm")
+    rates = limits.joint_velocity, np.full(3, 5.0), np.full(3, 500.0)
+    limits = ArmLimits(limits.joint_lower, limits.joint_upper, *rates)
+    return lambda: module.ServoArm(limits, StreamOptions(missed_ticks=2000, silence=5.0))
+
+
+class TestServoArm(ArmContract):
+    stopping_time = 0.5
+
+    @pytest.fixture(autouse=True)
+    def _from_the_extension(self, servo_arm: Callable[[], Any]) -> None:
+        self.make = servo_arm
+
+    def make_arm(self) -> Arm:
+        return self.make()
+
+    def lose_link(self, device: Any) -> None:
+        device.lose_link()
+        while not device.fault:
+            time.sleep(0.001)
+
+
+def test_an_interpreter_that_is_kept_busy_does_not_delay_the_end_of_a_command(servo_arm: Callable[[], Any]) -> None:
+    keep_the_lock = ctypes.PyDLL(None).usleep  # as many libraries in C do
+    delays = []
+    for _ in range(5):
+        with servo_arm() as arm:
+            here = arm.state().joints
+            arm.command_joints(here)
+            while arm.ticks < 3:
+                time.sleep(0.001)
+            begin = time.monotonic()
+            arm.command_joints(here + [0.9, 0.0, 0.0], valid_for=0.05)
+            keep_the_lock(600_000)
+            times, accelerations = np.array([entry for entry in arm.log() if entry[0] > begin]).T
+            delays.append(times[(times > begin + 0.03) & (accelerations < 4.9)][0] - begin)
+            assert accelerations[times > begin + 0.5] == pytest.approx(0.0)
+            assert arm.lapses == 1
+            assert arm.fault == ""
+    assert min(delays) >= 0.05
+    assert min(delays) <= 0.06
 
 
 @pytest.fixture

@@ -85,9 +85,8 @@ def test_a_move_goes_the_right_way_and_past_its_target_by_no_more_than_promised(
             words = f"{name} joint {joint} by {size:.3f} rad"
             assert way.min() >= -1e-9, words
             assert way.max() <= abs(size) + PROMISE, words
-            # At 100 Hz the xArm7 needs four periods to build its acceleration up, and hunts for its speed a little.
-            most = 8 if (name, frequency) == ("xarm7", 100.0) else 3
-            assert turns(rows[:, 2, joint], arm.acceleration_limit[joint]) <= most, words
+
+            assert turns(rows[:, 2, joint], arm.acceleration_limit[joint]) <= 3, words
             np.testing.assert_allclose(rows[-1, 0], target, atol=1e-9, err_msg=words)
             assert np.all(np.abs(np.delete(rows[:, 0] - led.start, joint, axis=1)) <= 1e-9), words
 

@@ -71,6 +71,9 @@ class RCS_API Device {
   void require_ready(const char* call) const;
   /// Fail when something was measured later than now, by more than clocks differ: it would never look old.
   void require_past(const char* what, double time);
+  /// When the time of the last command is over [s], on the host's monotonic clock: for devices whose own thread keeps
+  /// it, so that they do not depend on the thread that calls `hold` then.
+  double deadline() const { return deadline_; }
   /// Enter the fault state and throw it.
   [[noreturn]] void fail(const std::string& reason);
   /// Send a command if the device is ready, and have it held when `valid_for` [s] has passed without another. No lock
@@ -120,6 +123,7 @@ class RCS_API Device {
   std::atomic<bool> is_open_ = false;
   std::atomic<bool> is_guided_ = false;
   std::atomic<bool> has_deadline_ = false;
+  std::atomic<double> deadline_ = kForever;
   std::atomic<bool> has_fault_ = false;  // what commands look at, without a lock
   std::atomic<std::uint64_t> stops_ = 0;
   std::recursive_mutex holding_;  // recursive: a `do_hold` may find a fault and set it

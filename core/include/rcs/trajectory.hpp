@@ -7,10 +7,12 @@
 #include <span>
 #include <vector>
 
+#include "rcs/interface.hpp"
+
 namespace rcs {
 
 /// Limits of a motion, one value per joint.
-struct MotionLimits {
+struct RCS_API MotionLimits {
   std::vector<double> lower;         ///< rad
   std::vector<double> upper;         ///< rad
   std::vector<double> velocity;      ///< rad/s
@@ -37,7 +39,7 @@ struct MotionLimits {
 ///
 /// All that is remembered is in the caller's memory of `size(dof)` numbers: memory that is saved and restored goes on
 /// with the same bits. The object itself keeps the plan that belongs to the memory it saw last.
-class Trajectory {
+class RCS_API Trajectory {
  public:
   /// The time of a step.
   struct Step {
@@ -94,8 +96,8 @@ class Trajectory {
   Plan& plan(const double* memory);
   double stay_behind(double speed_share);
   double spare_way(std::size_t joint, double share, double behind, double horizon) const;
-  std::uint64_t let_go(double horizon);
-  double gained_share(double horizon);
+  void let_go(std::size_t joint, double behind, double horizon);
+  double gained_share(std::size_t first, std::size_t count, double horizon);
 
   MotionLimits limits_;
   std::unique_ptr<Plan> plan_;

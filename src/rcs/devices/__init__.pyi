@@ -11,6 +11,10 @@ from rcs._core import Gripper as Gripper
 from rcs._core import GripperState as GripperState
 from rcs._core import Hand as Hand
 from rcs._core import HandState as HandState
+from rcs._core import StreamedArm as StreamedArm
+from rcs._core import StreamOptions as StreamOptions
+from rcs._core import StreamPoint as StreamPoint
+from rcs._core import TcpBox as TcpBox
 from rcs._core import stop_all as stop_all
 from rcs.devices.fakes import FakeArm as FakeArm
 from rcs.devices.fakes import FakeCamera as FakeCamera

@@ -1,0 +1,581 @@
+#include "rcs/streamed_arm.hpp"
+
+#include <pthread.h>
+#include <sys/mman.h>
+#include <sys/resource.h>
+#include <time.h>
+
+#include <algorithm>
+#include <cmath>
+#include <csignal>
+#include <exception>
+#include <sstream>
+#include <thread>
+#include <utility>
+
+#include "fork.hpp"
+#include "newest.hpp"
+#include "rcs/result.hpp"
+#include "rcs/trajectory.hpp"
+#include "summary.hpp"
+
+namespace rcs {
+
+namespace {
+
+// A joint that is found outside of its range comes back at this speed [rad/s].
+constexpr double kReturnSpeed = 0.1;
+// Periods after which a target that no other one follows is the last of its stream. A plan lasts for two.
+constexpr double kPatience = 1.5;
+// Places on the way to a stop at which the TCP is looked at.
+constexpr int kPlaces = 4;
+// At rest, for arrival: ten times above what a servo jitters [rad/s].
+constexpr double kVelocityTolerance = 1e-2;
+// How long `recover` and `guide` wait for the arm's thread besides what the vendor's functions take [s].
+constexpr double kAnswerTime = 2.0;
+// Above what interrupts of a real-time kernel have, 50; the kernel's own watchdogs are at 99.
+constexpr int kPriority = 80;
+
+double outside(const TcpBox& box, std::span<const double> joints) {
+  const std::array<double, 3> tcp = box.tcp(joints);
+  double distance = 0.0;
+  for (std::size_t i = 0; i < 3; ++i) {
+    if (!std::isfinite(tcp[i])) return kForever;
+    distance = std::max({distance, box.lower[i] - tcp[i], tcp[i] - box.upper[i]});
+  }
+  return distance;
+}
+
+MotionLimits motion_limits(const std::string& name, const ArmLimits& limits) {
+  if (limits.joint_acceleration.empty() || limits.joint_jerk.empty())
+    throw InvalidSetup(name + ": a streamed arm needs limits of acceleration and jerk for every joint");
+  return {limits.joint_lower, limits.joint_upper, limits.joint_velocity, limits.joint_acceleration, limits.joint_jerk};
+}
+
+void check_options(const std::string& name, const ArmLimits& limits, const StreamOptions& options) {
+  const auto require = [&](bool is_valid, const char* what) {
+    if (!is_valid) throw InvalidSetup(name + ": " + what);
+  };
+  require(options.rate >= 10.0 && options.rate <= 2000.0, "valid is a rate of 10 to 2000 Hz");
+  require(options.period * options.rate >= 1.0 && options.period < 10.0,
+          "valid is a period of commands from one tick to 10 s");
+  require(options.first_step > 0.0 && options.tracking_error > 0.0 && options.arrival > 0.0 && options.silence > 0.0,
+          "first_step, tracking_error, arrival and silence must be positive");
+  require(options.missed_ticks > 0, "missed_ticks must be positive");
+  for (std::size_t i = 0; i < limits.joint_lower.size(); ++i)
+    require(options.margin >= 0.0 && 2.0 * options.margin < limits.joint_upper[i] - limits.joint_lower[i],
+            "the margin must be 0 or more, and leave every joint some of its range");
+  if (!options.box) return;
+  require(static_cast<bool>(options.box->tcp), "the box needs a function that gives the TCP");
+  for (std::size_t i = 0; i < 3; ++i)
+    require(options.box->lower[i] < options.box->upper[i], "every lower bound of the box must be below the upper one");
+}
+
+}  // namespace
+
+// What the arm's thread has, and what others exchange with it. Members are the thread's unless they say otherwise.
+struct StreamedArm::Loop {
+  struct Order {
+    std::uint64_t number = 0;
+    double deadline = kForever;
+    std::vector<double> joints;
+  };
+  struct Seen {
+    ArmState state;
+    std::uint64_t done = 0;
+    std::uint64_t holds = 0;
+    bool is_still = true;
+  };
+  enum class Request : std::uint8_t { none, clear, give_way };
+
+  explicit Loop(StreamedArm& arm)
+      : arm(arm), limits(motion_limits(arm.name(), arm.limits())), period(arm.options_.period) {
+    const auto n = limits.lower.size();
+    memory.resize(static_cast<std::size_t>(Trajectory::size(arm.dof())));
+    for (auto* values : {&point.position, &point.velocity, &point.acceleration}) values->resize(n);
+    for (auto& values : asked) values.resize(n);
+    goal.resize(n);
+  }
+
+  // --- Called by others.
+
+  void begin() {
+    for (auto* count : {&sent, &held, &holds, &ticks, &missed, &lapses, &range, &speed, &acceleration, &jerk, &box})
+      *count = 0;
+    is_led = is_closing = is_abandoned = has_priority = has_locked = false;
+    is_reading = true;
+    gave_way = is_asked = false;
+    done = taken_holds = 0;
+    last_tick = kForever;
+    arm.connect();
+    read();
+    publish();
+    forked = forks();
+    is_running = false;
+    thread = std::thread([this] { run(); });
+    is_running.wait(false);
+  }
+
+  double silence() const { return monotonic_time() - last_tick; }
+
+  std::string silent_text() const {
+    std::ostringstream text;
+    text << "the controller has not answered for " << silence()
+         << " s: look at its state, its power and its cable; the last call to it has not returned";
+    return text.str();
+  }
+
+  // Have the thread do something and wait for it; what the vendor throws is thrown here.
+  void ask(Request what) {
+    failure = nullptr;
+    request = what;
+    for (double waited = 0.0; request != Request::none; waited = std::max(waited, silence())) {
+      if (waited > kAnswerTime) {
+        request = Request::none;
+        throw DeviceFault(arm.name() + ": " + silent_text());
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    if (failure) std::rethrow_exception(std::exchange(failure, nullptr));
+  }
+
+  void end() {
+    is_closing = true;
+    if (!thread.joinable()) return;
+    if (forked == forks())
+      thread.join();
+    else
+      thread.detach();  // it is the parent's
+  }
+
+  // --- The thread.
+
+  void run() {
+    thread_id = std::this_thread::get_id();
+    become_real_time();
+    is_running = true;
+    is_running.notify_all();
+    const double tick_time = 1.0 / arm.options_.rate;
+    int late = 0;
+    next = monotonic_time();
+    last_tick = next;
+    while (tick(late)) {
+      if (arm.options_.is_paced_by_read && is_reading) continue;
+      next += tick_time;
+      const timespec until{static_cast<time_t>(next), static_cast<long>((next - std::floor(next)) * 1e9)};
+      while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr) == EINTR) continue;
+      const auto left_out = static_cast<int>(std::clamp((monotonic_time() - next) / tick_time, 0.0, 1e6));
+      late = left_out > 0 ? late + left_out : 0;
+      missed += static_cast<std::uint64_t>(left_out);
+      next += left_out * tick_time;
+    }
+  }
+
+  void become_real_time() {
+    pthread_setname_np(pthread_self(), "rcs arm");
+    sigset_t all;
+    sigfillset(&all);
+    pthread_sigmask(SIG_BLOCK, &all, nullptr);  // signals are for the threads of the program
+    const sched_param priority{kPriority};
+    has_priority = pthread_setschedparam(pthread_self(), SCHED_FIFO, &priority) == 0;
+    // Under a limit, locking what is to come would make later allocations of the program fail.
+    rlimit limit{};
+    has_locked = getrlimit(RLIMIT_MEMLOCK, &limit) == 0 && limit.rlim_cur == RLIM_INFINITY &&
+                 mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0;
+  }
+
+  // Whether there is a next one.
+  bool tick(int late) {
+    last_tick = monotonic_time();
+    if (is_reading) try_to([this] { read(); }, true);
+    if (is_abandoned.exchange(false)) break_down(silent_text());
+    if (is_led && late > arm.options_.missed_ticks) {
+      const std::string advice = this->advice();
+      break_down("the arm's thread came " + std::to_string(late) + " ticks too late: this machine is busy" +
+                 (advice.empty() ? "" : "; ") + advice);
+    }
+    answer();
+    if (is_led) check_tracking();
+    take_orders();
+    if (is_led && try_to([this] { advance(); }))
+      try_to([this] {
+        arm.write(point);
+        ++ticks;
+      });
+    publish();
+    if (!is_closing) return true;
+    if (is_led && trajectory->is_still(memory.data())) {
+      is_led = false;
+      try_to([this] { arm.stop(); });
+    }
+    return is_led;
+  }
+
+  // Have the vendor do something that may take long, of which no deadline is kept.
+  template <typename Call>
+  void take_time(Call call) {
+    last_tick = kForever;
+    call();
+    last_tick = next = monotonic_time();
+  }
+
+  template <typename Call>
+  bool try_to(Call call, bool is_about_reading = false) {
+    try {
+      call();
+      return true;
+    } catch (const std::exception& error) {
+      break_down(error, is_about_reading);
+    }
+    return false;
+  }
+
+  void read() {
+    measured.time = measured.device_time = kNaN;
+    arm.read(measured);
+    const auto n = limits.lower.size();
+    if (measured.joints.size() != n || measured.joint_velocities.size() != n)
+      throw DeviceFault("the device measured " + std::to_string(measured.joints.size()) + " joints, it has " +
+                        std::to_string(n));
+    for (std::size_t i = 0; i < n; ++i)
+      if (!std::isfinite(measured.joints[i]) || !std::isfinite(measured.joint_velocities[i]))
+        throw DeviceFault("the device measured a value that is not finite at joint " + std::to_string(i));
+    if (std::isnan(measured.time)) measured.time = monotonic_time();
+  }
+
+  // Stop first: an exception from Python waits for the interpreter to give its message.
+  void break_down(const std::exception& error, bool is_about_reading) {
+    std::string failure = stop_leading();
+    if (is_about_reading) is_reading = false;
+    take_time([&] { arm.set_fault(summary(error) + failure); });
+  }
+  void break_down(const std::string& reason) {
+    const std::string failure = stop_leading();
+    take_time([&] { arm.set_fault(reason + failure); });
+  }
+
+  // Returns what to say of a controller that could not be stopped.
+  std::string stop_leading() {
+    std::string text;
+    if (!is_led.exchange(false)) return text;
+    is_asked = false;
+    take_time([&] {
+      try {
+        arm.stop();
+      } catch (const std::exception& error) {
+        text = "; stopping failed: " + summary(error);
+      }
+    });
+    return text;
+  }
+
+  void answer() {
+    const Request what = request;
+    if (what == Request::none) return;
+    try {
+      take_time([&] {
+        if (what == Request::give_way) {
+          is_led = is_asked = false;
+          arm.give_way();
+          gave_way = true;
+        } else if (!is_led) {  // where it is led, the controller is well
+          arm.clear();
+          read();
+          is_reading = true;
+        }
+      });
+    } catch (...) {
+      failure = std::current_exception();
+      last_tick = next = monotonic_time();
+    }
+    request = Request::none;
+  }
+
+  void check_tracking() {
+    trajectory->look(memory.data(), 0.0);
+    for (std::size_t i = 0; i < goal.size(); ++i) {
+      const double led = trajectory->position()[i];
+      if (std::abs(measured.joints[i] - led) <= arm.options_.tracking_error) continue;
+      std::ostringstream text;
+      text << "joint " << i << " is at " << measured.joints[i] << " rad and was led to " << led
+           << " rad, farther apart than " << arm.options_.tracking_error
+           << " rad: it is blocked or overloaded, or its motor is off";
+      return break_down(text.str());
+    }
+  }
+
+  void take_orders() {
+    const double now = monotonic_time();
+    if (const std::uint64_t all = holds; all != taken_holds) {
+      taken_holds = all;
+      done = std::max(done, held.load());
+      if (std::exchange(gave_way, false)) try_to([this] { stand_up(); });
+      brake();
+    }
+    if (is_closing) return brake();
+    if (orders.is_fresh()) {
+      const Order& order = orders.take();
+      if (order.number <= done) return;
+      done = order.number;
+      if (!arm.fault().empty()) return;  // it came between the check of this command and its sending
+      deadline = order.deadline;
+      if (now < deadline && (is_led || try_to([this] { stand_up(); }))) return follow_new(order.joints);
+    }
+    if (!is_asked) return;
+    if (now >= deadline) {
+      ++lapses;
+      brake();
+    } else if (++since > kPatience * period * arm.options_.rate) {
+      follow();
+    }
+  }
+
+  // From here on the arm is led, at first to where it is.
+  void stand_up() {
+    take_time([this] {
+      arm.start();
+      read();
+    });
+    MotionLimits wide = limits;
+    for (std::size_t i = 0; i < goal.size(); ++i) {
+      wide.lower[i] = std::min(limits.lower[i] + arm.options_.margin, measured.joints[i]);
+      wide.upper[i] = std::max(limits.upper[i] - arm.options_.margin, measured.joints[i]);
+    }
+    trajectory = std::make_unique<Trajectory>(wide);
+    if (arm.options_.box) braking = std::make_unique<Trajectory>(std::move(wide));
+    Trajectory::stand(memory, measured.joints);
+    forget_asked();
+    is_led = true;
+  }
+
+  void forget_asked() {
+    is_asked = was_cut = false;
+    std::copy_n(memory.begin(), goal.size(), asked[0].begin());
+    for (const std::size_t k : {1u, 2u, 3u}) std::ranges::fill(asked[k], 0.0);
+  }
+
+  void brake() {
+    if (!is_led) return;
+    trajectory->brake(memory.data(), 1.0);
+    forget_asked();
+  }
+
+  void follow_new(const std::vector<double>& joints) {
+    bool is_outside = false;
+    std::array<bool, 4> is_more{};
+    const std::array<const std::vector<double>*, 4> most{nullptr, &limits.velocity, &limits.acceleration, &limits.jerk};
+    for (std::size_t i = 0; i < goal.size(); ++i) {
+      const double margin = arm.options_.margin;
+      goal[i] = std::clamp(joints[i], limits.lower[i] + margin, limits.upper[i] - margin);
+      is_outside = is_outside || goal[i] != joints[i];
+      double value = goal[i];
+      for (std::size_t k = 0; k < 4; ++k) {
+        const double change = (value - std::exchange(asked[k][i], value)) / period;
+        if (k > 0 && std::abs(asked[k][i]) > (1.0 + 1e-9) * (*most[k])[i]) is_more[k] = true;
+        value = change;
+      }
+    }
+    range += is_outside;
+    speed += is_more[1];
+    acceleration += is_more[2];
+    jerk += is_more[3];
+    is_asked = true;
+    was_cut = false;
+    follow();
+  }
+
+  void follow() {
+    since = 0;
+    if (was_cut) return;
+    trajectory->look(memory.data(), 0.0);
+    const double step = kReturnSpeed * period;
+    for (std::size_t i = 0; i < goal.size(); ++i) {
+      const double now = trajectory->position()[i];
+      memory[i] = goal[i];
+      if (now < limits.lower[i] + arm.options_.margin) memory[i] = std::min(goal[i], now + step);
+      if (now > limits.upper[i] - arm.options_.margin) memory[i] = std::max(goal[i], now - step);
+    }
+    const double period = this->period;
+    if (trajectory->is_asked(memory.data())) trajectory->follow(memory.data(), {period, period, 0.0, false}, 1.0);
+  }
+
+  void advance() {
+    const double tick_time = 1.0 / arm.options_.rate;
+    if (arm.options_.box && !trajectory->is_still(memory.data())) stay_in_box(tick_time);
+    trajectory->advance(memory.data(), tick_time);
+    std::ranges::copy(trajectory->position(), point.position.begin());
+    std::ranges::copy(trajectory->velocity(), point.velocity.begin());
+    std::ranges::copy(trajectory->acceleration(), point.acceleration.begin());
+  }
+
+  // From where the arm is, it can stop inside of the box; if it could not after this tick, it brakes now. One that is
+  // outside comes no farther.
+  void stay_in_box(double tick_time) {
+    const TcpBox& box = *arm.options_.box;
+    trajectory->look(memory.data(), 0.0);
+    const double most = outside(box, trajectory->position()) + 1e-6;
+    tried = memory;
+    braking->advance(tried.data(), tick_time);
+    braking->brake(tried.data(), 1.0);
+    const double duration = braking->remaining(tried.data());
+    for (int place = 0; place <= kPlaces; ++place) {
+      braking->look(tried.data(), duration * place / kPlaces);
+      if (outside(box, braking->position()) <= most) continue;
+      if (!std::exchange(was_cut, true)) ++this->box;
+      trajectory->brake(memory.data(), 1.0);
+      return;
+    }
+  }
+
+  void publish() {
+    Seen& now = seen.next();
+    now.state = measured;
+    if (now.state.commanded_joints.empty() && is_led)
+      now.state.commanded_joints.assign(memory.begin(), memory.begin() + arm.dof());
+    now.done = done;
+    now.holds = taken_holds;
+    now.is_still = !is_led || trajectory->is_still(memory.data());
+    seen.publish();
+  }
+
+  std::string advice() const {
+    const bool priority = has_priority, locked = has_locked;
+    if (priority && locked) return "";
+    std::string text;
+    if (!priority) text += "the arm's thread has no real-time priority, so that ticks come late on a busy machine";
+    if (!locked)
+      text +=
+          std::string(priority ? "" : "; ") + "its memory is not locked, so that ticks come late where memory is short";
+    return text + "; add the lines '@realtime - rtprio 99' and '@realtime - memlock unlimited' to " +
+           "/etc/security/limits.conf, add yourself to the group realtime, and log in anew";
+  }
+
+  StreamedArm& arm;
+  const MotionLimits limits;
+
+  // Exchanged with other threads.
+  std::mutex user;  // of those that use the arm; its thread never takes it
+  Newest<Order> orders;
+  Newest<Seen> seen;
+  std::atomic<double> period, last_tick = kForever;
+  std::atomic<std::uint64_t> sent = 0;   // commands so far
+  std::atomic<std::uint64_t> held = 0;   // of these, the ones that came before the last order to hold
+  std::atomic<std::uint64_t> holds = 0;  // orders to hold so far
+  std::atomic<std::uint64_t> ticks = 0, missed = 0, lapses = 0, range = 0, speed = 0, acceleration = 0, jerk = 0,
+                             box = 0;
+  std::atomic<bool> is_running = false, is_led = false, is_closing = false, is_reading = true;
+  std::atomic<bool> is_abandoned = false;  // another thread stopped it because it did not answer
+  std::atomic<bool> has_priority = false, has_locked = false;
+  std::atomic<Request> request = Request::none;
+  std::exception_ptr failure;  // of the request
+
+  std::thread thread;
+  std::atomic<std::thread::id> thread_id;
+  unsigned forked = 0;
+  double next = 0.0;  // s, when the next tick is
+  ArmState measured;
+  std::unique_ptr<Trajectory> trajectory, braking;
+  std::vector<double> memory, tried;
+  StreamPoint point;
+  std::vector<double> goal;                  // rad, of the last command
+  std::array<std::vector<double>, 4> asked;  // what the commands so far were: position, speed, acceleration, jerk
+  double deadline = kForever;
+  std::uint64_t done = 0, taken_holds = 0;
+  int since = 0;          // ticks since it was followed
+  bool is_asked = false;  // there is a goal
+  bool was_cut = false;   // on the way to the goal is the end of the box
+  bool gave_way = false;
+};
+
+StreamedArm::StreamedArm(std::string name, ArmLimits limits, StreamOptions options, int built_for)
+    : Arm(std::move(name), std::move(limits), {}, built_for), options_(std::move(options)) {
+  check_options(this->name(), this->limits(), options_);
+  loop_ = std::make_unique<Loop>(*this);
+}
+
+StreamedArm::~StreamedArm() { loop_->end(); }
+
+double StreamedArm::period() const { return loop_->period; }
+
+void StreamedArm::set_period(double period) {
+  StreamOptions options = options_;
+  options.period = period;
+  check_options(name(), limits(), options);
+  loop_->period = period;
+}
+
+Clamped StreamedArm::clamped() const {
+  return {loop_->range, loop_->speed, loop_->acceleration, loop_->jerk, loop_->box};
+}
+
+std::uint64_t StreamedArm::ticks() const { return loop_->ticks; }
+std::uint64_t StreamedArm::missed_ticks() const { return loop_->missed; }
+std::uint64_t StreamedArm::lapses() const { return loop_->lapses; }
+std::string StreamedArm::real_time_advice() const { return loop_->advice(); }
+
+void StreamedArm::do_open() { loop_->begin(); }
+
+ArmState StreamedArm::do_state() {
+  if (!loop_->is_reading) fail("the link to the controller is lost");
+  if (loop_->silence() > options_.silence) fail(loop_->silent_text());
+  const std::lock_guard lock(loop_->user);
+  return loop_->seen.take().state;
+}
+
+void StreamedArm::do_command_joints(std::span<const double> joints) {
+  Loop& loop = *loop_;
+  if (loop.silence() > options_.silence) fail(loop.silent_text());
+  const std::lock_guard lock(loop.user);
+  if (!loop.is_led) {
+    const auto& measured = loop.seen.take().state.joints;
+    for (std::size_t i = 0; i < joints.size(); ++i) {
+      const double distance = std::abs(joints[i] - measured[i]);
+      if (distance <= options_.first_step) continue;
+      std::ostringstream text;
+      text << name() << ": the first target must be near the arm: joint " << i << " is at " << measured[i]
+           << " rad and its target " << joints[i] << " rad is " << distance << " rad away, valid is at most "
+           << options_.first_step << " rad; lead the arm from where it is";
+      throw InvalidCommand(text.str());
+    }
+  }
+  Loop::Order& order = loop.orders.next();
+  order.number = ++loop.sent;
+  order.deadline = deadline();
+  order.joints.assign(joints.begin(), joints.end());
+  loop.orders.publish();
+}
+
+bool StreamedArm::do_has_arrived() {
+  Loop& loop = *loop_;
+  const std::lock_guard lock(loop.user);
+  const Loop::Seen& seen = loop.seen.take();
+  if (seen.done != loop.sent || seen.holds != loop.holds || !seen.is_still) return false;
+  const ArmState& state = seen.state;
+  for (std::size_t i = 0; i < state.joints.size(); ++i) {
+    if (std::abs(state.joint_velocities[i]) > kVelocityTolerance) return false;
+    if (!state.commanded_joints.empty() && std::abs(state.joints[i] - state.commanded_joints[i]) > options_.arrival)
+      return false;
+  }
+  return true;
+}
+
+void StreamedArm::do_hold() {
+  Loop& loop = *loop_;
+  loop.held = loop.sent.load();
+  ++loop.holds;
+  if (!loop.is_led || loop.silence() <= options_.silence || loop.thread_id == std::this_thread::get_id()) return;
+  loop.is_abandoned = true;
+  stop();
+}
+
+void StreamedArm::do_guide() { loop_->ask(Loop::Request::give_way); }
+void StreamedArm::do_recover() { loop_->ask(Loop::Request::clear); }
+
+void StreamedArm::do_close() {
+  const bool had_fault = !fault().empty();
+  loop_->end();
+  disconnect();
+  if (!had_fault && !fault().empty()) throw DeviceFault(name() + ": " + fault());
+}
+
+}  // namespace rcs

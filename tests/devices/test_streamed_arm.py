@@ -1,0 +1,231 @@
+"""Arms that a thread leads from command to command, with a vendor's functions in Python."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rcs._core import MotionLimits, Trajectory
+from rcs.devices import ArmLimits, ArmState, StreamedArm, StreamOptions, StreamPoint, TcpBox
+from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
+from rcs.kinematics import kinematics_of
+from rcs.robots import FR3
+from rcs.testing import ArmContract
+
+LIMITS = ArmLimits([-2.0, -1.5, -3.0], [2.0, 1.0, 0.5], [2.0, 1.5, 3.0], [10.0, 8.0, 12.0], [500.0, 1000.0, 5000.0])
+START = [0.1, -0.2, -0.5]
+PERIOD, TICKS = 0.04, 10  # 250 Hz
+
+
+class Servo(StreamedArm):
+    """Joints that are where the points say."""
+
+    def __init__(self, limits: ArmLimits = LIMITS, start: Any = START, **options: Any) -> None:
+        options = {"rate": 250.0, "period": PERIOD, "missed_ticks": 1000, "silence": 5.0, **options}
+        super().__init__("servo", limits, StreamOptions(**options))
+        self.joints = np.array(start)
+        self.points: list[StreamPoint] = []
+        self.calls: list[str] = []
+        self.error: Exception | None = None
+        self.has_reflex = False
+        self._go, self._idle = threading.Semaphore(0), threading.Semaphore(0)
+        self.is_free = not options.get("is_paced_by_read", False)
+
+    def advance(self, ticks: int) -> None:
+        """Let so many ticks pass; the thread then waits for the next."""
+        for _ in range(ticks):
+            self._go.release()
+            self._idle.acquire()
+
+    def _open(self) -> None:
+        self.calls.append("open")
+
+    def _start(self) -> None:
+        self.calls.append("start")
+
+    def _read(self) -> ArmState:
+        if not self.is_free and threading.current_thread() is not threading.main_thread() and self.calls[-1] != "start":
+            self._idle.release()
+            self._go.acquire()
+        if self.calls[-1] == "start":
+            self.calls.append("read")
+        if self.error is not None:
+            raise self.error
+        return ArmState(self.joints, np.zeros_like(self.joints))
+
+    def _write(self, point: StreamPoint) -> None:
+        if self.has_reflex:
+            raise RuntimeError("reflex")
+        self.points.append(point)
+        self.joints = point.position
+
+    def _stop(self) -> None:
+        self.calls.append("stop")
+
+    def _clear(self) -> None:
+        self.calls.append("clear")
+        self.has_reflex = False
+
+    def _close(self) -> None:
+        self.calls.append("close")
+
+    def open_and_wait(self) -> Servo:
+        """Open it, and return when its thread waits for the first tick."""
+        self.open()
+        self._idle.acquire()
+        return self
+
+    def run_freely(self) -> None:
+        self.is_free = True
+        self._go.release()
+
+
+class TestStreamedArm(ArmContract):
+    stopping_time = 0.4
+
+    def make_arm(self) -> StreamedArm:
+        return Servo()
+
+    def lose_link(self, device: Any) -> None:
+        device.error = OSError("no answer from the controller")
+        await_fault(device)
+
+    def provoke_fault(self, device: Any) -> None:
+        device.has_reflex = True
+        await_fault(device)
+
+
+def await_fault(device: StreamedArm) -> None:
+    for _ in range(3000):
+        if device.fault:
+            return
+        time.sleep(0.001)
+    pytest.fail("no fault came")
+
+
+def test_the_points_are_those_of_the_law_of_simulated_arms() -> None:
+    law = Trajectory(
+        MotionLimits(
+            LIMITS.joint_lower, LIMITS.joint_upper, LIMITS.joint_velocity, LIMITS.joint_acceleration, LIMITS.joint_jerk
+        )
+    )
+    memory = np.zeros(Trajectory.size(3))
+    for row in Trajectory.POSITION_ROWS:
+        memory[3 * row : 3 * row + 3] = START
+    arm = Servo(is_paced_by_read=True, tracking_error=10.0).open_and_wait()
+    random, target, expected = np.random.default_rng(5), np.array(START), []
+    for _ in range(60):
+        target = np.clip(target + random.normal(0.0, 0.05, 3), LIMITS.joint_lower, LIMITS.joint_upper)
+        arm.command_joints(target)
+        arm.advance(TICKS)
+        memory[:3] = target
+        law.follow(memory, PERIOD)
+        for _ in range(TICKS):
+            law.advance(memory, 1 / 250.0)
+            expected.append(law.state(memory))
+    arm.run_freely()
+    arm.close()
+    written = np.array([[p.position, p.velocity, p.acceleration] for p in arm.points[: len(expected)]])
+    np.testing.assert_array_equal(written, expected)
+
+
+def test_the_vendors_functions_are_called_in_order() -> None:
+    arm = Servo()
+    arm.open()
+    assert arm.calls == ["open"]
+    with pytest.raises(InvalidAction, match=r"joint 2 is at -0.5 rad .* 1 rad away, valid is at most 0.2 rad"):
+        arm.command_joints([0.1, -0.2, 0.5])
+    assert arm.ticks == 0
+    arm.command_joints(START)
+    while arm.ticks < 3:
+        time.sleep(0.001)
+    arm.has_reflex = True
+    await_fault(arm)
+    assert arm.fault == "RuntimeError: reflex"
+    with pytest.raises(DeviceFault, match="reflex"):
+        arm.command_joints(START)
+    arm.recover()
+    arm.close()
+    assert arm.calls == ["open", "start", "read", "stop", "clear", "close"]
+    assert math.isclose(sum(arm.clamped().values()), 0)
+
+
+def test_a_fault_of_a_read_stays_until_it_reads_again() -> None:
+    with Servo() as arm:
+        arm.error = OSError("no answer from the controller")
+        await_fault(arm)
+        assert arm.fault == "OSError: no answer from the controller"
+        with pytest.raises(DeviceFault, match="no answer from the controller"):
+            arm.state()
+        with pytest.raises(DeviceFault, match="recover failed: OSError: no answer"):
+            arm.recover()
+        arm.error = None
+        arm.recover()
+        np.testing.assert_array_equal(arm.state().joints, START)
+
+
+def test_the_tcp_stays_in_its_box() -> None:
+    kinematics = kinematics_of(FR3)
+    home = np.array(FR3.home)
+    z = kinematics.forward(home).translation[2]
+    limits = ArmLimits(
+        FR3.joint_lower, FR3.joint_upper, FR3.velocity_limit, FR3.acceleration_limit, FR3.jerk_limit, FR3.effort_limit
+    )
+    box = TcpBox([-2.0, -2.0, z - 0.1], [2.0, 2.0, 2.0], kinematics)
+    arm = Servo(limits, home, is_paced_by_read=True, box=box).open_and_wait()
+    arm.command_joints(home)
+    arm.advance(TICKS)
+    arm.command_joints(home + [0, 0.6, 0, 0, 0, 0, 0])  # leans forward, and down
+    arm.advance(20 * TICKS)
+    arm.run_freely()
+    arm.close()
+    lowest = min(kinematics.forward(p.position).translation[2] for p in arm.points)
+    assert z - 0.1 - 1e-3 <= lowest < z - 0.09
+    assert arm.clamped()["box"] == 1
+
+
+def test_options_and_limits_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(InvalidSetup, match="10 to 2000 Hz"):
+        Servo(rate=1.0)
+    with pytest.raises(InvalidSetup, match="a streamed arm needs limits of acceleration and jerk"):
+        Servo(ArmLimits([-1.0], [1.0], [1.0]))
+    arm = Servo()
+    with pytest.raises(InvalidSetup, match="period"):
+        arm.period = -1.0
+    arm.period = 0.02
+    assert arm.period == 0.02
+
+
+def test_an_arm_without_its_functions_says_which_is_missing() -> None:
+    class Bare(StreamedArm):
+        def _read(self) -> ArmState:
+            return ArmState(START, [0.0] * 3)
+
+        def _stop(self) -> None:
+            pass
+
+    with Bare("bare", LIMITS) as arm:
+        arm.command_joints(START)
+        await_fault(arm)
+        assert "Bare must define the method _write" in arm.fault
+
+
+def test_a_program_ends_while_its_arm_is_led() -> None:
+    program = """
+import time
+from tests.devices.test_streamed_arm import Servo, START
+arm = Servo(rate=1000.0)
+arm.open()
+arm.command_joints(START)
+time.sleep(0.1)
+print(arm.ticks > 5, flush=True)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "True\n", "")
