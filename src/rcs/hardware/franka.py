@@ -1,8 +1,8 @@
 """The Franka Research 3 and the Franka Hand, on the vendor's network interface (FCI) through `franky-control`.
 
 Time: franky's own thread answers the robot 1000 times a second, in C++ and without Python. It makes torques, from a
-reference that the arm's thread gives it `RATE` times a second; a reference that comes late is one that stands still, and
-not a packet that is missing. So the arm needs no kernel for real time where the computer is otherwise idle.
+reference that the arm's thread gives it `RATE` times a second; a reference that comes late is one that stands still,
+and not a packet that is missing. So the arm needs no kernel for real time where the computer is otherwise idle.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rcs.devices import Arm, ArmLimits, ArmState, StreamedArm, StreamOptions, St
 from rcs.errors import DeviceFault, InvalidSetup, require_fields
 from rcs.extras import package_of
 from rcs.hardware.driver import Driver
-from rcs.hardware.franka_faults import advice_for, connected, fault_of, within
+from rcs.hardware.franka_faults import advice_for, connected, fault_of, mode_of, within
 from rcs.hardware.franka_hand import FrankaHand
 from rcs.kinematics import kinematics_of
 from rcs.robots.description import ArmDescription, GripperDescription
@@ -29,11 +29,13 @@ RATE: Final = 500.0
 """References per second [Hz]."""
 STOPPING: Final = 0.5
 """How long it may take to confirm a stop [s]."""
+RECOVERING: Final = 1.0
+"""How long it may take to be idle after its recovery [s]."""
 SILENCE: Final = 0.1
 """Age of a state from which the controller counts as silent [s]; it sends one every millisecond."""
 
-# Ranges within which an FR3 admits these speeds everywhere; beyond them it is the slower the nearer a joint is to its end
-# (vendor's Control Interface Specification and Robot Limits).
+# Ranges within which an FR3 admits these speeds everywhere; beyond them it is the slower the nearer a joint is to its
+# end (vendor's Control Interface Specification and Robot Limits).
 STEADY_LOWER: Final = (-2.3093, -1.5133, -2.4937, -2.7478, -2.48, 0.8521, -2.6895)
 STEADY_UPPER: Final = (2.3093, 1.5133, 2.4937, -0.4461, 2.48, 4.2094, 2.6895)
 STEADY_VELOCITY: Final = (2.0, 1.0, 1.5, 1.25, 3.0, 1.5, 3.0)
@@ -42,6 +44,8 @@ STEADY_VELOCITY: Final = (2.0, 1.0, 1.5, 1.25, 3.0, 1.5, 3.0)
 JOINT_STIFFNESS: Final = (600.0, 600.0, 600.0, 600.0, 250.0, 150.0, 50.0)
 JOINT_DAMPING: Final = (50.0, 50.0, 50.0, 50.0, 30.0, 25.0, 15.0)
 TCP_STIFFNESS: Final = (1000.0, 1000.0, 1000.0, 60.0, 60.0, 60.0)
+GUIDING_DAMPING: Final = (2.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5)
+"""With which a hand that guides the arm is resisted [N·m·s/rad]; ours."""
 POSTURE_STIFFNESS: Final = 5.0
 """With which an arm that is stiff at the TCP keeps its elbow [N·m/rad]; ours."""
 
@@ -56,8 +60,8 @@ class FrankaOptions:
     compliance: Compliance = "joints"
     """What a push moves, as a spring does: each joint, or the TCP as a whole (operational space)."""
     stiffness: tuple[float, ...] | None = None
-    """Of the joints [N·m/rad], seven, or of the TCP, six: x, y, z [N/m] and about x, y, z [N·m/rad], in the frame of the
-    base. Lower ones push less and come less close to where the arm is led."""
+    """Of the joints [N·m/rad], seven, or of the TCP, six: x, y, z [N/m] and about x, y, z [N·m/rad], in the frame of
+    the base. Lower ones push less and come less close to where the arm is led."""
     damping: tuple[float, ...] | None = None
     """As many, [N·m·s/rad] or [N·s/m]; None for what suits the stiffness."""
     collision_torque: tuple[float, ...] | None = None
@@ -142,15 +146,17 @@ class FrankaArm(StreamedArm):
         self._tracker: Any = None
         self._newest: Any = None  # state
         self._led: Vector | None = None
-        self._has_link = False
+        self._has_link = self._is_led = False
+        self._problem = ""
         self._seen = (math.nan, 0.0)  # the newest state's time, of the robot and of the host
 
     def _open(self) -> None:
         self._franky = franky = package_of("franka", "franky", "The driver franka needs")
-        robot = connected(
-            lambda: franky.Robot(self._address, realtime_config=franky.RealtimeConfig.Ignore), self._address, "the arm"
+        ignore = franky.RealtimeConfig.Ignore
+        self._robot = robot = connected(
+            lambda: franky.Robot(self._address, realtime_config=ignore), self._address, "the arm"
         )
-        self._robot, self._has_link, self._led = robot, True, None
+        self._has_link, self._led, self._problem, self._seen = True, None, "", (math.nan, 0.0)
         limits, given = self._about.collision, self._options
         assert limits is not None, "the description of an FR3 has them"
         torque = list(limits.joint_torque if given.collision_torque is None else given.collision_torque)
@@ -160,10 +166,11 @@ class FrankaArm(StreamedArm):
 
     def _read(self) -> ArmState:
         state = self._fresh_state()
-        if (reason := fault_of(state, self._about.joints)) or not self._is_in_control():
-            self._end_tracker()
-            if reason:
-                raise DeviceFault(reason)
+        if self._tracker is not None and not self._robot.is_in_control:
+            self._problem = self._forget_motion() or "the controller has ended the motion and does not say why"
+        self._problem = fault_of(state, self._about.joints) or self._problem
+        if self._problem and not self._is_led and not self.fault:
+            self.set_fault(self._problem)
         return ArmState(
             list(state.q),
             list(state.dq),
@@ -172,63 +179,80 @@ class FrankaArm(StreamedArm):
             commanded_joints=list(state.q if self._led is None else self._led),
             efforts=list(state.tau_J),
             wrench=list(-state.O_F_ext_hat_K),  # the controller tells what the arm does to others
-            mode=str(state.robot_mode).rpartition(".")[2],
+            mode=mode_of(state),
         )
 
     def _start(self) -> None:
+        self._end_motion()
         franky, options = self._franky, self._options
-        self._end_tracker()
         if options.compliance == "joints":
-            damping = options.damping
-            if damping is None and options.stiffness is None:
-                damping = JOINT_DAMPING
+            damping = JOINT_DAMPING if options.stiffness is None and options.damping is None else options.damping
             self._tracker = franky.JointImpedanceTracker(
-                self._robot, stiffness=np.array(options.stiffness or JOINT_STIFFNESS), damping=_array(damping)
+                self._robot,
+                stiffness=np.array(options.stiffness or JOINT_STIFFNESS),
+                damping=None if damping is None else np.array(damping),
             )
         else:
-            posture = franky.PostureTask(self._robot.current_joint_positions, stiffness=POSTURE_STIFFNESS)
             stiffness = list(options.stiffness or TCP_STIFFNESS)
             damping = [2.0 * math.sqrt(one) for one in stiffness] if options.damping is None else list(options.damping)
-            gains = franky.CartesianImpedanceGains.diagonal(stiffness, damping)
-            self._tracker = franky.CartesianImpedanceTracker(self._robot, gains=gains, posture_task=posture)
+            self._tracker = franky.CartesianImpedanceTracker(
+                self._robot,
+                gains=franky.CartesianImpedanceGains.diagonal(stiffness, damping),
+                posture_task=franky.PostureTask(self._robot.current_joint_positions, stiffness=POSTURE_STIFFNESS),
+            )
+        self._is_led = True
 
     def _write(self, point: StreamPoint) -> None:
+        if self._problem:
+            raise DeviceFault(self._problem)
         position, velocity = np.array(point.position), np.array(point.velocity)
         self._led = position
-        if self._tracker is None:
-            raise DeviceFault("the controller has ended the motion without saying why")
         if self._options.compliance == "joints":
             mass = np.array(self._robot.model.mass(self._newest))
             self._tracker.set_target(position, velocity, mass @ np.array(point.acceleration))
             return
-        pose_tool_in_flange = self._newest.F_T_EE.matrix
-        pose_flange_in_base = self._flange.forward(position).matrix
+        flange, tool_in_flange = self._flange.forward(position).matrix, np.array(self._newest.F_T_EE.matrix)
         twist = self._flange.jacobian(position) @ velocity
-        lever = pose_flange_in_base[:3, :3] @ pose_tool_in_flange[:3, 3]
-        twist[:3] += np.cross(twist[3:], lever)
-        self._tracker.set_target(
-            self._franky.Affine(pose_flange_in_base @ pose_tool_in_flange), self._franky.Twist(twist[:3], twist[3:])
-        )
+        twist[:3] += np.cross(twist[3:], flange[:3, :3] @ tool_in_flange[:3, 3])
+        franky = self._franky
+        self._tracker.set_target(franky.Affine(flange @ tool_in_flange), franky.Twist(twist[:3], twist[3:]))
 
     def _stop(self) -> None:
+        self._is_led, self._led = False, None
         robot = self._robot
         if robot is None or self._tracker is None or not self._has_link:
             return
-        within(STOPPING, robot.stop)
-        within(STOPPING, self._end_tracker)
+        try:
+            within(STOPPING, robot.stop)
+        except TimeoutError as err:
+            raise DeviceFault(f"the controller has not confirmed the stop for {STOPPING:g} s") from err
+        self._forget_motion()
+
+    def _can_guide(self) -> bool:
+        return True
+
+    def _guide(self) -> None:
+        self._end_motion()
+        self._tracker = self._franky.JointImpedanceTracker(
+            self._robot, stiffness=np.zeros(7), damping=np.array(GUIDING_DAMPING)
+        )
 
     def _clear(self) -> None:
-        self._end_tracker()
-        state = self._robot.state
-        if reason := fault_of(state, self._about.joints, is_recoverable=False):
+        self._forget_motion()
+        if reason := fault_of(self._fresh_state(), self._about.joints, is_recoverable=False):
             raise DeviceFault(reason)
         self._robot.recover_from_errors()
+        begin = time.monotonic()
+        while mode_of(self._fresh_state()) != "Idle":
+            if time.monotonic() - begin > RECOVERING:
+                raise DeviceFault(f"the robot is in mode {mode_of(self._newest)} {RECOVERING:g} s after its recovery")
+            time.sleep(0.01)
+        self._problem = ""
 
     def _close(self) -> None:
-        tracker, self._tracker = self._tracker, None
-        if tracker is not None and self._has_link and tracker.is_running:
-            within(STOPPING, tracker.stop)
-        self._robot = self._newest = tracker = None
+        if self._has_link:
+            self._end_motion()
+        self._robot = self._newest = self._tracker = None  # which disconnects
 
     def _fresh_state(self) -> Any:
         try:
@@ -244,19 +268,21 @@ class FrankaArm(StreamedArm):
         self._newest = state
         return state
 
-    def _is_in_control(self) -> bool:
-        return self._tracker is None or self._robot.is_in_control
+    def _end_motion(self) -> None:
+        """Bring the arm to rest as torques can, and let go of the motion."""
+        tracker = self._tracker
+        if tracker is not None and tracker.is_running:
+            self._robot.move(self._franky.TorqueStopMotion(max_duration=STOPPING), asynchronous=True)
+        self._forget_motion()
 
-    def _end_tracker(self) -> None:
-        """Let go of a motion that has ended; a later one would raise what is wrong with it."""
-        if self._tracker is None:
-            return
-        try:
-            self._robot.join_motion(STOPPING)
-        except (self._franky.ControlException, self._franky.NetworkException):
-            # Known: the state says in which mode the arm is, and why its last motion ended.
-            pass
+    def _forget_motion(self) -> str:
+        """Wait for the end of a motion, and return what the library says of it; else the next one would raise that."""
         self._tracker = None
+        try:
+            self._robot.join_motion(2.0 * STOPPING)
+        except (self._franky.ControlException, self._franky.NetworkException) as err:
+            return str(err)
+        return ""
 
 
 def limits_of_fr3(about: ArmDescription, *, whole_range: bool) -> ArmLimits:
@@ -273,7 +299,3 @@ def limits_of_fr3(about: ArmDescription, *, whole_range: bool) -> ArmLimits:
         joint_jerk=list(about.jerk_limit),
         joint_effort=list(about.effort_limit),
     )
-
-
-def _array(values: tuple[float, ...] | None) -> Vector | None:
-    return None if values is None else np.array(values)

@@ -24,7 +24,7 @@ _WORDS = {
     "communication_constraints_violation": _LATE,
     "joint_velocity_violation": _FAST,
     "cartesian_velocity_violation": _FAST,
-    "joint_position_limits_violation": "a joint is at the end of its range: move the arm back by hand, in programming mode",
+    "joint_position_limits_violation": "a joint is at the end of its range: move the arm back by hand (Desk)",
     "self_collision_avoidance_violation": "the arm came too close to itself",
     "controller_torque_discontinuity": "the commanded torques jumped, as when commands are lost: " + _LATE,
     "tau_J_range_violation": "the commanded torques were too large: use less stiffness, or a lighter load",
@@ -42,11 +42,13 @@ def fault_of(state: Any, joints: Sequence[str], *, is_recoverable: bool = True) 
         joints: Names of the joints.
         is_recoverable: Whether what `recover` mends counts, too.
     """
-    mode = str(state.robot_mode).rpartition(".")[2]
+    mode = mode_of(state)
     if mode == "UserStopped":
         return "the user stop is pressed (mode UserStopped): release it, then recover"
     if mode == "Other":
-        return "the joints are locked or the control interface is off (mode Other): unlock them and activate FCI in Desk"
+        return (
+            "the joints are locked or the control interface is off (mode Other): unlock them and activate FCI in Desk"
+        )
     if mode != "Reflex" or not is_recoverable:
         return ""
     names = names_of(state.current_errors) or names_of(state.last_motion_errors)
@@ -57,6 +59,11 @@ def fault_of(state: Any, joints: Sequence[str], *, is_recoverable: bool = True) 
         f"the robot stopped itself (mode Reflex) with {', '.join(names) or 'no error named'}{where}"
         f"{': ' + words if words else ''}; then recover"
     )
+
+
+def mode_of(state: Any) -> str:
+    """Return the mode of an arm as franky's `RobotState` has it, such as `Idle`."""
+    return str(state.robot_mode).rpartition(".")[2]
 
 
 def names_of(errors: Any) -> list[str]:
@@ -89,7 +96,7 @@ def connected(make: Callable[[], T], address: str, what: str) -> T:
         return within(CONNECTING, make)
     except TimeoutError as err:
         raise DeviceFault(
-            f"{what} at {address} took the connection and has not said a word for {CONNECTING:g} s. {advice_for(address)}"
+            f"{what} at {address} is connected and has not said a word for {CONNECTING:g} s. {advice_for(address)}"
         ) from err
     except Exception as err:  # the library's own, which have no common class
         text = str(err).strip()
@@ -117,7 +124,7 @@ def within(seconds: float, call: Callable[[], T]) -> T:
     def run() -> None:
         try:
             found.append(call())
-        except BaseException as err:  # handed over to who waits
+        except BaseException as err:  # noqa: BLE001 - handed over to who waits
             raised.append(err)
         finally:
             done.set()

@@ -55,7 +55,8 @@ class FrankaHand(Gripper):
         try:
             self._hand.homing()
         except Exception as err:  # the library's own, which have no common class
-            self.fail(f"homing failed: {err}")
+            self.set_fault(f"homing failed: {err}")
+            raise DeviceFault(f"{self.name}: {self.fault}") from err
 
     def _open(self) -> None:
         franky = package_of("franka", "franky", "The driver franka needs")
@@ -88,7 +89,9 @@ class FrankaHand(Gripper):
 
     def _command_opening(self, opening: float, force: float | None) -> None:
         if self._state_now.max_width < SAME:
-            raise DeviceFault("the hand does not know its range since it was switched on: home it in Desk, or by home()")
+            raise DeviceFault(
+                "the hand does not know its range since it was switched on: home it in Desk, or by home()"
+            )
         self._state()
         wanted = (opening * self.max_width, self._about.grasp_force if force is None else force)
         with self._news:
@@ -132,7 +135,7 @@ class FrankaHand(Gripper):
         while not self._is_ended:
             try:
                 state = hand.state
-            except Exception as err:  # the library's own, which have no common class
+            except Exception as err:  # noqa: BLE001 - the library's own have no common class
                 self._problem = self._problem or f"the connection to the hand is lost: {err}"
                 return
             self._state_now, self._measured_at = state, time.monotonic()
@@ -150,7 +153,7 @@ class FrankaHand(Gripper):
                 width, force = self._given
             try:
                 self._move(hand, width, force)
-            except Exception as err:  # the library's own, which have no common class
+            except Exception as err:  # noqa: BLE001 - the library's own have no common class
                 if "aborted" not in str(err):  # by a newer command, or by a hold
                     self._problem = f"the hand has not obeyed: {err}"
 

@@ -1,8 +1,8 @@
 """What a Franka controller makes of the commands of each millisecond, and which it refuses.
 
 The conditions are those that the vendor's "Control Interface Specification and Robot Limits" calls necessary: whoever
-breaks one is stopped. A client computes from states in `float32` and smooths with a low-pass, so commands that keep
-the limits elsewhere have a little more of acceleration and jerk here: `TOLERANCE` and `JERK_TOLERANCE` leave room for it.
+breaks one is stopped. A client computes from states in `float32` and smooths with a low-pass, so commands that keep the
+limits elsewhere have a little more of acceleration and jerk here: `TOLERANCE` and `JERK_TOLERANCE` leave room for it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rcs.kinematics import Kinematics
 from rcs.robots.description import ArmDescription
 from rcs.spatial import Pose
-from rcs.virtual.franka_messages import Error, Generator
+from rcs.virtual.franka_messages import Error, GeneratorMode
 from rcs.virtual.franka_model import velocity_bounds
 
 PERIOD: Final = 1e-3
@@ -27,7 +27,7 @@ START_TOLERANCE: Final = 1e-3
 TORQUE_RATE: Final = 1000.0
 """N·m/s; libfranka, rate_limiting.h, as the next."""
 CARTESIAN_LIMITS: Final = ((3.0, 9.0, 4500.0), (2.5, 17.0, 8500.0))
-"""Greatest velocity, acceleration and jerk of the TCP: translation [m/s, m/s², m/s³], rotation [rad/s, rad/s², rad/s³]."""
+"""Velocity, acceleration and jerk of the TCP: translation [m/s, m/s², m/s³], rotation [rad/s, rad/s², rad/s³]."""
 
 _JOINT_ERRORS = (
     Error.JOINT_MOTION_GENERATOR_POSITION_LIMITS_VIOLATION,
@@ -60,7 +60,7 @@ class MotionGenerator:
         pose: The commanded TCP in the frame of the base.
     """
 
-    def __init__(self, mode: Generator, arm: ArmDescription, kinematics: Kinematics, joints: Vector) -> None:
+    def __init__(self, mode: GeneratorMode, arm: ArmDescription, kinematics: Kinematics, joints: Vector) -> None:
         """Begin at rest at joints [rad], (7,), the last that were commanded."""
         self.mode = mode
         self.joints = joints.copy()
@@ -88,16 +88,16 @@ class MotionGenerator:
 
     def _take(self, command: Any) -> list[Error]:
         errors: list[Error] = []
-        if self.mode is Generator.JOINT_POSITION:
+        if self.mode is GeneratorMode.JOINT_POSITION:
             joints = np.array(command["q_c"])
             if not self._has_begun and np.abs(joints - self.joints).max() > START_TOLERANCE:
                 return [Error.JOINT_POSITION_MOTION_GENERATOR_START_POSE_INVALID]
             velocities = (joints - self.joints) / PERIOD
-        elif self.mode is Generator.JOINT_VELOCITY:
+        elif self.mode is GeneratorMode.JOINT_VELOCITY:
             velocities = np.array(command["dq_c"])
             joints = self.joints + velocities * PERIOD
         else:
-            if self.mode is Generator.CARTESIAN_POSITION:
+            if self.mode is GeneratorMode.CARTESIAN_POSITION:
                 matrix = np.array(command["O_T_EE_c"]).reshape(4, 4).T
                 if not _is_rigid(matrix):
                     return [Error.CARTESIAN_POSITION_MOTION_GENERATOR_INVALID_FRAME]
@@ -129,7 +129,7 @@ class MotionGenerator:
         self.pose = self._kinematics.forward(self.joints)
 
     def _inverse(self, elbow: float | None) -> Vector:
-        """Return joints for the pose [rad], (7,): a step from the last ones, which keeps the third joint or leads it."""
+        """Return joints for the pose [rad], (7,), a step from the last ones; the third joint stays, or is led."""
         jacobian = np.vstack([self._kinematics.jacobian(self.joints), np.eye(7)[2]])
         way = _difference(self.pose, self._kinematics.forward(self.joints))
         turn = 0.0 if elbow is None else elbow - self.joints[2]
@@ -146,7 +146,11 @@ class MotionGenerator:
             np.abs(accelerations) > TOLERANCE * np.array(self._arm.acceleration_limit),
             np.abs(jerks) > JERK_TOLERANCE * np.array(self._arm.jerk_limit),
         )
-        names = _JOINT_ERRORS if self.mode in (Generator.JOINT_POSITION, Generator.JOINT_VELOCITY) else _INVERSE_ERRORS
+        names = (
+            _JOINT_ERRORS
+            if self.mode in (GeneratorMode.JOINT_POSITION, GeneratorMode.JOINT_VELOCITY)
+            else _INVERSE_ERRORS
+        )
         return [name for name, where in zip(names, broken, strict=True) if where.any()]
 
     def _check_twist(self, twist: Vector) -> list[Error]:

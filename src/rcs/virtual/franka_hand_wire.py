@@ -86,9 +86,10 @@ class FrankaHandWire:
         self._running, self._still, self._is_grasped = (command, number, request), 0, False
         if command == HandCommand.HOMING:
             self._robot.move(self._about.max_width)
-        elif not all(np.isfinite(float(request[name])) and request[name] >= 0 for name in request.dtype.names):
-            self._finish(HandStatus.FAIL)
-        elif request["width"] > self._about.max_width:
+        elif (
+            not all(np.isfinite(float(request[name])) and request[name] >= 0 for name in request.dtype.names)
+            or request["width"] > self._about.max_width
+        ):
             self._finish(HandStatus.FAIL)
         elif command == HandCommand.MOVE:
             self._robot.move(float(request["width"]), float(request["speed"]))

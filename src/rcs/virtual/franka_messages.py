@@ -54,7 +54,7 @@ class MoveStatus(IntEnum):
     INPUT_ERROR_ABORTED = 10
 
 
-class Generator(IntEnum):
+class GeneratorMode(IntEnum):
     """Who makes the motion of an arm, as its state tells; a request to move counts from `JOINT_POSITION` = 0."""
 
     IDLE = 0

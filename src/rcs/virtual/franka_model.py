@@ -22,7 +22,9 @@ DECELERATION_LIMIT: Final = np.array([6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0])
 VELOCITY_OFFSET: Final = np.array([0.3, 0.2, 0.2, 0.3, 0.35, 0.35, 0.35])
 
 
-def velocity_bounds(arm: ArmDescription, joints: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def velocity_bounds(
+    arm: ArmDescription, joints: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the least and the greatest velocity of each joint [rad/s], (7,), that an FR3 admits at joints [rad], (7,).
 
     The nearer a joint is to the end of its range, the slower it has to go (libfranka, joint_velocity_limits.h).

@@ -1,4 +1,4 @@
-"""The controller of a Franka Research 3 with its hand, as its network sees it: the Franka Control Interface, version 10.
+"""The controller of a Franka Research 3 with its hand, as its network sees it: the vendor's FCI, version 10.
 
 The arm listens on TCP port 1337 and sends its state by UDP every millisecond; while a client moves it, the client
 answers each state with a command. Whatever the vendor documents as a reason to stop stops this arm, too: commands
@@ -35,7 +35,7 @@ from rcs.virtual.franka_messages import (
     Command,
     Controller,
     Error,
-    Generator,
+    GeneratorMode,
     Mode,
     MoveStatus,
 )
@@ -134,7 +134,7 @@ class FrankaWire(Wire):
             self._hand.tick()
 
     def tell(self, fault: Fault) -> None:
-        """Have the arm collide, be stopped or braked, complain with the number of an error, or be of another version."""
+        """Have the arm collide, be stopped or locked, complain of something, or be of another version."""
         if fault.name == "reflex":
             self._collided[3] = 1.0  # as something that pushes against the forearm
             self._abort(MoveStatus.REFLEX_ABORTED, [Error.JOINT_REFLEX])
@@ -224,10 +224,10 @@ class FrankaWire(Wire):
         if self._mode is not Mode.IDLE:
             client.reply(Command.MOVE, number, bytes([MoveStatus.NOT_POSSIBLE]))
             return
-        if controller > Controller.EXTERNAL or generator > Generator.NONE:
+        if controller > Controller.EXTERNAL or generator > GeneratorMode.NONE:
             client.reply(Command.MOVE, number, bytes([MoveStatus.INVALID_ARGUMENT]))
             return
-        is_torque = generator == Generator.NONE
+        is_torque = generator == GeneratorMode.NONE
         if is_torque != (controller == Controller.EXTERNAL) or request["use_async_motion_generator"]:
             # Torques beside a motion generator and the controller's own planning are not simulated.
             client.reply(Command.MOVE, number, bytes([MoveStatus.INVALID_ARGUMENT]))
@@ -235,7 +235,7 @@ class FrankaWire(Wire):
         self._forget_motion()
         self._motion = number
         self._mode = Mode.MOVE
-        self._generator_mode, self._controller_mode = Generator(generator), Controller(controller)
+        self._generator_mode, self._controller_mode = GeneratorMode(generator), Controller(controller)
         if not is_torque:
             self._generator = MotionGenerator(self._generator_mode, self._arm, self._kinematics, self._joints)
         self._errors.clear()
@@ -341,7 +341,7 @@ class FrankaWire(Wire):
     def _forget_motion(self) -> None:
         self._motion: int | None = None
         self._generator: MotionGenerator | None = None
-        self._generator_mode, self._controller_mode = Generator.IDLE, Controller.OTHER
+        self._generator_mode, self._controller_mode = GeneratorMode.IDLE, Controller.OTHER
         self._answered, self._lost = -1, 0
 
     def _rest(self, mode: Mode) -> None:
