@@ -97,7 +97,7 @@ class Client:
 
 
 class Listener:
-    """Listens for a client. While there is one, others are hung up on."""
+    """Listens for a client. While there is one, others wait."""
 
     def __init__(
         self, line: Line, address: str, port: int, header: np.dtype[np.void], requests: Mapping[int, np.dtype[np.void]]
@@ -124,17 +124,15 @@ class Listener:
 
     def files(self) -> Sequence[socket.socket]:
         """Return what can be read."""
-        return [self._socket] if self.client is None else [self._socket, self.client.tcp, self.client.udp]
+        if self.client is not None:
+            return [self.client.tcp, self.client.udp]
+        return [] if self._line.is_cut else [self._socket]
 
     def receive(self, file: socket.socket, command: np.dtype[np.void] | None = None) -> Iterator[tuple[int, int, Any]]:
         """Read, and yield the requests that are whole: command, number, and what follows the header."""
         client = self.client
         if file is self._socket:
-            connected, _ = self._socket.accept()
-            if client is None and not self._line.is_cut:
-                self.client = Client(connected, self._line, self._header)
-            else:
-                connected.close()
+            self.client = Client(self._socket.accept()[0], self._line, self._header)
         elif client is not None and file is client.udp:
             client.read_datagrams()
         elif client is not None and file is client.tcp:
