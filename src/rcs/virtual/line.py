@@ -52,19 +52,20 @@ class Line:
             self._left.clear()
             self.is_cut = False
 
-    def send(self, packet: bytes, write: Write) -> None:
+    def send(self, packet: bytes, write: Write, after: float = 0.0) -> None:
         """Send a packet now or later, damaged or not at all.
 
         Args:
             packet: What a receiver takes as one.
             write: Sends it.
+            after: How long it takes on a line that is well [s].
         """
         with self._lock:
             now = time.monotonic()
             passed = self.receive(packet)
             if passed is None:
                 return
-            due = now
+            due = now + after
             late = self._told.get("late")
             if late is not None and (not late.share or self._random.random() * late.share < 1.0):
                 due += 1e-3 * late.number

@@ -8,8 +8,9 @@ import sys
 import tempfile
 from pathlib import Path
 from types import TracebackType
+from typing import IO
 
-from rcs.errors import InvalidSetup
+from rcs.errors import InvalidSetup, SimulationError
 from rcs.hardware.site import Site
 from rcs.virtual.control import tell
 
@@ -42,6 +43,7 @@ class VirtualProcess:
         options = [word for name, value in given.items() if value is not None for word in (name, str(value))]
         self._command = [sys.executable, "-m", "rcs", "virtual", robot, *options]
         self._process: subprocess.Popen[str] | None = None
+        self._words: IO[str] | None = None
         self.name = ""
         """Name by which it is told of faults."""
         self.site = Site()
@@ -53,16 +55,15 @@ class VirtualProcess:
         Raises:
             InvalidSetup: It does not start; the message has its words.
         """
-        with tempfile.TemporaryFile("w+") as words:
-            self._process = subprocess.Popen(
-                self._command, stdout=subprocess.PIPE, stderr=words, stdin=subprocess.DEVNULL, text=True
-            )
-            assert self._process.stdout is not None
-            line = self._process.stdout.readline()
-            if not line:
-                self._process.wait()
-                words.seek(0)
-                raise InvalidSetup(f"`rcs {' '.join(self._command[3:])}` does not start: {words.read().strip()}")
+        self._words = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed by `close`
+        self._process = subprocess.Popen(
+            self._command, stdout=subprocess.PIPE, stderr=self._words, stdin=subprocess.DEVNULL, text=True
+        )
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            self._process.wait()
+            raise InvalidSetup(f"`rcs {' '.join(self._command[3:])}` does not start: {self._last_words()}")
         told = json.loads(line)
         self.name, self.site = told["name"], Site(**told["site"])
         return self
@@ -85,12 +86,27 @@ class VirtualProcess:
         tell(f"{self.name}{slash}{robot}", [fault, *map(str, words[1:])])
 
     def close(self) -> None:
-        """End it and wait until it is gone; closing twice is harmless."""
+        """End it and wait until it is gone; closing twice is harmless.
+
+        Raises:
+            SimulationError: It has failed before; the message has its words.
+        """
         if self._process is None:
             return
-        self._process.terminate()
+        process, self._process = self._process, None
+        has_failed = bool(process.poll())
+        process.terminate()
         try:
-            self._process.communicate(timeout=END)
+            process.communicate(timeout=END)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.communicate()
+            process.kill()
+            process.communicate()
+        words = self._last_words()
+        if has_failed:
+            raise SimulationError(f"The virtual robot {self.name!r} has failed: {words}")
+
+    def _last_words(self) -> str:
+        assert self._words is not None, "it was started"
+        with self._words as words:
+            words.seek(0)
+            return words.read().strip()

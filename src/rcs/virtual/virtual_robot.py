@@ -63,6 +63,11 @@ class VirtualRobot:
         self._lag = (damping - self._bias[:, 2]) / stiffness  # of a servo that is given positions alone [s]
         self._stiffness = stiffness
         self._effort = np.array(arm.effort_limit)
+        joints = layout.joint_ids
+        has_limit = model.jnt_actfrclimited[joints].astype(bool)[:, None]
+        self._torque_range = np.where(has_limit, model.jnt_actfrcrange[joints], self._effort[:, None] * [-1.0, 1.0])
+        model.jnt_actfrclimited[joints] = True
+        self.limit(np.ones(arm.dof))
         self._slowing = np.array(arm.acceleration_limit)
         self._force = np.zeros(model.nv)
         self._wanted = np.zeros(model.nv)
@@ -101,6 +106,18 @@ class VirtualRobot:
     def width(self) -> float:
         """Width of the gripper [m], NaN without one."""
         return np.nan if self.gripper is None else float(self.body.opening[0]) * self.gripper.max_width
+
+    @property
+    def grip_force(self) -> float:
+        """Force per finger that the gripper's motor exerts [N], NaN without one."""
+        if self.gripper is None:
+            return np.nan
+        finger, at = self.body.layout.finger_joint_ids[0], self.body.layout.finger_actuator
+        if self._model.jnt_actfrclimited[finger]:
+            force, (_, _, limit) = self._data.qfrc_actuator[self._model.jnt_dofadr[finger]], self._grip_limits[1]
+        else:
+            force, (_, _, limit) = self._data.actuator_force[at], self._grip_limits[0]
+        return float(abs(force) / limit[1]) * self.gripper.grasp_force
 
     @property
     def is_grip_still(self) -> bool:
@@ -152,6 +169,14 @@ class VirtualRobot:
         """Come to rest at the largest accelerations, and stay there."""
         self._stop_pushing()
         self._is_braking = True
+
+    def limit(self, shares: ArrayLike) -> None:
+        """Let the motors exert no more than shares of their torques, (dof,): 1 for all, 0 for a motor without power.
+
+        A joint without power falls; torques against gravity count too.
+        """
+        torques = np.asarray(shares, np.float64)[:, None] * self._torque_range
+        self._model.jnt_actfrcrange[self.body.layout.joint_ids] = torques
 
     def rest(self) -> None:
         """Stay where the arm is measured, with servos that are led there; the gripper keeps its width."""
