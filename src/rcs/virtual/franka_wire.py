@@ -96,6 +96,7 @@ class FrankaWire(Wire):
         model.dof_frictionloss[model.jnt_dofadr[robot.body.layout.joint_ids]] = 0.0
         self._received = deque([1.0] * 100, maxlen=100)
         self._state = np.zeros((), ARM_STATE)
+        self._tell_mounting()
 
     def site(self) -> Mapping[str, Mapping[str, Any]]:
         """Return the entries of arm and hand."""
@@ -217,6 +218,7 @@ class FrankaWire(Wire):
             if request["mass"] < 0:
                 return _INVALID
             self._load = (float(request["mass"]), np.array(request["center"]), np.array(request["inertia"]))
+        self._tell_mounting()
         return _DONE
 
     def _begin(self, client: Client, number: int, request: Any) -> None:
@@ -366,8 +368,19 @@ class FrankaWire(Wire):
         self._collided_tool = np.maximum(self._collided_tool, tool)
         return [Error.JOINT_REFLEX] * bool(joints.any()) + [Error.CARTESIAN_REFLEX] * bool(tool.any())
 
+    def _tell_mounting(self) -> None:
+        """Write into the state what only settings change."""
+        state, carried = self._state, self._carried
+        state["F_T_NE"] = _columns(carried.pose_tcp_in_flange)
+        state["NE_T_EE"] = _columns(self._pose_ee_in_ne)
+        state["F_T_EE"] = _columns(carried.pose_tcp_in_flange * self._pose_ee_in_ne)
+        state["EE_T_K"] = _columns(self._pose_k_in_ee)
+        state["m_ee"], state["F_x_Cee"], state["I_ee"] = carried.mass, carried.center, carried.inertia.ravel()
+        state["m_load"], state["F_x_Cload"], state["I_load"] = self._load
+        state["O_ddP_O"] = (0.0, 0.0, -9.81)
+
     def _tell_state(self, client: Client) -> NDArray[np.void]:
-        robot, state, carried = self.robot, self._state, self._carried
+        robot, state = self.robot, self._state
         joints, velocities = robot.joints, robot.velocities
         generator = self._generator
         pose = Pose.from_tquat(robot.pose_tcp_in_base)
@@ -375,17 +388,10 @@ class FrankaWire(Wire):
         if self._mode is not Mode.IDLE and generator is None:
             led, pose_led = joints, pose  # torques and brakes lead nothing
         matrix = _columns(pose)
-        pose_ee_in_flange = carried.pose_tcp_in_flange * self._pose_ee_in_ne
         client.sent += 1
         state["message_id"] = client.sent
         state["O_T_EE"] = matrix if self._pose_ee_in_ne == Pose() else _columns(pose * self._pose_ee_in_ne)
         state["O_T_EE_d"] = state["O_T_EE_c"] = _columns(pose_led)
-        state["F_T_EE"] = _columns(pose_ee_in_flange)
-        state["EE_T_K"] = _columns(self._pose_k_in_ee)
-        state["F_T_NE"] = _columns(carried.pose_tcp_in_flange)
-        state["NE_T_EE"] = _columns(self._pose_ee_in_ne)
-        state["m_ee"], state["F_x_Cee"], state["I_ee"] = carried.mass, carried.center, carried.inertia.ravel()
-        state["m_load"], state["F_x_Cload"], state["I_load"] = self._load
         state["elbow"] = (joints[2], -1.0 if joints[3] < 0 else 1.0)
         state["elbow_d"] = state["elbow_c"] = (led[2], -1.0 if led[3] < 0 else 1.0)
         state["q"] = state["theta"] = joints
@@ -406,7 +412,6 @@ class FrankaWire(Wire):
         state["joint_contact"] = np.abs(self._external) > self._threshold_torques[0]
         state["cartesian_contact"] = np.abs(self._wrench) > self._threshold_forces[0]
         state["joint_collision"], state["cartesian_collision"] = self._collided, self._collided_tool
-        state["O_ddP_O"] = (0.0, 0.0, -9.81)
         state["motion_generator_mode"], state["controller_mode"] = self._generator_mode, self._controller_mode
         state["errors"], state["reflex_reason"] = 0, 0
         state["errors"][list(self._errors)] = 1
