@@ -7,6 +7,7 @@ and not a packet that is missing. So the arm needs no kernel for real time where
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Mapping
@@ -31,7 +32,7 @@ STOPPING: Final = 0.5
 """How long it may take to confirm a stop [s]."""
 RECOVERING: Final = 1.0
 """How long it may take to be idle after its recovery [s]."""
-SILENCE: Final = 0.1
+SILENCE: Final = 0.2
 """Age of a state from which the controller counts as silent [s]; it sends one every millisecond."""
 
 # Ranges within which an FR3 admits these speeds everywhere; beyond them it is the slower the nearer a joint is to its
@@ -49,6 +50,8 @@ GUIDING_DAMPING: Final = (2.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5)
 """With which a hand that guides the arm is resisted [N·m·s/rad]; ours."""
 POSTURE_STIFFNESS: Final = 5.0
 """With which an arm that is stiff at the TCP keeps its elbow [N·m/rad]; ours."""
+
+_log = logging.getLogger(__name__)
 
 Compliance = Literal["joints", "tcp"]
 Vector = NDArray[np.float64]
@@ -239,6 +242,9 @@ class FrankaArm(StreamedArm):
         )
 
     def _clear(self) -> None:
+        if not self._has_link:  # the library does not connect anew
+            self._close()
+            self._open()
         self._forget_motion()
         if reason := fault_of(self._fresh_state(), self._about.joints, is_recoverable=False):
             raise DeviceFault(reason)
@@ -251,9 +257,14 @@ class FrankaArm(StreamedArm):
         self._problem = ""
 
     def _close(self) -> None:
-        if self._has_link:
+        if self._has_link and self._robot is not None:
             self._end_motion()
-        self._robot = self._newest = self._tracker = None  # which disconnects
+        let_go = [self._robot, self._tracker]
+        self._robot = self._newest = self._tracker = None
+        try:
+            within(STOPPING, let_go.clear)  # which disconnects, and where the controller hangs, waits for it
+        except TimeoutError:
+            _log.warning("%s has not let go within %g s", self.name, STOPPING)
 
     def _fresh_state(self) -> Any:
         try:

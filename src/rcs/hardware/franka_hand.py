@@ -11,7 +11,7 @@ import time
 from typing import Any, Final
 
 from rcs.devices import Gripper, GripperState
-from rcs.errors import DeviceFault
+from rcs.errors import DeviceFault, WrongOrder
 from rcs.extras import package_of
 from rcs.hardware.franka_faults import advice_for, connected
 from rcs.robots.description import GripperDescription
@@ -75,10 +75,12 @@ class FrankaHand(Gripper):
 
     def _state(self) -> GripperState:
         age = time.monotonic() - self._measured_at
-        if self._problem:
-            raise DeviceFault(self._problem)
+        problem = self._problem
         if age > SILENCE:
-            raise DeviceFault(f"the hand has sent no state for {age:.2f} s. {advice_for(self._address)}")
+            problem = problem or f"the hand has sent no state for {age:.2f} s. {advice_for(self._address)}"
+        if problem:
+            self.set_fault(problem)
+            raise DeviceFault(f"{self.name}: {problem}")
         state = self._state_now
         return GripperState(
             min(max(state.width / self.max_width, 0.0), 1.0),
@@ -88,15 +90,12 @@ class FrankaHand(Gripper):
         )
 
     def _command_opening(self, opening: float, force: float | None) -> None:
-        if self._state_now.max_width < SAME:
-            raise DeviceFault(
-                "the hand does not know its range since it was switched on: home it in Desk, or by home()"
-            )
         self._state()
+        if self._state_now.max_width < SAME:
+            raise WrongOrder(f"{self.name}: the hand does not know its range since it was switched on; call home() first")
         wanted = (opening * self.max_width, self._about.grasp_force if force is None else force)
         with self._news:
-            last = self._wanted or self._given
-            if last is not None and abs(last[0] - wanted[0]) < SAME and last[1] == wanted[1]:
+            if _is_same(wanted, self._wanted or self._given or (self._state_now.width, wanted[1])):
                 return
             self._wanted = wanted
             is_busy = self._is_busy
@@ -158,8 +157,13 @@ class FrankaHand(Gripper):
                     self._problem = f"the hand has not obeyed: {err}"
 
     def _move(self, hand: Any, width: float, force: float) -> None:
-        speed = 2.0 * self._about.closing_speed
-        if width > self._state_now.width:
-            hand.move(width, speed)
-        else:  # whatever is grasped on the way there is meant
-            hand.grasp(width, speed, force, epsilon_inner=self.max_width, epsilon_outer=self.max_width)
+        speed, is_closing = 2.0 * self._about.closing_speed, width < self._state_now.width
+        # A grasp goes on until the fingers meet something, whatever its width; a move ends on what is in its way, and
+        # presses no more.
+        if width > SAME and (hand.move(width, speed) or not is_closing):
+            return
+        hand.grasp(width, speed, force, epsilon_inner=self.max_width, epsilon_outer=self.max_width)
+
+
+def _is_same(first: tuple[float, float], second: tuple[float, float]) -> bool:
+    return abs(first[0] - second[0]) < SAME and first[1] == second[1]

@@ -55,7 +55,10 @@ class Client:
     def reply(self, command: int, number: int, content: bytes) -> None:
         """Answer a request."""
         header = np.array((command, number, self._header.itemsize + len(content)), self._header)
-        self._line.send(header.tobytes() + content, self._send)
+        try:
+            self.tcp.sendall(header.tobytes() + content)
+        except OSError:  # gone, or deaf: its socket tells when it is read
+            return
 
     def send_datagram(self, state: bytes) -> None:
         """Send a state."""
@@ -82,12 +85,6 @@ class Client:
         """Hang up."""
         self.tcp.close()
         self.udp.close()
-
-    def _send(self, message: bytes) -> None:
-        try:
-            self.tcp.sendall(message)
-        except OSError:  # gone, or deaf: its socket tells when it is read
-            return
 
     def _send_datagram(self, state: bytes) -> None:
         try:
@@ -124,9 +121,9 @@ class Listener:
 
     def files(self) -> Sequence[socket.socket]:
         """Return what can be read."""
-        if self.client is not None:
-            return [self.client.tcp, self.client.udp]
-        return [] if self._line.is_cut else [self._socket]
+        if self._line.is_cut:
+            return []
+        return [self._socket] if self.client is None else [self.client.tcp, self.client.udp]
 
     def receive(self, file: socket.socket, command: np.dtype[np.void] | None = None) -> Iterator[tuple[int, int, Any]]:
         """Read, and yield the requests that are whole: command, number, and what follows the header."""
@@ -145,7 +142,7 @@ class Listener:
             if not data:
                 self.hang_up()
                 return
-            client.received += self._line.receive(data) or b""
+            client.received += data  # TCP makes up for what is lost
             yield from self._requests_of(client)
 
     def hang_up(self) -> None:
