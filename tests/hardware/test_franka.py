@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
 import signal
 import socket
@@ -36,6 +38,10 @@ _SILENT: list[socket.socket] = []
 @pytest.fixture(scope="module")
 def robot() -> Generator[VirtualProcess]:
     with VirtualProcess("fr3", address=ADDRESS) as process:
+        with contextlib.suppress(
+            PermissionError
+        ):  # a controller is never late; where this may be, nor is a virtual one
+            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(40))
         yield process
 
 
@@ -214,12 +220,15 @@ def test_a_stream_of_targets_is_followed(robot: VirtualProcess, compliance):
         measured = stream(arm, np.concatenate([targets, np.repeat(targets[-1:], 30, 0)]))
         assert arm.fault == ""
         assert arm.state().mode == "Move"
-        apart = [np.abs(measured[lag : lag + len(targets)] - targets).max() for lag in range(8)]
-        assert min(apart) < (0.04 if compliance == "joints" else 0.08), "half a period of the stream is 0.01"
         if compliance == "joints":
+            apart = [np.abs(measured[lag : lag + len(targets)] - targets).max() for lag in range(8)]
+            assert min(apart) < 0.03, "half a period of the stream is 0.01"
             assert measured[-1] == pytest.approx(targets[-1], abs=2e-3)
             return
         kinematics = kinematics_of(FR3, FRANKA_HAND)
+        ways = [[kinematics.forward(one).translation for one in many] for many in (measured, targets)]
+        apart = [np.abs(np.array(ways[0][lag : lag + len(targets)]) - ways[1]).max() for lag in range(8)]
+        assert min(apart) < 0.015
         assert kinematics.forward(measured[-1]).is_close(kinematics.forward(targets[-1]), 3e-3, 1e-2)
 
 

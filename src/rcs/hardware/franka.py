@@ -32,6 +32,10 @@ STOPPING: Final = 0.5
 """How long it may take to confirm a stop [s]."""
 RECOVERING: Final = 1.0
 """How long it may take to be idle after its recovery [s]."""
+TORQUE_STEP: Final = 0.99
+"""Most by which a torque changes in a millisecond [N·m]; the robot admits 1.0."""
+NO_CUTOFF: Final = 1000.0
+"""Cutoff from which the library smooths nothing [Hz]; libfranka, lowpass_filter.h."""
 SILENCE: Final = 0.2
 """Age of a state from which the controller counts as silent [s]; it sends one every millisecond."""
 
@@ -147,7 +151,7 @@ class FrankaArm(StreamedArm):
         self._flange = kinematics_of(about)
         self._franky: Any = None
         self._robot: Any = None
-        self._tracker: Any = None
+        self._motion: Any = None
         self._newest: Any = None  # state
         self._led: Vector | None = None
         self._has_link = self._is_led = False
@@ -170,7 +174,7 @@ class FrankaArm(StreamedArm):
 
     def _read(self) -> ArmState:
         state = self._fresh_state()
-        if self._tracker is not None and not self._robot.is_in_control:
+        if self._motion is not None and not self._robot.is_in_control:
             self._problem = self._forget_motion() or "the controller has ended the motion and does not say why"
         self._problem = fault_of(state, self._about.joints) or self._problem
         if self._problem and not self._is_led and not self.fault:
@@ -191,19 +195,18 @@ class FrankaArm(StreamedArm):
         franky, options = self._franky, self._options
         if options.compliance == "joints":
             damping = JOINT_DAMPING if options.stiffness is None and options.damping is None else options.damping
-            self._tracker = franky.JointImpedanceTracker(
-                self._robot,
-                stiffness=np.array(options.stiffness or JOINT_STIFFNESS),
-                damping=None if damping is None else np.array(damping),
+            motion = franky.JointImpedanceTrackingMotion(
+                stiffness=list(options.stiffness or JOINT_STIFFNESS), damping=damping, max_delta_tau=TORQUE_STEP
             )
+            motion.set_reference(franky.JointReference(q=self._robot.current_joint_positions))
         else:
             stiffness = list(options.stiffness or TCP_STIFFNESS)
             damping = [2.0 * math.sqrt(one) for one in stiffness] if options.damping is None else list(options.damping)
-            self._tracker = franky.CartesianImpedanceTracker(
-                self._robot,
-                gains=franky.CartesianImpedanceGains.diagonal(stiffness, damping),
-                posture_task=franky.PostureTask(self._robot.current_joint_positions, stiffness=POSTURE_STIFFNESS),
-            )
+            posture = franky.PostureTask(self._robot.current_joint_positions, stiffness=POSTURE_STIFFNESS)
+            motion = franky.CartesianImpedanceTrackingMotion(posture_task=posture, max_delta_tau=TORQUE_STEP)
+            motion.set_gains(franky.CartesianImpedanceGains.diagonal(stiffness, damping))
+            motion.set_reference(franky.CartesianReference(target=self._robot.current_pose.end_effector_pose))
+        self._begin_motion(motion)
         self._is_led = True
 
     def _write(self, point: StreamPoint) -> None:
@@ -213,18 +216,20 @@ class FrankaArm(StreamedArm):
         self._led = position
         if self._options.compliance == "joints":
             mass = np.array(self._robot.model.mass(self._newest))
-            self._tracker.set_target(position, velocity, mass @ np.array(point.acceleration))
+            torques = mass @ np.array(point.acceleration)
+            self._motion.set_reference(self._franky.JointReference(q=position, dq=velocity, tau_ff=torques))
             return
         flange, tool_in_flange = self._flange.forward(position).matrix, np.array(self._newest.F_T_EE.matrix)
         twist = self._flange.jacobian(position) @ velocity
         twist[:3] += np.cross(twist[3:], flange[:3, :3] @ tool_in_flange[:3, 3])
         franky = self._franky
-        self._tracker.set_target(franky.Affine(flange @ tool_in_flange), franky.Twist(twist[:3], twist[3:]))
+        pose, twist = franky.Affine(flange @ tool_in_flange), franky.Twist(twist[:3], twist[3:])
+        self._motion.set_reference(franky.CartesianReference(target=pose, target_twist=twist))
 
     def _stop(self) -> None:
         self._is_led, self._led = False, None
         robot = self._robot
-        if robot is None or self._tracker is None or not self._has_link:
+        if robot is None or self._motion is None or not self._has_link:
             return
         try:
             within(STOPPING, robot.stop)
@@ -237,9 +242,10 @@ class FrankaArm(StreamedArm):
 
     def _guide(self) -> None:
         self._end_motion()
-        self._tracker = self._franky.JointImpedanceTracker(
-            self._robot, stiffness=np.zeros(7), damping=np.array(GUIDING_DAMPING)
+        motion = self._franky.JointImpedanceTrackingMotion(
+            stiffness=[0.0] * 7, damping=GUIDING_DAMPING, max_delta_tau=TORQUE_STEP
         )
+        self._begin_motion(motion)
 
     def _clear(self) -> None:
         if not self._has_link:  # the library does not connect anew
@@ -259,8 +265,8 @@ class FrankaArm(StreamedArm):
     def _close(self) -> None:
         if self._has_link and self._robot is not None:
             self._end_motion()
-        let_go = [self._robot, self._tracker]
-        self._robot = self._newest = self._tracker = None
+        let_go = [self._robot, self._motion]
+        self._robot = self._newest = self._motion = None
         try:
             within(STOPPING, let_go.clear)  # which disconnects, and where the controller hangs, waits for it
         except TimeoutError:
@@ -280,16 +286,22 @@ class FrankaArm(StreamedArm):
         self._newest = state
         return state
 
+    def _begin_motion(self, motion: Any) -> None:
+        # The library's trackers smooth the torques once more, at 100 Hz, behind the limit of their steps. Of these, 0.4
+        # are then left: too few for the arm to follow, and it swings.
+        self._robot.move(motion, asynchronous=True, cutoff_frequency=NO_CUTOFF)
+        self._motion = motion
+
     def _end_motion(self) -> None:
         """Bring the arm to rest as torques can, and let go of the motion."""
-        tracker = self._tracker
-        if tracker is not None and tracker.is_running:
-            self._robot.move(self._franky.TorqueStopMotion(max_duration=STOPPING), asynchronous=True)
+        if self._motion is not None and self._robot.is_in_control:
+            stop = self._franky.TorqueStopMotion(max_duration=STOPPING, max_delta_tau=TORQUE_STEP)
+            self._robot.move(stop, asynchronous=True)
         self._forget_motion()
 
     def _forget_motion(self) -> str:
         """Wait for the end of a motion, and return what the library says of it; else the next one would raise that."""
-        self._tracker = None
+        self._motion = None
         try:
             self._robot.join_motion(2.0 * STOPPING)
         except (self._franky.ControlException, self._franky.NetworkException) as err:
