@@ -45,8 +45,8 @@ STEADY_LOWER: Final = (-2.3093, -1.5133, -2.4937, -2.7478, -2.48, 0.8521, -2.689
 STEADY_UPPER: Final = (2.3093, 1.5133, 2.4937, -0.4461, 2.48, 4.2094, 2.6895)
 STEADY_VELOCITY: Final = (2.0, 1.0, 1.5, 1.25, 3.0, 1.5, 3.0)
 
-# Ours. Those of the arm are libfranka's (examples/joint_impedance_control.cpp); the wrist, which is light, is led with more
-# stiffness and less damping than there, so that it follows within 0.1 s instead of 0.3 s.
+# Ours. Those of the arm are libfranka's (examples/joint_impedance_control.cpp); the wrist, which is light, is led with
+# more stiffness and less damping than there, so that it follows within 0.1 s instead of 0.3 s.
 JOINT_STIFFNESS: Final = (600.0, 600.0, 600.0, 600.0, 300.0, 200.0, 100.0)
 JOINT_DAMPING: Final = (50.0, 50.0, 50.0, 50.0, 20.0, 12.0, 6.0)
 TCP_STIFFNESS: Final = (1000.0, 1000.0, 1000.0, 60.0, 60.0, 60.0)
@@ -145,7 +145,7 @@ class FrankaArm(StreamedArm):
         super().__init__(
             f"{about.name} at {address}",
             limits_of_fr3(about, whole_range=self._options.whole_range),
-            StreamOptions(rate=RATE, arrival=0.01 if is_stiff else 0.05, tracking_error=0.3 if is_stiff else 1.0),
+            StreamOptions(rate=RATE, arrival=0.005 if is_stiff else 0.05, tracking_error=0.3 if is_stiff else 1.0),
         )
         self._address, self._about = address, about
         self._flange = kinematics_of(about)
@@ -282,6 +282,7 @@ class FrankaArm(StreamedArm):
         if at != self._seen[0]:
             self._seen = (at, now)
         elif now - self._seen[1] > SILENCE:
+            self._has_link = False
             raise DeviceFault(f"the controller has sent no state for {now - self._seen[1]:.2f} s; look at the cable")
         self._newest = state
         return state

@@ -92,7 +92,9 @@ class FrankaHand(Gripper):
     def _command_opening(self, opening: float, force: float | None) -> None:
         self._state()
         if self._state_now.max_width < SAME:
-            raise WrongOrder(f"{self.name}: the hand does not know its range since it was switched on; call home() first")
+            raise WrongOrder(
+                f"{self.name}: the hand does not know its range since it was switched on; call home() first"
+            )
         wanted = (opening * self.max_width, self._about.grasp_force if force is None else force)
         with self._news:
             if _is_same(wanted, self._wanted or self._given or (self._state_now.width, wanted[1])):
