@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rcs.errors import InvalidSetup
+from rcs.hardware.franka_limits import velocity_bounds
 from rcs.kinematics import kinematics_of, load
 from rcs.robots import FR3, FRANKA_HAND
 from rcs.spatial import Pose
@@ -36,7 +37,7 @@ from rcs.virtual.franka_messages import (
     Mode,
     MoveStatus,
 )
-from rcs.virtual.franka_model import Carried, urdf_of, velocity_bounds
+from rcs.virtual.franka_model import Carried, urdf_of
 from rcs.virtual.line import Line
 
 ADDRESS = "127.0.51.1"

@@ -17,12 +17,13 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs.devices import Arm, ArmLimits, ArmState, StreamedArm, StreamOptions, StreamPoint
+from rcs.devices import Arm, ArmState, StreamedArm, StreamOptions, StreamPoint
 from rcs.errors import DeviceFault, InvalidSetup, require_fields
 from rcs.extras import package_of
 from rcs.hardware.driver import Driver
 from rcs.hardware.franka_faults import advice_for, connected, fault_of, mode_of, within
 from rcs.hardware.franka_hand import FrankaHand
+from rcs.hardware.franka_limits import limits_of_fr3
 from rcs.kinematics import kinematics_of
 from rcs.robots.description import ArmDescription, GripperDescription
 
@@ -38,12 +39,6 @@ NO_CUTOFF: Final = 1000.0
 """Cutoff from which the library smooths nothing [Hz]; libfranka, lowpass_filter.h."""
 SILENCE: Final = 0.2
 """Age of a state from which the controller counts as silent [s]; it sends one every millisecond."""
-
-# Ranges within which an FR3 admits these speeds everywhere; beyond them it is the slower the nearer a joint is to its
-# end (vendor's Control Interface Specification and Robot Limits).
-STEADY_LOWER: Final = (-2.3093, -1.5133, -2.4937, -2.7478, -2.48, 0.8521, -2.6895)
-STEADY_UPPER: Final = (2.3093, 1.5133, 2.4937, -0.4461, 2.48, 4.2094, 2.6895)
-STEADY_VELOCITY: Final = (2.0, 1.0, 1.5, 1.25, 3.0, 1.5, 3.0)
 
 # Ours. Those of the arm are libfranka's (examples/joint_impedance_control.cpp); the wrist, which is light, is led with
 # more stiffness and less damping than there, so that it follows within 0.1 s instead of 0.3 s.
@@ -308,19 +303,3 @@ class FrankaArm(StreamedArm):
         except (self._franky.ControlException, self._franky.NetworkException) as err:
             return str(err)
         return ""
-
-
-def limits_of_fr3(about: ArmDescription, *, whole_range: bool) -> ArmLimits:
-    """Return the limits of an FR3: the description's, or those within which it admits the same speed everywhere."""
-    lower, upper, fastest = np.array(about.joint_lower), np.array(about.joint_upper), np.array(about.velocity_limit)
-    if not whole_range:
-        lower, upper = np.maximum(lower, STEADY_LOWER), np.minimum(upper, STEADY_UPPER)
-        fastest = np.minimum(fastest, STEADY_VELOCITY)
-    return ArmLimits(
-        list(lower),
-        list(upper),
-        list(fastest),
-        joint_acceleration=list(about.acceleration_limit),
-        joint_jerk=list(about.jerk_limit),
-        joint_effort=list(about.effort_limit),
-    )

@@ -12,11 +12,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs.hardware.franka_limits import velocity_bounds
 from rcs.kinematics import Kinematics
 from rcs.robots.description import ArmDescription
 from rcs.spatial import Pose
 from rcs.virtual.franka_messages import Error, GeneratorMode
-from rcs.virtual.franka_model import velocity_bounds
 
 PERIOD: Final = 1e-3
 """Time between commands [s]."""

@@ -6,35 +6,16 @@ Both are made from our descriptions, so a virtual arm's model is the one that is
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs.hardware.franka_limits import DECELERATION_LIMIT, VELOCITY_OFFSET
 from rcs.kinematics import load
 from rcs.robots.description import ArmDescription, GripperDescription
 from rcs.spatial import Pose, wxyz_to_xyzw
-
-# franka_description 1.0.1, robots/fr3/joint_limits.yaml: deceleration limit [rad/s²] and velocity offset [rad/s].
-DECELERATION_LIMIT: Final = np.array([6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0])
-VELOCITY_OFFSET: Final = np.array([0.3, 0.2, 0.2, 0.3, 0.35, 0.35, 0.35])
-
-
-def velocity_bounds(
-    arm: ArmDescription, joints: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the least and the greatest velocity of each joint [rad/s], (7,), that an FR3 admits at joints [rad], (7,).
-
-    The nearer a joint is to the end of its range, the slower it has to go (libfranka, joint_velocity_limits.h).
-    """
-    fastest = np.array(arm.velocity_limit)
-
-    def bound(way: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.clip(np.sqrt(2.0 * DECELERATION_LIMIT * np.maximum(way, 0.0)) - VELOCITY_OFFSET, 0.0, fastest)
-
-    return -bound(joints - np.array(arm.joint_lower)), bound(np.array(arm.joint_upper) - joints)
 
 
 def urdf_of(arm: ArmDescription) -> str:
