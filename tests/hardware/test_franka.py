@@ -16,6 +16,8 @@ from collections.abc import Callable, Generator
 import numpy as np
 import pytest
 
+import rcs
+from rcs.agents import PickExpert
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, MissingDependency
 from rcs.hardware.franka import FrankaArm, FrankaDriver, FrankaOptions
 from rcs.hardware.franka_hand import FrankaHand
@@ -85,8 +87,9 @@ def stream(arm: FrankaArm, targets: np.ndarray) -> np.ndarray:
 
 
 def wave(arm: FrankaArm, amplitude: float = 0.15, seconds: float = 2.0) -> np.ndarray:
-    times = np.arange(0.0, seconds, PERIOD)[:, None]
-    return arm.state().joints + amplitude * 0.5 * (1 - np.cos(np.pi * times)) * np.array([1, -1, 1, 1, 1, 1, 1])
+    """To and fro, and first towards the home pose."""
+    times, joints = np.arange(0.0, seconds, PERIOD)[:, None], arm.state().joints
+    return joints + amplitude * 0.5 * (1 - np.cos(np.pi * times)) * np.where(joints < FR3.home, 1, -1)
 
 
 class TestFrankaArm(ArmContract):
@@ -367,3 +370,29 @@ def test_fingers_close_while_the_arm_moves_and_nobody_waits_for_them(arm: Franka
         hand.home()
         wait_for(lambda: hand.state().opening > 0.95)
         assert arm.fault == ""
+
+
+def test_what_picks_a_cuboid_in_simulation_picks_the_virtual_robots_cuboid(robot: VirtualProcess):
+    """Joints and gripper of a simulated pick, sent through an environment to the arm and the hand."""
+    with rcs.make("PickCuboid", robot="fr3", control="xyzrpy", relative=False) as env:
+        expert = PickExpert(env)
+        obs, info = env.reset(seed=5)
+        expert.reset(obs, info)
+        done, actions = False, []
+        while not done:
+            action = expert.act(obs, info)
+            obs, _, done, _, info = env.step(action)
+            actions.append({"joints": obs["joints"], "gripper": action["gripper"]})
+        held = obs["gripper"]
+    robot.tell("reset", 5)
+    an_arm().close()
+    with rcs.make("PickCuboid", robot="fr3", hardware=robot.site, control="joints", relative=False) as env:
+        obs, info = env.reset(seed=5)
+        start = obs["joints"]
+        for way in np.linspace(start, actions[0]["joints"], 60):
+            env.step({"joints": way, "gripper": np.array([1.0], np.float32)})
+        for action in [*actions, *[actions[-1]] * 15]:
+            obs, _, _, is_over, info = env.step(action)
+            assert not is_over, info
+        assert obs["gripper"] == pytest.approx(held, abs=0.02)
+        assert obs["joints"] == pytest.approx(actions[-1]["joints"], abs=0.02)
