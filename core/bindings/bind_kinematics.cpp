@@ -175,7 +175,7 @@ void bind_kinematics(nb::module_& m) {
               "Follow the target: out of reach, answer with the `nearest` pose instead of the start, and beyond "
               "`max_step` with a step in the direction of the target. What the target does not ask for is kept: a push "
               "against the end of the reach does not turn the tool, and a turn against a joint's limit does not move "
-              "it.")
+              "it. A joint that starts outside its limits goes no farther out, and need not come back.")
       .def_ro("seed", &rcs::IkOptions::seed, "Of the restarts: same seed, same answer.");
   nb::class_<rcs::VelocityOptions>(m, "VelocityOptions", "How joints may move for a twist of the TCP.")
       .def(
@@ -225,7 +225,7 @@ void bind_kinematics(nb::module_& m) {
           "joints"_a, "status"_a, "translation_error"_a = 0.0, "rotation_error"_a = 0.0, "iterations"_a = 0)
       .def_prop_ro(
           "joints", [](const rcs::IkResult& r) { return to_array(r.joints); }, nb::rv_policy::move,
-          "Inside the limits [rad].")
+          "Inside the limits [rad]; of a joint that was outside at the start of a motion, no farther out than there.")
       .def_ro("status", &rcs::IkResult::status)
       .def_ro("translation_error", &rcs::IkResult::translation_error, "m, before any clamping.")
       .def_ro("rotation_error", &rcs::IkResult::rotation_error, "rad, before any clamping.")
@@ -284,7 +284,7 @@ void bind_kinematics(nb::module_& m) {
           "turning about one axis.\n\nThe errors are what the TCP's pose lacks of it. `clamped`: it went slower, the "
           "same way, since a joint is as fast as it may be; `nearest`: a singular posture or a joint's limit made it "
           "go "
-          "another way. Zero twist leaves joints within their limits as they are.")
+          "another way. Joints that start outside their limits go no farther out. Zero twist leaves all as they are.")
       .def("advance_batch", &advance_rows, "joints"_a, "twists"_a, "duration"_a, "options"_a = rcs::VelocityOptions{},
            "threads"_a = 1, "Advance many, joints (N, dof) at twists (N, 6).\n\nReturns what `inverse_batch` does.");
   nb::class_<rcs::DampedLeastSquares, rcs::Kinematics>(m, "DampedLeastSquares",

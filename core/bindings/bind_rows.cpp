@@ -44,14 +44,22 @@ std::optional<Numpy<T>> clip(const Rows<T>& values, const Rows<T>& lower, const 
 
 std::optional<std::pair<Numpy<double>, Numpy<bool>>> limit(const Rows<double>& asked, const Rows<double>& last,
                                                            const Rows<double>& measured, const Rows<double>& max_step,
-                                                           const Rows<double>& max_lead, double rounding) {
+                                                           const Rows<double>& max_lead, const Rows<double>& lower,
+                                                           const Rows<double>& upper, double max_return,
+                                                           double rounding) {
   const std::size_t width = max_step.size(), size = asked.size();
-  if (width == 0 || max_lead.size() != width || last.size() != size || measured.size() != size || size % width)
-    throw nb::value_error("limit_rows: asked, last and measured must be rows of the length of max_step and max_lead");
+  if (width == 0 || max_lead.size() != width || lower.size() != width || upper.size() != width || last.size() != size ||
+      measured.size() != size || size % width)
+    throw nb::value_error("limit_rows: asked, last and measured must be rows of the length of the limits");
   std::unique_ptr<double[]> target(new double[size]);
   std::unique_ptr<bool[]> is_cut(new bool[size / width]);
-  if (!rcs::limit_rows({asked.data(), size}, {last.data(), size}, {measured.data(), size}, {max_step.data(), width},
-                       {max_lead.data(), width}, rounding, {target.get(), size}, {is_cut.get(), size / width}))
+  if (!rcs::limit_rows({asked.data(), size}, {last.data(), size}, {measured.data(), size},
+                       {{max_step.data(), width},
+                        {max_lead.data(), width},
+                        {lower.data(), width},
+                        {upper.data(), width},
+                        max_return},
+                       rounding, {target.get(), size}, {is_cut.get(), size / width}))
     return std::nullopt;
   std::vector<std::size_t> shape;
   for (std::size_t i = 0; i + 1 < asked.ndim(); ++i) shape.push_back(asked.shape(i));
@@ -68,11 +76,13 @@ void bind_rows(nb::module_& m) {
         "`tolerance`.");
   m.def("clip_rows", &clip<float>, "values"_a.noconvert(), "lower"_a.noconvert(), "upper"_a.noconvert(), "tolerance"_a,
         "The same in float32.");
-  m.def("limit_rows", &limit, "asked"_a, "last"_a, "measured"_a, "max_step"_a, "max_lead"_a, "rounding"_a,
+  m.def("limit_rows", &limit, "asked"_a, "last"_a, "measured"_a, "max_step"_a, "max_lead"_a, "lower"_a, "upper"_a,
+        "max_return"_a, "rounding"_a,
         "Cut `asked` (..., n) to at most `max_step` (n,) from `last` and `max_lead` (n,) from `measured`: all joints "
         "of a row "
         "go the same share of the way from `last`.\n\nA joint that was pushed out of its lead goes back towards it "
         "first, by a step at most; one that is asked for less of its lead, or for the other side of the measured "
-        "joint, drops it at once. Returns the targets and a flag per row that says whether it was cut by more than "
+        "joint, drops it at once. One whose last target is out of its range, `lower` to `upper` (n,), comes back by "
+        "`max_return` at most. Returns the targets and a flag per row that says whether it was cut by more than "
         "`rounding`; None if no row was.");
 }

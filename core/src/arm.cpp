@@ -1,5 +1,6 @@
 #include "rcs/arm.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <utility>
@@ -38,6 +39,8 @@ Arm::Arm(std::string name, ArmLimits limits, std::set<CommandKind> more_commands
       throw InvalidSetup(this->name() + ": limits of acceleration, jerk and effort need a positive value per joint, " +
                          "or none where they are unknown");
   }
+  measured_ = target_ = lower_ = limits_.joint_lower;
+  upper_ = limits_.joint_upper;
 }
 
 ArmState Arm::state() {
@@ -59,13 +62,19 @@ ArmState Arm::state() {
   check("a wrench", state.wrench, 6);
   require_past("its state", state.time);
   if (std::isnan(state.time)) state.time = monotonic_time();
+  measured_ = state.joints;
   return state;
 }
 
 void Arm::command_joints(std::span<const double> joints, double valid_for) {
   command("command_joints", valid_for, [&] {
-    check_command(name(), "joints", joints, limits_.joint_lower, limits_.joint_upper);
+    for (std::size_t i = 0; i < limits_.joint_lower.size(); ++i) {
+      lower_[i] = std::min({limits_.joint_lower[i], measured_[i], target_[i]});
+      upper_[i] = std::max({limits_.joint_upper[i], measured_[i], target_[i]});
+    }
+    check_command(name(), "joints", joints, lower_, upper_);
     do_command_joints(joints);
+    target_.assign(joints.begin(), joints.end());
   });
 }
 

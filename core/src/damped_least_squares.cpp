@@ -38,7 +38,8 @@ double next_uniform(std::uint64_t& state) {
 }  // namespace
 
 struct DampedLeastSquares::Scratch {
-  explicit Scratch(std::size_t dof) : place(dof), jacobian(dof), step(dof), candidate(dof), is_free(dof) {}
+  explicit Scratch(std::size_t dof)
+      : place(dof), jacobian(dof), step(dof), candidate(dof), is_free(dof), lower(dof), upper(dof) {}
 
   ChainPlace place;
   std::vector<std::array<double, kTask>> jacobian;  // a column per joint: translation, then rotation
@@ -46,6 +47,7 @@ struct DampedLeastSquares::Scratch {
   std::vector<double> step;                         // rad
   std::vector<double> candidate;                    // rad
   std::vector<char> is_free;                        // joints that are not fixed at a limit
+  std::vector<double> lower, upper;                 // rad, the range of this solve
 };
 
 DampedLeastSquares::DampedLeastSquares(const mjModel* model, std::vector<int> joints, int tcp_site, int base_body)
@@ -199,7 +201,7 @@ DampedLeastSquares::Stride DampedLeastSquares::solve_step(Scratch& scratch, cons
     bool is_blocked = false;
     for (int c = 0; c < n; ++c) {
       if (!scratch.is_free[c] || step[c] == 0.0) continue;
-      const double limit = step[c] < 0.0 ? lower_[c] : upper_[c];
+      const double limit = step[c] < 0.0 ? scratch.lower[c] : scratch.upper[c];
       // A search for any solution only minds joints that are at their limits already: it may well come back.
       const double reach = options.best_effort ? stride.scale * step[c] : 0.0;
       if (step[c] < 0.0 ? q[c] + reach > limit : q[c] + reach < limit) continue;
@@ -261,7 +263,8 @@ DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std:
       if (extra > damping) stride = solve_step(scratch, q, start, max_step, options, weight, damping = extra);
     }
     largest = stride.largest;
-    for (int c = 0; c < n; ++c) candidate[c] = std::clamp(q[c] + stride.scale * scratch.step[c], lower_[c], upper_[c]);
+    for (int c = 0; c < n; ++c)
+      candidate[c] = std::clamp(q[c] + stride.scale * scratch.step[c], scratch.lower[c], scratch.upper[c]);
     chain_->put(candidate, scratch.place);
     const std::array<double, kTask> error = error_to(scratch, target);
     const double new_translation = norm3(error.data()), new_rotation = norm3(error.data() + 3);
@@ -290,9 +293,13 @@ IkResult DampedLeastSquares::inverse(const Pose& target, std::span<const double>
   const int n = dof();
   IkResult result;
   result.joints.assign(start.begin(), start.end());
-  for (int i = 0; i < n; ++i) result.joints[i] = std::clamp(start[i], lower_[i], upper_[i]);
-
   const Lease scratch = borrow();
+  for (int i = 0; i < n; ++i) {
+    // A joint that is found outside is followed from where it is.
+    scratch->lower[i] = options.best_effort ? std::min(lower_[i], start[i]) : lower_[i];
+    scratch->upper[i] = options.best_effort ? std::max(upper_[i], start[i]) : upper_[i];
+    result.joints[i] = std::clamp(start[i], scratch->lower[i], scratch->upper[i]);
+  }
   const auto& translation = target.translation();
   const auto& quaternion = target.quaternion();
   const std::array<double, 7> goal = {translation[0], translation[1], translation[2], quaternion[3],

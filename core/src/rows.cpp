@@ -28,8 +28,8 @@ template bool clip_rows<float>(std::span<const float>, std::span<const float>, s
                                std::span<float>);
 
 bool limit_rows(std::span<const double> asked, std::span<const double> last, std::span<const double> measured,
-                std::span<const double> max_step, std::span<const double> max_lead, double rounding,
-                std::span<double> target, std::span<bool> is_cut) {
+                const StepLimits& limits, double rounding, std::span<double> target, std::span<bool> is_cut) {
+  const auto& [max_step, max_lead, lower, upper, max_return] = limits;
   const std::size_t width = max_step.size();
   // Written so that NaN, for which every comparison is false, is refused.
   for (const double step : max_step)
@@ -38,6 +38,8 @@ bool limit_rows(std::span<const double> asked, std::span<const double> last, std
   for (const double lead : max_lead)
     if (!(lead >= 0.0))
       throw InvalidSetup("limit_rows: max_lead must not be negative or NaN, one is " + std::to_string(lead));
+  if (!(max_return > 0.0))
+    throw InvalidSetup("limit_rows: max_return must be positive, it is " + std::to_string(max_return));
   bool is_any = false;
   for (std::size_t row = 0; row < is_cut.size(); ++row) {
     // From where the last target is: or as far back towards the measured joint as it is asked for, which takes no
@@ -46,14 +48,16 @@ bool limit_rows(std::span<const double> asked, std::span<const double> last, std
     double share = 1.0;
     for (std::size_t c = 0; c < width; ++c) {
       const std::size_t i = row * width + c;
+      const bool is_outside = last[i] < lower[c] || last[i] > upper[c];
+      const double step = is_outside ? std::min(max_step[c], max_return) : max_step[c];
       const bool is_pushed = std::abs(measured[i] - last[i]) > max_lead[c] + max_step[c];
       const double back = std::clamp(asked[i], std::min(last[i], measured[i]), std::max(last[i], measured[i]));
       const double held = std::clamp(last[i], measured[i] - max_lead[c], measured[i] + max_lead[c]);
       const double base = is_pushed                                                     ? last[i]
                           : std::abs(back - measured[i]) < std::abs(held - measured[i]) ? back
                                                                                         : held;
-      const double low = std::max(base - max_step[c], measured[i] - max_lead[c]);
-      const double high = std::min(base + max_step[c], measured[i] + max_lead[c]);
+      const double low = std::max(base - step, measured[i] - max_lead[c]);
+      const double high = std::min(base + step, measured[i] + max_lead[c]);
       const double from = is_pushed ? std::clamp(measured[i], last[i] - max_step[c], last[i] + max_step[c]) : base;
       target[i] = from;
       const double way = asked[i] - from;

@@ -280,12 +280,15 @@ IkResult Kinematics::advance(std::span<const double> joints, std::span<const dou
   if (!(duration >= 0.0) || !std::isfinite(duration))
     throw InvalidSetup("velocity kinematics: the duration must be finite and not negative");
   const std::size_t n = joints.size();
-  const std::vector<double> lower = joint_lower(), upper = joint_upper();
+  std::vector<double> lower = joint_lower(), upper = joint_upper();
+  for (std::size_t c = 0; c < n; ++c) {
+    lower[c] = std::min(lower[c], joints[c]);
+    upper[c] = std::max(upper[c], joints[c]);
+  }
   const Range range{lower, upper};
   IkResult result;
   result.status = IkStatus::ok;
   result.joints.assign(joints.begin(), joints.end());
-  for (std::size_t c = 0; c < n; ++c) result.joints[c] = std::clamp(joints[c], lower[c], upper[c]);
   Task asked;
   std::copy(twist.begin(), twist.end(), asked.begin());
   if (norm6(asked) * duration == 0.0) return result;

@@ -633,7 +633,7 @@ class IkOptions:
     @property
     def best_effort(self) -> bool:
         """
-        Follow the target: out of reach, answer with the `nearest` pose instead of the start, and beyond `max_step` with a step in the direction of the target. What the target does not ask for is kept: a push against the end of the reach does not turn the tool, and a turn against a joint's limit does not move it.
+        Follow the target: out of reach, answer with the `nearest` pose instead of the start, and beyond `max_step` with a step in the direction of the target. What the target does not ask for is kept: a push against the end of the reach does not turn the tool, and a turn against a joint's limit does not move it. A joint that starts outside its limits goes no farther out, and need not come back.
         """
 
     @property
@@ -699,7 +699,9 @@ class IkResult:
 
     @property
     def joints(self) -> NDArray[numpy.float64]:
-        """Inside the limits [rad]."""
+        """
+        Inside the limits [rad]; of a joint that was outside at the start of a motion, no farther out than there.
+        """
 
     @property
     def status(self) -> IkStatus: ...
@@ -767,7 +769,7 @@ class Kinematics:
         """
         Joints after the TCP has moved from joints (dof,) at a twist (6,) for `duration` [s]: along a straight line, turning about one axis.
 
-        The errors are what the TCP's pose lacks of it. `clamped`: it went slower, the same way, since a joint is as fast as it may be; `nearest`: a singular posture or a joint's limit made it go another way. Zero twist leaves joints within their limits as they are.
+        The errors are what the TCP's pose lacks of it. `clamped`: it went slower, the same way, since a joint is as fast as it may be; `nearest`: a singular posture or a joint's limit made it go another way. Joints that start outside their limits go no farther out. Zero twist leaves all as they are.
         """
 
     def advance_batch(self, joints: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], twists: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], duration: float, options: VelocityOptions = ..., threads: int = 1) -> tuple:
@@ -1695,9 +1697,9 @@ def clip_rows(values: Annotated[NDArray[numpy.float64], dict(order='C', device='
 def clip_rows(values: Annotated[NDArray[numpy.float32], dict(order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float32], dict(order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.float32], dict(order='C', device='cpu', writable=False)], tolerance: float) -> NDArray[numpy.float32] | None:
     """The same in float32."""
 
-def limit_rows(asked: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], last: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], measured: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_step: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_lead: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], rounding: float) -> tuple[NDArray[numpy.float64], NDArray[numpy.bool_]] | None:
+def limit_rows(asked: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], last: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], measured: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_step: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_lead: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], max_return: float, rounding: float) -> tuple[NDArray[numpy.float64], NDArray[numpy.bool_]] | None:
     """
     Cut `asked` (..., n) to at most `max_step` (n,) from `last` and `max_lead` (n,) from `measured`: all joints of a row go the same share of the way from `last`.
 
-    A joint that was pushed out of its lead goes back towards it first, by a step at most; one that is asked for less of its lead, or for the other side of the measured joint, drops it at once. Returns the targets and a flag per row that says whether it was cut by more than `rounding`; None if no row was.
+    A joint that was pushed out of its lead goes back towards it first, by a step at most; one that is asked for less of its lead, or for the other side of the measured joint, drops it at once. One whose last target is out of its range, `lower` to `upper` (n,), comes back by `max_return` at most. Returns the targets and a flag per row that says whether it was cut by more than `rounding`; None if no row was.
     """

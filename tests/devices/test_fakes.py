@@ -9,7 +9,7 @@ import pytest
 
 from rcs.devices import Arm, ArmLimits, Camera, CameraCalibration, CameraMode, Gripper, Hand
 from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper, FakeHand
-from rcs.errors import DeviceFault
+from rcs.errors import DeviceFault, InvalidAction
 from rcs.testing import ArmContract, CameraContract, GripperContract, HandContract
 
 CALIBRATION = CameraCalibration(np.array([[10.0, 0.0, 7.5], [0.0, 10.0, 3.5], [0.0, 0.0, 1.0]]), [0.1, -0.02])
@@ -80,6 +80,30 @@ def test_a_fake_arm_moves_at_its_largest_velocity(limits: ArmLimits, clock) -> N
     clock.advance(0.25)
     np.testing.assert_allclose(arm.state().joints, [0.25, 0.5, 0.125], atol=1e-12)
     np.testing.assert_allclose(arm.state().joints, [0.25, 0.5, 0.125], atol=1e-12)
+
+
+def test_a_joint_that_was_found_outside_its_limits_may_stay_and_come_back_and_go_no_farther(
+    limits: ArmLimits, clock
+) -> None:
+    arm = FakeArm(limits, clock=clock, start=np.array([-1.5, 0.0, 0.0]))
+    arm.open()
+    with pytest.raises(InvalidAction, match=r"joints\[0\] is -1.5, valid is -1 to 1"):
+        arm.command_joints(np.array([-1.5, 0.0, 0.0]))  # nobody has looked yet
+    arm.state()
+    for joint in (-1.5, -1.4, -1.4):
+        arm.command_joints(np.array([joint, 0.0, 0.0]))
+        clock.advance(0.2)
+        assert arm.state().joints[0] == pytest.approx(joint)
+    for joints in ([-1.5, 0.0, 0.0], [-1.4, 2.1, 0.0], [1.4, 0.0, 0.0]):
+        with pytest.raises(InvalidAction, match="valid is"):
+            arm.command_joints(np.array(joints))
+    arm.command_joints(np.array([-0.9, 0.0, 0.0]))
+    clock.advance(1.0)
+    arm.state()
+    arm.command_joints(np.array([-0.8, 0.0, 0.0]))
+    with pytest.raises(InvalidAction, match="valid is -1 to 1"):
+        arm.command_joints(np.array([-1.1, 0.0, 0.0]))
+    arm.close()
 
 
 def test_a_fake_camera_repeats_its_frame_until_the_next_one_is_due(clock) -> None:

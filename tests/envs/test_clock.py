@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -74,6 +76,13 @@ def test_a_synchronous_step_ends_at_its_time_limit(clock) -> None:
     assert clock.now == pytest.approx(100.5, abs=2e-3)
 
 
+def test_a_synchronous_step_tells_the_targets_again_once_per_period(clock) -> None:
+    wall = Clock(ports=[Lift(clock, 100.95)], frequency=10.0, is_synchronous=True, now=clock, sleep=clock.sleep)
+    moments: list[float] = []
+    wall.advance(None, lambda: moments.append(clock.now))
+    np.testing.assert_allclose(moments, 100.1 + 0.1 * np.arange(9), atol=2e-3)
+
+
 @pytest.mark.parametrize(
     "numbers", [{"frequency": 0.0}, {"frequency": -1.0}, {"frequency": float("nan")}, {"time_limit": 0.0}]
 )
@@ -106,3 +115,23 @@ def test_a_simulation_that_is_not_in_real_time_never_waits(clock, monkeypatch: p
     env.reset(seed=0)
     env.step(env.action_space.sample())
     assert clock.slept == []
+
+
+def test_a_simulation_in_real_time_leads_its_arm_as_one_that_does_not_wait(
+    clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clock_module.time, "perf_counter", clock)
+    monkeypatch.setattr(clock_module.time, "sleep", clock.sleep)
+    led = {}
+    for stepping in ("async", "realtime"):
+        with rcs.make("Free", stepping=stepping, max_episode_steps=None) as env:
+            env.reset(seed=0)
+            env.action_space.seed(0)
+            world = env.scenario.world
+            rows: list[Any] = []
+            world.on_period(lambda view, rows=rows: rows.append(view.ctrl.copy()), world.model.opt.timestep)
+            for k in range(40):
+                clock.now += 0.05 * (k % 7 == 0)  # some steps come late
+                env.step(env.action_space.sample())
+            led[stepping] = np.array(rows)
+    np.testing.assert_array_equal(led["realtime"], led["async"])

@@ -32,6 +32,7 @@ SETUPS = st.builds(
     binary_gripper=st.booleans(),
     frequency=st.floats(0.1, 100.0),
     stepping=st.sampled_from(["async", "sync", "realtime"]),
+    sync_time_limit=st.floats(0.1, 1000.0),
     max_episode_steps=st.none() | st.integers(1, 10**6),
     physics_step=st.floats(1e-4, 0.01),
     randomisation=st.none() | st.builds(Randomisation, friction=st.tuples(st.floats(0.1, 1.0), st.floats(1.0, 2.0))),

@@ -8,8 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from rcs.errors import InvalidSetup
-from rcs.kinematics import DampedLeastSquares, IkOptions, IkResult, IkStatus, Kinematics
+from rcs.kinematics import DampedLeastSquares, IkOptions, IkResult, IkStatus, Kinematics, kinematics_of
 from rcs.robots.fr3.description import FR3
+from rcs.robots.franka_hand.description import FRANKA_HAND
 from rcs.spatial import Pose, distance
 
 HOME = np.array(FR3.home)
@@ -102,6 +103,24 @@ def test_absurd_poses_never_give_a_number_that_is_not_finite(
 def test_a_start_outside_the_limits_is_moved_inside(solver: DampedLeastSquares) -> None:
     result = solver.inverse(FAR, np.full(7, 50.0))
     np.testing.assert_array_equal(result.joints, solver.joint_upper)
+
+
+@pytest.mark.parametrize("backend", ["mujoco", pytest.param("pinocchio", marks=pytest.mark.extras)])
+def test_a_joint_that_is_followed_from_outside_its_limits_stays_or_comes_back(backend: Any) -> None:
+    solver = kinematics_of(FR3, FRANKA_HAND, backend=backend)
+    start = HOME.copy()
+    start[3] = solver.joint_upper[3] + 0.1
+    here = solver.forward(start)
+    options = IkOptions(best_effort=True, max_step=np.full(7, 0.1), preferred=HOME)
+    stays = solver.inverse(here, start, options)
+    assert stays.status is IkStatus.ok
+    np.testing.assert_array_equal(stays.joints, start)
+    for shift in np.vstack([np.eye(3), -np.eye(3)]) * 0.05:
+        moved = Pose(here.translation + shift, here.quaternion)
+        joints = solver.inverse(moved, start, options).joints
+        assert np.abs(joints - start).max() > 0.01
+        assert joints[3] <= start[3]
+        assert (np.delete(joints, 3) <= np.delete(solver.joint_upper, 3)).all()
 
 
 def test_same_seed_same_answer(solver: DampedLeastSquares, random_joints: NDArray[np.float64]) -> None:

@@ -142,6 +142,20 @@ def test_at_the_end_of_the_reach_it_stops_keeps_the_tool_and_comes_back_at_once(
     assert abs(kinematics.forward(joints).translation[axis] - end.translation[axis]) > 0.02
 
 
+def test_a_joint_outside_its_limits_stays_or_comes_back(arm: Arm) -> None:
+    description, kinematics = arm
+    start = np.array(description.home)
+    start[1] = kinematics.joint_upper[1] + 0.1
+    options = options_of(arm)
+    np.testing.assert_array_equal(kinematics.advance(start, np.zeros(6), PERIOD, options).joints, start)
+    ends = [kinematics.advance(start, twist, PERIOD, options).joints for twist in np.vstack([np.eye(6), -np.eye(6)])]
+    assert all(end[1] <= start[1] for end in ends)
+    assert min(end[1] for end in ends) < start[1]
+    assert all(
+        (np.abs(end - start) <= np.array(description.velocity_limit) * PERIOD * (1 + 1e-9)).all() for end in ends
+    )
+
+
 @pytest.mark.parametrize("threads", [1, 3])
 def test_a_batch_is_a_loop_and_wild_twists_from_anywhere_stay_within_all_bounds(arm: Arm, threads: int) -> None:
     description, kinematics = arm

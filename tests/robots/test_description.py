@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from rcs.devices import ArmLimits
 from rcs.errors import InvalidSetup
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
 from rcs.robots.digit.description import DIGIT
@@ -129,6 +130,28 @@ def test_an_arm_needs_one_entry_per_joint() -> None:
 def test_an_arm_cannot_rest_outside_of_its_limits() -> None:
     with pytest.raises(InvalidSetup, match="joint4"):
         replace(FR3, home=(0.0,) * 7)
+
+
+def test_an_arm_within_a_device_has_the_narrower_limits_of_both() -> None:
+    lower, upper = np.array(FR3.joint_lower) + 0.1, np.array(FR3.joint_upper)
+    upper[3] = FR3.home[3] - 0.2
+    lower[0] -= 1.0
+    device = ArmLimits(list(lower), list(upper), [9.0, *[0.1] * 6], joint_acceleration=[3.0] * 7)
+    arm = FR3.within(device, "slow arm")
+    np.testing.assert_array_equal(arm.joint_lower, [FR3.joint_lower[0], *lower[1:]])
+    np.testing.assert_array_equal(arm.joint_upper, upper)
+    np.testing.assert_array_equal(arm.velocity_limit, [FR3.velocity_limit[0], *[0.1] * 6])
+    np.testing.assert_array_equal(arm.acceleration_limit, [3.0] * 7)
+    assert arm.jerk_limit == FR3.jerk_limit, "unknown to the device"
+    np.testing.assert_array_equal(arm.home, np.minimum(FR3.home, upper))
+    assert FR3.within(ArmLimits(*[[sign * 9.0] * 7 for sign in (-1, 1, 1)]), "wide arm") == FR3
+
+
+def test_an_arm_is_not_within_a_device_of_another_kind() -> None:
+    with pytest.raises(InvalidSetup, match=r"small arm has 2 joints; Franka Research 3 has 7"):
+        FR3.within(ArmLimits([-1.0] * 2, [1.0] * 2, [1.0] * 2), "small arm")
+    with pytest.raises(InvalidSetup, match=r"bent arm moves joint4 from -0.1 to 3 rad; .* from -3.04\d* to -0.15"):
+        FR3.within(ArmLimits([-0.1] * 7, [3.0] * 7, [1.0] * 7), "bent arm")
 
 
 def test_a_gripper_cannot_grasp_with_more_than_its_largest_force() -> None:

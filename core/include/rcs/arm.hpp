@@ -51,7 +51,8 @@ class RCS_API Arm : public Device {
   const std::set<CommandKind>& commands() const { return commands_; }
 
   ArmState state();
-  /// Joint targets [rad], within the limits.
+  /// Joint targets [rad], within the limits. A joint that was found outside may stay there and come back: its target
+  /// may be as far out as where it was measured last, or sent last.
   void command_joints(std::span<const double> joints, double valid_for = kForever);
   /// Where the TCP shall go.
   void command_pose(const Pose& pose_tcp_in_base, double valid_for = kForever);
@@ -77,6 +78,8 @@ class RCS_API Arm : public Device {
 
   ArmLimits limits_;
   std::set<CommandKind> commands_;
+  std::vector<double> measured_, target_;  // the last ones [rad]
+  std::vector<double> lower_, upper_;      // what the next target is checked against [rad]
 };
 
 }  // namespace rcs

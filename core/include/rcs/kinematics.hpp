@@ -20,7 +20,8 @@ class SerialChain;
 
 /// The answer of inverse kinematics.
 struct IkResult {
-  std::vector<double> joints;  ///< rad, always inside the joint limits
+  /// rad, inside the joint limits; of a joint that was outside at the start of a motion, no farther out than there
+  std::vector<double> joints;
   IkStatus status = IkStatus::infeasible;
   double translation_error = 0.0;  ///< m, of the best solution found, before any clamping
   double rotation_error = 0.0;     ///< rad, likewise
@@ -47,7 +48,8 @@ struct IkOptions {
   double preferred_weight = 2.0;
   /// Follow the target: out of reach, answer with the `nearest` pose instead of the start, and beyond `max_step`
   /// with a step in the direction of the target. What the target does not ask for is kept: a push against the end of
-  /// the reach does not turn the tool, and a turn against a joint's limit does not move it.
+  /// the reach does not turn the tool, and a turn against a joint's limit does not move it. A joint that starts outside
+  /// its limits goes no farther out, and need not come back.
   bool best_effort = false;
   std::uint64_t seed = 0;  ///< of the restarts: same seed, same answer
 };
@@ -104,7 +106,8 @@ class Kinematics {
                         const VelocityOptions& options);
   /// Joints after the TCP has moved at a twist for `duration` [s]: along a straight line, turning about one axis. The
   /// residual is what the TCP's pose lacks of it; `clamped` means that it went slower, the same way, `nearest` that a
-  /// singular posture or a joint's limit made it go another. Zero twist leaves joints within their limits as they are.
+  /// singular posture or a joint's limit made it go another. Joints that start outside their limits go no farther out.
+  /// Zero twist leaves all as they are.
   IkResult advance(std::span<const double> joints, std::span<const double, 6> twist, double duration,
                    const VelocityOptions& options);
   /// Many at once: `starts` and `joints` are count × dof, `twists` count × 6, the others as for `inverse_batch`. On one

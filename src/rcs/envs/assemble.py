@@ -8,12 +8,12 @@ from functools import partial
 
 from gymnasium.vector import AutoresetMode
 
-from rcs.devices import Arm, Gripper
+from rcs.devices import Gripper
 from rcs.envs import spaces as keys
 from rcs.envs.camera_port import CameraPort, FreshFrames
 from rcs.envs.chain import Chain
 from rcs.envs.clock import Clock
-from rcs.envs.control_layers import layers_of
+from rcs.envs.control_layers import layers_of, limit_step
 from rcs.envs.env import Env
 from rcs.envs.follow_port import FollowPort
 from rcs.envs.layers import (
@@ -86,6 +86,7 @@ def assemble(
             frequency=setup.frequency,
             is_real=bool(devices) or setup.stepping == "realtime",
             is_synchronous=setup.stepping == "sync",
+            time_limit=setup.sync_time_limit,
             now=parts.now,
             sleep=parts.sleep,
         ),
@@ -231,9 +232,9 @@ def _ports_of(parts: Parts, placement: RobotPlacement, body: SimRobot | None) ->
     arm, effector = devices.arms.get(placement.name), devices.effectors.get(placement.name)
     ports: list[Port] = []
     if arm is not None:
-        _require_fit(placement, arm)
         kinematics, effort = kinematics_of(placement.arm, placement.end_effector), placement.arm.effort_limit
-        ports.append(ArmPort(arm, kinematics, observed=observed, effort=effort))
+        limit = limit_step(placement.arm, parts.setup.frequency) if parts.setup.stepping == "sync" else None
+        ports.append(ArmPort(arm, kinematics, observed=observed, effort=effort, limit=limit))
     elif body is not None:
         ports.append(SimArmPort(body))
         if keys.LOADS.keys() & set(observed):
@@ -252,11 +253,6 @@ def _ports_of(parts: Parts, placement: RobotPlacement, body: SimRobot | None) ->
     if body is not None and real:
         ports = [FollowPort(body, port) if port in real else port for port in ports]
     return ports
-
-
-def _require_fit(placement: RobotPlacement, arm: Arm) -> None:
-    if arm.dof != placement.arm.dof:
-        raise InvalidSetup(f"{arm.name} has {arm.dof} joints; {placement.arm.label} has {placement.arm.dof}.")
 
 
 def _frame_clock(setup: Setup, cameras: Sequence[CameraPlacement], world: World) -> FrameClock:

@@ -47,7 +47,7 @@ class Clock:
             frequency: Control steps per second [Hz]; that of the world where there is one.
             is_real: Whether to keep the rate of the wall clock; always so without a world.
             is_synchronous: Wait until the devices have arrived instead of for a period; without a world.
-            time_limit: Longest synchronous step [s].
+            time_limit: Longest synchronous step of devices [s].
             now: Returns the monotonic time [s]; None for the host's.
             sleep: Waits for some seconds; None for the host's.
 
@@ -74,12 +74,18 @@ class Clock:
         self._sleep = sleep or time.sleep
         self._next = self.now()
 
-    def advance(self, copies: Copies = None) -> None:
-        """Let one control step pass, of some copies or of all."""
+    def advance(self, copies: Copies = None, repeat: Callable[[], None] | None = None) -> None:
+        """Let one control step pass, of some copies or of all.
+
+        Args:
+            copies: Which; None for all.
+            repeat: Tells all devices their targets again; a synchronous step calls it once per period until they have
+                arrived. None for nothing.
+        """
         if self._world is not None:
             self._world.advance(copies)
         if self._waits_for_devices:
-            self.ends[0] = self._wait_for_devices()
+            self.ends[0] = self._wait_for_devices(repeat)
         elif self.is_real:
             self._wait_for_tick()
 
@@ -96,13 +102,19 @@ class Clock:
     def _has_fault(self) -> bool:
         return any(port.faults() for port in self._fallible)
 
-    def _wait_for_devices(self) -> int:
-        deadline = self.now() + self._time_limit
+    def _wait_for_devices(self, repeat: Callable[[], None] | None) -> int:
+        period = 1.0 / self.frequency
+        start = self.now()
+        due = start + period
         while not all(port.has_arrived() for port in self._ports):
             if self._has_fault():
                 return StepEnd.interrupted.value
-            if self.now() >= deadline:
+            now = self.now()
+            if now - start >= self._time_limit:
                 return StepEnd.limit.value
+            if repeat is not None and now >= due:
+                repeat()
+                due = max(due, now - ROUNDING) + period
             self._sleep(1e-3)
         return StepEnd.converged.value
 

@@ -17,10 +17,14 @@ from rcs.envs.layers import (
 from rcs.envs.setup import Setup
 from rcs.envs.spaces import TQUAT, TWIST, XYZRPY
 from rcs.kinematics import kinematics_of
+from rcs.robots.description import ArmDescription
 from rcs.sim.scene import RobotPlacement
 
 GRASP = "power"
 """The grasp of a hand that is used like a gripper."""
+
+RETURN_SPEED = 0.1
+"""Largest speed of a joint that comes back into its range from where it was found [rad/s]: slow enough to step in."""
 
 
 def layers_of(setup: Setup, robot: RobotPlacement, *, threads: int = 1) -> list[Layer]:
@@ -31,16 +35,12 @@ def layers_of(setup: Setup, robot: RobotPlacement, *, threads: int = 1) -> list[
         robot: The robot.
         threads: Threads that solve for the joints of many copies.
     """
-    # What an arm can do in one period; a synchronous step lasts as long as it needs, so there the range is the bound.
-    step = np.array(robot.arm.velocity_limit) / setup.frequency
+    # A synchronous step lasts as long as it needs, so its target is not bounded; a device's port bounds the way there.
     control = setup.control
-    layers: list[Layer] = []
-    is_bounded = setup.stepping != "sync"
-    if is_bounded:
-        layers.append(LimitStep(step, np.array(robot.arm.motion_limits.lead(1.0 / setup.frequency))))
+    layers: list[Layer] = [] if setup.stepping == "sync" else [limit_step(robot.arm, setup.frequency)]
     if control in (TQUAT, XYZRPY):
         kinematics = kinematics_of(robot.arm, robot.end_effector)
-        bound = step if is_bounded else None
+        bound = None if setup.stepping == "sync" else np.array(robot.arm.velocity_limit) / setup.frequency
         layers.append(CartesianControl(kinematics, preferred=robot.arm.home, max_step=bound, threads=threads))
     if control == TWIST:
         layers.append(
@@ -72,3 +72,14 @@ def layers_of(setup: Setup, robot: RobotPlacement, *, threads: int = 1) -> list[
     if robot.hand is not None and setup.binary_gripper:
         layers.append(GraspHand(robot.hand.open_pose, robot.hand.grasps[GRASP]))
     return layers
+
+
+def limit_step(arm: ArmDescription, frequency: float) -> LimitStep:
+    """Return what bounds targets to what an arm can do in one period of a control frequency [Hz]."""
+    return LimitStep(
+        np.array(arm.velocity_limit) / frequency,
+        np.array(arm.motion_limits.lead(1.0 / frequency)),
+        lower=arm.joint_lower,
+        upper=arm.joint_upper,
+        max_return=RETURN_SPEED / frequency,
+    )

@@ -209,7 +209,7 @@ class Engine:
                 self.audience.after_hold = True
                 self.stack.hold()  # refused, or another thread has said so before the targets were sent
             if ids is None or starting is None:
-                self._clock.advance()
+                self._clock.advance(None, self._repeat)
             else:
                 self._clock.advance(np.flatnonzero(~starting).astype(np.int32))
                 self._begin(ids)
@@ -233,6 +233,13 @@ class Engine:
         if faults := step.info.get("faults", {}):
             self._tell_ends(step, faults)
         return step
+
+    def _repeat(self) -> None:
+        """Tell all devices their targets again, unless they were told to hold; another thread may say so meanwhile."""
+        if not self._must_rebase:
+            self.stack.repeat()
+            if self._must_rebase:
+                self.stack.hold()
 
     def _without_diverged(self, observation: Observation, starting: NDArray[np.bool_] | None) -> Observation:
         """Return an observation in which copies whose simulation diverged show what they showed last."""

@@ -102,6 +102,7 @@ class Guard(Gate):
         self._deadline = deadline
         self._commanded: dict[str, NDArray[np.float64]] = {}
         self._fraction: Any = 1.0
+        self._must_hold = np.array(False)
         self._floors: dict[tuple[int, int], float] = {}
         self._scene: GuardedScene | None = None
 
@@ -158,6 +159,7 @@ class Guard(Gate):
         """Remember what was commanded."""
         self._commanded = {name: np.array(targets[name][JOINTS], np.float64) for name in self._names}
         self._motions.sent(self._of_copy(self._commanded, 0))
+        self._motions.hold(self._must_hold)
 
     def info(self) -> dict[str, Any]:
         """Return `guard_fraction`: the part of the way that was admitted, (*leading,)."""
@@ -176,11 +178,14 @@ class Guard(Gate):
         if self._is_batch:
             parts = [self._part_of(copy, here[copy], fingers[copy], goal) for copy in range(len(here))]
             self._fraction = np.array([part.fraction for part in parts])
+            self._must_hold = np.array([part.must_hold for part in parts])
         else:
             part = self._part_of(0, here, fingers, goal)
             self._fraction = part.fraction
-            if part.must_hold:
+            self._must_hold = np.array(part.must_hold)
+            if part.must_hold and not (self.on_hit == "clip" and self._motions.can_hold()):
                 self._fraction = 0.0
+                self._must_hold = np.array(False)
                 refused = Refused(part.why)
                 refused.ends_episode = self.on_hit == "stop"
                 raise refused
@@ -324,4 +329,4 @@ class _Part:
         self.rest = rest
         """Where the arms come to rest when they brake now, where not even the last command may be gone on with."""
         self.must_hold = must_hold
-        """Whether no target at all may be sent, as only braking is free; copies of a batch are sent `rest`."""
+        """Whether the arms must brake now, as nothing else is free."""

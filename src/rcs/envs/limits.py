@@ -10,6 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from rcs.envs.layers.limit_step import LimitStep
+from rcs.envs.ports import ArmPort
 from rcs.envs.spaces import JOINTS
 from rcs.envs.stack import NAMELESS, Stack
 from rcs.sim.scene import RobotPlacement
@@ -24,9 +25,9 @@ class RobotLimits:
     joint_upper: NDArray[np.float64]
     """Highest joint targets [rad]."""
     joint_velocity: NDArray[np.float64]
-    """Largest joint speeds of the robot [rad/s]."""
+    """Largest joint speeds of the robot and its device [rad/s]."""
     target_velocity: NDArray[np.float64]
-    """Largest speeds at which targets may move [rad/s]; infinite where no layer bounds them."""
+    """Largest speeds at which targets may move [rad/s]; infinite where nothing bounds them."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,8 @@ def limits_of(robots: Mapping[str, RobotPlacement], stack: Stack, frequency: flo
         chain = stack.chains.get(name) or stack.chains[NAMELESS]
         box = chain.executed_spaces[JOINTS]
         assert isinstance(box, spaces.Box)
-        steps = [layer.max_step for layer in chain.layers if isinstance(layer, LimitStep)]
+        bounds = [*chain.layers, *(port.limit for port in chain.ports if isinstance(port, ArmPort))]
+        steps = [bound.max_step for bound in bounds if isinstance(bound, LimitStep)]
         slowest = np.min(steps, axis=0) * frequency if steps else np.full(box.shape, np.inf)
         found[name] = RobotLimits(
             joint_lower=box.low.astype(np.float64),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from rcs.envs.clutter import Clutter
 from rcs.envs.gate import Gate
@@ -23,6 +23,7 @@ class Parts:
     setup: Setup
     """The setup itself: numbers and options."""
     robots: tuple[RobotPlacement, ...]
+    """Each within the limits of its device, where it has one."""
     cameras: tuple[CameraPlacement, ...]
     tactile: tuple[TactilePlacement, ...] = ()
     task: Task
@@ -38,6 +39,21 @@ class Parts:
     """Returns the monotonic time [s]; None for the host's."""
     sleep: Callable[[float], None] | None = None
     """Waits for some seconds of that time; None for the host's."""
+
+    def __post_init__(self) -> None:
+        """Narrow the limits of every robot to those of its device.
+
+        Raises:
+            InvalidSetup: A device is none of this robot: its joints are of another number or have other ranges.
+        """
+        arms = self.devices.arms
+        robots = tuple(
+            replace(robot, arm=robot.arm.within(arms[robot.name].limits, arms[robot.name].name))
+            if robot.name in arms
+            else robot
+            for robot in self.robots
+        )
+        object.__setattr__(self, "robots", robots)
 
     @property
     def title(self) -> str:

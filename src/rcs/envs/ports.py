@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from rcs.devices import Arm, Gripper, Hand
 from rcs.envs import spaces as keys
+from rcs.envs.layers.limit_step import LimitStep
 from rcs.envs.spaces import Arrays, Observation
 from rcs.errors import InvalidSetup
 from rcs.kinematics import Kinematics
@@ -47,7 +48,7 @@ class Port(ABC):
 
     @abstractmethod
     def command(self, action: Arrays) -> None:
-        """Set the device's targets from the port's keys in a checked action."""
+        """Set the device's targets from the port's keys in a checked action; in a synchronous step, again and again."""
 
     @abstractmethod
     def observe(self) -> Observation:
@@ -123,17 +124,30 @@ class ArmPort(Port):
     timed = (keys.JOINTS,)
 
     def __init__(
-        self, arm: Arm, kinematics: Kinematics, *, observed: Collection[keys.Observed] = (), effort: ArrayLike = ()
+        self,
+        arm: Arm,
+        kinematics: Kinematics,
+        *,
+        observed: Collection[keys.Observed] = (),
+        effort: ArrayLike = (),
+        limit: LimitStep | None = None,
     ) -> None:
         """Use an arm; it is opened by `open`.
 
         Args:
             arm: The device.
-            kinematics: Gives the TCP pose from the measured joints.
+            kinematics: Gives the TCP pose from the measured joints; its range bounds targets beside the device's.
             observed: `torques` and `wrench` are observed too, as the device measures them.
             effort: Largest joint torques [Nm], (dof,), where torques are observed.
+            limit: Bounds how far each `command` goes of the way to its target; None for all of it.
         """
-        box = keys.joints_space(arm.limits.joint_lower, arm.limits.joint_upper)
+        box = keys.joints_space(
+            np.maximum(arm.limits.joint_lower, kinematics.joint_lower),
+            np.minimum(arm.limits.joint_upper, kinematics.joint_upper),
+        )
+        self.limit = limit
+        """Bounds how far each `command` goes of the way to its target."""
+        self._is_on_its_way = self._must_rebase = False
         self.device = self._arm = arm
         self._kinematics = kinematics
         self._time = 0.0
@@ -143,8 +157,37 @@ class ArmPort(Port):
         self.observation_spaces = {**arm_observation_spaces(box), **{key: loads[key] for key in self._loads}}
 
     def command(self, action: Arrays) -> None:
-        """Send the joint target."""
-        self._arm.command_joints(action[keys.JOINTS])
+        """Send the joint target, or the next part of the way to it."""
+        if self.limit is None:
+            self._arm.command_joints(action[keys.JOINTS])
+            return
+        measured: Observation = {keys.JOINTS: np.array(self._arm.state().joints)}
+        if self._must_rebase:
+            self._must_rebase = False  # before, for another thread may set it meanwhile
+            self.limit.rebase(measured)
+        self.limit.map_observation(measured)
+        part = self.limit.map_action({keys.JOINTS: action[keys.JOINTS]})
+        self._arm.command_joints(part[keys.JOINTS])
+        self.limit.map_executed(part)
+        self._is_on_its_way = bool(self.limit.info()["is_limited"])
+
+    def open(self) -> None:
+        """Connect the arm; it does not move."""
+        self._must_rebase = True
+        super().open()
+
+    def has_arrived(self) -> bool:
+        """Return whether all of the way to the target was sent, and gone."""
+        return not self._is_on_its_way and super().has_arrived()
+
+    def hold(self) -> None:
+        """Make the arm stay where it is, and forget the rest of its way."""
+        self._must_rebase, self._is_on_its_way = True, False
+        super().hold()
+
+    def rebase(self) -> None:
+        """Make the next way begin where the arm is measured then."""
+        self._must_rebase = True
 
     def observe(self) -> Observation:
         """Measure joints and loads, and compute the TCP pose.

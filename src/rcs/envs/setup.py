@@ -97,6 +97,8 @@ class Setup:
     """Control steps per second [Hz]."""
     stepping: Stepping = "async"
     """How long a step lasts: one control period of simulated time, until arrived, or one period of the wall clock."""
+    sync_time_limit: float = 10.0
+    """Longest synchronous step of real devices [s]; it then ends as `limit`. A slow arm on a long way needs more."""
     max_episode_steps: int | None = 300
     """An episode is truncated after this many steps; None for no limit."""
     physics_step: float = 0.002
@@ -172,6 +174,8 @@ class Setup:
         highest = 1 / self.physics_step
         if not (_is_number(self.frequency) and 0 < self.frequency <= highest + 1e-9):
             raise InvalidSetup(f"frequency is {self.frequency!r} Hz; valid is above 0 and up to {highest:g} Hz.")
+        if not (_is_number(self.sync_time_limit) and 0 < self.sync_time_limit < float("inf")):
+            raise InvalidSetup(f"sync_time_limit is {self.sync_time_limit!r} s; valid is a finite number above 0.")
         steps: Any = self.max_episode_steps
         if steps is not None and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
             raise InvalidSetup(f"max_episode_steps is {steps!r}; valid is a whole number from 1, or None.")
@@ -234,6 +238,7 @@ class Options(TypedDict, total=False):
     binary_gripper: bool
     frequency: float
     stepping: Stepping
+    sync_time_limit: float
     max_episode_steps: int | None
     physics_step: float
     randomisation: Randomisation | Preset | bool | None

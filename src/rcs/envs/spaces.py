@@ -255,11 +255,12 @@ class ActionCheck:
             (key, box, leading + box.shape, box.dtype, box.low, box.high) for key, box in boxes.items()
         ]
 
-    def __call__(self, action: Any) -> dict[str, NDArray[Any]]:
+    def __call__(self, action: Any, *places: Arrays) -> dict[str, NDArray[Any]]:
         """Check an action and return it as fresh arrays of the right dtype.
 
         Args:
             action: A mapping with one array per key.
+            places: Values by key that an action may go as far out of the bounds as.
 
         Returns:
             One array per key, (*leading, *shape), inside the bounds.
@@ -277,6 +278,9 @@ class ActionCheck:
                 array = _as_numbers(key, array, box)
             if array.shape != shape:
                 raise InvalidAction(f"Action {key!r} has shape {array.shape}; valid is {shape}.")
+            for place in places:
+                if key in place:
+                    low, high = np.minimum(low, place[key]), np.maximum(high, place[key])
             clipped = clip_rows(array, low, high, TOLERANCE)
             if clipped is None:
                 raise InvalidAction(_describe_value(key, array, box))

@@ -136,11 +136,15 @@ class Stack:
                 raise Refused(
                     f"{gate} answered after {1e3 * taken:.1f} ms; its deadline is {1e3 * gate.deadline:g} ms."
                 )
-            targets = self._checked(gate, answer, targets)
+            targets = self._checked(gate, answer, targets, measured)
         return {name: dict(targets[name]) for name in self.chains}
 
-    def _checked(self, gate: Gate, answer: Any, given: Mapping[str, Action]) -> Nested:
+    def _checked(
+        self, gate: Gate, answer: Any, given: Mapping[str, Action], measured: Mapping[str, Observation]
+    ) -> Nested:
         """Return what a gate let through, once it is found to be as valid as what the gate was given.
+
+        An arm that was found outside its range may be sent as far out as it is, or as it was sent before.
 
         Raises:
             Refused: A robot or key is missing or unknown, or a value has another shape, is no number or out of bounds.
@@ -153,7 +157,7 @@ class Stack:
         for name, chain in self.chains.items():
             own = answer.get(name, {})
             try:
-                valid = chain.check_executed(own)
+                valid = chain.check_executed(own, measured[name], chain.executed)
             except InvalidAction as err:
                 raise Refused(f"{gate} returned what {name or 'the robot'} cannot be sent: {err}") from err
             # What a gate leaves alone stays the same array, by which layers know it.
@@ -166,6 +170,12 @@ class Stack:
             chain.send(mapped[name])
         for gate in self.gates:
             gate.sent(mapped)
+
+    def repeat(self) -> None:
+        """Tell all devices once more what was sent last; the layers need not know."""
+        for chain in self.chains.values():
+            for port in chain.ports:
+                port.command(chain.executed)
 
     def stay(self) -> None:
         """Hold all devices where they are measured, and take that for what the last action came to."""

@@ -109,7 +109,8 @@ class PinocchioKinematics(Kinematics):
         return jacobian
 
     def _inverse(self, target: Pose, start: Vector, options: IkOptions) -> IkResult:
-        begin = np.clip(start, self._lower, self._upper)
+        # A joint that is found outside is followed from where it is.
+        begin = start if options.best_effort else np.clip(start, self._lower, self._upper)
         self._require(options)
         goal = self._pin.SE3(target.matrix)
         count = [0]
@@ -160,7 +161,7 @@ class PinocchioKinematics(Kinematics):
                 jacobian = scale[:, None] * self._jacobian(q)
             step, share, is_at_edge = self._step(q, jacobian, scale * error, begin, bound, damping, options)
             largest = float(np.abs(step).max())
-            candidate = np.clip(q + share * step, self._lower, self._upper)
+            candidate = np.clip(q + share * step, *self._range(begin))
             new_error = self._error(goal, candidate)
             if options.best_effort:
                 cost, left = ((scale * error) ** 2).sum(), scale * error - share * (jacobian @ step)
@@ -174,6 +175,10 @@ class PinocchioKinematics(Kinematics):
         search.joints, search.translation, search.rotation = q, translation, rotation
         return search
 
+    def _range(self, begin: Vector) -> tuple[Vector, Vector]:
+        """Return the limits, and where a joint begins outside, that place in their stead."""
+        return np.minimum(self._lower, begin), np.maximum(self._upper, begin)
+
     def _step(
         self,
         q: Vector,
@@ -186,6 +191,7 @@ class PinocchioKinematics(Kinematics):
     ) -> tuple[Vector, float, bool]:
         """Return the step, the share of it to make, and whether that ends at the bound; limits are inside the solve."""
         most = FOLLOWED if options.best_effort else STEP
+        lower, upper = self._range(begin)
         free = np.ones(len(q), bool)
         step, share, is_at_edge = np.zeros(len(q)), 1.0, False
         for _ in range(len(q) + 1 if options.best_effort else 2):
@@ -202,7 +208,7 @@ class PinocchioKinematics(Kinematics):
                 allowed = np.min(np.maximum(room, 0.0) / np.maximum(np.abs(step), 1e-300))
                 share, is_at_edge = min(share, float(allowed)), bool(allowed < share)
             reach = q + (share * step if options.best_effort else 0.0)
-            limit = np.where(step < 0, self._lower, self._upper)
+            limit = np.where(step < 0, lower, upper)
             blocked = free & (step != 0) & np.where(step < 0, reach <= limit, reach >= limit)
             if not blocked.any():
                 break

@@ -9,14 +9,14 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rcs._core import MotionLimits
+from rcs._core import ArmLimits, MotionLimits
 from rcs.errors import InvalidSetup
 from rcs.robots.camera_mode import ResolutionMode, choose_rate, find_mode
 from rcs.robots.collision_limits import CollisionLimits
@@ -153,6 +153,43 @@ class ArmDescription(Description):
         """What bounds the trajectories of the arm."""
         rates = self.velocity_limit, self.acceleration_limit, self.jerk_limit
         return MotionLimits(list(self.joint_lower), list(self.joint_upper), *map(list, rates))
+
+    def within(self, limits: ArmLimits, device: str) -> ArmDescription:
+        """Return the arm with the narrower ones of its limits and those of a device; what is unknown there stays.
+
+        A home pose outside the device's range moves to the edge of it.
+
+        Args:
+            limits: Limits of the device.
+            device: Name of the device, for messages.
+
+        Raises:
+            InvalidSetup: The device has another number of joints, or a joint's range has nothing of that here.
+        """
+        if len(limits.joint_lower) != self.dof:
+            raise InvalidSetup(f"{device} has {len(limits.joint_lower)} joints; {self.label} has {self.dof}.")
+        lower = np.maximum(self.joint_lower, limits.joint_lower)
+        upper = np.minimum(self.joint_upper, limits.joint_upper)
+        for i in np.flatnonzero(lower >= upper):
+            raise InvalidSetup(
+                f"{device} moves {self.joints[i]} from {limits.joint_lower[i]:g} to {limits.joint_upper[i]:g} rad; "
+                f"{self.label} from {self.joint_lower[i]:g} to {self.joint_upper[i]:g} rad. Give the driver the "
+                "offsets of its joints, or choose the robot that it is."
+            )
+        return replace(
+            self,
+            home=tuple(np.clip(self.home, lower, upper).tolist()),
+            joint_lower=tuple(lower.tolist()),
+            joint_upper=tuple(upper.tolist()),
+            velocity_limit=_narrower(self.velocity_limit, limits.joint_velocity),
+            acceleration_limit=_narrower(self.acceleration_limit, limits.joint_acceleration),
+            jerk_limit=_narrower(self.jerk_limit, limits.joint_jerk),
+            effort_limit=_narrower(self.effort_limit, limits.joint_effort),
+        )
+
+
+def _narrower(own: tuple[float, ...], limits: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(np.minimum(own, limits).tolist()) if limits.size else own
 
 
 @dataclass(frozen=True, kw_only=True)

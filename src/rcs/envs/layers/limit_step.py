@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rcs._core import limit_rows
 from rcs.envs.layers.layer import Layer, Where, everywhere, renew
@@ -13,6 +13,9 @@ from rcs.envs.spaces import JOINTS, Action, Observation
 
 ROUNDING = 1e-9
 """A target reduced by less than this [rad] counts as unlimited."""
+
+FOUND_OUTSIDE = 0.02
+"""A joint farther outside its range than this [rad] was found there; others were carried there by their servos."""
 
 
 class LimitStep(Layer):
@@ -26,16 +29,35 @@ class LimitStep(Layer):
 
     memory = ("_target", "_measured", "_is_cut", "_is_limited")
 
-    def __init__(self, max_step: NDArray[np.float64], max_lead: NDArray[np.float64] | float) -> None:
+    def __init__(
+        self,
+        max_step: NDArray[np.float64],
+        max_lead: NDArray[np.float64] | float,
+        *,
+        lower: ArrayLike = -np.inf,
+        upper: ArrayLike = np.inf,
+        max_return: float = np.inf,
+    ) -> None:
         """Set the bounds.
 
         Args:
             max_step: Largest change of the target per action [rad], shape (dof,).
             max_lead: Largest distance of the target from the measured joint [rad], shape (dof,), or one for all; see
                 `MotionLimits.lead`. With less, the arm cannot come to its full speed.
+            lower: Where the range of each joint begins [rad], shape (dof,), or one for all.
+            upper: Where it ends.
+            max_return: Largest change of a target that is outside of it, per action [rad].
         """
         self.max_step = np.asarray(max_step, np.float64)
-        self._max_lead = np.array(np.broadcast_to(np.asarray(max_lead, np.float64), self.max_step.shape))
+        shape = self.max_step.shape
+        self._bounds = (
+            self.max_step,
+            np.broadcast_to(np.asarray(max_lead, np.float64), shape).copy(),
+            np.broadcast_to(np.asarray(lower, np.float64) - FOUND_OUTSIDE, shape).copy(),
+            np.broadcast_to(np.asarray(upper, np.float64) + FOUND_OUTSIDE, shape).copy(),
+            float(max_return),
+            ROUNDING,
+        )
         self._target: NDArray[np.float64] | None = None
         self._measured: NDArray[np.float64] | None = None
         self._is_cut: NDArray[np.bool_] = np.zeros((), np.bool_)  # by the last map_action
@@ -63,7 +85,7 @@ class LimitStep(Layer):
         if self._target is None or self._measured is None:
             raise RuntimeError("LimitStep.map_action was called before reset")
         asked = action[JOINTS]
-        cut = limit_rows(asked, self._target, self._measured, self.max_step, self._max_lead, ROUNDING)
+        cut = limit_rows(asked, self._target, self._measured, *self._bounds)
         if cut is None:
             # Returning the same array tells the layers above that nothing was cut.
             self._is_cut = np.zeros_like(self._is_limited)

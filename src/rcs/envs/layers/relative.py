@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
+from rcs._core import clip_rows
 from rcs.envs.layers.layer import ActionSpaces, Layer, Where, everywhere, renew
 from rcs.envs.spaces import JOINTS, TQUAT, XYZRPY, Action, Control, Observation, require_direction, xyzrpy_space
 from rcs.spatial import compose, distance, interpolate, normalize, xyzrpy_to_tquat
@@ -59,12 +60,13 @@ class Relative(Layer):
         self._key = JOINTS if control == JOINTS else TQUAT
         self._reference: NDArray[np.float64] | None = None
         self._last: NDArray[np.float64] | None = None
-        self._lower = self._upper = np.zeros(0)
+        self._lower: NDArray[np.float64] = np.zeros(0)
+        self._upper: NDArray[np.float64] = np.zeros(0)
 
     def action_spaces(self, inner: ActionSpaces) -> ActionSpaces:
         """Replace the space of absolute targets by one of differences."""
         box = inner[self._key]
-        self._lower, self._upper = box.low, box.high
+        self._lower, self._upper = box.low.astype(np.float64), box.high.astype(np.float64)
         if self._to == "origin":
             # Differences from an origin grow over an episode and may span the range of the absolute target.
             bound = {JOINTS: box.high - box.low, TQUAT: box.high, XYZRPY: xyzrpy_space().high}[self._control]
@@ -105,11 +107,15 @@ class Relative(Layer):
         Raises:
             InvalidAction: A quaternion has no direction.
         """
-        if self._reference is None:
+        if self._reference is None or self._last is None:
             raise RuntimeError("Relative.map_action was called before reset")
         difference = action[self._control]
         if self._control == JOINTS:
-            target = np.minimum(np.maximum(self._reference + difference, self._lower), self._upper)
+            target = self._reference + difference
+            if clip_rows(target, self._lower, self._upper, 0.0) is None:
+                # A joint that was found outside its range may stay there, and goes no farther out.
+                lower, upper = np.minimum(self._lower, self._last), np.maximum(self._upper, self._last)
+                target = np.minimum(np.maximum(target, lower), upper)
         else:
             target = self._move(self._reference, difference)
         mapped: Action = {key: value for key, value in action.items() if key != self._control}
