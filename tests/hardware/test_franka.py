@@ -177,6 +177,8 @@ def test_options_that_make_no_sense_are_refused_by_name():
         driver.arm(ADDRESS, FR3, {"stiffness": [100] * 6})
     with pytest.raises(InvalidSetup, match="6 finite numbers"):
         driver.arm(ADDRESS, FR3, {"compliance": "tcp", "stiffness": [100] * 7})
+    with pytest.raises(InvalidSetup, match="at most 1"):
+        driver.arm(ADDRESS, FR3, {"speed": 5})
     with pytest.raises(InvalidSetup, match="joints, tcp"):
         driver.arm(ADDRESS, FR3, {"compliance": "soft"})
     with pytest.raises(InvalidSetup, match="force"):

@@ -10,7 +10,7 @@ from rcs.robots import FR3
 
 
 def test_a_joint_that_brakes_for_the_end_of_its_range_is_never_too_fast_for_its_place():
-    limits = limits_of_fr3(FR3, whole_range=False)
+    limits = limits_of_fr3(FR3)
     for speed in np.linspace(0.0, 1.0, 50)[:, None] * limits.joint_velocity:
         way = speed**2 / (2.0 * np.array(FR3.acceleration_limit))
         assert (1.05 * speed <= velocity_bounds(FR3, limits.joint_upper - way)[1] + 1e-3).all()
@@ -18,10 +18,17 @@ def test_a_joint_that_brakes_for_the_end_of_its_range_is_never_too_fast_for_its_
 
 
 def test_the_range_that_is_left_has_room_for_work():
-    limits, home = limits_of_fr3(FR3, whole_range=False), np.array(FR3.home)
+    limits, home = limits_of_fr3(FR3), np.array(FR3.home)
     assert (limits.joint_lower < home - 0.4).all()
     assert (limits.joint_upper > home + 0.4).all()
     assert (limits.joint_upper - limits.joint_lower > 0.7 * (np.array(FR3.joint_upper) - FR3.joint_lower)).all()
+
+
+def test_a_share_of_the_speed_leaves_more_of_the_range():
+    full, slow = limits_of_fr3(FR3), limits_of_fr3(FR3, speed=0.05)
+    assert slow.joint_velocity == pytest.approx(0.05 * full.joint_velocity)
+    assert (slow.joint_lower <= full.joint_lower).all()
+    assert slow.joint_upper[1] > full.joint_upper[1] + 0.4
 
 
 def test_the_whole_range_is_that_of_the_description():

@@ -71,6 +71,8 @@ class FrankaOptions:
     """Torque at each joint from which the arm takes a push for a collision [N·m], seven; None for the description's."""
     collision_force: float | None = None
     """The same for the TCP [N], and its moment [N·m]; None for the description's."""
+    speed: float = 1.0
+    """Share of the joints' speeds that the arm uses, above 0 and at most 1."""
     whole_range: bool = False
     """Use all of the joints' ranges and speeds. Fast ways towards the end of a range then end in a reflex."""
 
@@ -82,6 +84,8 @@ class FrankaOptions:
         """
         if self.compliance not in get_args(Compliance):
             raise InvalidSetup(f"compliance is {self.compliance!r}; valid: {', '.join(get_args(Compliance))}.")
+        if not _is_amount(self.speed) or not 0 < self.speed <= 1:
+            raise InvalidSetup(f"speed is {self.speed!r}; valid is a share above 0 and at most 1.")
         if not isinstance(self.whole_range, bool):
             raise InvalidSetup(f"whole_range is {self.whole_range!r}; valid: true, false.")
         count = 7 if self.compliance == "joints" else 6
@@ -139,7 +143,7 @@ class FrankaArm(StreamedArm):
         is_stiff = self._options.compliance == "joints"
         super().__init__(
             f"{about.name} at {address}",
-            limits_of_fr3(about, whole_range=self._options.whole_range),
+            limits_of_fr3(about, speed=self._options.speed, whole_range=self._options.whole_range),
             StreamOptions(rate=RATE, arrival=0.005 if is_stiff else 0.05, tracking_error=0.3 if is_stiff else 1.0),
         )
         self._address, self._about = address, about

@@ -39,17 +39,18 @@ def velocity_bounds(about: ArmDescription, joints: Vector) -> tuple[Vector, Vect
     return -bound(joints - np.array(about.joint_lower)), bound(np.array(about.joint_upper) - joints)
 
 
-def limits_of_fr3(about: ArmDescription, *, whole_range: bool) -> ArmLimits:
+def limits_of_fr3(about: ArmDescription, *, speed: float = 1.0, whole_range: bool = False) -> ArmLimits:
     """Return limits of an FR3.
 
     Args:
         about: Its figures.
+        speed: Share of the speeds to use.
         whole_range: Take all of its ranges and speeds. Without it the ranges and speeds are such that a joint that is
             led at full speed, and braked to stand at the end of the range, is never too fast for its place.
     """
     lower, upper, fastest = np.array(about.joint_lower), np.array(about.joint_upper), np.array(about.velocity_limit)
+    fastest = speed * (fastest if whole_range else np.minimum(fastest, STEADY_VELOCITY))
     if not whole_range:
-        fastest = np.minimum(fastest, STEADY_VELOCITY)
         speeds = np.linspace(0.0, fastest, 200)  # at each, this far from the joint's end, less what it takes to brake
         needed = (OVERSHOOT * speeds + VELOCITY_OFFSET) ** 2 / (2.0 * DECELERATION_LIMIT)
         margin = (needed - speeds**2 / (2.0 * np.array(about.acceleration_limit))).max(axis=0)
