@@ -275,10 +275,16 @@ Trajectory::Plan& Trajectory::plan(const double* memory) {
   return plan;
 }
 
+// A joint that is outside its range may stay there, and goes no farther.
+double Trajectory::within(std::size_t i, double target, double position) const {
+  return std::clamp(target, std::min(limits_.lower[i], position), std::max(limits_.upper[i], position));
+}
+
 bool Trajectory::is_asked(const double* memory) {
   const std::size_t n = limits_.lower.size();
+  look(memory, 0.0);
   for (std::size_t i = 0; i < n; ++i) {
-    const double target = std::clamp(memory[kTarget * n + i], limits_.lower[i], limits_.upper[i]);
+    const double target = within(i, memory[kTarget * n + i], plan_->position[i]);
     if (target != memory[kLast * n + i] || memory[kStream * n + i] != 0.0) return true;
   }
   if (!plan(memory).is_still) return false;
@@ -362,7 +368,7 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
   double *target = memory + kTarget * n, *last = memory + kLast * n, *stream = memory + kStream * n;
   // Torque is spared only as far as the joints can still stop at the target.
   for (std::size_t i = 0; i < n && share < 1.0; ++i) {
-    const double way = std::clamp(target[i], limits_.lower[i], limits_.upper[i]) - plan.position[i];
+    const double way = within(i, target[i], plan.position[i]) - plan.position[i];
     if (way * plan.velocity[i] <= 0.0) continue;
     const double sign = way < 0.0 ? -1.0 : 1.0;
     const double distance = stopping_distance(sign * plan.velocity[i], sign * plan.acceleration[i],
@@ -373,7 +379,7 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
     plan.input.max_acceleration[i] = (1.0 - kMargin) * share * limits_.acceleration[i];
   double most = 1.0;  // of the velocity limit
   for (std::size_t i = 0; i < n; ++i) {
-    target[i] = std::clamp(target[i], limits_.lower[i], limits_.upper[i]);
+    target[i] = within(i, target[i], plan.position[i]);
     const double velocity = step.is_synchronous ? 0.0 : (target[i] - last[i]) / step.period;
     plan.end[i] = minmod(velocity, stream[i]);
     most = std::max(most, std::abs(plan.end[i]) / (kCruise * plan.input.max_velocity[i]));
@@ -382,7 +388,7 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
   }
   for (std::size_t i = 0; i < n; ++i) {
     plan.end[i] = std::abs(plan.end[i]) < kResting * limits_.velocity[i] ? 0.0 : plan.end[i] / most;
-    plan.room[i] = plan.end[i] > 0.0 ? limits_.upper[i] - target[i] : target[i] - limits_.lower[i];
+    plan.room[i] = std::max(plan.end[i] > 0.0 ? limits_.upper[i] - target[i] : target[i] - limits_.lower[i], 0.0);
     const double allowed = braking_speed(plan.room[i], plan.input.max_acceleration[i], plan.input.max_jerk[i]);
     if (std::abs(plan.end[i]) <= allowed) continue;
     // The target is about to stop at the end of the range: a joint that can stop at the target does so.
@@ -482,7 +488,7 @@ void Trajectory::brake(double* memory, double share) {
     plan.at(plan.duration());
     bool is_inside = true;
     for (std::size_t i = 0; i < n; ++i) {
-      const double end = std::clamp(plan.position[i], limits_.lower[i], limits_.upper[i]);
+      const double end = within(i, plan.position[i], memory[kPosition * n + i]);
       is_inside = is_inside && end == plan.position[i];
       memory[kTarget * n + i] = memory[kLast * n + i] = end;
     }

@@ -14,14 +14,16 @@ from rcs.errors import InvalidSetup
 from rcs.sim.randomisation import Randomisation
 
 
-def _made(control: Any, relative: Any, **options: Any) -> Setup:
-    return Setup(control=control, relative="last_step" if control == "twist" else relative, **options)
+def _made(control: Any, relative: Any, cameras: tuple[str, ...], **options: Any) -> Setup:
+    relative = "last_step" if control == "twist" else relative
+    sizes = dict.fromkeys(cameras[1:], (64, 48))
+    return Setup(control=control, relative=relative, cameras=cameras, camera_sizes=sizes, **options)
 
 
 SETUPS = st.builds(
     _made,
     task=st.sampled_from(["PickCuboid", "Free"]),
-    end_effector=st.none() | st.just("franka_hand"),
+    end_effector=st.none() | st.just("franka_hand") | st.just({"left": "robotiq_2f85"}),
     cameras=st.lists(st.sampled_from(["wrist", "side"]), unique=True).map(tuple),
     image_size=st.tuples(st.integers(1, 4096), st.integers(1, 4096)),
     camera_fps=st.none() | st.floats(1.0, 90.0) | st.integers(1, 90),
@@ -115,10 +117,11 @@ def test_a_frame_rate_for_a_camera_that_is_not_there_is_refused() -> None:
     ("field", "value"),
     [
         *(("camera_mode", value) for value in ("large", "848", 848, (848, 480), "0x480", "9999x10")),
+        *(("camera_sizes", value) for value in (64, {"wrist": 0}, {"wrist": (1, 2, 3)}, {3: 64}, {"wirst": 64}, [1])),
         *(("camera_fps", value) for value in (0, -30, float("nan"), float("inf"), True, "30", [30], {"wrist": 0})),
         *(("task", value) for value in (None, 3)),
         *(("robot", value) for value in (None, ["fr3"])),
-        *(("end_effector", value) for value in (3, ("franka_hand",))),
+        *(("end_effector", value) for value in (3, ("franka_hand",), {"left": 3}, {3: "none"})),
         *(("cameras", value) for value in ("wrist", ("wrist", "wrist"), (1,), 5, None)),
         *(
             ("image_size", value)

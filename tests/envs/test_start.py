@@ -95,7 +95,7 @@ def test_a_hand_stands_as_it_is_put() -> None:
         ({"robot": {"joints": [9.0] * 7}}, "valid is"),
         ({"robot": {"joints": [0.0] * 7, "hand": [0.0]}}, "joints"),
         ({"robot": 3}, "robot"),
-        ({"robots": {}}, "Unknown"),
+        ({"robots": {}}, "Did you mean .robot"),
     ],
 )
 def test_a_start_that_makes_no_sense_is_refused(options: dict[str, Any], words: str) -> None:

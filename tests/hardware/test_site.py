@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.devices.fakes import FakeArm, FakeGripper
+from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper
 from rcs.errors import DeviceFault, InvalidSetup, UnknownName
 from rcs.hardware import DeviceAddress, Driver, FakeDriver, Site
 from rcs.hardware.fake import limits_of
@@ -52,6 +52,16 @@ def test_a_site_is_what_its_file_says(tmp_path: Path) -> None:
         ('{"arms": {"fr3": {"driver": 5}}}', "'fr3': The driver of a device is 5"),
         ('{"arms": {"fr3": {"driver": "fake", "options": [1]}}}', "mapping from names to values"),
         ('{"arms": ' * 100_000, "cannot be read"),
+        ('{"valid_for": 0}', "valid_for is 0 s"),
+        ('{"arm_stale_after": -1}', "arm_stale_after is -1 s"),
+        (
+            '{"arms": {"left": "ur:192.0.2.1", "right": "ur:192.0.2.1"}}',
+            "'left' and 'right' are both at ur:192.0.2.1, which is 'left'",
+        ),
+        (
+            '{"cameras": {"wrist": "v4l:0", "side": {"driver": "v4l", "address": "0", "options": {"x": 1}}}}',
+            "'wrist' and 'side' are both at v4l:0",
+        ),
     ],
 )
 def test_a_file_that_is_no_site_is_refused(text: str, match: str, tmp_path: Path) -> None:
@@ -78,6 +88,15 @@ def test_a_device_itself_goes_into_no_file(tmp_path: Path) -> None:
         ("nowhere.json", InvalidSetup, "cannot be read"),
         ({"fr3": FakeGripper()}, InvalidSetup, "Expected a device of rcs.devices.Arm"),
         ({"fr3": {"driver": "rcs.errors:WrongOrder"}}, InvalidSetup, "subclass of rcs.hardware.Driver"),
+        ("rcs.errors:WrongOrder:192.0.2.1", InvalidSetup, "subclass of rcs.hardware.Driver"),
+        ("rcs.hardware.fake:FakeDrover:x", UnknownName, "Did you mean 'FakeDriver'"),
+        (
+            {"fr3": {"driver": "fake", "options": {"calibratoin": "x"}}},
+            InvalidSetup,
+            "no option of a fake device named",
+        ),
+        ({"fr3": {"driver": "sim", "options": {"dealy": 0.1}}}, InvalidSetup, "Did you mean 'delay'"),
+        ({"fr3/gripper": {"driver": "sim", "options": {"dealy": 0.1}}}, InvalidSetup, "Did you mean 'delay'"),
     ],
 )
 def test_hardware_that_makes_no_sense_is_refused(hardware: Any, error: type[Exception], match: str) -> None:
@@ -85,12 +104,80 @@ def test_hardware_that_makes_no_sense_is_refused(hardware: Any, error: type[Exce
         rcs.make("Free", hardware=hardware)
 
 
-def test_a_driver_says_what_it_does_not_have() -> None:
-    class Bare(Driver):
-        """Has nothing."""
+def test_one_arm_is_not_two() -> None:
+    with pytest.raises(InvalidSetup, match=r"'left' and 'right' are both at fake:192\.0\.2\.1"):
+        rcs.make("Free", robot="dual_fr3", hardware="fake:192.0.2.1")
+    arm = home_arm()
+    with pytest.raises(InvalidSetup, match="'left' and 'right' are both the device"):
+        Site(arms={"left": arm, "right": arm})
+    assert Site(arms={"left": "fake", "right": "fake"}, grippers={"left": "fake:a"}, cameras={"wrist": "fake:a"})
 
+
+@pytest.mark.parametrize(
+    ("text", "driver", "address"),
+    [
+        ("fake", "fake", ""),
+        ("fake:a:b", "fake", "a:b"),
+        ("my_vendor:192.0.2.1:30004", "my_vendor", "192.0.2.1:30004"),
+        ("rcs.hardware:FakeDriver", "rcs.hardware:FakeDriver", ""),
+        ("rcs.hardware:FakeDriver:192.0.2.1:30004", "rcs.hardware:FakeDriver", "192.0.2.1:30004"),
+        ("rcs.hardware.fake:FakeDriver:/dev/ttyACM0", "rcs.hardware.fake:FakeDriver", "/dev/ttyACM0"),
+    ],
+)
+def test_a_class_in_a_module_is_a_driver_wherever_a_name_is(text: str, driver: str, address: str) -> None:
+    assert DeviceAddress.parse(text, "fr3") == DeviceAddress(driver=driver, address=address)
+
+
+class Bare(Driver):
+    """Has nothing."""
+
+
+class CountingDriver(FakeDriver):
+    """Counts its objects."""
+
+    made = 0
+
+    def __init__(self) -> None:
+        super().__init__()
+        type(self).made += 1
+
+
+def test_one_object_of_a_driver_makes_all_devices_of_a_site(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(CountingDriver, "made", 0)
+    name = f"{__name__}:CountingDriver"
+    for count in (1, 2):
+        rcs.make("Free", robot="dual_fr3", hardware={"left": f"{name}:a", "right": f"{name}:b"}).close()
+        assert CountingDriver.made == count
+
+
+def test_real_tactile_sensors_feel_in_the_place_of_simulated_ones() -> None:
+    right = FakeCamera(rcs.devices.CameraMode(640, 480, 60.0))
+    hardware = {"fr3": "fake:a", "fr3_left": "fake:D1", "fr3_right": right}
+    with rcs.make("Free", tactile="digit", hardware=hardware, frequency=50) as env:
+        simulated = rcs.make("Free", tactile="digit")
+        assert env.observation_space["frames"] == simulated.observation_space["frames"]
+        simulated.close()
+        assert env.platform["fr3_left"] == "fake"
+        assert not env.is_simulated
+        observation, _ = env.reset(seed=0)
+        assert env.observation_space.contains(observation)
+        *_, info = env.step({"joints": np.zeros(7), "gripper": np.ones(1)})
+        assert {"frames/fr3_left", "frames/fr3_right"} <= info["ages"].keys()
+
+
+def test_a_tactile_sensor_that_is_not_real_is_simulated() -> None:
+    site = Site(tactile={"fr3_left": "fake:D1", "another": "fake:D2"})
+    with rcs.make("Free", tactile="digit", hardware=site, frequency=50) as env:
+        assert (env.platform["fr3_left"], env.platform["fr3_right"]) == ("fake", "simulation")
+        observation, _ = env.reset(seed=0)
+        assert list(observation["frames"]) == ["fr3_right", "fr3_left"]
+
+
+def test_a_driver_says_what_it_does_not_have() -> None:
     with pytest.raises(InvalidSetup, match="Bare has no arms"):
         Bare().arm("", FR3, {})
+    with pytest.raises(InvalidSetup, match="Bare has no tactile sensors"):
+        rcs.make("Free", tactile="digit", hardware=Site(tactile={"fr3_left": f"{__name__}:Bare"}))
     assert FakeDriver().arm("a", FR3, {}).name == "a"
 
 

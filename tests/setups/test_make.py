@@ -28,6 +28,8 @@ def test_a_setup_makes_what_its_fields_make() -> None:
     [
         ({"task": "PickCubiod"}, ["task named 'PickCubiod'", "Did you mean 'PickCuboid'?", "Free"]),
         ({"robot": "fr4"}, ["robot named 'fr4'", "Did you mean 'fr3'?"]),
+        ({"end_effector": {"fr4": "none"}}, ["robot of this setup named 'fr4'", "Did you mean 'fr3'?"]),
+        ({"end_effector": {"fr3": "franka_hnd"}}, ["end effector named 'franka_hnd'"]),
         ({"end_effector": "franka_hnd"}, ["end effector named 'franka_hnd'", "Did you mean 'franka_hand'?"]),
         ({"cameras": ("wirst",)}, ["lab of 'fr3'", "'wirst'", "Did you mean 'wrist'?", "side"]),
         ({"cameras": ("wrist", "top")}, ["'top'", "side, wrist"]),
@@ -119,6 +121,18 @@ def test_a_camera_that_looks_at_a_point_has_it_in_the_middle_of_its_picture() ->
 def test_combinations_that_do_not_fit_are_refused_with_the_reason(robot: str, end_effector: str, text: str) -> None:
     with pytest.raises(InvalidSetup, match=text):
         rcs.make("Free", robot=robot, end_effector=end_effector)
+
+
+def test_each_of_two_robots_carries_its_own() -> None:
+    with rcs.make("Free", robot="dual_fr3", end_effector={"left": "robotiq_2f85", "right": "none"}) as env:
+        assert list(env.platform) == ["left", "right", "left/robotiq_2f85"]
+        assert set(env.action_space["left"]) == {"joints", "gripper"}
+        assert set(env.action_space["right"]) == {"joints"}
+        assert rcs.Setup.from_json(json.loads(json.dumps(env.setup.to_json()))) == env.setup
+        env.reset(seed=0)
+        env.step(env.action_space.sample())
+    with rcs.make("Free", robot="dual_fr3", end_effector={"left": "tilburg_hand"}) as env:
+        assert list(env.platform) == ["left", "right", "left/tilburg_hand", "right/franka_hand"]
 
 
 @pytest.mark.parametrize("robot", ["fr3", "ur5e", "xarm7"])

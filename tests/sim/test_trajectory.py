@@ -175,3 +175,22 @@ def test_memory_of_another_size_is_refused() -> None:
         trajectory.state(np.zeros(7))
     with pytest.raises(InvalidSetup, match="period above 0"):
         trajectory.follow(np.zeros(Trajectory.size(7)), 0.0)
+
+
+def test_a_joint_outside_its_range_may_stay_goes_no_farther_and_comes_back() -> None:
+    start = np.array(FR3.home)
+    start[3] = FR3.joint_upper[3] + 0.2
+    led = Led(FR3, 30.0, start=start)
+    led.limit = LimitStep(np.full(FR3.dof, 10.0), np.full(FR3.dof, 10.0))
+    led.limit.reset({"joints": start})
+    np.testing.assert_array_equal(led.go(start, 10)[:, 0], np.tile(start, (10 * TICKS + 1, 1)))
+    farther = start.copy()
+    farther[3] += 0.5
+    assert led.go(farther, 10)[:, 0, 3].max() <= start[3]
+    led.trajectory.brake(led.memory)
+    led.trajectory.advance(led.memory, 1.0)
+    np.testing.assert_allclose(led.state[0], start, atol=1e-9)
+    home = np.array(FR3.home)
+    way = led.go(home, 60)[:, 0, 3]
+    assert np.all(np.diff(way) <= 1e-9)
+    assert way[-1] == pytest.approx(home[3], abs=1e-9)

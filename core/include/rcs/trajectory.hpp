@@ -94,6 +94,7 @@ class RCS_API Trajectory {
   struct Plan;
 
   Plan& plan(const double* memory);
+  double within(std::size_t joint, double target, double position) const;
   double stay_behind(double speed_share);
   double spare_way(std::size_t joint, double share, double behind, double horizon) const;
   void let_go(std::size_t joint, double behind, double horizon);

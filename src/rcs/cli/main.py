@@ -18,6 +18,7 @@ VERBS: Table = {
     "sim": "rcs.cli.sim:SimCommand",
     "ik": "rcs.cli.ik:IkCommand",
     "plan": "rcs.cli.plan:PlanCommand",
+    "home": "rcs.cli.home:HomeCommand",
     "twin": "rcs.cli.twin:TwinCommand",
     "virtual": "rcs.cli.virtual:VirtualCommand",
     "gallery": "rcs.cli.gallery:GalleryCommand",

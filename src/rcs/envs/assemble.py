@@ -47,6 +47,11 @@ from rcs.sim.textures import add_textures
 from rcs.sim.world import World
 from rcs.spatial import Pose, inverse, tquat_to_matrix
 
+VALID_PERIODS = 3.0
+"""A command without another is valid for as many control periods, when nothing else is said."""
+SLOW_READ = 0.5
+"""A gripper or hand that takes a larger share of a control period to read is read on a thread."""
+
 
 def assemble(
     parts: Parts, *, render_mode: str | None = None, is_blind: bool = False, drawn: Sequence[str] | None = None
@@ -77,7 +82,8 @@ def assemble(
     scenario, stack = _populate(parts, world, cameras)
     picture = None if render_mode is None or world is None else Picture(world, quality=setup.render_quality)
     effectors = [f"{robot.name}/{robot.end_effector.name}" for robot in parts.robots if robot.end_effector is not None]
-    simulated = [*(robot.name for robot in parts.robots), *effectors, *(camera.name for camera in cameras)]
+    simulated = [robot.name for robot in parts.robots] + effectors
+    simulated += [sensor.name for sensor in (*cameras, *parts.tactile)]
     return Env(
         stack,
         Clock(
@@ -148,7 +154,7 @@ def _longest_latency(setup: Setup) -> float:
 def _is_all_real(parts: Parts, cameras: Sequence[CameraPlacement]) -> bool:
     devices = parts.devices
     return (
-        not parts.tactile
+        all(sensor.name in devices.tactile for sensor in parts.tactile)
         and all(robot.name in devices.arms for robot in parts.robots)
         and all(robot.end_effector is None or robot.name in devices.effectors for robot in parts.robots)
         and all(camera.name in devices.cameras for camera in cameras)
@@ -193,11 +199,15 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
             "pixels out of the setup."
         )
     points = [PointClouds()] if setup.points else []
-    if real:
-        port = _real_cameras(parts, real)
-        shared.append(port)
-        if devices.on_stale == "hold":
-            gates.append(FreshFrames(port))
+    views = [
+        _real_cameras(parts, [camera for camera in real if setup.size_of(camera.name) == size])
+        for size in dict.fromkeys(setup.size_of(camera.name) for camera in real)
+    ]
+    if devices.tactile:
+        views.append(_real_tactile(parts))
+    shared += views
+    if devices.on_stale == "hold":
+        gates += [FreshFrames(port) for port in views]
     chains: dict[str, Chain] = {}
     for placement in parts.robots:
         name = placement.name
@@ -234,13 +244,17 @@ def _ports_of(parts: Parts, placement: RobotPlacement, body: SimRobot | None) ->
     if arm is not None:
         kinematics, effort = kinematics_of(placement.arm, placement.end_effector), placement.arm.effort_limit
         limit = limit_step(placement.arm, parts.setup.frequency) if parts.setup.stepping == "sync" else None
-        ports.append(ArmPort(arm, kinematics, observed=observed, effort=effort, limit=limit))
+        times = _times(parts, devices.arm_stale_after)
+        ports.append(ArmPort(arm, kinematics, observed=observed, effort=effort, limit=limit, **times))
     elif body is not None:
         ports.append(SimArmPort(body))
         if keys.LOADS.keys() & set(observed):
             ports.append(SimLoadPort(body, observed))
     if effector is not None:
-        ports.append(GripperPort(effector) if isinstance(effector, Gripper) else HandPort(effector))
+        times = _times(parts, devices.stale_after)
+        if times and parts.setup.stepping != "sync":
+            times["slow_after"] = SLOW_READ / parts.setup.frequency
+        ports.append(GripperPort(effector, **times) if isinstance(effector, Gripper) else HandPort(effector, **times))
     elif body is not None and placement.gripper is not None:
         ports.append(SimGripperPort(body))
     elif body is not None and placement.hand is not None:
@@ -255,10 +269,22 @@ def _ports_of(parts: Parts, placement: RobotPlacement, body: SimRobot | None) ->
     return ports
 
 
+def _times(parts: Parts, stale_after: float) -> dict[str, float]:
+    """Return how long commands are valid and measurements new, by the host's clock; under another one, for ever."""
+    if parts.now is not None:
+        return {}
+    valid_for = parts.devices.valid_for
+    return {
+        "valid_for": VALID_PERIODS / parts.setup.frequency if valid_for is None else valid_for,
+        "stale_after": stale_after,
+    }
+
+
 def _frame_clock(setup: Setup, cameras: Sequence[CameraPlacement], world: World) -> FrameClock:
     """Return the clock that says when each camera has a new frame."""
     rates = {
-        camera.name: FrameRate.of(camera.camera, setup.image_size, setup.fps_of(camera.name)) for camera in cameras
+        camera.name: FrameRate.of(camera.camera, setup.size_of(camera.name), setup.fps_of(camera.name))
+        for camera in cameras
     }
     return FrameClock(world, rates)
 
@@ -283,6 +309,7 @@ def _simulated_sensors(
             world,
             observed,
             size=setup.image_size,
+            sizes=setup.camera_sizes,
             has_depth=setup.depth,
             has_segmentation=setup.segmentation,
             quality=setup.render_quality,
@@ -290,15 +317,15 @@ def _simulated_sensors(
             frame_body=robots[0].layout.base_body if len(robots) == 1 else 0,
         )
         ports.append(SimCameraPort(cameras, clock, randomiser))
-    if parts.tactile:
-        ports.append(SimTactilePort([SimTactile(world, sensor) for sensor in parts.tactile]))
+    if felt := [sensor for sensor in parts.tactile if sensor.name not in parts.devices.tactile]:
+        ports.append(SimTactilePort([SimTactile(world, sensor) for sensor in felt]))
     if "privileged" in setup.observe:
         ports.append(PrivilegedPort(world, robots, parts.task))
     return ports
 
 
 def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPort:
-    """Return the port of real cameras; those that stand still have the poses of the lab."""
+    """Return the port of real cameras with frames of one size; those that stand still have the poses of the lab."""
     scene_in_frame = tquat_to_matrix(inverse(base_in_scene(parts.robots)))
     fixed = {
         camera.name: scene_in_frame
@@ -309,9 +336,21 @@ def _real_cameras(parts: Parts, cameras: Sequence[CameraPlacement]) -> CameraPor
     return CameraPort(
         {camera.name: parts.devices.cameras[camera.name] for camera in cameras},
         {camera.name: camera.camera for camera in cameras},
-        size=parts.setup.image_size,
+        size=parts.setup.size_of(cameras[0].name),
         calibrations={camera.name: camera.calibration for camera in cameras if camera.calibration is not None},
         extrinsics=fixed,
+        stale_after=parts.devices.stale_after,
+        on_stale=parts.devices.on_stale,
+        now=parts.now or time.perf_counter,
+    )
+
+
+def _real_tactile(parts: Parts) -> CameraPort:
+    """Return the port of the cameras of real tactile sensors, which are all of one kind."""
+    return CameraPort(
+        parts.devices.tactile,
+        {},
+        size=parts.tactile[0].sensor.frame_size,
         stale_after=parts.devices.stale_after,
         on_stale=parts.devices.on_stale,
         now=parts.now or time.perf_counter,

@@ -171,7 +171,8 @@ class CameraPort(Port):
 
         Args:
             cameras: The devices by name.
-            descriptions: Their figures by name.
+            descriptions: Their figures by name; of a camera without, such as that of a tactile sensor, there are
+                colours alone.
             size: Width and height of every frame [px]; larger pictures are cut to its shape and made smaller.
             calibrations: From a file, by name; cameras without one see as the device says, or the data sheet.
             extrinsics: Poses of cameras that stand still, (4, 4), OpenCV axes; those of others come from a layer.
@@ -198,11 +199,10 @@ class CameraPort(Port):
                 fixed[keys.EXTRINSICS].flags.writeable = False
             self._takers[name] = _Taker(camera, size, fixed)
             self._feeds[name] = CameraFeedThread(name, camera, self._takers[name])
-            own: dict[str, spaces.Space[Any]] = {
-                keys.RGB: keys.rgb_space(*size),
-                keys.INTRINSICS: keys.intrinsics_space(),
-                keys.DISTORTION: keys.distortion_space(),
-            }
+            own: dict[str, spaces.Space[Any]] = {keys.RGB: keys.rgb_space(*size)}
+            if name in descriptions:
+                own[keys.INTRINSICS] = keys.intrinsics_space()
+                own[keys.DISTORTION] = keys.distortion_space()
             if keys.EXTRINSICS in fixed:
                 own[keys.EXTRINSICS] = keys.extrinsics_space()
             if camera.mode.has_depth:
@@ -229,8 +229,8 @@ class CameraPort(Port):
 
     def _learn(self) -> None:
         """Ask how the cameras see, which a device may know only when it is open."""
-        for name, camera in self._cameras.items():
-            seen = intrinsics_of(camera, self._descriptions[name], self._size, self._calibrations.get(name))
+        for name, description in self._descriptions.items():
+            seen = intrinsics_of(self._cameras[name], description, self._size, self._calibrations.get(name))
             matrices = {keys.INTRINSICS: seen.matrix, keys.DISTORTION: np.array(seen.distortion)}
             for matrix in matrices.values():
                 matrix.flags.writeable = False
@@ -240,7 +240,8 @@ class CameraPort(Port):
     def about(self) -> dict[str, Any]:
         """How each camera is calibrated, as far as it is known; a device may know it only when it is open."""
         cameras: dict[str, Any] = {}
-        for name, camera in self._cameras.items():
+        for name in self._descriptions:
+            camera = self._cameras[name]
             own, mode = camera.calibration, (camera.mode.width, camera.mode.height)
             if name in self._calibrations:
                 cameras[name] = self._calibrations[name].to_json()
@@ -248,7 +249,7 @@ class CameraPort(Port):
                 cameras[name] = {"source": "device", **describe(Intrinsics.of_matrix(own.matrix, mode, own.distortion))}
             else:
                 cameras[name] = {"source": "data sheet"}
-        return {"cameras": cameras}
+        return {"cameras": cameras} if cameras else {}
 
     def command(self, action: Arrays) -> None:
         """Do nothing: a camera takes no commands."""

@@ -80,7 +80,12 @@ class Engine:
     # --- Episodes -----------------------------------------------------------------------------------------------------
 
     def start(
-        self, copies: Copies = None, *, state: NDArray[np.float64] | None = None, start: Start | None = None
+        self,
+        copies: Copies = None,
+        *,
+        state: NDArray[np.float64] | None = None,
+        start: Start | None = None,
+        approach: Callable[[Stack, Clock], None] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Start the next episode of some copies, or of all when an error broke the last ones off.
 
@@ -88,6 +93,7 @@ class Engine:
             copies: Which; None for all.
             state: Simulation state to start in, of a world of one copy.
             start: Where robots and objects are at the start, of a world of one copy.
+            approach: Moves real robots to their start; None for leaving them where they are.
         """
         copies = copies if self._is_started else None
         try:
@@ -98,10 +104,14 @@ class Engine:
             if self.scenario is not None and start is not None:
                 self.scenario.start_at(start)
             self.stack.open()
-            if faults := self.stack.faults():
-                raise DeviceFault(f"Devices are in their fault state: {_listed(faults)}. Clear it with env.recover().")
+            self._require_no_fault()
             self._clock.reset()
             observation = self.observe_start(copies)
+            self._require_no_fault()  # what was measured may be too old
+            if approach is not None:
+                approach(self.stack, self._clock)
+                self._clock.reset()
+                observation = self.observe_start(copies)
             if self.scenario is not None:
                 self.scenario.judge_start(copies)
         except BaseException as err:
@@ -128,6 +138,10 @@ class Engine:
             self._break_off(err)
             raise
         return observation
+
+    def _require_no_fault(self) -> None:
+        if faults := self.stack.faults():
+            raise DeviceFault(f"Devices are in their fault state: {_listed(faults)}. Clear it with env.recover().")
 
     def _begin(self, copies: Copies) -> None:
         where: Where = ... if copies is None else copies

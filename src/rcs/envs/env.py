@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, SupportsFloat
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from rcs.envs.approach import Approach
 from rcs.envs.clock import Clock
 from rcs.envs.draws import SEED_LIMIT, check_seed
 from rcs.envs.engine import DIVERGED, FAULT, Engine
@@ -21,7 +23,7 @@ from rcs.envs.spaces import Observation
 from rcs.envs.stack import Stack
 from rcs.envs.start import Start, check_start, check_state
 from rcs.envs.state import EnvState, read_state, write_state
-from rcs.errors import InvalidSetup, WrongOrder
+from rcs.errors import InvalidSetup, WrongOrder, require_fields
 from rcs.sim.picture import Picture
 from rcs.sim.scene import RobotPlacement
 
@@ -168,32 +170,36 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode. On hardware, the first reset connects the devices; nothing moves.
+        """Start an episode. On hardware, the first reset connects the devices, and only the option `robot` moves them.
 
         Args:
             seed: Same seed, same episode, and the same episodes after it. Without one, the next episode of the last
                 seed.
-            options: Only in simulation. `state` starts the episode in a simulation state of
-                `env.scenario.world.states()`. `robot` starts it with `joints`, and `gripper` or `hand`, as an
-                observation has them, and `objects` with objects at poses (7,) in the base frame (of several robots: the
+            options: `state` starts the episode in a simulation state of `env.scenario.world.states()`. `robot` starts
+                it with `joints`, and `gripper` or `hand`, as an observation has them (of several robots: under their
+                names), and `objects` with simulated objects at poses (7,) in the base frame (of several robots: the
                 scene), as `env.scenario.object_poses()` has them.
+                Real arms go to the joints of `robot` on a straight line, at the share `speed` of their largest speeds,
+                0.05 by default, when `may_move` is True, or a function that is given a question and returns True.
 
         Raises:
             WrongOrder: The environment is closed, or another thread uses it.
-            InvalidSetup: A seed out of range, an unknown option, or a start that makes no sense.
-            DeviceFault: A device is in its fault state; `recover` clears it.
+            InvalidSetup: A seed out of range, an unknown option, a start that makes no sense, or real arms are to move
+                and `may_move` is missing.
+            Refused: Nobody agreed that real arms move, or a gate has stopped them on the way.
+            DeviceFault: A device is in its fault state, which `recover` clears, or a real arm has not arrived.
         """
         with self._engine.turn.take("reset"):
             if not self._engine.is_open:
                 raise WrongOrder("reset was called on a closed environment; make a new one.")
-            state, start = self._check_options(options)
+            state, start, approach = self._check_options(options)
             seed = None if seed is None else check_seed(seed)
             super().reset(seed=seed)
             if seed is not None or self._engine.episodes < 0:
                 # Gymnasium's own seeds have 128 bits.
                 self._engine.seeds[...] = self.np_random_seed % SEED_LIMIT if seed is None else seed
                 self._engine.episodes[...] = -1
-            observation, info = self._engine.start(state=state, start=start)
+            observation, info = self._engine.start(state=state, start=start, approach=approach)
             self._look()
             return observation, info
 
@@ -319,20 +325,28 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         """
         self._engine.close()
 
-    def _check_options(self, options: Mapping[str, Any] | None) -> tuple[NDArray[np.float64] | None, Start | None]:
+    def _check_options(
+        self, options: Mapping[str, Any] | None
+    ) -> tuple[NDArray[np.float64] | None, Start | None, Callable[[Stack, Clock], None] | None]:
         if options is not None and not isinstance(options, Mapping):
             raise InvalidSetup(f"The reset options are {options!r}; valid is a dictionary, or None.")
         given = dict(options or {})
         state, robot, objects = (given.pop(name, None) for name in ("state", "robot", "objects"))
-        if given:
-            raise InvalidSetup(f"Unknown reset options {sorted(given)}; valid: 'state', 'robot', 'objects'.")
-        if robot is not None or objects is not None:
-            if state is not None:
-                raise InvalidSetup("The reset option 'state' cannot be combined with 'robot' or 'objects'.")
-            return None, check_start(self.scenario.robots, self.scenario.task.object_poses(), robot, objects)
-        if state is None:
-            return None, None
-        return check_state(state, self.scenario.world.core.state_size), None
+        manner = {name: given.pop(name) for name in ("may_move", "speed") if name in given}
+        require_fields("reset option", given, ("state", "robot", "objects", "may_move", "speed"))
+        if robot is None and objects is None:
+            return (None if state is None else check_state(state, self.scenario.world.core.state_size)), None, None
+        if state is not None:
+            raise InvalidSetup("The reset option 'state' cannot be combined with 'robot' or 'objects'.")
+        placements = list(self.robots.values())
+        start = check_start(placements, self.scenario.task.object_poses() if self.is_simulated else {}, robot, objects)
+        real = {name: own for name, own in start.robots.items() if self.platform.get(name) != "simulation"}
+        if not real:
+            return None, start, None
+        others = {name: own for name, own in start.robots.items() if name not in real}
+        approach = Approach(robots=real, **manner)
+        simulated = replace(start, robots=others) if self.is_simulated else None
+        return None, simulated, lambda stack, clock: approach.go(stack, clock, placements)
 
     def __str__(self) -> str:
         """Return the environment, its task and its stack, part by part."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from rcs.envs.ports import Port
@@ -48,6 +46,18 @@ class FollowPort(Port):
         """Return when the device was measured."""
         return self._port.capture_times()
 
-    def faults(self) -> Mapping[str, str]:
-        """Return why the device stands still, if it is in its fault state."""
-        return self._port.faults()
+    def open(self) -> None:
+        """Connect the device; it does not move."""
+        self._port.open()
+
+    def hold(self) -> None:
+        """Make the device stay where it is."""
+        self._port.hold()
+
+    def recover(self) -> None:
+        """Clear the device's fault, if there is one."""
+        self._port.recover()
+
+    def close(self) -> None:
+        """Let go of the device; closing twice is harmless."""
+        self._port.close()

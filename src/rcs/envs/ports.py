@@ -6,16 +6,19 @@ passes only in the environment's clock. Ports of simulated devices serve one cop
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from rcs.devices import Arm, Gripper, Hand
+from rcs.devices import Arm, Gripper, GripperState, Hand
 from rcs.envs import spaces as keys
+from rcs.envs.device_calls import DeviceCalls
+from rcs.envs.freshness import Freshness
 from rcs.envs.layers.limit_step import LimitStep
 from rcs.envs.spaces import Arrays, Observation
 from rcs.errors import InvalidSetup
@@ -131,6 +134,8 @@ class ArmPort(Port):
         observed: Collection[keys.Observed] = (),
         effort: ArrayLike = (),
         limit: LimitStep | None = None,
+        valid_for: float = math.inf,
+        stale_after: float = math.inf,
     ) -> None:
         """Use an arm; it is opened by `open`.
 
@@ -140,6 +145,8 @@ class ArmPort(Port):
             observed: `torques` and `wrench` are observed too, as the device measures them.
             effort: Largest joint torques [Nm], (dof,), where torques are observed.
             limit: Bounds how far each `command` goes of the way to its target; None for all of it.
+            valid_for: How long a command is valid without another; then the arm holds [s].
+            stale_after: Age of what the arm measures from which it is in its fault state [s].
         """
         box = keys.joints_space(
             np.maximum(arm.limits.joint_lower, kinematics.joint_lower),
@@ -150,7 +157,9 @@ class ArmPort(Port):
         self._is_on_its_way = self._must_rebase = False
         self.device = self._arm = arm
         self._kinematics = kinematics
-        self._time = 0.0
+        self._valid_for = valid_for
+        self._freshness = Freshness(arm, stale_after)
+        self._target: NDArray[np.float64] | None = None
         self.action_spaces = {keys.JOINTS: box}
         self._loads = [key for name, key in keys.LOADS.items() if name in observed]
         loads = keys.load_spaces(effort)
@@ -158,8 +167,9 @@ class ArmPort(Port):
 
     def command(self, action: Arrays) -> None:
         """Send the joint target, or the next part of the way to it."""
+        self._target = action[keys.JOINTS]
         if self.limit is None:
-            self._arm.command_joints(action[keys.JOINTS])
+            self._arm.command_joints(action[keys.JOINTS], self._valid_for)
             return
         measured: Observation = {keys.JOINTS: np.array(self._arm.state().joints)}
         if self._must_rebase:
@@ -167,7 +177,7 @@ class ArmPort(Port):
             self.limit.rebase(measured)
         self.limit.map_observation(measured)
         part = self.limit.map_action({keys.JOINTS: action[keys.JOINTS]})
-        self._arm.command_joints(part[keys.JOINTS])
+        self._arm.command_joints(part[keys.JOINTS], self._valid_for)
         self.limit.map_executed(part)
         self._is_on_its_way = bool(self.limit.info()["is_limited"])
 
@@ -196,7 +206,7 @@ class ArmPort(Port):
             InvalidSetup: The arm does not measure a load.
         """
         state = self._arm.state()
-        self._time = state.time
+        self._freshness.judge(state, self._target)
         pose = self._kinematics.forward(state.joints)
         loads: Observation = {}
         for key in self._loads:
@@ -213,58 +223,95 @@ class ArmPort(Port):
 
     def capture_times(self) -> dict[str, float]:
         """Return when the joints were measured."""
-        return {keys.JOINTS: self._time}
+        return {keys.JOINTS: self._freshness.time}
 
 
-class GripperPort(Port):
+class EffectorPort(Port):
+    """A gripper or a hand; how a slow one is called and how old it may be is written once, for both."""
+
+    def __init__(
+        self,
+        device: Gripper | Hand,
+        key: str,
+        count: int,
+        send: Callable[[NDArray[np.float32], float], None],
+        *,
+        valid_for: float = math.inf,
+        stale_after: float = math.inf,
+        slow_after: float = math.inf,
+    ) -> None:
+        """Use a device; it is opened (connected) by `open`.
+
+        Args:
+            device: The device.
+            key: Of its actions and observations.
+            count: How many numbers it takes and gives.
+            send: Sends it as many, for some seconds.
+            valid_for: How long a command is valid without another; then the device holds [s].
+            stale_after: Age of what it measures from which it is in its fault state [s].
+            slow_after: A device that takes longer than this to read is commanded and read on a thread [s].
+        """
+        self.device = self._device = device
+        self.timed = (key,)
+        self.action_spaces = {key: keys.normalised_space(count)}
+        self.observation_spaces = {key: keys.normalised_space(count)}
+        self._key = key
+        self._calls = DeviceCalls(device, device.state, send, valid_for=valid_for, slow_after=slow_after)
+        self._freshness = Freshness(device, stale_after)
+
+    def command(self, action: Arrays) -> None:
+        """Send the target, or have it sent as soon as a slow device is free."""
+        self._calls.send(action[self._key])
+
+    def observe(self) -> Observation:
+        """Return what is measured, or of a slow device what was measured last."""
+        state = self._calls.read()
+        self._freshness.judge(state)
+        measured = [state.opening] if isinstance(state, GripperState) else state.joints
+        return {self._key: np.clip(np.array(measured, np.float32), 0.0, 1.0)}
+
+    def capture_times(self) -> dict[str, float]:
+        """Return when it was measured."""
+        return {self._key: self._freshness.time}
+
+    def open(self) -> None:
+        """Connect the device; it does not move."""
+        self._calls.open()
+
+    def hold(self) -> None:
+        """Make the device stay where it is."""
+        self._calls.forget()
+        super().hold()
+
+    def recover(self) -> None:
+        """Clear the fault, if there is one; the device does not move."""
+        if self._device.is_open and self._device.fault:
+            self._calls.recover()
+
+    def close(self) -> None:
+        """Let go of the device; closing twice is harmless."""
+        self._calls.close()
+
+
+class GripperPort(EffectorPort):
     """Any gripper behind the device interface."""
 
-    timed = (keys.GRIPPER,)
+    def __init__(self, gripper: Gripper, **times: float) -> None:
+        """Use a gripper; `times` are those of `EffectorPort` [s]."""
 
-    def __init__(self, gripper: Gripper) -> None:
-        """Use a gripper; it is opened (connected) by `open`."""
-        self.device = self._gripper = gripper
-        self._time = 0.0
-        self.action_spaces = {keys.GRIPPER: keys.normalised_space(1)}
-        self.observation_spaces = {keys.GRIPPER: keys.normalised_space(1)}
+        def send(opening: NDArray[np.float32], valid_for: float) -> None:
+            gripper.command_opening(float(opening[0]), valid_for=valid_for)
 
-    def command(self, action: Arrays) -> None:
-        """Send the opening."""
-        self._gripper.command_opening(float(action[keys.GRIPPER][0]))
-
-    def observe(self) -> Observation:
-        """Measure the opening."""
-        state = self._gripper.state()
-        self._time = state.time
-        return {keys.GRIPPER: np.clip(np.array([state.opening], np.float32), 0.0, 1.0)}
-
-    def capture_times(self) -> dict[str, float]:
-        """Return when the opening was measured."""
-        return {keys.GRIPPER: self._time}
+        super().__init__(gripper, keys.GRIPPER, 1, send, **times)
 
 
-class HandPort(Port):
+class HandPort(EffectorPort):
     """Any hand behind the device interface."""
 
-    timed = (keys.HAND,)
+    def __init__(self, hand: Hand, **times: float) -> None:
+        """Use a hand; `times` are those of `EffectorPort` [s]."""
 
-    def __init__(self, hand: Hand) -> None:
-        """Use a hand; it is opened (connected) by `open`."""
-        self.device = self._hand = hand
-        self._time = 0.0
-        self.action_spaces = {keys.HAND: keys.normalised_space(hand.joint_count)}
-        self.observation_spaces = {keys.HAND: keys.normalised_space(hand.joint_count)}
+        def send(joints: NDArray[np.float32], valid_for: float) -> None:
+            hand.command_joints(joints.astype(np.float64), valid_for)
 
-    def command(self, action: Arrays) -> None:
-        """Send the joint targets."""
-        self._hand.command_joints(action[keys.HAND].astype(np.float64))
-
-    def observe(self) -> Observation:
-        """Measure the joints."""
-        state = self._hand.state()
-        self._time = state.time
-        return {keys.HAND: np.clip(np.array(state.joints, np.float32), 0.0, 1.0)}
-
-    def capture_times(self) -> dict[str, float]:
-        """Return when the joints were measured."""
-        return {keys.HAND: self._time}
+        super().__init__(hand, keys.HAND, hand.joint_count, send, **times)

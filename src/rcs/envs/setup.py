@@ -41,14 +41,17 @@ class Setup:
     shaped reward needs it, and the dense one, whose success pays `1 / (1 - discount)`."""
     robot: str = "fr3"
     """Name of the robot."""
-    end_effector: str | None = None
-    """Name of the gripper; None for the robot's usual one."""
+    end_effector: str | Mapping[str, str] | None = None
+    """Name of the gripper or hand, `none` for a bare flange, or one for each of some robots by name, such as
+    `{"left": "robotiq_2f85"}`; None for the usual one."""
     cameras: tuple[str, ...] = ()
     """Names of camera mounts of the robot's lab, such as `wrist` and `side`; more cameras, slower steps."""
     calibration: str | None = None
     """Calibration file with poses and intrinsics of cameras; None for those of the lab."""
     image_size: tuple[int, int] = (224, 224)
     """Width and height of every frame [px]; other sizes than those of a camera's modes are cropped and scaled."""
+    camera_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
+    """Width and height of the frames of some cameras by name [px], where they are not `image_size`."""
     camera_mode: str | None = None
     """Name of a mode that all cameras have, such as `848x480`, instead of `image_size`; see `rcs list --cameras`."""
     camera_fps: float | tuple[tuple[str, float], ...] | None = None
@@ -119,8 +122,7 @@ class Setup:
         for name in ("task", "robot"):
             if not isinstance(getattr(self, name), str):
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; it must be a name.")
-        if not isinstance(self.end_effector, str | None):
-            raise InvalidSetup(f"end_effector is {self.end_effector!r}; it must be a name, or None.")
+        object.__setattr__(self, "end_effector", _end_effector(self.end_effector))
         if not isinstance(self.tactile, str | None):
             raise InvalidSetup(f"tactile is {self.tactile!r}; it must be the name of a sensor, or None.")
         if not isinstance(self.calibration, str | None):
@@ -148,6 +150,7 @@ class Setup:
         if unknown := [name for name in self.observe if name not in get_args(Observed)]:
             raise InvalidSetup(f"observe has {unknown}; valid: {', '.join(map(repr, get_args(Observed)))}.")
         object.__setattr__(self, "image_size", _size_of_mode(self.camera_mode, _size(self.image_size), self.cameras))
+        object.__setattr__(self, "camera_sizes", _sizes(self.camera_sizes, self.cameras, self.pixels))
         object.__setattr__(self, "camera_fps", _frame_rates(self.camera_fps, self.cameras))
         relative: Any = self.relative
         if isinstance(relative, bool):
@@ -184,6 +187,14 @@ class Setup:
         """Equal setups have equal hashes."""
         return hash(json.dumps(self.to_json(), sort_keys=True))
 
+    def end_effector_of(self, robot: str) -> str | None:
+        """Return the name of what a robot carries; None for its usual one."""
+        return self.end_effector.get(robot) if isinstance(self.end_effector, Mapping) else self.end_effector
+
+    def size_of(self, camera: str) -> tuple[int, int]:
+        """Return width and height of a camera's frames [px]."""
+        return self.camera_sizes.get(camera, self.image_size)
+
     def fps_of(self, camera: str) -> float | None:
         """Return the wanted frame rate of a camera [frames/s]; None for its highest."""
         return dict(self.camera_fps).get(camera) if isinstance(self.camera_fps, tuple) else self.camera_fps
@@ -195,6 +206,7 @@ class Setup:
             values["randomisation"] = self.randomisation.to_json()
         if self.pixels is not None:
             values["pixels"] = self.pixels.to_json()
+        values["camera_sizes"] = {name: list(size) for name, size in self.camera_sizes.items()}
         if isinstance(self.camera_fps, tuple):
             values["camera_fps"] = dict(self.camera_fps)
         return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
@@ -217,10 +229,11 @@ class Options(TypedDict, total=False):
     reward: RewardKind
     discount: float
     robot: str
-    end_effector: str | None
+    end_effector: str | Mapping[str, str] | None
     cameras: Sequence[str]
     calibration: str | None
     image_size: int | tuple[int, int]
+    camera_sizes: Mapping[str, int | tuple[int, int]]
     camera_mode: str | None
     camera_fps: float | Mapping[str, float] | None
     depth: bool
@@ -242,6 +255,13 @@ class Options(TypedDict, total=False):
     max_episode_steps: int | None
     physics_step: float
     randomisation: Randomisation | Preset | bool | None
+
+
+def _end_effector(value: Any) -> str | dict[str, str] | None:
+    names = [*value, *value.values()] if isinstance(value, Mapping) else [] if value is None else [value]
+    if not all(isinstance(name, str) for name in names):
+        raise InvalidSetup(f"end_effector is {value!r}; it must be a name, a name for each of some robots, or None.")
+    return dict(value) if isinstance(value, Mapping) else value
 
 
 def _task_options(value: Any) -> dict[str, Any]:
@@ -303,6 +323,16 @@ def _size(value: Any) -> tuple[int, int]:
     if not isinstance(size, Sequence) or len(size) != 2 or not all(_is_edge(edge) for edge in size):
         raise InvalidSetup(f"image_size is {value!r}; valid is one number or (width, height) of 1 to {MAX_SIZE} px.")
     return int(size[0]), int(size[1])
+
+
+def _sizes(value: Any, cameras: tuple[str, ...], pixels: Any) -> dict[str, tuple[int, int]]:
+    if not isinstance(value, Mapping):
+        raise InvalidSetup(f"camera_sizes is {value!r}; valid is a mapping from some cameras to sizes.")
+    if unknown := sorted(str(name) for name in value if name not in cameras):
+        raise InvalidSetup(f"camera_sizes names the cameras {unknown}; this setup has {list(cameras)}.")
+    if value and pixels is not None:
+        raise InvalidSetup("camera_sizes and pixels are given; pixels for learners are of one size, image_size.")
+    return {name: _size(size) for name, size in value.items()}
 
 
 def _size_of_mode(mode: Any, size: tuple[int, int], cameras: tuple[str, ...]) -> tuple[int, int]:

@@ -115,7 +115,7 @@ class SimCameraPort(Port):
             randomiser: Has the latency of frames, if that varies.
         """
         if clock is None:
-            rates = {placement.name: FrameRate.of(placement.camera, cameras.size) for placement in cameras.placements}
+            rates = {one.name: FrameRate.of(one.camera, cameras.sizes[one.name]) for one in cameras.placements}
             clock = FrameClock(cameras.world, rates)
         self.cameras = cameras
         self.timed = tuple(f"{keys.FRAMES}/{name}" for name in cameras.names)
@@ -221,7 +221,11 @@ class SimTactilePort(Port):
 
 def cameras_space(cameras: SimCameras) -> spaces.Dict:
     """Return the space of the frames of cameras."""
-    width, height = cameras.size
+    return spaces.Dict({name: spaces.Dict(_frame(cameras, *size)) for name, size in cameras.sizes.items()})
+
+
+def _frame(cameras: SimCameras, width: int, height: int) -> dict[str, spaces.Space[object]]:
+    """Return the spaces of a frame of a size [px]."""
     frame: dict[str, spaces.Space[object]] = {keys.RGB: keys.rgb_space(width, height)}
     frame[keys.INTRINSICS] = keys.intrinsics_space()
     frame[keys.DISTORTION] = keys.distortion_space()
@@ -230,4 +234,4 @@ def cameras_space(cameras: SimCameras) -> spaces.Dict:
         frame[keys.SEGMENTATION] = frame[keys.GEOMS] = keys.labels_space(width, height)
     if cameras.has_depth:
         frame[keys.DEPTH] = keys.depth_space(width, height)
-    return spaces.Dict({name: spaces.Dict(frame) for name in cameras.names})
+    return frame

@@ -30,12 +30,12 @@ class Start:
     """Poses of objects in the scene by name, (7,) [m], xyzw."""
 
 
-def check_start(robots: list[SimRobot], known: Mapping[str, Any], robot: Any, objects: Any) -> Start:
+def check_start(robots: Sequence[RobotPlacement], known: Mapping[str, Any], robot: Any, objects: Any) -> Start:
     """Check a start.
 
     Args:
-        robots: Robots of the world.
-        known: The objects of its task, by name.
+        robots: Robots of the environment.
+        known: The objects of its task, by name; none where nothing is simulated.
         robot: `joints`, and `gripper` or `hand`, as in an observation; with several robots, nested under their names.
             None for home.
         objects: Poses by name, (7,) [m], xyzw, in the base frame; with several robots, in the scene. None to leave them
@@ -44,18 +44,16 @@ def check_start(robots: list[SimRobot], known: Mapping[str, Any], robot: Any, ob
     Raises:
         InvalidSetup: A name or key is unknown, or a value has a wrong shape, is not finite or is out of bounds.
     """
-    given: Any = {} if robot is None else robot if len(robots) > 1 else {robots[0].placement.name: robot}
-    if not isinstance(given, Mapping) or not given.keys() <= {other.placement.name for other in robots}:
-        names = [other.placement.name for other in robots]
+    if not robots:
+        raise InvalidSetup("This environment knows no robots that could be put at a start; give Env(robots=...).")
+    given: Any = {} if robot is None else robot if len(robots) > 1 else {robots[0].name: robot}
+    names = [one.name for one in robots]
+    if not isinstance(given, Mapping) or not given.keys() <= set(names):
         raise InvalidSetup(f"The option 'robot' is {_form(robot)}; valid is a mapping for robots among {names}.")
-    states = {
-        one.placement.name: _check_robot(one, given[one.placement.name])
-        for one in robots
-        if one.placement.name in given
-    }
+    states = {one.name: _check_robot(one, given[one.name]) for one in robots if one.name in given}
     if objects is not None and (not isinstance(objects, Mapping) or not objects.keys() <= known.keys()):
         raise InvalidSetup(f"The option 'objects' is {_form(objects)}; valid are poses of {sorted(known)}.")
-    base = base_in_scene([one.placement for one in robots])
+    base = base_in_scene(robots)
     poses = {name: compose(base, _check_pose(name, pose)) for name, pose in (objects or {}).items()}
     return Start(robots=states, objects=poses)
 
@@ -96,8 +94,8 @@ def in_frame_of(robots: list[SimRobot], poses: Mapping[str, NDArray[np.float64]]
     return {name: compose(scene_in_base, pose) for name, pose in poses.items()}
 
 
-def _check_robot(robot: SimRobot, given: Any) -> dict[str, NDArray[Any]]:
-    arm, placement = robot.placement.arm, robot.placement
+def _check_robot(placement: RobotPlacement, given: Any) -> dict[str, NDArray[Any]]:
+    arm = placement.arm
     boxes = {keys.JOINTS: keys.joints_space(arm.joint_lower, arm.joint_upper)}
     if placement.gripper is not None:
         boxes[keys.GRIPPER] = keys.normalised_space(1)

@@ -2,19 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NoReturn
+from collections.abc import Callable, Mapping
+from typing import Any, NoReturn, TypeVar
 
 from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand
 from rcs.errors import InvalidSetup
+from rcs.hardware.link import Link
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.robots.tactile import TactileDescription
+
+Connection = TypeVar("Connection")
 
 
 class Driver:
     """Makes devices. A driver overrides what it has; nothing is connected before a device's `open`.
 
-    A package offers one through the entry-point group `rcs.drivers`, as a class without arguments.
+    A package offers one through the entry-point group `rcs.drivers`, as a class without arguments. One object of it
+    makes all devices of a site that name it, so that they can share connections; see `link`.
     """
+
+    def __init__(self) -> None:
+        """Connect nothing."""
+        self._links: dict[str, Link[Any]] = {}
+
+    def link(
+        self, address: str, connect: Callable[[], Connection], disconnect: Callable[[Connection], None]
+    ) -> Link[Connection]:
+        """Return the connection to an address that all devices there share.
+
+        Args:
+            address: Where; the first device that asks decides how it is reached.
+            connect: Returns the connection.
+            disconnect: Lets go of it.
+        """
+        return self._links.setdefault(address, Link(connect, disconnect))
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
         """Return an arm.
@@ -37,6 +58,10 @@ class Driver:
     def camera(self, address: str, about: CameraDescription, mode: CameraMode, options: Mapping[str, Any]) -> Camera:
         """Return a camera that delivers frames of a mode; other arguments as in `arm`."""
         self._refuse("cameras")
+
+    def tactile(self, address: str, about: TactileDescription, mode: CameraMode, options: Mapping[str, Any]) -> Camera:
+        """Return the camera of a tactile sensor; arguments as in `camera`."""
+        self._refuse("tactile sensors")
 
     def _refuse(self, what: str) -> NoReturn:
         raise InvalidSetup(f"The driver {type(self).__name__} has no {what}; choose another driver for them.")

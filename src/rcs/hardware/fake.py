@@ -10,23 +10,28 @@ import numpy as np
 
 from rcs.devices import ArmLimits, CameraMode
 from rcs.devices.fakes import FakeArm, FakeCamera, FakeGripper, FakeHand
+from rcs.errors import require_fields
 from rcs.hardware.driver import Driver
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.robots.tactile import TactileDescription
 
 
 class FakeDriver(Driver):
-    """Makes devices that move as their descriptions say and measure exactly what they do."""
+    """Makes devices that move as their descriptions say and measure exactly what they do. They take no options."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """Use a clock [s]; give one that is moved by hand to run faster than real time."""
+        super().__init__()
         self._clock = clock
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> FakeArm:
         """Return an arm that stands at home."""
+        require_fields("option of a fake device", options, ())
         return FakeArm(limits_of(about), start=np.array(about.home), clock=self._clock, name=address or about.name)
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> FakeGripper:
         """Return an open gripper."""
+        require_fields("option of a fake device", options, ())
         return FakeGripper(
             max_width=about.max_width,
             max_force=about.max_force,
@@ -37,12 +42,21 @@ class FakeDriver(Driver):
 
     def hand(self, address: str, about: HandDescription, options: Mapping[str, Any]) -> FakeHand:
         """Return an open hand."""
+        require_fields("option of a fake device", options, ())
         return FakeHand(len(about.joints), clock=self._clock, name=address or about.name)
 
     def camera(
         self, address: str, about: CameraDescription, mode: CameraMode, options: Mapping[str, Any]
     ) -> FakeCamera:
         """Return a camera that sees a moving ramp."""
+        require_fields("option of a fake device", options, ())
+        return FakeCamera(mode, clock=self._clock, name=address or about.name)
+
+    def tactile(
+        self, address: str, about: TactileDescription, mode: CameraMode, options: Mapping[str, Any]
+    ) -> FakeCamera:
+        """Return a sensor that sees a moving ramp."""
+        require_fields("option of a fake device", options, ())
         return FakeCamera(mode, clock=self._clock, name=address or about.name)
 
 

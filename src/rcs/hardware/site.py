@@ -5,15 +5,18 @@ A file is JSON, one entry per device by the name of its robot or camera; only th
     {"arms": {"fr3": {"driver": "fake", "address": "192.0.2.1"}},
      "grippers": {"fr3": {"driver": "fake", "address": "192.0.2.1"}},
      "cameras": {"wrist": {"driver": "fake", "address": "0123456789"}},
+     "tactile": {"fr3_left": {"driver": "fake", "address": "D20001"}},
      "stale_after": 0.5, "on_stale": "fault"}
 """
 
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import json
 import math
-from collections.abc import Mapping
+import sys
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -22,12 +25,13 @@ from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.hardware.driver import Driver
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
+from rcs.robots.tactile import TactileDescription
 
 OnStale = Literal["flag", "hold", "fault"]
 """What a camera without new frames leads to: a flag in recordings, devices that hold, or the end of the episode."""
 
-KINDS = ("arms", "grippers", "hands", "cameras")
-_CLASSES = {"arm": Arm, "gripper": Gripper, "hand": Hand, "camera": Camera}
+KINDS = ("arms", "grippers", "hands", "cameras", "tactile")
+_CLASSES = {"arm": Arm, "gripper": Gripper, "hand": Hand, "camera": Camera, "tactile": Camera}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +58,7 @@ class DeviceAddress:
 
     @staticmethod
     def parse(given: Any, name: str) -> DeviceAddress:
-        """Return an address from `driver:address`, or from a mapping with the fields of this class.
+        """Return an address from `driver:address`, `module:Class:address`, or a mapping with fields of this class.
 
         Raises:
             InvalidSetup: It is neither.
@@ -62,7 +66,7 @@ class DeviceAddress:
         if isinstance(given, DeviceAddress):
             return given
         if isinstance(given, str):
-            driver, _, address = given.partition(":")
+            driver, address = _parted(given)
             given = {"driver": driver, "address": address}
         try:
             return DeviceAddress(**given)
@@ -70,8 +74,8 @@ class DeviceAddress:
             raise InvalidSetup(f"The device {name!r}: {err}") from err
         except TypeError as err:
             raise InvalidSetup(
-                f"The device {name!r} is given as {given!r}; valid is 'driver:address', a mapping with 'driver', "
-                "'address' and 'options', or a device."
+                f"The device {name!r} is given as {given!r}; valid is 'driver:address', 'module:Class:address', "
+                "a mapping with 'driver', 'address' and 'options', or a device."
             ) from err
 
 
@@ -88,10 +92,16 @@ class Devices:
     """Grippers and hands by robot."""
     cameras: Mapping[str, Camera] = field(default_factory=dict[str, Camera])
     """By camera."""
+    tactile: Mapping[str, Camera] = field(default_factory=dict[str, Camera])
+    """Cameras of tactile sensors, by sensor."""
     platform: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Name of the driver of every real part: a robot, `robot/end effector`, or a camera."""
+    """Name of the driver of every real part: a robot, `robot/end effector`, a camera or a sensor."""
+    valid_for: float | None = None
+    """How long a command is valid without another [s]; None for three control periods."""
     stale_after: float = 0.5
-    """Age of a frame from which a camera counts as stale [s]."""
+    """Age of a frame, or of what a gripper or hand measures, from which it counts as stale [s]."""
+    arm_stale_after: float = 0.25
+    """Age of what an arm measures from which it counts as stale [s]."""
     on_stale: OnStale = "fault"
     """What a stale camera leads to."""
 
@@ -102,7 +112,7 @@ class Devices:
 
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """The devices of a place. Robots, end effectors and cameras that it does not name are simulated."""
+    """The devices of a place. Robots, end effectors, cameras and sensors that it does not name are simulated."""
 
     arms: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
     """Arms by the name of the robot; an address, or a device."""
@@ -112,8 +122,16 @@ class Site:
     """Hands by the name of the robot that carries them."""
     cameras: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
     """Cameras by the name of their mount in the lab."""
+    tactile: Mapping[str, AnyDevice] = field(default_factory=dict[str, AnyDevice])
+    """Cameras of tactile sensors by the name of the sensor, such as `fr3_left` on the left finger of `fr3`."""
+    valid_for: float | None = None
+    """How long a command is valid without another [s]; then arms, grippers and hands hold. None for three control
+    periods. In synchronous steps, a command is valid for as long as a step may last."""
     stale_after: float = 0.5
-    """Age of a frame from which its camera counts as stale [s]."""
+    """Age of a frame, or of what a gripper or hand measures, from which its device counts as stale [s]."""
+    arm_stale_after: float = 0.25
+    """Age of what an arm measures from which it counts as stale [s]. A stale arm, gripper or hand is in its fault
+    state."""
     on_stale: OnStale = "fault"
     """What a stale camera leads to: `flag` only marks frames, `hold` has all devices hold until there is a new frame,
     `fault` ends the episode."""
@@ -132,12 +150,15 @@ class Site:
                 str(name): one if isinstance(one, Arm | Gripper | Hand | Camera) else DeviceAddress.parse(one, name)
                 for name, one in given.items()
             }
+            _require_places(kind, made)
             object.__setattr__(self, kind, made)
         if self.on_stale not in get_args(OnStale):
             raise InvalidSetup(f"on_stale is {self.on_stale!r}; valid: {', '.join(map(repr, get_args(OnStale)))}.")
-        is_number = isinstance(self.stale_after, int | float) and not isinstance(self.stale_after, bool)
-        if not is_number or not 0 < self.stale_after < math.inf:
-            raise InvalidSetup(f"stale_after is {self.stale_after!r} s; valid is a finite number above 0.")
+        for name in ("valid_for", "stale_after", "arm_stale_after"):
+            seconds = getattr(self, name)
+            is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool) and 0 < seconds < math.inf
+            if not is_number and (name, seconds) != ("valid_for", None):
+                raise InvalidSetup(f"{name} is {seconds!r} s; valid is a finite number above 0.")
 
     @staticmethod
     def read(path: str | Path) -> Site:
@@ -168,20 +189,24 @@ class Site:
 
     @staticmethod
     def of(
-        hardware: Any, robots: Mapping[str, tuple[ArmDescription, Any]], cameras: Mapping[str, CameraDescription]
+        hardware: Any,
+        robots: Mapping[str, tuple[ArmDescription, Any]],
+        cameras: Collection[str] = (),
+        tactile: Collection[str] = (),
     ) -> Site:
         """Return a site from what `rcs.make(hardware=...)` takes.
 
         Args:
             hardware: A site, the path of its file, `driver:address` for all arms and end effectors, or a mapping from
-                names of robots (with their end effectors), `robot/gripper`, `robot/hand` and cameras to addresses or
-                devices.
+                names of robots (with their end effectors), `robot/gripper`, `robot/hand`, cameras and tactile sensors
+                to addresses or devices.
             robots: Arm and end effector of every robot, by name.
-            cameras: The cameras of the setup, by name.
+            cameras: Names of the cameras of the setup.
+            tactile: Names of its tactile sensors.
 
         Raises:
             InvalidSetup: It is none of these.
-            UnknownName: A name that is neither a robot nor a camera.
+            UnknownName: A name that is no robot, camera or sensor.
         """
         if isinstance(hardware, Site):
             return hardware
@@ -199,6 +224,8 @@ class Site:
             robot, _, part = str(name).partition("/")
             if name in cameras:
                 found["cameras"][name] = given
+            elif name in tactile:
+                found["tactile"][name] = given
             elif robot in robots and part in ("gripper", "hand"):
                 found[f"{part}s"][robot] = given
             elif name in robots:
@@ -208,19 +235,22 @@ class Site:
                     kind = "grippers" if isinstance(effector, GripperDescription) else "hands"
                     found[kind].setdefault(name, given)
             else:
-                raise UnknownName("robot or camera of this setup", str(name), {*robots, *cameras})
-        return Site(arms=found["arms"], grippers=found["grippers"], hands=found["hands"], cameras=found["cameras"])
+                raise UnknownName("robot or camera of this setup", str(name), {*robots, *cameras, *tactile})
+        arms, grippers, hands, views, skins = (found[kind] for kind in KINDS)
+        return Site(arms=arms, grippers=grippers, hands=hands, cameras=views, tactile=skins)
 
     def devices(
         self,
         robots: Mapping[str, tuple[ArmDescription, GripperDescription | HandDescription | None]],
         cameras: Mapping[str, tuple[CameraDescription, CameraMode]],
+        tactile: Mapping[str, TactileDescription] | None = None,
     ) -> Devices:
-        """Make the devices of a setup; nothing is connected.
+        """Make the devices of a setup; nothing is connected. Those of one driver are made by one object of it.
 
         Args:
             robots: Arm and end effector of every robot, by name.
             cameras: Description of every camera and the mode that is wanted, by name.
+            tactile: Description of every tactile sensor, by name; None for none.
 
         Raises:
             UnknownName: A driver that is not installed, or a robot that the setup does not have.
@@ -229,14 +259,16 @@ class Site:
         arms: dict[str, Arm] = {}
         effectors: dict[str, Gripper | Hand] = {}
         views: dict[str, Camera] = {}
+        skins: dict[str, Camera] = {}
         platform: dict[str, str] = {}
+        drivers: dict[str, Driver] = {}
         for kind in ("arms", "grippers", "hands"):
             for name, given in getattr(self, kind).items():
                 if name not in robots:
                     raise UnknownName("robot of this setup", name, robots)
                 arm, effector = robots[name]
                 if kind == "arms":
-                    arms[name] = _made(given, "arm", arm)
+                    arms[name] = _made(drivers, given, "arm", arm)
                     platform[name] = _platform(given)
                     continue
                 wanted = GripperDescription if kind == "grippers" else HandDescription
@@ -244,36 +276,80 @@ class Site:
                     raise InvalidSetup(
                         f"The site has {kind} for {name!r}, which carries {getattr(effector, 'name', None)}."
                     )
-                effectors[name] = _made(given, kind[:-1], effector)
+                effectors[name] = _made(drivers, given, kind[:-1], effector)
                 platform[f"{name}/{effector.name}"] = _platform(given)
-        # A site may have more cameras than a setup uses.
+        # A site may have more cameras and sensors than a setup uses.
         for name, (about, mode) in cameras.items():
             if (given := self.cameras.get(name)) is not None:
-                views[name] = _made(given, "camera", about, mode)
+                views[name] = _made(drivers, given, "camera", about, mode)
+                platform[name] = _platform(given)
+        for name, skin in (tactile or {}).items():
+            if (given := self.tactile.get(name)) is not None:
+                skins[name] = _made(drivers, given, "tactile", skin, CameraMode(*skin.frame_size, skin.rate, False))
                 platform[name] = _platform(given)
         return Devices(
             arms=arms,
             effectors=effectors,
             cameras=views,
+            tactile=skins,
             platform=platform,
+            valid_for=self.valid_for,
             stale_after=self.stale_after,
+            arm_stale_after=self.arm_stale_after,
             on_stale=self.on_stale,
         )
 
 
-def _made(given: AnyDevice, kind: str, *about: Any) -> Any:
+def _made(drivers: dict[str, Driver], given: AnyDevice, kind: str, *about: Any) -> Any:
+    """Return a device, made by the one object of its driver."""
     device: Any = given
     if isinstance(given, DeviceAddress):
-        driver = lookup.find("driver", given.driver)
-        driver = driver() if isinstance(driver, type) else driver
-        if not isinstance(driver, Driver):
-            raise InvalidSetup(
-                f"The driver {given.driver!r} is {driver!r}; valid is a subclass of rcs.hardware.Driver."
-            )
-        device = getattr(driver, kind)(given.address, *about, given.options)
+        if given.driver not in drivers:
+            found = lookup.find("driver", given.driver)
+            found = found() if isinstance(found, type) else found
+            if not isinstance(found, Driver):
+                raise InvalidSetup(
+                    f"The driver {given.driver!r} is {found!r}; valid is a subclass of rcs.hardware.Driver."
+                )
+            drivers[given.driver] = found
+        device = getattr(drivers[given.driver], kind)(given.address, *about, given.options)
     if not isinstance(device, _CLASSES[kind]):
         raise InvalidSetup(f"Expected a device of rcs.devices.{_CLASSES[kind].__name__}; got {device!r}.")
     return device
+
+
+def _parted(text: str) -> tuple[str, str]:
+    """Return driver and address of `driver:address` or `module:Class:address`."""
+    driver, _, rest = text.partition(":")
+    if not rest or driver in lookup.names("driver") or not _is_module(driver):
+        return driver, rest
+    name, _, address = rest.partition(":")
+    return f"{driver}:{name}", address
+
+
+def _is_module(name: str) -> bool:
+    """Return whether a module can be looked for under this name; it is not imported."""
+    top = name.partition(".")[0]
+    return top in sys.modules or (top.isidentifier() and importlib.util.find_spec(top) is not None)
+
+
+def _require_places(kind: str, devices: Mapping[str, AnyDevice]) -> None:
+    """Check that no two devices of a kind are one and the same.
+
+    Raises:
+        InvalidSetup: Two are one object, or at one address.
+    """
+    first: dict[Any, str] = {}
+    for name, one in devices.items():
+        is_address = isinstance(one, DeviceAddress)
+        if is_address and not one.address:
+            continue
+        place = (one.driver, one.address) if is_address else id(one)
+        if (taken := first.setdefault(place, name)) != name:
+            where = f"at {one.driver}:{one.address}" if is_address else f"the device {one!r}"
+            raise InvalidSetup(
+                f"The {kind} {taken!r} and {name!r} are both {where}, which is {taken!r}; give {name!r} its own."
+            )
 
 
 def _platform(given: AnyDevice) -> str:

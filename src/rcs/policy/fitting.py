@@ -49,7 +49,7 @@ def fitted(setup: Setup, metadata: Metadata, given: Collection[str] = ()) -> Set
         changes["cameras"] = tuple(image.name for image in metadata.images)
     sizes = {(image.width, image.height) for image in metadata.images if image.width and image.height}
     if len(sizes) == 1:
-        changes["image_size"] = sizes.pop()
+        changes.update(image_size=sizes.pop(), camera_sizes={})
     observed = [name for part in metadata.state if (name := _observed(part.name)) is not None]
     changes["observe"] = tuple(dict.fromkeys([*setup.observe, *observed]))
     if any(TARGET in part.name.split("/") for part in metadata.state) and OBSERVE_TARGET not in setup.layers:

@@ -61,6 +61,11 @@ class TactileDescription(Description):
     noise_std: float
     """Standard deviation of the image's noise [of 255]."""
 
+    @property
+    def frame_size(self) -> tuple[int, int]:
+        """Width and height of a frame [px]: the camera lies on its side, so the gel's z is across."""
+        return self.image_size[1], self.image_size[0]
+
     def __post_init__(self) -> None:
         """Check ranges.
 

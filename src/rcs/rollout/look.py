@@ -79,9 +79,11 @@ class Look:
         changes: dict[str, Any] = {name: getattr(self, name) for name in KEPT if getattr(self, name) is not None}
         if "image_size" in changes:
             changes["image_size"] = (self.image_size, self.image_size)
-            changes["camera_mode"] = None
+            changes.update(camera_sizes={}, camera_mode=None)
         if self.cameras is not None:
             changes["cameras"] = () if self.cameras in ((), (NONE,)) else self.cameras
+            shown = changes["cameras"]
+            changes.setdefault("camera_sizes", {n: size for n, size in setup.camera_sizes.items() if n in shown})
             if isinstance(setup.camera_fps, tuple) and self.camera_fps is None:
                 changes["camera_fps"] = {
                     name: rate for name, rate in setup.camera_fps if name in changes["cameras"]

@@ -65,8 +65,8 @@ def make(
     Args:
         task: A task by name, as a class or as `module:Class`; or a whole setup.
         hardware: What is real: a `Site` or the path of its file, `driver:address` for all arms with their end
-            effectors, or a mapping from names of robots and cameras to addresses or devices. All else is simulated, in
-            real time and in one world. None for simulation alone.
+            effectors, or a mapping from names of robots, cameras and tactile sensors to addresses or devices. All else
+            is simulated, in real time and in one world. None for simulation alone.
         layers: Your own layers on top of those of the setup, from the lowest to the highest, as objects, classes or
             names; of several robots, a sequence per robot by name. Names and classes in a sequence, up to its first
             object, become part of the setup, which recordings keep; replays go without the others.
@@ -219,15 +219,15 @@ def _devices(hardware: Any, parts: Parts) -> Devices:
     if hardware is None:
         return Devices()
     robots = {robot.name: (robot.arm, robot.end_effector) for robot in parts.robots}
-    site = Site.of(hardware, robots, {camera.name: camera.camera for camera in parts.cameras})
     cameras = {camera.name: (camera.camera, _mode(parts.setup, camera)) for camera in parts.cameras}
-    return site.devices(robots, cameras)
+    tactile = {sensor.name: sensor.sensor for sensor in parts.tactile}
+    return Site.of(hardware, robots, cameras, tactile).devices(robots, cameras, tactile)
 
 
 def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:
     """Return the mode of a real camera that frames of a setup are cut out of: the smallest that is large enough."""
-    width, height = setup.image_size
-    rate = camera.camera.frame_rate(setup.image_size, setup.fps_of(camera.name))
+    width, height = setup.size_of(camera.name)
+    rate = camera.camera.frame_rate((width, height), setup.fps_of(camera.name))
     large = [
         mode for mode in camera.camera.modes if mode.width >= width and mode.height >= height and rate in mode.rates
     ]
@@ -265,8 +265,10 @@ def resolve(setup: Setup) -> Parts:
     task: Any = lookup.find("task", setup.task)
     if not (isinstance(task, type) and issubclass(task, Task)):
         raise InvalidSetup(f"{setup.task!r} is {task!r}; valid is a subclass of rcs.envs.task.Task.")
-    robots = tuple(_place(stand, setup.end_effector or lab.end_effector) for stand in lab.stands)
-    names = [robot.name for robot in robots]
+    names = [stand.name for stand in lab.stands]
+    if isinstance(setup.end_effector, Mapping) and (unknown := sorted(setup.end_effector.keys() - set(names))):
+        raise UnknownName("robot of this setup", unknown[0], names)
+    robots = tuple(_place(one, setup.end_effector_of(one.name) or lab.end_effector) for one in lab.stands)
     cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras)
     tactile = tuple(sensor for robot in robots for sensor in _feel(setup.tactile, robot))
     count = 0 if setup.randomisation is None else setup.randomisation.distractors

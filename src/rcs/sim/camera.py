@@ -76,6 +76,7 @@ class SimCameras:
         cameras: list[CameraPlacement],
         *,
         size: tuple[int, int] = (224, 224),
+        sizes: Mapping[str, tuple[int, int]] | None = None,
         has_depth: bool = False,
         has_segmentation: bool = False,
         quality: Quality = "fast",
@@ -88,6 +89,7 @@ class SimCameras:
             world: The world to draw.
             cameras: Cameras of its scene.
             size: Width and height of every frame [px].
+            sizes: The same of some cameras by name, where they differ; None for none.
             has_depth: Whether to draw depth too.
             has_segmentation: Whether to draw instances and geoms too.
             quality: Rendering quality.
@@ -97,15 +99,17 @@ class SimCameras:
         Raises:
             InvalidSetup: The size is out of range, a camera has no depth, or its distortion cannot be drawn.
         """
-        if not all(1 <= edge <= MAX_SIZE for edge in size):
-            raise InvalidSetup(f"The size of a frame is {size}; valid is 1 to {MAX_SIZE} px for width and height.")
+        self.sizes = {camera.name: (sizes or {}).get(camera.name, size) for camera in cameras}
+        """Width and height of each camera's frames [px]."""
+        for size in self.sizes.values():
+            if not all(1 <= edge <= MAX_SIZE for edge in size):
+                raise InvalidSetup(f"The size of a frame is {size}; valid is 1 to {MAX_SIZE} px for width and height.")
         for camera in cameras:
             if has_depth and not camera.camera.has_depth:
                 raise InvalidSetup(f"Camera {camera.name!r} ({camera.camera.label}) has no depth.")
         self.world = world
         self.placements = list(cameras)
         self.names = [camera.name for camera in cameras]
-        self.size = size
         self.has_depth = has_depth
         self.has_segmentation = has_segmentation
         self.labels = Labels(world.model)
@@ -113,14 +117,16 @@ class SimCameras:
         self._quality: Quality = quality
         self._ids = [world.model.camera(camera.camera_name).id for camera in cameras]
         self._optics = [
-            Optics(camera, size, float(world.model.cam_fovy[number]))
+            Optics(camera, self.sizes[camera.name], float(world.model.cam_fovy[number]))
             for camera, number in zip(cameras, self._ids, strict=True)
         ]
         # A camera's body has the optical frame: x right, y down, z forward.
         bodies = [f"{camera.name}/{camera.camera.base_body}" for camera in cameras]
         self._poses = [world.core.read_body_pose(world.model.body(body).id, frame_body) for body in bodies]
         world.refresh()
-        self._noise = [CameraNoise(camera.camera, size, i) for i, camera in enumerate(cameras)] if has_noise else []
+        self._noise = [
+            CameraNoise(camera.camera, self.sizes[camera.name], i) for i, camera in enumerate(cameras) if has_noise
+        ]
         self._renderer: Renderer | RenderPool | None = None
         self.capture_times: dict[str, float] = {}
         """When each camera's last frame was drawn [s], on the monotonic clock."""
@@ -169,13 +175,12 @@ class SimCameras:
             snapshot: Of these cameras.
             names: Cameras of the snapshot to draw.
         """
-        width, height = self.size
         renderer = self._renderer or self._make_renderer()
         assert isinstance(renderer, Renderer), "a world of one copy"
         renderer.update_from_state(snapshot.state)
         for name in names:
             i = self.names.index(name)
-            drawn = _Drawn.empty((height, width), has_depth=self.has_depth, has_geoms=self.has_segmentation)
+            drawn = _Drawn.empty(self.sizes[name][::-1], has_depth=self.has_depth, has_geoms=self.has_segmentation)
             renderer.render(self._ids[i], drawn.rgb, drawn.depth, drawn.geoms, self._optics[i].lens)
             yield name, self._frame(i, drawn, snapshot.calibrations[name], snapshot.moment)
 
@@ -205,15 +210,14 @@ class SimCameras:
 
     def _draw(self, chosen: Sequence[int], copies: Copies) -> list[_Drawn]:
         """Return what some cameras see."""
-        width, height = self.size
         core = self.world.core
         ids = [self._ids[i] for i in chosen]
         # If copies have their own models, a row of states is a copy, and all have to be drawn.
         picks = copies is not None and not core.is_varied
         states = core.states[copies] if picks else None
         leading = self.world.leading if states is None else (len(states),)
-        shape = (*leading, height, width)
-        drawn = [_Drawn.empty(shape, has_depth=self.has_depth, has_geoms=self.has_segmentation) for _ in ids]
+        shapes = [(*leading, *self.sizes[self.names[i]][::-1]) for i in chosen]
+        drawn = [_Drawn.empty(one, has_depth=self.has_depth, has_geoms=self.has_segmentation) for one in shapes]
         lenses = [self._optics[i].lens for i in chosen]
         renderer = self._renderer or self._make_renderer()
         if isinstance(renderer, RenderPool):
@@ -247,7 +251,7 @@ class SimCameras:
         }
 
     def _make_renderer(self) -> Renderer | RenderPool:
-        sizes = [self.size, *(optics.canvas for optics in self._optics)]
+        sizes = [*self.sizes.values(), *(optics.canvas for optics in self._optics)]
         width, height = (max(size[axis] for size in sizes) for axis in (0, 1))
         if self.world.leading:
             threads = min(self.world.core.threads, RenderPool.MOST_THREADS)
@@ -284,8 +288,8 @@ class SimCamera(Camera):
             raise InvalidSetup(
                 f"SimCamera needs a world of one copy and one of the cameras {cameras.names}, not {name!r}."
             )
-        width, height = cameras.size
-        rate = FrameRate.of(cameras.placements[cameras.names.index(name)].camera, cameras.size, fps)
+        width, height = cameras.sizes[name]
+        rate = FrameRate.of(cameras.placements[cameras.names.index(name)].camera, (width, height), fps)
         super().__init__(name, CameraMode(width, height, rate.fps, cameras.has_depth))
         self._cameras = cameras
         self._world = world

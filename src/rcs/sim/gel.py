@@ -42,8 +42,7 @@ class Gel:
         self._sensor = sensor
         self._half_slope = math.tan(0.5 * sensor.camera_yfov)
         """Slope of the rays through the middle of the image's left and right edge."""
-        height, width = sensor.image_size  # upright, the image is higher than wide
-        self.size = (width, height)
+        self.size = width, height = sensor.frame_size
         self.grid = (height // RAY_PITCH, width // RAY_PITCH)
         """Rows and columns of the rays."""
         self.slopes = self._slopes(height, width)

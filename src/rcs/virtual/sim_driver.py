@@ -26,6 +26,7 @@ class SimDriver(Driver):
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """Use a clock [s]; give one that is moved by hand to run faster than real time."""
+        super().__init__()
         self._clock = clock
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> StandInArm:
@@ -37,5 +38,6 @@ class SimDriver(Driver):
         return StandInArm(about, gripper=gripper, clock=self._clock, name=address or about.name, **given)
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> FakeGripper:
-        """Return an open gripper, which grasps nothing."""
+        """Return an open gripper, which grasps nothing; the options of its arm mean nothing to it."""
+        require_fields("option of a simulated arm", options, OPTIONS)
         return FakeDriver(self._clock).gripper(address, about, {})

@@ -1,0 +1,179 @@
+"""The calls of a gripper or a hand: made at once while they are quick, on a thread of their own once they are not."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+from rcs.devices import Gripper, Hand
+from rcs.errors import DeviceFault
+
+_log = logging.getLogger(__name__)
+
+State = TypeVar("State")
+
+SLOW_READS = 2
+"""After this many slow reads in a row, a device is slow; one alone may be the machine's."""
+PAUSE = 5e-3
+"""Time between two calls of a slow device [s], for others on its line."""
+PAUSE_IN_FAULT = 0.1
+"""The same after a call that failed [s]."""
+CYCLES = 3.0
+"""A command of a slow device is valid for at least as many of its cycles: it cannot be repeated sooner."""
+LONGEST_CALL = 2.0
+"""How long closing or recovering a device waits for a call that is under way [s]."""
+
+
+class DeviceCalls(Generic[State]):
+    """Sends commands to one device and reads it; neither holds up who asks, however slow the device is.
+
+    From its second slow read on, a device is commanded and read on a thread, one call at a time: it gets the newest
+    command as soon as it is free, and who reads gets its newest state. Whatever a call raises there is its fault.
+    """
+
+    def __init__(
+        self,
+        device: Gripper | Hand,
+        read: Callable[[], State],
+        send: Callable[[Any, float], None],
+        *,
+        valid_for: float = math.inf,
+        slow_after: float = math.inf,
+    ) -> None:
+        """Call nothing yet.
+
+        Args:
+            device: The device.
+            read: Measures it.
+            send: Sends it a target, which is valid for some seconds.
+            valid_for: How long a command is valid without another [s].
+            slow_after: A read that takes longer than this is slow [s].
+        """
+        self._device = device
+        self._read = read
+        self._send = send
+        self._valid_for = valid_for
+        self._slow_after = slow_after
+        self._slow_reads = 0
+        self._waiting: deque[tuple[Any, int]] = deque(maxlen=1)  # whose calls are atomic
+        self._holds = 0
+        self._newest: State | None = None
+        self._cycle = 0.0
+        self._turn = threading.Lock()
+        self._must_end = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._error: Exception | None = None
+
+    def open(self) -> None:
+        """Connect the device.
+
+        Raises:
+            DeviceFault: A call has not returned since it was last closed.
+        """
+        if self._must_end.is_set():
+            if self._thread is not None and self._thread.is_alive():
+                raise DeviceFault(
+                    f"{self._device.name} is still in a call that was under way when it was closed; unplug the device "
+                    "or end the process."
+                )
+            self._thread, self._slow_reads = None, 0
+            self._must_end.clear()
+        self._device.open()
+
+    def send(self, target: Any) -> None:
+        """Send a target, or have it sent as soon as a slow device is free."""
+        if self._thread is None:
+            self._send(target, self._valid_for)
+        else:
+            self._waiting.append((target, self._holds))
+
+    def read(self) -> State:
+        """Measure the device, or return what a slow one has measured last."""
+        if self._thread is not None:
+            assert self._newest is not None, "the thread begins with a state"
+            return self._newest
+        begin = time.monotonic()
+        state = self._newest = self._read()
+        self._cycle = time.monotonic() - begin
+        self._slow_reads = self._slow_reads + 1 if self._cycle > self._slow_after else 0
+        if self._slow_reads == SLOW_READS:
+            _log.info("%s takes %.0f ms to read: from now on on a thread", self._device.name, 1e3 * self._cycle)
+            self._thread = threading.Thread(target=self._run, name=self._device.name, daemon=True)
+            self._thread.start()
+        return state
+
+    def forget(self) -> None:
+        """Forget a command that waits: the device is held, by whoever says this."""
+        self._holds += 1
+        self._waiting.clear()
+
+    def recover(self) -> None:
+        """Clear the device's fault, and measure it.
+
+        Raises:
+            DeviceFault: The device cannot recover, or does not return from a call.
+        """
+        if not self._turn.acquire(timeout=LONGEST_CALL):
+            raise DeviceFault(f"{self._device.name} has not returned from a call for {LONGEST_CALL:g} s.")
+        try:
+            self._device.recover()
+            self._newest = self._read()
+        finally:
+            self._turn.release()
+
+    def close(self) -> None:
+        """Let go of the device. Closing twice is harmless.
+
+        A device that does not return from a call is left to its thread, with a warning, and closed when it does.
+        """
+        is_first = not self._must_end.is_set()
+        self._must_end.set()
+        if self._thread is None:
+            self._device.close()
+            return
+        if is_first:
+            self._thread.join(LONGEST_CALL)
+        if is_first and self._thread.is_alive():
+            _log.warning(
+                "%s has not returned from a call for %g s; its thread is left behind, and closes it when the call "
+                "returns",
+                self._device.name,
+                LONGEST_CALL,
+            )
+        if (error := self._error) is not None:
+            self._error = None
+            raise error
+
+    def _run(self) -> None:
+        pause = PAUSE
+        while not self._must_end.wait(pause):
+            pause, begin = PAUSE, time.monotonic()
+            with self._turn:
+                try:
+                    self._send_waiting()
+                    self._newest = self._read()
+                except Exception as err:  # noqa: BLE001  whatever it is, it is the device's fault
+                    pause = PAUSE_IN_FAULT
+                    if not self._device.fault:
+                        self._device.set_fault(f"{type(err).__name__}: {err}")
+            self._cycle = time.monotonic() - begin
+        try:
+            self._device.close()
+        except Exception as err:  # noqa: BLE001  raised by `close`, which waits
+            self._error = err
+
+    def _send_waiting(self) -> None:
+        if not self._waiting or self._device.fault:
+            return
+        try:
+            target, holds = self._waiting.pop()
+        except IndexError:  # forgotten meanwhile
+            return
+        self._send(target, max(self._valid_for, CYCLES * (self._cycle + PAUSE)))
+        if self._holds != holds:
+            self._device.hold()  # it was told to while this command was on its way

@@ -1,0 +1,126 @@
+"""Real arms go to the start of an episode slowly, and only when a person has agreed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.devices.fakes import FakeArm, FakeGripper
+from rcs.envs.env import Env
+from rcs.errors import DeviceFault, InvalidSetup, Refused, WrongOrder
+from rcs.hardware import Site
+from rcs.hardware.fake import limits_of
+from rcs.robots.fr3.description import FR3
+
+HOME = np.array(FR3.home)
+THERE = {"joints": HOME + 0.2, "gripper": np.zeros(1, np.float32)}
+
+
+class TracedArm(FakeArm):
+    """Remembers what it was sent, and when."""
+
+    def __init__(self) -> None:
+        super().__init__(limits_of(FR3), start=HOME)
+        self.sent: list[tuple[float, np.ndarray]] = []
+
+    def _command_joints(self, joints: np.ndarray) -> None:
+        self.sent.append((time.monotonic(), np.array(joints)))
+        super()._command_joints(joints)
+
+
+def make(arm: FakeArm, **options: Any) -> Env:
+    site = Site(arms={"fr3": arm}, grippers={"fr3": FakeGripper(speed=5.0)}, arm_stale_after=60.0, stale_after=60.0)
+    return rcs.make("Free", hardware=site, frequency=50.0, **options)
+
+
+def test_an_arm_goes_where_it_is_wanted_and_no_faster_than_it_may() -> None:
+    arm, asked = TracedArm(), list[str]()
+
+    def agree(question: str) -> bool:
+        assert not arm.sent, "nothing moves before the answer"
+        asked.append(question)
+        return True
+
+    with make(arm) as env:
+        options = {"robot": THERE, "may_move": agree, "speed": 0.2}
+        observation, _ = env.reset(seed=0, options=options)
+        np.testing.assert_allclose(observation["joints"], THERE["joints"], atol=1e-6)
+        assert observation["gripper"] < 0.1
+        (question,) = asked
+        assert "fr3 by up to 0.20 rad (joint4) in 1 s, at 20 % of the largest speed" in question
+        targets = np.array([joints for _, joints in arm.sent])
+        assert np.abs(np.diff(targets, axis=0, prepend=[HOME])).max() * 50.0 < 0.2 * min(FR3.velocity_limit) * 1.01
+        duration = arm.sent[-1][0] - arm.sent[0][0]
+        assert duration > 0.2 / (0.2 * min(FR3.velocity_limit))
+        observation, *_ = env.step({"joints": np.zeros(7), "gripper": np.zeros(1)})
+        np.testing.assert_allclose(observation["joints"], THERE["joints"], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "match"),
+    [
+        ({"robot": THERE}, InvalidSetup, "moves real arms \\(fr3\\), and nobody can be asked"),
+        ({"robot": THERE, "may_move": False}, Refused, "nobody agreed"),
+        ({"robot": THERE, "may_move": lambda question: False}, Refused, "Move fr3 by up to 0.20 rad"),
+        ({"robot": THERE, "may_move": lambda question: "no"}, Refused, "nobody agreed"),
+        ({"robot": THERE, "may_move": "yes"}, InvalidSetup, "may_move"),
+        ({"robot": THERE, "may_move": True, "speed": 1.5}, InvalidSetup, "'speed' is 1.5"),
+        ({"robot": THERE, "may_move": True, "speed": float("nan")}, InvalidSetup, "'speed' is nan"),
+        ({"robot": {"joints": HOME + 9.0}, "may_move": True}, InvalidSetup, "valid is"),
+        ({"robot": {"joints": HOME[:3]}, "may_move": True}, InvalidSetup, "shape"),
+        ({"robot": THERE, "may_mvoe": True}, InvalidSetup, "Did you mean 'may_move'"),
+        ({"objects": {"cuboid": np.zeros(7)}}, InvalidSetup, "poses of \\[\\]"),
+        ({"state": np.zeros(3)}, WrongOrder, "no simulated world"),
+    ],
+)
+def test_without_leave_or_sense_nothing_moves(options: dict[str, Any], error: type[Exception], match: str) -> None:
+    arm = TracedArm()
+    with make(arm) as env:
+        with pytest.raises(error, match=match):
+            env.reset(seed=0, options=options)
+        assert not arm.sent
+        np.testing.assert_array_equal(arm.body.values, HOME)
+
+
+def test_a_fault_on_the_way_stops_all_arms_and_is_told() -> None:
+    arm = TracedArm()
+    command: Callable[[np.ndarray], None] = arm._command_joints
+
+    def trip(joints: np.ndarray) -> None:
+        command(joints)
+        if len(arm.sent) == 5:
+            arm.set_fault("touched something")
+
+    arm._command_joints = trip  # pyright: ignore[reportAttributeAccessIssue]
+    with make(arm) as env:
+        with pytest.raises(DeviceFault, match="touched something"):
+            env.reset(seed=0, options={"robot": THERE, "may_move": True})
+        assert len(arm.sent) == 5
+        assert np.abs(arm.body.values - HOME).max() < 0.1
+
+
+def test_an_arm_that_does_not_arrive_is_no_start() -> None:
+    arm = TracedArm()
+    with make(arm) as env:
+        env.reset(seed=0)
+        arm.body._speed = np.zeros(7)
+        with pytest.raises(DeviceFault, match=r"fr3 has not arrived: joint\d is 0\.20 rad"):
+            env.reset(seed=0, options={"robot": THERE, "may_move": True, "speed": 1.0})
+
+
+def test_the_robot_that_is_simulated_is_put_there_and_the_real_one_goes() -> None:
+    arm = TracedArm()
+    site = Site(arms={"left": arm}, grippers={"left": FakeGripper()}, arm_stale_after=60.0, stale_after=60.0)
+    with rcs.make("Free", robot="dual_fr3", hardware=site, frequency=50.0) as env:
+        wanted = {"left": {"joints": HOME + 0.1}, "right": {"joints": HOME - 0.3}}
+        observation, _ = env.reset(seed=0, options={"robot": wanted, "may_move": True, "speed": 0.5})
+        np.testing.assert_allclose(observation["left"]["joints"], HOME + 0.1, atol=1e-6)
+        np.testing.assert_allclose(observation["right"]["joints"], HOME - 0.3, atol=0.02)
+        arm.sent.clear()
+        observation, _ = env.reset(seed=0, options={"robot": {"right": wanted["right"]}})
+        assert not arm.sent, "a simulated robot needs no leave"
