@@ -1,0 +1,309 @@
+"""The Franka Research 3 and the Franka Hand, on the vendor's network interface (FCI) through `franky-control`.
+
+Time: franky's own thread answers the robot 1000 times a second, in C++ and without Python. It makes torques, from a
+reference that the arm's thread gives it `RATE` times a second; a reference that comes late is one that stands still,
+and not a packet that is missing. So the arm needs no kernel for real time where the computer is otherwise idle.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.devices import Arm, ArmState, StreamedArm, StreamOptions, StreamPoint
+from rcs.errors import DeviceFault, InvalidSetup, require_fields
+from rcs.extras import package_of
+from rcs.hardware.driver import Driver
+from rcs.hardware.franka_faults import advice_for, connected, fault_of, mode_of, within
+from rcs.hardware.franka_hand import FrankaHand
+from rcs.hardware.franka_limits import limits_of_fr3
+from rcs.kinematics import kinematics_of
+from rcs.robots.description import ArmDescription, GripperDescription
+
+RATE: Final = 500.0
+"""References per second [Hz]."""
+STOPPING: Final = 0.5
+"""How long it may take to confirm a stop [s]."""
+RECOVERING: Final = 1.0
+"""How long it may take to be idle after its recovery [s]."""
+TORQUE_STEP: Final = 0.99
+"""Most by which a torque changes in a millisecond [N·m]; the robot admits 1.0."""
+NO_CUTOFF: Final = 1000.0
+"""Cutoff from which the library smooths nothing [Hz]; libfranka, lowpass_filter.h."""
+SILENCE: Final = 0.2
+"""Age of a state from which the controller counts as silent [s]; it sends one every millisecond."""
+
+# Ours. Those of the arm are libfranka's (examples/joint_impedance_control.cpp); the wrist, which is light, is led with
+# more stiffness and less damping than there, so that it follows within 0.1 s instead of 0.3 s.
+JOINT_STIFFNESS: Final = (600.0, 600.0, 600.0, 600.0, 300.0, 200.0, 100.0)
+JOINT_DAMPING: Final = (50.0, 50.0, 50.0, 50.0, 20.0, 12.0, 6.0)
+TCP_STIFFNESS: Final = (1000.0, 1000.0, 1000.0, 60.0, 60.0, 60.0)
+GUIDING_DAMPING: Final = (2.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5)
+"""With which a hand that guides the arm is resisted [N·m·s/rad]; ours."""
+POSTURE_STIFFNESS: Final = 5.0
+"""With which an arm that is stiff at the TCP keeps its elbow [N·m/rad]; ours."""
+
+_log = logging.getLogger(__name__)
+
+Compliance = Literal["joints", "tcp"]
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrankaOptions:
+    """What a site may say of an arm."""
+
+    compliance: Compliance = "joints"
+    """What a push moves, as a spring does: each joint, or the TCP as a whole (operational space)."""
+    stiffness: tuple[float, ...] | None = None
+    """Of the joints [N·m/rad], seven, or of the TCP, six: x, y, z [N/m] and about x, y, z [N·m/rad], in the frame of
+    the base. Lower ones push less and come less close to where the arm is led."""
+    damping: tuple[float, ...] | None = None
+    """As many, [N·m·s/rad] or [N·s/m]; None for what suits the stiffness."""
+    collision_torque: tuple[float, ...] | None = None
+    """Torque at each joint from which the arm takes a push for a collision [N·m], seven; None for the description's."""
+    collision_force: float | None = None
+    """The same for the TCP [N], and its moment [N·m]; None for the description's."""
+    speed: float = 1.0
+    """Share of the joints' speeds that the arm uses, above 0 and at most 1."""
+    whole_range: bool = False
+    """Use all of the joints' ranges and speeds. Fast ways towards the end of a range then end in a reflex."""
+
+    def __post_init__(self) -> None:
+        """Check every field, and make tuples of lists.
+
+        Raises:
+            InvalidSetup: A value makes no sense.
+        """
+        if self.compliance not in get_args(Compliance):
+            raise InvalidSetup(f"compliance is {self.compliance!r}; valid: {', '.join(get_args(Compliance))}.")
+        if not _is_amount(self.speed) or not 0 < self.speed <= 1:
+            raise InvalidSetup(f"speed is {self.speed!r}; valid is a share above 0 and at most 1.")
+        if not isinstance(self.whole_range, bool):
+            raise InvalidSetup(f"whole_range is {self.whole_range!r}; valid: true, false.")
+        count = 7 if self.compliance == "joints" else 6
+        for name, wanted in (("stiffness", count), ("damping", count), ("collision_torque", 7)):
+            given = getattr(self, name)
+            if given is None:
+                continue
+            if not isinstance(given, list | tuple) or len(given) != wanted or not all(map(_is_amount, given)):
+                raise InvalidSetup(f"{name} is {given!r}; valid are {wanted} finite numbers from 0.")
+            object.__setattr__(self, name, tuple(map(float, given)))
+        if self.collision_force is not None and not _is_amount(self.collision_force):
+            raise InvalidSetup(f"collision_force is {self.collision_force!r}; valid is a finite number from 0.")
+
+
+def _is_amount(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value >= 0
+
+
+class FrankaDriver(Driver):
+    """Makes arms and hands; the address is that of the control box. Options of an arm: those of `FrankaOptions`."""
+
+    def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
+        """Return an arm.
+
+        Raises:
+            UnknownName: There is no such option.
+            InvalidSetup: An option makes no sense, or the description is that of another arm.
+        """
+        require_fields("option of a Franka arm", options, [field.name for field in fields(FrankaOptions)])
+        return FrankaArm(address, about, FrankaOptions(**options))
+
+    def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> FrankaHand:
+        """Return a hand, which has no options."""
+        require_fields("option of a Franka Hand", options, [])
+        return FrankaHand(address, about)
+
+
+class FrankaArm(StreamedArm):
+    """An FR3, led by torques that pull it towards where it is led, like springs and dampers."""
+
+    def __init__(self, address: str, about: ArmDescription, options: FrankaOptions | None = None) -> None:
+        """Describe the arm; nothing is connected.
+
+        Args:
+            address: Address of the control box.
+            about: The arm's figures.
+            options: What else is to be said; None for the defaults.
+
+        Raises:
+            InvalidSetup: The description has not the FR3's seven joints.
+        """
+        if about.dof != 7:
+            raise InvalidSetup(f"The driver franka leads arms of seven joints; {about.name!r} has {about.dof}.")
+        self._options = FrankaOptions() if options is None else options
+        is_stiff = self._options.compliance == "joints"
+        super().__init__(
+            f"{about.name} at {address}",
+            limits_of_fr3(about, speed=self._options.speed, whole_range=self._options.whole_range),
+            StreamOptions(rate=RATE, arrival=0.005 if is_stiff else 0.05, tracking_error=0.3 if is_stiff else 1.0),
+        )
+        self._address, self._about = address, about
+        self._flange = kinematics_of(about)
+        self._franky: Any = None
+        self._robot: Any = None
+        self._motion: Any = None
+        self._newest: Any = None  # state
+        self._led: Vector | None = None
+        self._has_link = self._is_led = False
+        self._problem = ""
+        self._seen = (math.nan, 0.0)  # the newest state's time, of the robot and of the host
+
+    def _open(self) -> None:
+        self._franky = franky = package_of("franka", "franky", "The driver franka needs")
+        ignore = franky.RealtimeConfig.Ignore
+        self._robot = robot = connected(
+            lambda: franky.Robot(self._address, realtime_config=ignore), self._address, "the arm"
+        )
+        self._has_link, self._led, self._problem, self._seen = True, None, "", (math.nan, 0.0)
+        limits, given = self._about.collision, self._options
+        assert limits is not None, "the description of an FR3 has them"
+        torque = list(limits.joint_torque if given.collision_torque is None else given.collision_torque)
+        force = [limits.force] * 3 + [limits.moment] * 3
+        force = force if given.collision_force is None else [given.collision_force] * 6
+        robot.set_collision_behavior(torque, force)
+
+    def _read(self) -> ArmState:
+        state = self._fresh_state()
+        if self._motion is not None and not self._robot.is_in_control:
+            self._problem = self._forget_motion() or "the controller has ended the motion and does not say why"
+        self._problem = fault_of(state, self._about.joints) or self._problem
+        if self._problem and not self._is_led and not self.fault:
+            self.set_fault(self._problem)
+        return ArmState(
+            list(state.q),
+            list(state.dq),
+            time=self._seen[1],
+            device_time=self._seen[0],
+            commanded_joints=list(state.q if self._led is None else self._led),
+            efforts=list(state.tau_J),
+            wrench=list(-state.O_F_ext_hat_K),  # the controller tells what the arm does to others
+            mode=mode_of(state),
+        )
+
+    def _start(self) -> None:
+        self._end_motion()
+        franky, options = self._franky, self._options
+        if options.compliance == "joints":
+            damping = JOINT_DAMPING if options.stiffness is None and options.damping is None else options.damping
+            motion = franky.JointImpedanceTrackingMotion(
+                stiffness=list(options.stiffness or JOINT_STIFFNESS), damping=damping, max_delta_tau=TORQUE_STEP
+            )
+            motion.set_reference(franky.JointReference(q=self._robot.current_joint_positions))
+        else:
+            stiffness = list(options.stiffness or TCP_STIFFNESS)
+            damping = [2.0 * math.sqrt(one) for one in stiffness] if options.damping is None else list(options.damping)
+            posture = franky.PostureTask(self._robot.current_joint_positions, stiffness=POSTURE_STIFFNESS)
+            motion = franky.CartesianImpedanceTrackingMotion(posture_task=posture, max_delta_tau=TORQUE_STEP)
+            motion.set_gains(franky.CartesianImpedanceGains.diagonal(stiffness, damping))
+            motion.set_reference(franky.CartesianReference(target=self._robot.current_pose.end_effector_pose))
+        self._begin_motion(motion)
+        self._is_led = True
+
+    def _write(self, point: StreamPoint) -> None:
+        if self._problem:
+            raise DeviceFault(self._problem)
+        position, velocity = np.array(point.position), np.array(point.velocity)
+        self._led = position
+        if self._options.compliance == "joints":
+            mass = np.array(self._robot.model.mass(self._newest))
+            torques = mass @ np.array(point.acceleration)
+            self._motion.set_reference(self._franky.JointReference(q=position, dq=velocity, tau_ff=torques))
+            return
+        flange, tool_in_flange = self._flange.forward(position).matrix, np.array(self._newest.F_T_EE.matrix)
+        twist = self._flange.jacobian(position) @ velocity
+        twist[:3] += np.cross(twist[3:], flange[:3, :3] @ tool_in_flange[:3, 3])
+        franky = self._franky
+        pose, twist = franky.Affine(flange @ tool_in_flange), franky.Twist(twist[:3], twist[3:])
+        self._motion.set_reference(franky.CartesianReference(target=pose, target_twist=twist))
+
+    def _stop(self) -> None:
+        self._is_led, self._led = False, None
+        robot = self._robot
+        if robot is None or self._motion is None or not self._has_link:
+            return
+        try:
+            within(STOPPING, robot.stop)
+        except TimeoutError as err:
+            raise DeviceFault(f"the controller has not confirmed the stop for {STOPPING:g} s") from err
+        self._forget_motion()
+
+    def _can_guide(self) -> bool:
+        return True
+
+    def _guide(self) -> None:
+        self._end_motion()
+        motion = self._franky.JointImpedanceTrackingMotion(
+            stiffness=[0.0] * 7, damping=GUIDING_DAMPING, max_delta_tau=TORQUE_STEP
+        )
+        self._begin_motion(motion)
+
+    def _clear(self) -> None:
+        if not self._has_link:  # the library does not connect anew
+            self._close()
+            self._open()
+        self._forget_motion()
+        if reason := fault_of(self._fresh_state(), self._about.joints, is_recoverable=False):
+            raise DeviceFault(reason)
+        self._robot.recover_from_errors()
+        begin = time.monotonic()
+        while mode_of(self._fresh_state()) != "Idle":
+            if time.monotonic() - begin > RECOVERING:
+                raise DeviceFault(f"the robot is in mode {mode_of(self._newest)} {RECOVERING:g} s after its recovery")
+            time.sleep(0.01)
+        self._problem = ""
+
+    def _close(self) -> None:
+        if self._has_link and self._robot is not None:
+            self._end_motion()
+        let_go = [self._robot, self._motion]
+        self._robot = self._newest = self._motion = None
+        try:
+            within(STOPPING, let_go.clear)  # which disconnects, and where the controller hangs, waits for it
+        except TimeoutError:
+            _log.warning("%s has not let go within %g s", self.name, STOPPING)
+
+    def _fresh_state(self) -> Any:
+        try:
+            state = self._robot.state
+        except self._franky.NetworkException as err:
+            self._has_link = False
+            raise DeviceFault(f"the connection to the controller is lost: {err}. {advice_for(self._address)}") from err
+        now, at = time.monotonic(), state.time.to_sec()
+        if at != self._seen[0]:
+            self._seen = (at, now)
+        elif now - self._seen[1] > SILENCE:
+            self._has_link = False
+            raise DeviceFault(f"the controller has sent no state for {now - self._seen[1]:.2f} s; look at the cable")
+        self._newest = state
+        return state
+
+    def _begin_motion(self, motion: Any) -> None:
+        # The library's trackers smooth the torques once more, at 100 Hz, behind the limit of their steps. Of these, 0.4
+        # are then left: too few for the arm to follow, and it swings.
+        self._robot.move(motion, asynchronous=True, cutoff_frequency=NO_CUTOFF)
+        self._motion = motion
+
+    def _end_motion(self) -> None:
+        """Bring the arm to rest as torques can, and let go of the motion."""
+        if self._motion is not None and self._robot.is_in_control:
+            stop = self._franky.TorqueStopMotion(max_duration=STOPPING, max_delta_tau=TORQUE_STEP)
+            self._robot.move(stop, asynchronous=True)
+        self._forget_motion()
+
+    def _forget_motion(self) -> str:
+        """Wait for the end of a motion, and return what the library says of it; else the next one would raise that."""
+        self._motion = None
+        try:
+            self._robot.join_motion(2.0 * STOPPING)
+        except (self._franky.ControlException, self._franky.NetworkException) as err:
+            return str(err)
+        return ""

@@ -1,0 +1,137 @@
+"""What a Franka controller complains of, in words: what happened, and what to do."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+from rcs.errors import DeviceFault
+
+T = TypeVar("T")
+
+CONNECTING = 2.5
+"""How long a controller may take to answer [s]."""
+
+_LATE = (
+    "too many commands in a row came late or not at all: give this computer a cable of its own to the control box, a "
+    "kernel for real time, and less to do (docs/franka.md)"
+)
+_FAST = "the motion was faster than the robot admits there: keep away from the ends of the joints' ranges"
+_WORDS = {
+    "joint_reflex": "something pushed against the arm: look what it touched",
+    "cartesian_reflex": "something pushed against the tool: look what it touched",
+    "communication_constraints_violation": _LATE,
+    "joint_velocity_violation": _FAST,
+    "cartesian_velocity_violation": _FAST,
+    "joint_position_limits_violation": "a joint is at the end of its range: move the arm back by hand (Desk)",
+    "self_collision_avoidance_violation": "the arm came too close to itself",
+    "controller_torque_discontinuity": "the commanded torques jumped, as when commands are lost: " + _LATE,
+    "tau_J_range_violation": "the commanded torques were too large: use less stiffness, or a lighter load",
+    "power_limit_violation": "the motors took too much power: move more slowly, or with a lighter load",
+    "instability_detected": "the arm began to swing: use less stiffness, or more damping",
+}
+"""By the name that the vendor's documents use."""
+
+
+def fault_of(state: Any, joints: Sequence[str], *, is_recoverable: bool = True) -> str:
+    """Return what is wrong with an arm, empty when nothing is.
+
+    Args:
+        state: franky's `RobotState`.
+        joints: Names of the joints.
+        is_recoverable: Whether what `recover` mends counts, too.
+    """
+    mode = mode_of(state)
+    if mode == "UserStopped":
+        return "the user stop is pressed (mode UserStopped): release it, then recover"
+    if mode == "Other":
+        return (
+            "the joints are locked or the control interface is off (mode Other): unlock them and activate FCI in Desk"
+        )
+    if mode != "Reflex" or not is_recoverable:
+        return ""
+    names = names_of(state.current_errors) or names_of(state.last_motion_errors)
+    pushed = [joint for joint, is_pushed in zip(joints, state.joint_collision, strict=True) if is_pushed]
+    words = "; ".join(dict.fromkeys(_WORDS[name] for name in names if name in _WORDS))
+    where = f" at {', '.join(pushed)}" if pushed else ""
+    return (
+        f"the robot stopped itself (mode Reflex) with {', '.join(names) or 'no error named'}{where}"
+        f"{': ' + words if words else ''}; then recover"
+    )
+
+
+def mode_of(state: Any) -> str:
+    """Return the mode of an arm as franky's `RobotState` has it, such as `Idle`."""
+    return str(state.robot_mode).rpartition(".")[2]
+
+
+def names_of(errors: Any) -> list[str]:
+    """Return the names of the errors that are set in franky's `Errors`."""
+    return [name for name in dir(errors) if not name.startswith("_") and getattr(errors, name) is True]
+
+
+def advice_for(address: str) -> str:
+    """Return what to look at when a control box does not answer."""
+    return (
+        f"Look at the address ({address}), the cable to the control box and its lamp, whether FCI is active in Desk "
+        f"(https://{address}/desk), and whether another program is connected"
+    )
+
+
+def connected(make: Callable[[], T], address: str, what: str) -> T:
+    """Connect to a controller, and give up after `CONNECTING`.
+
+    The library has no deadline of its own: against a peer that says nothing, it never returns.
+
+    Args:
+        make: Connects.
+        address: Of the control box.
+        what: What is connected to, as in "the arm".
+
+    Raises:
+        DeviceFault: Nobody answered, or it was refused; the message says what to look at.
+    """
+    try:
+        return within(CONNECTING, make)
+    except TimeoutError as err:
+        raise DeviceFault(
+            f"{what} at {address} is connected and has not said a word for {CONNECTING:g} s. {advice_for(address)}"
+        ) from err
+    except Exception as err:  # the library's own, which have no common class
+        text = str(err).strip()
+        if type(err).__name__ == "IncompatibleVersionException":
+            hint = (
+                "Install the release of franky-control for the robot's system version, or update the robot's system "
+                "(docs/franka.md)"
+            )
+        else:
+            hint = advice_for(address)
+        raise DeviceFault(f"{what} at {address} cannot be connected to: {text} {hint}") from err
+
+
+def within(seconds: float, call: Callable[[], T]) -> T:
+    """Return what a call returns, on a thread of its own.
+
+    Raises:
+        TimeoutError: It has not returned in time; the thread stays with it.
+        Exception: Whatever the call raises.
+    """
+    done = threading.Event()
+    found: list[T] = []
+    raised: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            found.append(call())
+        except BaseException as err:  # noqa: BLE001 - handed over to who waits
+            raised.append(err)
+        finally:
+            done.set()
+
+    threading.Thread(target=run, name="franka call", daemon=True).start()
+    if not done.wait(seconds):
+        raise TimeoutError(f"no return within {seconds:g} s")
+    if raised:
+        raise raised[0]
+    return found[0]

@@ -1,0 +1,171 @@
+"""The Franka Hand, through `franky-control`.
+
+Its calls return when the fingers stand still, and its state comes 30 times a second at best: two threads wait for them.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from typing import Any, Final
+
+from rcs.devices import Gripper, GripperState
+from rcs.errors import DeviceFault, WrongOrder
+from rcs.extras import package_of
+from rcs.hardware.franka_faults import advice_for, connected
+from rcs.robots.description import GripperDescription
+
+SAME: Final = 1e-3
+"""Widths that differ by less are the same [m]: the hand is not stopped for them."""
+SILENCE: Final = 0.3
+"""Age of a state from which the hand counts as silent [s]."""
+
+
+class FrankaHand(Gripper):
+    """A hand. It grasps wherever its fingers meet something, with the force of the command."""
+
+    def __init__(self, address: str, about: GripperDescription) -> None:
+        """Describe the hand; nothing is connected.
+
+        Args:
+            address: Address of the control box.
+            about: The hand's figures.
+        """
+        super().__init__(f"{about.name} at {address}", about.max_width, about.max_force)
+        self._address, self._about = address, about
+        self._hand: Any = None
+        self._state_now: Any = None
+        self._measured_at = 0.0
+        self._news = threading.Condition()
+        self._wanted: tuple[float, float] | None = None  # width [m], force [N]
+        self._given: tuple[float, float] | None = None  # what the hand is doing, or has done
+        self._is_busy = self._is_ended = False
+        self._problem = ""
+        self._threads: list[threading.Thread] = []
+
+    def home(self) -> None:
+        """Open and close the fingers fully, with which the hand learns its range; needed once after power-on.
+
+        Raises:
+            WrongOrder: The hand is not open.
+            DeviceFault: It failed.
+        """
+        self.state()
+        try:
+            self._hand.homing()
+        except Exception as err:  # the library's own, which have no common class
+            self.set_fault(f"homing failed: {err}")
+            raise DeviceFault(f"{self.name}: {self.fault}") from err
+
+    def _open(self) -> None:
+        franky = package_of("franka", "franky", "The driver franka needs")
+        self._hand = connected(lambda: franky.Gripper(self._address), self._address, "the hand")
+        self._state_now = self._hand.state
+        self._measured_at = time.monotonic()
+        self._wanted = self._given = None
+        self._is_busy = self._is_ended = False
+        self._problem = ""
+        self._threads = [
+            threading.Thread(target=self._watch, name=f"{self.name} state", daemon=True),
+            threading.Thread(target=self._act, name=f"{self.name} commands", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def _state(self) -> GripperState:
+        age = time.monotonic() - self._measured_at
+        problem = self._problem
+        if age > SILENCE:
+            problem = problem or f"the hand has sent no state for {age:.2f} s. {advice_for(self._address)}"
+        if problem:
+            self.set_fault(problem)
+            raise DeviceFault(f"{self.name}: {problem}")
+        state = self._state_now
+        return GripperState(
+            min(max(state.width / self.max_width, 0.0), 1.0),
+            math.nan,
+            time=self._measured_at,
+            device_time=state.time.to_sec(),
+        )
+
+    def _command_opening(self, opening: float, force: float | None) -> None:
+        self._state()
+        if self._state_now.max_width < SAME:
+            raise WrongOrder(
+                f"{self.name}: the hand does not know its range since it was switched on; call home() first"
+            )
+        wanted = (opening * self.max_width, self._about.grasp_force if force is None else force)
+        with self._news:
+            if _is_same(wanted, self._wanted or self._given or (self._state_now.width, wanted[1])):
+                return
+            self._wanted = wanted
+            is_busy = self._is_busy
+            self._news.notify_all()
+        if is_busy:
+            self._hand.stop()
+
+    def _has_arrived(self) -> bool:
+        self._state()
+        with self._news:
+            return not self._is_busy and self._wanted is None
+
+    def _hold(self) -> None:
+        with self._news:
+            self._wanted = None
+            is_busy = self._is_busy
+            if is_busy:
+                self._given = None
+        if is_busy and not self._problem:
+            self._hand.stop()
+
+    def _recover(self) -> None:
+        self._problem = ""
+
+    def _close(self) -> None:
+        with self._news:
+            self._is_ended = True
+            self._news.notify_all()
+        for thread in self._threads:
+            thread.join(timeout=SILENCE)
+        self._threads = []
+        self._hand = None
+
+    def _watch(self) -> None:
+        hand = self._hand
+        while not self._is_ended:
+            try:
+                state = hand.state
+            except Exception as err:  # noqa: BLE001 - the library's own have no common class
+                self._problem = self._problem or f"the connection to the hand is lost: {err}"
+                return
+            self._state_now, self._measured_at = state, time.monotonic()
+
+    def _act(self) -> None:
+        hand = self._hand
+        while True:
+            with self._news:
+                self._is_busy = False
+                self._news.wait_for(lambda: self._is_ended or self._wanted is not None)
+                if self._is_ended or self._wanted is None:
+                    return
+                self._given, self._wanted = self._wanted, None
+                self._is_busy = True
+                width, force = self._given
+            try:
+                self._move(hand, width, force)
+            except Exception as err:  # noqa: BLE001 - the library's own have no common class
+                if "aborted" not in str(err):  # by a newer command, or by a hold
+                    self._problem = f"the hand has not obeyed: {err}"
+
+    def _move(self, hand: Any, width: float, force: float) -> None:
+        speed, is_closing = 2.0 * self._about.closing_speed, width < self._state_now.width
+        # A grasp goes on until the fingers meet something, whatever its width; a move ends on what is in its way, and
+        # presses no more.
+        if width > SAME and (hand.move(width, speed) or not is_closing):
+            return
+        hand.grasp(width, speed, force, epsilon_inner=self.max_width, epsilon_outer=self.max_width)
+
+
+def _is_same(first: tuple[float, float], second: tuple[float, float]) -> bool:
+    return abs(first[0] - second[0]) < SAME and first[1] == second[1]

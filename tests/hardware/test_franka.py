@@ -1,0 +1,400 @@
+"""An FR3 and its hand, through the vendor's interface and `franky-control` as installed, before a virtual robot."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Generator
+
+import numpy as np
+import pytest
+
+import rcs
+from rcs.agents import PickExpert
+from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, MissingDependency
+from rcs.hardware.franka import FrankaArm, FrankaDriver, FrankaOptions
+from rcs.hardware.franka_hand import FrankaHand
+from rcs.kinematics import kinematics_of
+from rcs.robots import FR3, FRANKA_HAND
+from rcs.spatial import Pose
+from rcs.testing import ArmContract, GripperContract
+from rcs.virtual import VirtualProcess
+
+pytest.importorskip("franky", reason="needs franky-control, the extra 'franka'")
+pytestmark = pytest.mark.hardware
+
+ADDRESS = "127.0.52.1"
+PERIOD = 1 / 30
+STIFF = FrankaOptions(collision_force=400.0, collision_torque=(80.0,) * 7)
+"""What the virtual robot touches does not matter."""
+_SILENT: list[int] = []
+
+
+@pytest.fixture(scope="module")
+def robot() -> Generator[VirtualProcess]:
+    with VirtualProcess("fr3", address=ADDRESS) as process:
+        with contextlib.suppress(PermissionError):  # a controller is never late
+            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(40))
+        yield process
+
+
+@pytest.fixture(autouse=True)
+def _mended(robot: VirtualProcess) -> Generator[None]:
+    robot.tell("clear")
+    yield
+    robot.tell("clear")
+
+
+@pytest.fixture
+def arm(robot: VirtualProcess) -> Generator[FrankaArm]:
+    with an_arm() as arm:
+        yield arm
+
+
+def an_arm(options: FrankaOptions = STIFF, *, is_well: bool = True) -> FrankaArm:
+    """An open arm; one that an earlier test left in a reflex is recovered."""
+    arm = FrankaArm(ADDRESS, FR3, options)
+    arm.open()
+    if is_well:
+        time.sleep(0.05)
+        arm.recover()
+        time.sleep(0.05)
+    return arm
+
+
+def wait_for(condition: Callable[[], object], seconds: float = 5.0) -> None:
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until, "it has not happened"
+        time.sleep(0.005)
+
+
+def stream(arm: FrankaArm, targets: np.ndarray) -> np.ndarray:
+    """Send targets at 30 Hz, and return what was measured when each came."""
+    measured = []
+    for target in targets:
+        arm.command_joints(target, valid_for=1.0)
+        time.sleep(PERIOD)
+        measured.append(arm.state().joints)
+    return np.array(measured)
+
+
+def wave(arm: FrankaArm, amplitude: float = 0.15, seconds: float = 2.0) -> np.ndarray:
+    """To and fro, and first towards the home pose."""
+    times, joints = np.arange(0.0, seconds, PERIOD)[:, None], arm.state().joints
+    return joints + amplitude * 0.5 * (1 - np.cos(np.pi * times)) * np.where(joints < FR3.home, 1, -1)
+
+
+class TestFrankaArm(ArmContract):
+    tolerance = 6e-3  # a spring
+    stopping_time = 0.5
+    speed_margin = 1.25  # springs pull harder after a delay
+
+    @pytest.fixture(autouse=True)
+    def _robot(self, robot: VirtualProcess) -> None:
+        self.robot = robot
+        an_arm().close()
+
+    def make_arm(self) -> FrankaArm:
+        return FrankaArm(ADDRESS, FR3, STIFF)
+
+    def provoke_fault(self, device) -> None:
+        self.robot.tell("reflex")
+        wait_for(lambda: device.fault)
+
+    def lose_link(self, device) -> None:
+        self.robot.tell("cut")
+        time.sleep(0.4)
+
+
+class TestFrankaHand(GripperContract):
+    stopping_time = 0.4
+
+    @pytest.fixture(autouse=True)
+    def _robot(self, robot: VirtualProcess) -> None:
+        self.robot = robot
+
+    def make_gripper(self) -> FrankaHand:
+        return FrankaHand(ADDRESS, FRANKA_HAND)
+
+    def lose_link(self, device) -> None:
+        self.robot.tell("cut")
+        time.sleep(0.5)
+
+
+# --- Connecting
+
+
+def test_an_address_where_nobody_is_is_told_with_what_to_look_at():
+    arm = FrankaArm("127.0.52.99", FR3)
+    began = time.monotonic()
+    with pytest.raises(DeviceFault, match=r"127\.0\.52\.99.*refused.*cable.*FCI.*another program"):
+        arm.open()
+    assert time.monotonic() - began < 3.0
+
+
+@pytest.mark.parametrize("device", [FrankaArm("127.0.52.98", FR3), FrankaHand("127.0.52.98", FRANKA_HAND)])
+def test_a_peer_that_says_nothing_is_given_up_while_other_threads_run(device):
+    ticks: list[float] = []
+    is_over = threading.Event()
+
+    def count() -> None:
+        while not is_over.wait(0.01):
+            ticks.append(time.monotonic())
+
+    thread = threading.Thread(target=count)
+    if not _SILENT:  # they stay as long as the process: the library's call goes on, and would be busy without them
+        _SILENT.extend(socket.create_server(("127.0.52.98", port)).detach() for port in (1337, 1338))
+    thread.start()
+    began = time.monotonic()
+    with pytest.raises(DeviceFault, match=r"127\.0\.52\.98.*not said a word.*cable"):
+        device.open()
+    taken = time.monotonic() - began
+    is_over.set()
+    thread.join()
+    assert taken < 3.0
+    assert np.diff(ticks).max() < 1.0
+
+
+def test_a_robot_of_another_version_is_told_with_both(robot: VirtualProcess):
+    robot.tell("version", 9)
+    with pytest.raises(DeviceFault, match=r"server version: 9.*library version: 10.*franky-control"):
+        FrankaArm(ADDRESS, FR3).open()
+
+
+def test_options_that_make_no_sense_are_refused_by_name():
+    driver = FrankaDriver()
+    with pytest.raises(InvalidSetup, match=r"stiffnes.*stiffness"):
+        driver.arm(ADDRESS, FR3, {"stiffnes": [1] * 7})
+    with pytest.raises(InvalidSetup, match="7 finite numbers"):
+        driver.arm(ADDRESS, FR3, {"stiffness": [100] * 6})
+    with pytest.raises(InvalidSetup, match="6 finite numbers"):
+        driver.arm(ADDRESS, FR3, {"compliance": "tcp", "stiffness": [100] * 7})
+    with pytest.raises(InvalidSetup, match="at most 1"):
+        driver.arm(ADDRESS, FR3, {"speed": 5})
+    with pytest.raises(InvalidSetup, match="joints, tcp"):
+        driver.arm(ADDRESS, FR3, {"compliance": "soft"})
+    with pytest.raises(InvalidSetup, match="force"):
+        driver.gripper(ADDRESS, FRANKA_HAND, {"force": 3})
+
+
+def test_a_missing_library_is_told_with_its_extra(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "franky", None)
+    with pytest.raises(MissingDependency, match=r"robot-control-stack\[franka\]"):
+        FrankaArm(ADDRESS, FR3).open()
+
+
+# --- Reading and moving
+
+
+def test_what_is_read_is_where_the_virtual_robot_stands(arm: FrankaArm):
+    state = arm.state()
+    assert (state.joints > arm.limits.joint_lower).all()
+    assert state.joint_velocities == pytest.approx(np.zeros(7), abs=1e-2)
+    assert state.wrench == pytest.approx(np.zeros(6), abs=1.0)
+    assert state.mode == "Idle", "to open it energises nothing"
+    own = Pose.from_matrix(np.array(arm._robot.state.O_T_EE.matrix))
+    assert kinematics_of(FR3, FRANKA_HAND).forward(state.joints).is_close(own, 1e-4, 1e-4)
+    assert state.time <= time.monotonic()
+    later = arm.state()
+    wait_for(lambda: arm.state().device_time > later.device_time)
+
+
+def test_a_first_target_far_away_is_refused_and_nothing_moves(arm: FrankaArm):
+    before = arm.state().joints
+    with pytest.raises(InvalidAction, match=r"0\.5 rad away"):
+        arm.command_joints(before + [0, 0, 0.5, 0, 0, 0, 0])
+    time.sleep(0.1)
+    assert arm.state().mode == "Idle"
+    assert arm.state().joints == pytest.approx(before, abs=1e-3)
+
+
+@pytest.mark.parametrize("compliance", ["joints", "tcp"])
+def test_a_stream_of_targets_is_followed(robot: VirtualProcess, compliance):
+    """The arm is behind the targets by the same time everywhere."""
+    options = FrankaOptions(compliance=compliance, collision_force=400.0, collision_torque=(80.0,) * 7)
+    with an_arm(options) as arm:
+        targets = wave(arm)
+        measured = stream(arm, np.concatenate([targets, np.repeat(targets[-1:], 30, 0)]))
+        assert arm.fault == ""
+        assert arm.state().mode == "Move"
+        if compliance == "joints":
+            apart = [np.abs(measured[lag : lag + len(targets)] - targets).max() for lag in range(8)]
+            assert min(apart) < 0.03, "half a period of the stream is 0.01"
+            assert measured[-1] == pytest.approx(targets[-1], abs=2e-3)
+            return
+        kinematics = kinematics_of(FR3, FRANKA_HAND)
+        ways = [[kinematics.forward(one).translation for one in many] for many in (measured, targets)]
+        apart = [np.abs(np.array(ways[0][lag : lag + len(targets)]) - ways[1]).max() for lag in range(8)]
+        assert min(apart) < 0.015
+        assert kinematics.forward(measured[-1]).is_close(kinematics.forward(targets[-1]), 3e-3, 1e-2)
+
+
+def test_a_hard_stop_by_something_in_the_way_is_a_fault_with_its_direction(robot: VirtualProcess):
+    """The arm is led into the table."""
+    kinematics = kinematics_of(FR3, FRANKA_HAND)
+    with an_arm(FrankaOptions(collision_force=30.0)) as arm:
+        start = joints = arm.state().joints
+        pose = kinematics.forward(joints)
+        above, below = [0.5, 0.0, 0.2], [0.5, 0.0, -0.1]
+        for place in [*np.linspace(pose.translation, above, 60), *np.linspace(above, below, 90)]:
+            joints = kinematics.inverse(Pose(place, pose.quaternion), joints).joints
+            try:
+                arm.command_joints(joints, valid_for=1.0)
+            except DeviceFault:
+                break
+            time.sleep(PERIOD)
+        assert "cartesian_reflex" in arm.fault
+        assert "pushed against the tool" in arm.fault
+        before = arm.state().joints
+        arm.recover()
+        time.sleep(0.3)
+        assert arm.state().joints == pytest.approx(before, abs=5e-3)
+        stream(arm, np.linspace(before, start, 60))
+
+
+def test_a_person_guides_the_arm_which_then_stays(arm: FrankaArm):
+    assert arm.can_guide
+    arm.guide(True)
+    time.sleep(0.2)
+    assert arm.state().mode == "Move"
+    before = arm.state().joints
+    arm.guide(False)
+    arm.command_joints(arm.state().joints)
+    time.sleep(0.3)
+    assert arm.state().joints == pytest.approx(before, abs=0.02)
+
+
+# --- Faults
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("reflex",), r"Reflex.*joint_reflex.*joint4.*something pushed"),
+        (("user_stop",), r"user stop.*release"),
+        (("brakes",), r"locked.*Desk"),
+        (("code", 26), r"power_limit_violation.*too much power"),
+        (("lose", 40), r"communication_constraints_violation.*came late"),
+        (("freeze", 1.5), r"not answered|no state"),
+        (("cut",), r"not answered|no state|link"),
+    ],
+)
+def test_what_goes_wrong_is_told_in_words_at_once_and_recover_moves_nothing(
+    robot: VirtualProcess, arm: FrankaArm, words, told
+):
+    targets = wave(arm)
+    stream(arm, targets[:10])
+    robot.tell(*words)
+    began = time.monotonic()
+    try:
+        while not arm.fault and time.monotonic() < began + 3.0:
+            arm.state()
+            time.sleep(0.002)
+    except DeviceFault:
+        pass
+    taken = time.monotonic() - began
+    assert re.search(told, arm.fault), arm.fault
+    assert taken < 1.0  # 0.1 s, or 0.3 s where the controller hangs, on a machine that is not busy
+    with pytest.raises(DeviceFault):
+        arm.command_joints(targets[10])
+    time.sleep(1.5 if words[0] in ("freeze", "cut") else 0.5)
+    robot.tell("clear")
+    arm.recover()
+    assert arm.fault == ""
+    before = arm.state().joints
+    time.sleep(0.3)
+    assert arm.state().joints == pytest.approx(before, abs=2e-3)
+    arm.command_joints(arm.state().joints)
+
+
+def test_an_arm_found_in_a_reflex_opens_with_that_fault_and_is_recovered(robot: VirtualProcess):
+    robot.tell("reflex")
+    arm = an_arm(is_well=False)
+    with arm:
+        wait_for(lambda: arm.fault)
+        assert "joint_reflex" in arm.fault
+        arm.recover()
+        assert arm.fault == ""
+
+
+def test_an_arm_whose_program_is_killed_brakes(robot: VirtualProcess, tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import time, numpy as np\n"
+        "from rcs.hardware.franka import FrankaArm\n"
+        "from rcs.robots import FR3\n"
+        f"arm = FrankaArm({ADDRESS!r}, FR3)\n"
+        "arm.open()\n"
+        "start = arm.state().joints\n"
+        "print('moving', flush=True)\n"
+        "for step in range(1000):\n"
+        "    arm.command_joints(start + 0.3 * np.sin(step / 10) * np.eye(7)[0], valid_for=0.2)\n"
+        "    time.sleep(1 / 30)\n"
+    )
+    with subprocess.Popen([sys.executable, program], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "moving\n"
+        time.sleep(0.5)
+        process.send_signal(signal.SIGKILL)
+    arm = an_arm(is_well=False)
+    with arm:
+        wait_for(lambda: arm.fault)
+        assert "communication_constraints_violation" in arm.fault
+        before = arm.state().joints
+        time.sleep(0.2)
+        assert arm.state().joints == pytest.approx(before, abs=1e-3)
+        arm.recover()
+
+
+# --- The hand
+
+
+def test_fingers_close_while_the_arm_moves_and_nobody_waits_for_them(arm: FrankaArm):
+    with FrankaHand(ADDRESS, FRANKA_HAND) as hand:
+        hand.command_opening(1.0)
+        wait_for(hand.has_arrived)
+        began = time.monotonic()
+        hand.command_opening(0.0, 20.0)
+        for _ in range(20):
+            hand.state()
+        assert time.monotonic() - began < 0.2
+        stream(arm, wave(arm, 0.05, 1.0))
+        wait_for(hand.has_arrived)
+        assert hand.state().opening == pytest.approx(0.0, abs=0.02)
+        hand.home()
+        wait_for(lambda: hand.state().opening > 0.95)
+        assert arm.fault == ""
+
+
+def test_what_picks_a_cuboid_in_simulation_picks_the_virtual_robots_cuboid(robot: VirtualProcess):
+    """Joints and gripper of a simulated pick, sent through an environment to the arm and the hand."""
+    with rcs.make("PickCuboid", robot="fr3", control="xyzrpy", relative=False) as env:
+        expert = PickExpert(env)
+        obs, info = env.reset(seed=5)
+        expert.reset(obs, info)
+        done, actions = False, []
+        while not done:
+            action = expert.act(obs, info)
+            obs, _, done, _, info = env.step(action)
+            actions.append({"joints": obs["joints"], "gripper": action["gripper"]})
+        held = obs["gripper"]
+    robot.tell("reset", 5)
+    an_arm().close()
+    with rcs.make("PickCuboid", robot="fr3", hardware=robot.site, control="joints", relative=False) as env:
+        obs, info = env.reset(seed=5)
+        start = obs["joints"]
+        for way in np.linspace(start, actions[0]["joints"], 60):
+            env.step({"joints": way, "gripper": np.array([1.0], np.float32)})
+        for action in [*actions, *[actions[-1]] * 15]:
+            obs, _, _, is_over, info = env.step(action)
+            assert not is_over, info
+        assert obs["gripper"] == pytest.approx(held, abs=0.02)
+        assert obs["joints"] == pytest.approx(actions[-1]["joints"], abs=0.02)
