@@ -67,13 +67,15 @@ struct StreamedArm::Loop {
   struct Order {
     std::uint64_t number = 0;
     double deadline = kForever;
-    std::vector<double> joints;
+    CommandKind kind = CommandKind::joints;
+    std::vector<double> values;
   };
   struct Seen {
     ArmState state;
     std::uint64_t done = 0;
     std::uint64_t holds = 0;
     bool is_still = true;
+    CommandKind kind = CommandKind::joints;
   };
   enum class Request : std::uint8_t { none, clear, give_way };
 
@@ -87,7 +89,8 @@ struct StreamedArm::Loop {
     leader.forget_counts();
     is_led = is_closing = is_abandoned = has_priority = has_locked = false;
     is_reading = true;
-    gave_way = is_asked = false;
+    gave_way = is_asked = is_braking = false;
+    kind = CommandKind::joints;
     done = taken_holds = 0;
     last_tick = kForever;
     arm.connect();
@@ -178,17 +181,31 @@ struct StreamedArm::Loop {
                  (advice.empty() ? "" : "; ") + advice);
     }
     answer();
-    if (is_led) check_tracking();
+    if (is_led && kind == CommandKind::joints) check_tracking();
     take_orders();
-    if (is_led) lead();
+    if (is_led) kind == CommandKind::joints ? lead() : lead_otherwise();
     publish();
-    if (!is_led || leader.is_still()) rested = taken_holds;
+    if (stands()) rested = taken_holds;
     if (!is_closing) return true;
-    if (is_led && leader.is_still()) {
+    if (is_led && stands()) {
       is_led = false;
       try_to("stop", [this] { arm.stop(); });
     }
     return is_led;
+  }
+
+  bool stands() { return !is_led || (kind == CommandKind::joints && leader.is_still()); }
+
+  void lead_otherwise() {
+    bool has_come_to_rest = false;
+    const bool is_done = try_to("write", [&] {
+      if (is_braking)
+        has_come_to_rest = arm.brake_other();
+      else
+        arm.write_other(kind, values);
+      ++ticks;
+    });
+    if (is_done && has_come_to_rest) stand();
   }
 
   // Have the vendor do something that may take long, of which no deadline is kept.
@@ -305,8 +322,14 @@ struct StreamedArm::Loop {
       if (!arm.fault().empty()) return;  // it came between the check of this command and its sending
       deadline = order.deadline;
       if (now < deadline && (is_led || try_to("start", [this] { stand_up(); }))) {
-        leader.follow(order.joints, period);
+        if (order.kind != kind && !stands()) return brake();  // it came before this one was seen
+        kind = order.kind;
+        if (kind == CommandKind::joints)
+          leader.follow(order.values, period);
+        else
+          values = order.values;
         is_asked = true;
+        is_braking = false;
         since = 0;
         return;
       }
@@ -315,7 +338,7 @@ struct StreamedArm::Loop {
     if (now >= deadline) {
       ++lapses;
       brake();
-    } else if (++since > kPatience * period * arm.options_.rate) {
+    } else if (kind == CommandKind::joints && ++since > kPatience * period * arm.options_.rate) {
       leader.go_on(period);
       since = 0;
     }
@@ -327,13 +350,22 @@ struct StreamedArm::Loop {
       arm.start();
       read();
     });
-    leader.stand(measured.joints);
-    is_asked = false;
+    stand();
     is_led = true;
   }
 
+  // Led to where it is.
+  void stand() {
+    kind = CommandKind::joints;
+    leader.stand(measured.joints);
+    is_asked = is_braking = false;
+  }
+
   void brake() {
-    if (is_led) leader.brake();
+    if (kind != CommandKind::joints)
+      is_braking = true;
+    else if (is_led)
+      leader.brake();
     is_asked = false;
   }
 
@@ -349,11 +381,12 @@ struct StreamedArm::Loop {
   void publish() {
     Seen& now = seen.next();
     now.state = measured;
-    if (now.state.commanded_joints.empty() && is_led)
+    if (now.state.commanded_joints.empty() && is_led && kind == CommandKind::joints)
       now.state.commanded_joints.assign(leader.target().begin(), leader.target().end());
     now.done = done;
     now.holds = taken_holds;
-    now.is_still = !is_led || leader.is_still();
+    now.is_still = stands();
+    now.kind = kind;
     seen.publish();
   }
 
@@ -398,10 +431,13 @@ struct StreamedArm::Loop {
   int since = 0;          // ticks since it was followed
   bool is_asked = false;  // there is a command to follow
   bool gave_way = false;
+  CommandKind kind = CommandKind::joints;  // what the arm is led by
+  std::vector<double> values;              // of the last command, where that was another kind than joints
+  bool is_braking = false;                 // from another kind than joints
 };
 
 StreamedArm::StreamedArm(std::string name, ArmLimits limits, StreamOptions options, int built_for)
-    : Arm(std::move(name), std::move(limits), {}, built_for), options_(std::move(options)) {
+    : Arm(std::move(name), std::move(limits), options.more_commands, built_for), options_(std::move(options)) {
   check_options(this->name(), this->limits(), options_);
   loop_ = std::make_unique<Loop>(*this);
 }
@@ -434,26 +470,50 @@ ArmState StreamedArm::do_state() {
 }
 
 void StreamedArm::do_command_joints(std::span<const double> joints) {
+  if (!loop_->is_led) require_near(joints);
+  send(CommandKind::joints, joints);
+}
+
+void StreamedArm::require_near(std::span<const double> joints) {
+  const std::lock_guard lock(loop_->user);
+  const auto& measured = loop_->seen.take().state.joints;
+  for (std::size_t i = 0; i < joints.size(); ++i) {
+    const double distance = std::abs(joints[i] - measured[i]);
+    if (distance <= options_.first_step) continue;
+    std::ostringstream text;
+    text << name() << ": the first target must be near the arm: joint " << i << " is at " << measured[i]
+         << " rad and its target " << joints[i] << " rad is " << distance << " rad away, valid is at most "
+         << options_.first_step << " rad; lead the arm from where it is";
+    throw InvalidCommand(text.str());
+  }
+}
+
+void StreamedArm::do_command_pose(const Pose& pose) { send(CommandKind::pose, pose.tquat()); }
+void StreamedArm::do_command_twist(std::span<const double> twist) { send(CommandKind::twist, twist); }
+void StreamedArm::do_command_velocities(std::span<const double> velocities) {
+  send(CommandKind::velocities, velocities);
+}
+void StreamedArm::do_command_torques(std::span<const double> torques) { send(CommandKind::torques, torques); }
+
+void StreamedArm::send(CommandKind kind, std::span<const double> values) {
   Loop& loop = *loop_;
   if (loop.silence() > options_.silence) fail(loop.silent_text());
   const std::lock_guard lock(loop.user);
-  if (!loop.is_led) {
-    const auto& measured = loop.seen.take().state.joints;
-    for (std::size_t i = 0; i < joints.size(); ++i) {
-      const double distance = std::abs(joints[i] - measured[i]);
-      if (distance <= options_.first_step) continue;
-      std::ostringstream text;
-      text << name() << ": the first target must be near the arm: joint " << i << " is at " << measured[i]
-           << " rad and its target " << joints[i] << " rad is " << distance << " rad away, valid is at most "
-           << options_.first_step << " rad; lead the arm from where it is";
-      throw InvalidCommand(text.str());
-    }
-  }
+  const Loop::Seen& seen = loop.seen.take();
+  if (loop.is_led && kind != seen.kind && !seen.is_still)
+    throw InvalidCommand(name() +
+                         ": another kind of command than the last one is refused while the arm moves; call hold(), and "
+                         "wait until it has arrived");
   Loop::Order& order = loop.orders.next();
   order.number = ++loop.sent;
   order.deadline = deadline();
-  order.joints.assign(joints.begin(), joints.end());
+  order.kind = kind;
+  order.values.assign(values.begin(), values.end());
   loop.orders.publish();
+}
+
+void StreamedArm::write_other(CommandKind, std::span<const double>) {
+  throw DeviceFault("the class of this arm names more commands than joints and does not override write_other");
 }
 
 bool StreamedArm::do_has_arrived() {
