@@ -19,6 +19,7 @@ VERBS: Table = {
     "ik": "rcs.cli.ik:IkCommand",
     "plan": "rcs.cli.plan:PlanCommand",
     "twin": "rcs.cli.twin:TwinCommand",
+    "virtual": "rcs.cli.virtual:VirtualCommand",
     "gallery": "rcs.cli.gallery:GalleryCommand",
     "list": "rcs.cli.list:ListCommand",
     "doctor": "rcs.cli.doctor:DoctorCommand",

@@ -12,7 +12,7 @@ from rcs.errors import InvalidSetup, UnknownName
 
 Kind = Literal[
     "arm", "gripper", "hand", "camera", "tactile", "lab", "task", "agent", "layer", "gate", "driver", "operator",
-    "policy",
+    "policy", "wire",
 ]  # fmt: skip
 
 

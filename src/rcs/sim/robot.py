@@ -23,21 +23,21 @@ REST_TIME = 0.05
 class SimRobot:
     """An arm with its gripper in a world. Arrays are (*world.leading, n)."""
 
-    def __init__(self, world: World, robot: RobotPlacement) -> None:
+    def __init__(self, world: World, robot: RobotPlacement, *, is_led: bool = True) -> None:
         """Look the robot up in a world and register its TCP pose for readout.
 
         Args:
             world: The world.
             robot: A robot of its scene.
+            is_led: Whether its motion leads the arm; else whoever writes the world's controls does.
         """
         self.world = world
         self.placement = robot
         self.layout = RobotLayout.of(robot, world.model)
         arm = robot.arm
         ids, first = self.layout, self.layout.motion
-        self.motion = world.core.add_motion(
-            Motion(ids.joint_ids, ids.actuator_ids, first, arm.motion_limits, world.copies)
-        )
+        motion = Motion(ids.joint_ids, ids.actuator_ids, first, arm.motion_limits, world.copies)
+        self.motion = world.core.add_motion(motion) if is_led else motion
         """Leads the arm to its targets."""
         assert world.userdata is not None, "the scene has given every arm its user data"
         self._target = world.userdata[..., first : first + arm.dof]

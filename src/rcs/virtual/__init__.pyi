@@ -1,2 +1,13 @@
+from rcs.virtual.control import running as running
+from rcs.virtual.control import tell as tell
+from rcs.virtual.fault import Fault as Fault
+from rcs.virtual.line import Line as Line
+from rcs.virtual.robot_log import read_events as read_events
+from rcs.virtual.robot_log import read_ticks as read_ticks
 from rcs.virtual.sim_driver import SimDriver as SimDriver
 from rcs.virtual.stand_in_arm import StandInArm as StandInArm
+from rcs.virtual.virtual_process import VirtualProcess as VirtualProcess
+from rcs.virtual.virtual_robot import VirtualRobot as VirtualRobot
+from rcs.virtual.virtual_world import VirtualWorld as VirtualWorld
+from rcs.virtual.virtual_world import usual_setup as usual_setup
+from rcs.virtual.wire import Wire as Wire

@@ -1,0 +1,74 @@
+"""`rcs virtual`: a robot to rehearse with, which speaks its vendor's protocol; and what goes wrong with it."""
+
+from __future__ import annotations
+
+import json
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from rcs.envs.setup import Setup
+from rcs.errors import InvalidSetup
+
+
+@dataclass(kw_only=True)
+class VirtualCommand:
+    """Run a virtual robot behind its vendor's protocol until SIGTERM or Ctrl-C, or tell one what goes wrong.
+
+    `rcs virtual so101` prints one line of JSON when it is ready: its name, and the site at which drivers find it.
+    `rcs virtual tell NAME FAULT` has something go wrong with one that runs, such as `freeze 2`, `cut`, `late 60/100`
+    (one packet in 100 comes 60 ms late), `lose 3` or `corrupt 3`; `reset SEED` places the objects anew, and `clear`
+    mends everything.
+    """
+
+    words: tyro.conf.Positional[tuple[str, ...]]
+    """Name of a robot, such as so101, or: tell NAME FAULT [VALUE]."""
+    address: str | None = None
+    """Where it listens: an address of this machine such as 127.0.0.2, or the path of a serial port to make; None for
+    the usual one."""
+    setup: Path | None = None
+    """JSON file of a setup, for another scene than that of the robot's usual task."""
+    seed: int = 0
+    """Where the objects are: as in an environment that is reset with this seed."""
+    log: Path | None = None
+    """File for what it gets and does, as JSON lines; every tick is in a binary file beside it."""
+
+    def run(self) -> int:
+        """Do one of both."""
+        verb, *rest = self.words or ("",)
+        if verb == "tell":
+            from rcs.virtual.control import tell
+
+            if len(rest) < 2:
+                raise InvalidSetup("`rcs virtual tell` takes the name of a running robot and a fault, such as: cut.")
+            tell(rest[0], rest[1:])
+            return 0
+        if rest or not verb:
+            raise InvalidSetup(f"The words are {' '.join(self.words)!r}; valid is one robot, or: tell NAME FAULT.")
+        return self._serve(verb)
+
+    def _serve(self, robot: str) -> int:
+        from rcs.virtual.virtual_world import VirtualWorld, usual_setup
+
+        setup = usual_setup(robot) if self.setup is None else _read(self.setup, robot)
+        world = VirtualWorld(setup, address=self.address, seed=self.seed, log=self.log)
+        try:
+            for number in (signal.SIGTERM, signal.SIGINT):
+                signal.signal(number, lambda *_: world.end())
+            print(json.dumps({"name": world.name, "site": world.site()}), flush=True)
+            world.run()
+        finally:
+            world.close()
+        return 0
+
+
+def _read(path: Path, robot: str) -> Setup:
+    try:
+        setup = Setup.from_json(json.loads(path.read_text("utf-8")))
+    except (OSError, ValueError) as err:
+        raise InvalidSetup(f"The setup {path} cannot be read: {err}.") from err
+    if setup.robot != robot:
+        raise InvalidSetup(f"The setup {path} is for {setup.robot!r}, not for {robot!r}.")
+    return setup

@@ -1,0 +1,112 @@
+"""What a virtual robot got and did: events as JSON lines, and every tick in a binary file beside them."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+FLUSH = 0.25
+"""How long what is logged may wait in memory [s]."""
+
+
+def tick_type(dof: int) -> np.dtype[np.void]:
+    """Return the type of a tick of a robot with so many joints: all in SI units, times on the monotonic clock [s].
+
+    `due` is when the tick was to begin and `time` when it did; `commanded` is where the servos were led to [rad], NaN
+    while torques are commanded; `joints`, `velocities` and `torques` are measured at its end; `width` is that of the
+    gripper [m], NaN without one.
+    """
+    joints = [(name, np.float64, (dof,)) for name in ("commanded", "joints")]
+    more = [(name, np.float32, (dof,)) for name in ("velocities", "torques")]
+    return np.dtype([("due", np.float64), ("time", np.float64), *joints, *more, ("width", np.float32)])
+
+
+def read_ticks(path: Path | str, robot: str = "") -> NDArray[np.void]:
+    """Return the ticks beside a log, a structured array of `tick_type`.
+
+    Args:
+        path: The log.
+        robot: Name of the robot; of a log of one robot, it may be left out.
+
+    Raises:
+        OSError: There is no such file.
+        KeyError: There is no such robot.
+    """
+    with Path(path).open(encoding="utf-8") as file:
+        start = json.loads(file.readline())
+    dofs: dict[str, int] = start["dof"]
+    name = robot or next(iter(dofs))
+    content = _beside(Path(path), name).read_bytes()
+    kind = tick_type(dofs[name])
+    return np.frombuffer(content[: len(content) // kind.itemsize * kind.itemsize], kind)
+
+
+def read_events(path: Path | str) -> list[dict[str, Any]]:
+    """Return the events of a log, each with `time` [s], `robot` and `event`."""
+    return [json.loads(line) for line in Path(path).read_text("utf-8").splitlines()]
+
+
+def _beside(path: Path, robot: str) -> Path:
+    return path.with_name(f"{path.name}.{robot}.ticks")
+
+
+class RobotLog:
+    """Writes both files; without a path, nothing."""
+
+    def __init__(self, path: Path | None, dofs: Mapping[str, int], **about: Any) -> None:
+        """Open the files.
+
+        Args:
+            path: Of the JSON lines; None to log nothing.
+            dofs: Number of joints by robot.
+            about: What else the first line has.
+
+        Raises:
+            OSError: A file cannot be written.
+        """
+        self._text: TextIO | None = None
+        self._next_flush = 0.0
+        if path is not None:
+            self._text = path.open("w", encoding="utf-8")
+            self._kinds = {name: tick_type(dof) for name, dof in dofs.items()}
+            self._files = {name: _beside(path, name).open("wb") for name in dofs}
+            self._rows: dict[str, list[tuple[Any, ...]]] = {name: [] for name in dofs}
+            self.note("", "start", dof=dict(dofs), **about)
+
+    def note(self, robot: str, event: str, **values: Any) -> None:
+        """Log an event, with values that JSON has."""
+        if self._text is not None:
+            line = {"time": time.monotonic(), "robot": robot, "event": event, **values}
+            self._text.write(json.dumps(line) + "\n")
+            self._text.flush()
+
+    def tick(self, robot: str, row: tuple[Any, ...]) -> None:
+        """Log a tick: the fields of `tick_type`."""
+        if self._text is not None:
+            self._rows[robot].append(row)
+
+    def flush(self, now: float) -> None:
+        """Write what has waited long enough."""
+        if self._text is None or now < self._next_flush:
+            return
+        self._next_flush = now + FLUSH
+        for robot, rows in self._rows.items():
+            self._files[robot].write(np.array(rows, self._kinds[robot]).tobytes())
+            self._files[robot].flush()
+            rows.clear()
+
+    def close(self) -> None:
+        """Write the rest; closing twice is harmless."""
+        if self._text is not None:
+            self._next_flush = 0.0
+            self.flush(0.0)
+            self._text.close()
+            for file in self._files.values():
+                file.close()
+            self._text = None

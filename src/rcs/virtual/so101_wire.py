@@ -1,0 +1,321 @@
+"""The servo bus of an SO101: six Feetech STS3215 on a pseudo-terminal, in front of a virtual robot.
+
+The bus has one wire for both directions, so servos answer one after the other. A request is `FF FF`, the servo's
+number, the number of bytes that follow, an instruction, its parameters, and the inverted sum of all after `FF FF`; an
+answer has the servo's errors in the place of the instruction.
+"""
+
+from __future__ import annotations
+
+import os
+import pty
+import tty
+from collections.abc import Mapping, Sequence
+from math import tau
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rcs.errors import InvalidSetup
+from rcs.virtual.fault import Fault
+from rcs.virtual.virtual_robot import VirtualRobot
+from rcs.virtual.wire import Wire, taken
+
+STEPS = 4096
+"""Positions of the encoder in a turn."""
+MODEL = 777
+"""Number of the model STS3215."""
+BYTE_TIME = 1e-5
+"""Time of a byte on the bus at 1 Mbit/s [s]."""
+ANSWER_TIME = 5e-5
+"""How long a servo takes before it answers [s]."""
+BROADCAST = 0xFE
+PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
+VOLTAGE, OVERLOAD = 1, 32
+"""Errors in an answer, as bits."""
+# First bytes of registers.
+MODEL_NUMBER, ID, STATUS_LEVEL, LOWEST, HIGHEST, LEAST_VOLTAGE, MOST_TORQUE = 3, 5, 8, 9, 11, 15, 16
+OFFSET, PROTECTIVE_TORQUE, PROTECTION_TIME, OVERLOAD_TORQUE = 31, 34, 35, 36
+TORQUE_ON, GOAL, TORQUE_LIMIT, POSITION, SPEED, LOAD, VOLTS, DEGREES = 40, 42, 48, 56, 58, 60, 62, 63
+ERRORS, MOVING, CURRENT, REGISTERS = 65, 66, 69, 87
+READ_ONLY = frozenset({*range(5), *range(POSITION, 71)})
+MIDDLES = (2051, 2035, 2072, 2007)
+"""Positions in the middles of the ranges: a person has put the joints there by eye when the arm was calibrated."""
+OFFSETS = (-312, 845, -1203, 77, 1406, -651)
+"""Positions of the encoders that count as 0."""
+
+
+class So101Wire(Wire):
+    """Answers as the servos 1 to 5 of the arm and 6 of the gripper do; several arms have a pseudo-terminal each."""
+
+    rate = 500
+    address = ""
+    faults: ClassVar[Mapping[str, str]] = {"overload": "JOINT", "undervoltage": "", "code": "N", "version": "N"}
+
+    def __init__(self, robot: VirtualRobot, address: str) -> None:
+        """Make the port.
+
+        Args:
+            robot: An SO101 with its gripper.
+            address: Path of a link to the port; "" for none.
+
+        Raises:
+            InvalidSetup: There is such a file, or the robot is another one.
+        """
+        if robot.about.dof != 5 or robot.gripper is None:
+            raise InvalidSetup(f"The bus of an SO101 is for an arm of five joints with a gripper, not {robot.name!r}.")
+        self._robot = robot
+        self._link = Path(address) if address else None
+        self._master, self._slave = pty.openpty()  # kept open: a port stays when its user goes
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        if self._link is not None:
+            try:
+                if self._link.is_symlink() and not self._link.exists():
+                    self._link.unlink()  # left behind by one that was killed
+                self._link.symlink_to(os.ttyname(self._slave))
+            except OSError as err:
+                self._link = None
+                self.close()
+                raise taken("The servo bus", address, err) from err
+        self._input = b""
+        self._is_low, self._code = False, 0
+        self._names = (*robot.about.joints, "gripper")
+        self._overloaded_for = np.zeros(6)
+        self._is_overloaded = np.zeros(6, np.bool_)
+        self._servos = [bytearray(REGISTERS) for _ in range(6)]
+        for servo in range(6):
+            self._calibrate(servo)
+
+    @staticmethod
+    def next_address(address: str) -> str:
+        """Return the path of the next arm's port."""
+        return f"{address}-2" if address else ""
+
+    def site(self) -> Mapping[str, Mapping[str, Any]]:
+        """Return where the bus is, and the calibration as LeRobot stores it."""
+        address = os.ttyname(self._slave) if self._link is None else str(self._link)
+        entry = {"driver": "so101", "address": address, "options": {"calibration": self.calibration()}}
+        return {"arms": entry, "grippers": entry}
+
+    def calibration(self) -> dict[str, dict[str, int]]:
+        """Return the calibration, by motor."""
+        found: dict[str, dict[str, int]] = {}
+        for number, name in enumerate(self._names):
+            lowest, highest = self._number(number, LOWEST), self._number(number, HIGHEST)
+            offset = _signed(self._number(number, OFFSET), 11)
+            values = {"homing_offset": offset, "range_min": lowest, "range_max": highest}
+            found[name] = {"id": number + 1, "drive_mode": 0, **values}
+        return found
+
+    def files(self) -> Sequence[Any]:
+        """Return the bus."""
+        return (self._master,)
+
+    def receive(self, file: Any) -> None:
+        """Answer all requests that have come as a whole."""
+        self._input += os.read(self._master, 4096)
+        if self._robot.line.is_cut:
+            self._input = b""
+        while (start := self._input.find(b"\xff\xff")) >= 0:
+            self._input = self._input[start:]
+            if len(self._input) < 4 or len(self._input) < (end := 4 + self._input[3]):
+                return
+            packet, self._input = self._input[:end], self._input[end:]
+            if len(packet) >= 6 and packet[-1] == _checksum(packet[2:-1]):
+                self._answer(packet[2], packet[4], packet[5:-1])
+
+    def tick(self, robot: VirtualRobot) -> None:
+        """Have servos with power go to their goals with the torque they may, and protect themselves."""
+        self._measure(robot)
+        self._protect(robot.period)
+        shares = np.array([self._share(number) for number in range(6)])
+        is_on = shares > 0.0
+        here = np.array([*robot.joints, np.nan])
+        for number in range(6):  # where a servo without power is moved to is where it would be held
+            if not is_on[number]:
+                self._set(number, GOAL, self._number(number, POSITION))
+        goals = [self._angle(number, self._number(number, GOAL)) for number in range(5)]
+        robot.limit(shares[:5])
+        robot.lead(np.where(is_on[:5], goals, here[:5]))
+        gripper = robot.body.gripper
+        # The gripper's model has half of its servo's torque already.
+        force = min(2.0 * shares[5], 1.0) * gripper.grasp_force
+        robot.grasp(self._opening(self._number(5, GOAL)) * gripper.max_width, None, force)
+
+    def tell(self, fault: Fault) -> None:
+        """Overload a servo, lower the voltage of all, have all tell errors, or be of another model."""
+        if fault.name == "overload":
+            number = 5 if fault.value == "gripper" else self._robot.joint_of(fault.value)
+            self._is_overloaded[number] = True
+        elif fault.name == "undervoltage":
+            self._is_low = True
+        elif fault.name == "code":
+            self._code = int(fault.number) & 0x7F
+        else:
+            for number in range(6):
+                self._set(number, MODEL_NUMBER, int(fault.number))
+
+    def clear(self) -> None:
+        """Give the servos their voltage and their model back; an overload lasts until the torque is switched off."""
+        self._is_low, self._code = False, 0
+        for number in range(6):
+            self._set(number, MODEL_NUMBER, MODEL)
+
+    def close(self) -> None:
+        """Take the port away; closing twice is harmless."""
+        if self._master < 0:
+            return
+        os.close(self._master)
+        os.close(self._slave)
+        self._master = -1
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+
+    # --- Registers ---
+
+    def _calibrate(self, servo: int) -> None:
+        """Write the registers of a servo that is calibrated and has no power on its motor."""
+        own, span = self._servos[servo], STEPS / tau
+        own[0], own[1], own[ID], own[STATUS_LEVEL], own[LEAST_VOLTAGE] = 3, 10, servo + 1, 1, 40
+        own[PROTECTIVE_TORQUE], own[PROTECTION_TIME], own[OVERLOAD_TORQUE] = 20, 200, 80
+        own[VOLTS], own[DEGREES] = 121, 30
+        if servo == 5:
+            lowest, highest = 2047, 2047 + round(span * 1.92)
+        elif self._names[servo] == "wrist_roll":  # it turns without an end
+            lowest, highest = 0, STEPS - 1
+        else:
+            lowest = round(MIDDLES[servo] + span * self._robot.about.joint_lower[servo])
+            highest = round(MIDDLES[servo] + span * self._robot.about.joint_upper[servo])
+        values = {MODEL_NUMBER: MODEL, LOWEST: lowest, HIGHEST: highest, MOST_TORQUE: 1000, TORQUE_LIMIT: 1000}
+        for register, value in {**values, OFFSET: _magnitude(OFFSETS[servo], 11)}.items():
+            self._set(servo, register, value)
+
+    def _number(self, servo: int, register: int) -> int:
+        return int.from_bytes(self._servos[servo][register : register + 2], "little")
+
+    def _set(self, servo: int, register: int, value: int) -> None:
+        self._servos[servo][register : register + 2] = value.to_bytes(2, "little")
+
+    def _angle(self, servo: int, steps: int) -> float:
+        return (steps - self._middle(servo)) * tau / STEPS
+
+    def _middle(self, servo: int) -> float:
+        return 0.5 * (self._number(servo, LOWEST) + self._number(servo, HIGHEST))
+
+    def _opening(self, steps: int) -> float:
+        lowest, highest = self._number(5, LOWEST), self._number(5, HIGHEST)
+        return (steps - lowest) / max(highest - lowest, 1)
+
+    # --- Physics ---
+
+    def _measure(self, robot: VirtualRobot) -> None:
+        lowest, highest = self._number(5, LOWEST), self._number(5, HIGHEST)
+        opening = float(robot.body.opening[0])
+        grip = robot.grip_force / (2.0 * robot.body.gripper.grasp_force)
+        loads = [*(robot.torques / np.array(robot.about.effort_limit)), grip]
+        for servo in range(6):
+            if servo < 5:
+                steps = self._middle(servo) + robot.joints[servo] * STEPS / tau
+                speed = robot.velocities[servo] * STEPS / tau
+            else:
+                steps, speed = lowest + opening * (highest - lowest), 0.0
+            self._set(servo, POSITION, _magnitude(round(steps), 15))
+            self._set(servo, SPEED, _magnitude(round(speed), 15))
+            load = round(1000 * float(np.clip(loads[servo], -1.0, 1.0)))
+            self._set(servo, LOAD, _magnitude(load, 10))
+            self._set(servo, CURRENT, abs(load) * 2700 // 6500)  # 2.7 A when it stalls, in steps of 6.5 mA
+            own = self._servos[servo]
+            own[MOVING] = int(abs(speed) > 50)
+            own[VOLTS] = 36 if self._is_low else 121
+            errors = VOLTAGE * (own[VOLTS] < own[LEAST_VOLTAGE]) | OVERLOAD * bool(self._is_overloaded[servo])
+            own[ERRORS] = errors | self._code
+
+    def _protect(self, passed: float) -> None:
+        for servo, own in enumerate(self._servos):
+            load = abs(_signed(self._number(servo, LOAD), 10)) / 10.0
+            is_over = load > own[OVERLOAD_TORQUE] and own[TORQUE_ON]
+            self._overloaded_for[servo] = self._overloaded_for[servo] + passed if is_over else 0.0
+            self._is_overloaded[servo] |= bool(self._overloaded_for[servo] > 0.01 * own[PROTECTION_TIME])
+
+    def _share(self, servo: int) -> float:
+        """Return the part of its torque that a servo may exert."""
+        own = self._servos[servo]
+        if not own[TORQUE_ON]:
+            return 0.0
+        most = min(self._number(servo, MOST_TORQUE), self._number(servo, TORQUE_LIMIT)) / 1000
+        return min(most, own[PROTECTIVE_TORQUE] / 100) if self._is_overloaded[servo] else most
+
+    # --- Packets ---
+
+    def _answer(self, servo: int, instruction: int, values: bytes) -> None:
+        servos = range(6) if servo == BROADCAST else [servo - 1] if 1 <= servo <= 6 else []
+        is_answered = servo != BROADCAST
+        used = 6 + len(values)  # bytes on the bus
+        if instruction == PING and not values:
+            for one in servos:
+                used = self._reply(one, b"", used)
+        elif instruction == READ and len(values) == 2 and is_answered:
+            for one in servos:
+                used = self._reply(one, self._block(one, *values), used)
+        elif instruction == SYNC_READ and len(values) > 2:
+            for one in values[2:]:
+                if 1 <= one <= 6:
+                    used = self._reply(one - 1, self._block(one - 1, values[0], values[1]), used)
+        elif instruction == WRITE and values:
+            for one in servos:
+                self._write(one, values[0], values[1:])
+                if is_answered and self._servos[one][STATUS_LEVEL]:
+                    used = self._reply(one, b"", used)
+        elif instruction == SYNC_WRITE and len(values) > 2:
+            first, count = values[0], values[1]
+            for at in range(2, len(values) - count, count + 1):
+                if 1 <= values[at] <= 6:
+                    self._write(values[at] - 1, first, values[at + 1 : at + 1 + count])
+
+    def _block(self, servo: int, first: int, count: int) -> bytes:
+        return bytes(self._servos[servo][first : first + count]).ljust(count, b"\0")
+
+    def _write(self, servo: int, first: int, values: bytes) -> None:
+        own = self._servos[servo]
+        before = own[TORQUE_ON]
+        for register, value in enumerate(values, first):
+            if register < REGISTERS and register not in READ_ONLY:
+                own[register] = value
+        if first <= GOAL < first + len(values):
+            lowest, highest = self._number(servo, LOWEST), self._number(servo, HIGHEST)
+            self._set(servo, GOAL, min(max(self._number(servo, GOAL), lowest), highest))
+        if before != own[TORQUE_ON]:
+            self._robot.note("torque", servo=self._names[servo], on=bool(own[TORQUE_ON]))
+            if not own[TORQUE_ON]:
+                self._is_overloaded[servo], self._overloaded_for[servo] = False, 0.0
+
+    def _reply(self, servo: int, values: bytes, used: int) -> int:
+        """Send an answer after so many bytes on the bus; return how many there are with it."""
+        body = bytes([servo + 1, len(values) + 2, self._servos[servo][ERRORS], *values])
+        packet = b"\xff\xff" + body + bytes([_checksum(body)])
+        used += len(packet)
+        self._robot.line.send(packet, self._send, after=BYTE_TIME * used + ANSWER_TIME)
+        return used
+
+    def _send(self, packet: bytes) -> None:
+        try:
+            os.write(self._master, packet)
+        except BlockingIOError:  # nobody reads; a real bus does not wait either
+            return
+
+
+def _checksum(values: bytes) -> int:
+    return ~sum(values) & 0xFF
+
+
+def _magnitude(value: int, bit: int) -> int:
+    """Return a number as servos store it: its amount, and its sign as a bit."""
+    return min(abs(value), (1 << bit) - 1) | ((value < 0) << bit)
+
+
+def _signed(value: int, bit: int) -> int:
+    """Return the number that a servo has stored."""
+    amount = value & ((1 << bit) - 1)
+    return -amount if value >> bit & 1 else amount

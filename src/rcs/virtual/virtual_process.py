@@ -1,0 +1,112 @@
+"""A virtual robot in a process of its own, for as long as a `with` lasts."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from rcs.errors import InvalidSetup, SimulationError
+from rcs.hardware.site import Site
+from rcs.virtual.control import tell
+
+END = 10.0
+"""How long it may take to end; it is killed then [s]."""
+
+
+class VirtualProcess:
+    """Starts `rcs virtual`, waits until it is ready, and ends it.
+
+    Example:
+        >>> from rcs.virtual import VirtualProcess
+        >>> with VirtualProcess("so101") as virtual:
+        ...     with rcs.make("PickCuboid", robot="so101", hardware=virtual.site) as env:
+        ...         env.reset()
+        ...         virtual.tell("cut")
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        *,
+        address: str | None = None,
+        setup: Path | str | None = None,
+        seed: int = 0,
+        log: Path | str | None = None,
+    ) -> None:
+        """Say what to start; arguments as those of `rcs virtual`."""
+        given = {"--address": address, "--setup": setup, "--seed": seed, "--log": log}
+        options = [word for name, value in given.items() if value is not None for word in (name, str(value))]
+        self._command = [sys.executable, "-m", "rcs", "virtual", robot, *options]
+        self._process: subprocess.Popen[str] | None = None
+        self._words: IO[str] | None = None
+        self.name = ""
+        """Name by which it is told of faults."""
+        self.site = Site()
+        """Where its devices are, for `rcs.make(hardware=...)`."""
+
+    def __enter__(self) -> VirtualProcess:
+        """Start it.
+
+        Raises:
+            InvalidSetup: It does not start; the message has its words.
+        """
+        self._words = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed by `close`
+        self._process = subprocess.Popen(
+            self._command, stdout=subprocess.PIPE, stderr=self._words, stdin=subprocess.DEVNULL, text=True
+        )
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            self._process.wait()
+            raise InvalidSetup(f"`rcs {' '.join(self._command[3:])}` does not start: {self._last_words()}")
+        told = json.loads(line)
+        self.name, self.site = told["name"], Site(**told["site"])
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End it."""
+        self.close()
+
+    @property
+    def pid(self) -> int:
+        """Number of its process."""
+        assert self._process is not None, "it has not been started"
+        return self._process.pid
+
+    def tell(self, *words: object) -> None:
+        """Have something go wrong, such as `tell("lose", 3)`; of one of several robots, `tell("left/lose", 3)`."""
+        robot, slash, fault = str(words[0]).rpartition("/")
+        tell(f"{self.name}{slash}{robot}", [fault, *map(str, words[1:])])
+
+    def close(self) -> None:
+        """End it and wait until it is gone; closing twice is harmless.
+
+        Raises:
+            SimulationError: It has failed before; the message has its words.
+        """
+        if self._process is None:
+            return
+        process, self._process = self._process, None
+        has_failed = bool(process.poll())
+        process.terminate()
+        try:
+            process.communicate(timeout=END)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+        words = self._last_words()
+        if has_failed:
+            raise SimulationError(f"The virtual robot {self.name!r} has failed: {words}")
+
+    def _last_words(self) -> str:
+        assert self._words is not None, "it was started"
+        with self._words as words:
+            words.seek(0)
+            return words.read().strip()

@@ -1,0 +1,268 @@
+"""A virtual robot: an arm with its gripper in a simulated world, with what a controller has of them."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rcs.errors import UnknownName
+from rcs.sim.robot import SimRobot
+from rcs.sim.scene import RobotPlacement
+from rcs.sim.world import World
+from rcs.virtual.line import Line
+from rcs.virtual.robot_log import RobotLog
+
+STILL = 1e-2
+"""Fingers that are slower than this stand still [rad/s, m/s]."""
+
+
+class VirtualRobot:
+    """What a wire leads, once per tick of the world; arrays are fresh, (dof,).
+
+    One of `lead`, `push` and `brake` counts for each tick. Without a new one, the servos stay where they were led to,
+    torques stay as they are, and braking goes on.
+    """
+
+    def __init__(self, world: World, placement: RobotPlacement, log: RobotLog) -> None:
+        """Look the robot up in a world.
+
+        Args:
+            world: Steps by one tick.
+            placement: A robot of its scene.
+            log: Takes its events and ticks.
+        """
+        self.name = placement.name
+        """Name of the robot in its setup."""
+        self.about = placement.arm
+        """The arm's figures."""
+        self.gripper = placement.gripper
+        """The gripper's figures; None without one."""
+        self.body = SimRobot(world, placement, is_led=False)
+        """Its body in the world."""
+        self.line = Line()
+        """What packets pass."""
+        self.frozen_until = 0.0
+        """When the controller that hangs goes on, on the monotonic clock [s]."""
+        self.period = world.period
+        """Time of a tick [s]."""
+        layout, model, arm = self.body.layout, world.model, placement.arm
+        self._world, self._log = world, log
+        assert world.data is not None, "the world has one copy"
+        self._data = world.data
+        self._model = model
+        self._qpos, self._qvel = layout.qpos, layout.qvel
+        self._actuators = np.array(layout.actuator_ids)
+        self._gain = model.actuator_gainprm[self._actuators].copy()
+        self._bias = model.actuator_biasprm[self._actuators].copy()
+        stiffness = -self._bias[:, 1]
+        damping = model.dof_damping[model.jnt_dofadr[layout.joint_ids]]
+        self._lag = (damping - self._bias[:, 2]) / stiffness  # of a servo that is given positions alone [s]
+        self._stiffness = stiffness
+        self._effort = np.array(arm.effort_limit)
+        joints = layout.joint_ids
+        has_limit = model.jnt_actfrclimited[joints].astype(bool)[:, None]
+        self._torque_range = np.where(has_limit, model.jnt_actfrcrange[joints], self._effort[:, None] * [-1.0, 1.0])
+        model.jnt_actfrclimited[joints] = True
+        self.limit(np.ones(arm.dof))
+        self._slowing = np.array(arm.acceleration_limit)
+        self._force = np.zeros(model.nv)
+        self._wanted = np.zeros(model.nv)
+        if self.gripper is not None:
+            finger = layout.finger_actuator
+            limits: list[tuple[Any, Any]] = [(model.actuator_forcerange, finger)]
+            limits += [(model.jnt_actfrcrange, joint) for joint in layout.finger_joint_ids]
+            self._grip_limits = [(array, at, array[at].copy()) for array, at in limits]
+        self._opening = self._opening_goal = 1.0  # where an episode begins
+        self._opening_speed = 0.0
+        self.rest()
+
+    # --- What is measured, at the end of the last tick ---
+
+    @property
+    def joints(self) -> NDArray[np.float64]:
+        """Joint positions [rad]."""
+        return self._data.qpos[self._qpos].copy()
+
+    @property
+    def velocities(self) -> NDArray[np.float64]:
+        """Joint velocities [rad/s]."""
+        return self._data.qvel[self._qvel].copy()
+
+    @property
+    def torques(self) -> NDArray[np.float64]:
+        """Torques of the motors, those against gravity included [N·m]."""
+        return self._data.qfrc_actuator[self._qvel] + self._data.qfrc_applied[self._qvel]
+
+    @property
+    def pose_tcp_in_base(self) -> NDArray[np.float64]:
+        """Pose of the TCP in the frame of the base, (7,): translation [m], quaternion xyzw."""
+        return self.body.tcp_tquat
+
+    @property
+    def width(self) -> float:
+        """Width of the gripper [m], NaN without one."""
+        return np.nan if self.gripper is None else float(self.body.opening[0]) * self.gripper.max_width
+
+    @property
+    def grip_force(self) -> float:
+        """Force per finger that the gripper's motor exerts [N], NaN without one."""
+        if self.gripper is None:
+            return np.nan
+        finger, at = self.body.layout.finger_joint_ids[0], self.body.layout.finger_actuator
+        if self._model.jnt_actfrclimited[finger]:
+            force, (_, _, limit) = self._data.qfrc_actuator[self._model.jnt_dofadr[finger]], self._grip_limits[1]
+        else:
+            force, (_, _, limit) = self._data.actuator_force[at], self._grip_limits[0]
+        return float(abs(force) / limit[1]) * self.gripper.grasp_force
+
+    @property
+    def is_grip_still(self) -> bool:
+        """Whether the fingers stand still: at their target, or on an object."""
+        fastest = float(np.abs(self._data.qvel[self.body.layout.finger_qvel]).max(initial=0.0))
+        return abs(self._opening - self._opening_goal) < 1e-6 and fastest < STILL
+
+    @property
+    def is_frozen(self) -> bool:
+        """Whether the controller hangs."""
+        return time.monotonic() < self.frozen_until
+
+    # --- What the servos are told ---
+
+    @property
+    def commanded(self) -> NDArray[np.float64]:
+        """Where the servos are led to [rad], (dof,); NaN while torques are commanded."""
+        return np.full(self.about.dof, np.nan) if self._is_pushed else self._position.copy()
+
+    def lead(
+        self, joints: ArrayLike, velocities: ArrayLike | None = None, accelerations: ArrayLike | None = None
+    ) -> None:
+        """Have the servos be here at the end of the next tick.
+
+        With velocities and accelerations they do not lag behind, as servos of the simulation's own motions.
+
+        Args:
+            joints: Positions [rad].
+            velocities: At that place [rad/s]; None for 0, to which servos come behind.
+            accelerations: [rad/s²]; None for 0.
+        """
+        self._stop_pushing()
+        self._is_braking = False
+        self._position = np.array(joints, np.float64)
+        self._velocity = np.zeros_like(self._position) if velocities is None else np.array(velocities, np.float64)
+        self._acceleration = None if accelerations is None else np.array(accelerations, np.float64)
+        self._is_led = True
+
+    def push(self, torques: ArrayLike) -> None:
+        """Have the motors exert torques besides those against gravity [N·m], as much of them as they can."""
+        if not self._is_pushed:
+            self._model.actuator_gainprm[self._actuators] = 0.0
+            self._model.actuator_biasprm[self._actuators] = 0.0
+            self._is_pushed = True
+        self._is_braking = False
+        self._data.qfrc_applied[self._qvel] = np.clip(np.asarray(torques, np.float64), -self._effort, self._effort)
+
+    def brake(self) -> None:
+        """Come to rest at the largest accelerations, and stay there."""
+        self._stop_pushing()
+        self._is_braking = True
+
+    def limit(self, shares: ArrayLike) -> None:
+        """Let the motors exert no more than shares of their torques, (dof,): 1 for all, 0 for a motor without power.
+
+        A joint without power falls; torques against gravity count too.
+        """
+        torques = np.asarray(shares, np.float64)[:, None] * self._torque_range
+        self._model.jnt_actfrcrange[self.body.layout.joint_ids] = torques
+
+    def rest(self) -> None:
+        """Stay where the arm is measured, with servos that are led there; the gripper keeps its width."""
+        self._is_pushed = self._is_led = self._is_braking = False
+        self._data.qfrc_applied[self._qvel] = 0.0
+        self._model.actuator_gainprm[self._actuators] = self._gain
+        self._model.actuator_biasprm[self._actuators] = self._bias
+        self._position, self._velocity, self._acceleration = self.joints, np.zeros(self.about.dof), None
+        self._data.ctrl[self._actuators] = self._position
+
+    def move(self, width: float, speed: float | None = None) -> None:
+        """Move the gripper to a width [m] with a speed of the width [m/s], None for its largest, with all its force."""
+        self.grasp(width, speed, None)
+
+    def grasp(self, width: float, speed: float | None, force: float | None) -> None:
+        """Move the gripper to a width, and press with no more than a force.
+
+        Args:
+            width: [m].
+            speed: Of the width [m/s]; None for the largest.
+            force: Largest force per finger [N]; None for all it has.
+
+        Raises:
+            InvalidSetup: The robot has no gripper.
+        """
+        gripper = self.body.gripper
+        fastest = 2.0 * gripper.closing_speed
+        share = 1.0 if force is None else min(force / gripper.grasp_force, 1.0)
+        for array, at, limit in self._grip_limits:
+            array[at] = share * limit
+        self._opening_goal = float(np.clip(width / gripper.max_width, 0.0, 1.0))
+        self._opening_speed = min(fastest if speed is None else speed, fastest) / gripper.max_width
+
+    def joint_of(self, text: str) -> int:
+        """Return the index of a joint by its name or its number from 0.
+
+        Raises:
+            UnknownName: There is no such joint.
+        """
+        if text in self.about.joints:
+            return self.about.joints.index(text)
+        if text.isdigit() and int(text) < self.about.dof:
+            return int(text)
+        raise UnknownName("joint", text, self.about.joints)
+
+    def note(self, event: str, **values: Any) -> None:
+        """Log an event, with values that JSON has."""
+        self._log.note(self.name, event, **values)
+
+    # --- What the loop of the world calls ---
+
+    def settle(self) -> None:
+        """Write the controls of the next tick."""
+        if self._is_braking:
+            self._slow_down()
+        elif not self._is_led:  # nothing new: the servos stay, without the speed of the last command
+            self._velocity, self._acceleration = np.zeros_like(self._velocity), None
+        self._is_led = False
+        if not self._is_pushed:
+            controls = self._position + self._lag * self._velocity
+            if self._acceleration is not None:
+                self._wanted[self._qvel] = self._acceleration
+                mujoco.mj_mulM(self._model, self._data, self._force, self._wanted)
+                controls += self._force[self._qvel] / self._stiffness
+            self._data.ctrl[self._actuators] = controls
+        if self.gripper is not None:
+            step = self._opening_speed * self.period
+            self._opening += min(max(self._opening_goal - self._opening, -step), step)
+            self.body.command_opening(np.array([self._opening]))
+
+    def log_tick(self, due: float, began: float) -> None:
+        """Log the tick that has ended."""
+        row = (due, began, self.commanded, self.joints, self.velocities, self.torques, self.width)
+        self._log.tick(self.name, row)
+
+    def _slow_down(self) -> None:
+        step = self._slowing * self.period
+        slower = self._velocity - np.clip(self._velocity, -step, step)
+        self._position = self._position + 0.5 * (self._velocity + slower) * self.period
+        self._acceleration = (slower - self._velocity) / self.period
+        self._velocity = slower
+
+    def _stop_pushing(self) -> None:
+        if self._is_pushed:
+            self._data.qfrc_applied[self._qvel] = 0.0
+            self._model.actuator_gainprm[self._actuators] = self._gain
+            self._model.actuator_biasprm[self._actuators] = self._bias
+            self._position, self._velocity, self._acceleration = self.joints, self.velocities, None
+            self._is_pushed = False

@@ -1,0 +1,262 @@
+"""A virtual world: the scene of a setup, stepped in real time, with a wire before each of its robots.
+
+Time: one thread runs the loop. A tick is due every `1 / rate` seconds of the monotonic clock; one that comes late is
+made up for at once, unless more than `LONGEST_GAP` has passed. Between two ticks the loop reads whatever comes to the
+wires.
+"""
+
+from __future__ import annotations
+
+import gc
+import select
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rcs.devices import lookup
+from rcs.envs.assemble import compose
+from rcs.envs.draws import Draws, check_seed
+from rcs.envs.scenario import Scenario
+from rcs.envs.setup import Setup
+from rcs.errors import InvalidSetup, UnknownName
+from rcs.setups.lab import lab_of
+from rcs.setups.make import resolve
+from rcs.sim.world import World
+from rcs.virtual.control import Control
+from rcs.virtual.fault import GENERIC, Fault
+from rcs.virtual.robot_log import RobotLog
+from rcs.virtual.virtual_robot import VirtualRobot
+from rcs.virtual.wire import Wire
+
+LONGEST_GAP = 0.25
+"""A gap in time that is longer than this is left out, as if the world had stood still [s]."""
+
+AnyWire = Callable[[VirtualRobot, str], Wire]
+
+
+class VirtualWorld:
+    """Robots and objects of a setup, each robot behind the wire of its vendor."""
+
+    def __init__(
+        self,
+        setup: Setup,
+        *,
+        address: str | None = None,
+        seed: int = 0,
+        log: Path | None = None,
+        wires: Mapping[str, type[Wire]] | None = None,
+    ) -> None:
+        """Put the robots at home and the objects where the seed has them, and listen.
+
+        Args:
+            setup: The scene and its robots; its frequency, cameras and layers do not matter.
+            address: Where the first robot is reached; None for the usual place. The next one is at the next address.
+            seed: Of where the objects are.
+            log: Path of the log; None for none.
+            wires: Wires by the name of the arm, for others than those that are installed.
+
+        Raises:
+            UnknownName: There is no wire for an arm, or a name in the setup does not exist.
+            InvalidSetup: An address is taken.
+            OSError: The log cannot be written.
+        """
+        kinds = {stand.name: _wire_of(stand.arm, wires or {}) for stand in lab_of(setup.robot).stands}
+        self.rate = max(kind.rate for kind in kinds.values())
+        """Ticks per second [Hz]."""
+        parts = resolve(replace(setup, cameras=(), randomisation=None, physics_step=1.0 / self.rate))
+        self.world = World(compose(parts).compile(), frequency=self.rate)
+        """The physics."""
+        self.setup = parts.setup
+        self.ticks = 0
+        """Ticks so far."""
+        self.late_ticks = 0
+        """Ticks that began more than a period late."""
+        dofs = {robot.name: robot.arm.dof for robot in parts.robots}
+        self.log = RobotLog(log, dofs, rate=self.rate, setup=parts.setup.to_json())
+        self.robots = {robot.name: VirtualRobot(self.world, robot, self.log) for robot in parts.robots}
+        """The robots by name."""
+        self._scenario = Scenario(self.world, [robot.body for robot in self.robots.values()], parts.task)
+        self._is_ended = False
+        self.wires: dict[str, Wire] = {}
+        """The wires by robot."""
+        self.control: Control | None = None
+        self.reset(seed)
+        for robot in self.robots.values():
+            robot.rest()
+        try:
+            for name, kind in kinds.items():
+                address = kind.address if address is None else address
+                self.wires[name] = kind(self.robots[name], address)
+                address = kind.next_address(address)
+            self.control = Control(setup.robot)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def name(self) -> str:
+        """Name by which it is told of faults."""
+        assert self.control is not None
+        return self.control.name
+
+    def site(self) -> dict[str, dict[str, Any]]:
+        """Return the site at which its robots are, as a site file has it."""
+        site: dict[str, dict[str, Any]] = {}
+        for name, wire in self.wires.items():
+            for kind, entry in wire.site().items():
+                site.setdefault(kind, {})[name] = dict(entry)
+        return site
+
+    def reset(self, seed: int, episode: int = 0) -> None:
+        """Place the objects as a reset with a seed does; the robots stay where they are.
+
+        Args:
+            seed: Of the environment.
+            episode: Number of the episode since the seed was set.
+
+        Raises:
+            InvalidSetup: The seed is none.
+        """
+        draws = Draws(np.asarray(check_seed(seed)), np.asarray(episode))
+        kept = [
+            (array, at, array[at].copy())
+            for robot in self.robots.values()
+            for array, at in (
+                (self.world.qpos, robot.body.layout.qpos),
+                (self.world.qvel, robot.body.layout.qvel),
+                (self.world.qpos, robot.body.layout.finger_qpos),
+                (self.world.qvel, robot.body.layout.finger_qvel),
+            )
+        ]
+        controls = self.world.ctrl.copy()
+        self._scenario.begin(draws)
+        for array, at, values in kept:
+            array[at] = values
+        self.world.ctrl[...] = controls
+        self.world.refresh()
+
+    def tell(self, words: Sequence[str]) -> None:
+        """Have something go wrong: the name of the robot or "" for all of them, a fault, and its value.
+
+        Raises:
+            UnknownName: There is no such robot, or it has no such fault.
+            InvalidSetup: The value makes no sense; nothing happens then.
+        """
+        name, *rest = words
+        if name and name not in self.robots:
+            raise UnknownName("robot of this world", name, self.robots)
+        names = [name] if name else list(self.robots)
+        faults = {one: Fault.parse(rest, {**GENERIC, **self.wires[one].faults}) for one in names}
+        for one, fault in faults.items():
+            self._befall(self.robots[one], self.wires[one], fault)
+            self.robots[one].note("told", fault=fault.name, value=fault.value)
+
+    def _befall(self, robot: VirtualRobot, wire: Wire, fault: Fault) -> None:
+        if fault.name in wire.faults:
+            wire.tell(fault)
+        elif fault.name == "freeze":
+            robot.frozen_until = time.monotonic() + fault.number
+        elif fault.name == "reset":
+            self.reset(int(fault.number))
+        elif fault.name == "clear":
+            robot.frozen_until = 0.0
+            robot.line.clear()
+            wire.clear()
+        else:
+            robot.line.tell(fault)
+
+    def run(self) -> None:
+        """Step in real time until `end`."""
+        gc.collect()
+        gc.freeze()
+        gc.disable()  # a collection takes longer than a tick
+        period, due = 1.0 / self.rate, time.monotonic()
+        try:
+            while not self._is_ended:
+                self._listen(due)
+                began = time.monotonic()
+                self._tick(due, began)
+                due += period
+                if began - due > LONGEST_GAP:
+                    self.log.note("", "gap", seconds=began - due)
+                    due = began
+        finally:
+            gc.enable()
+
+    def end(self) -> None:
+        """Have `run` return; from a signal handler or any thread."""
+        self._is_ended = True
+
+    def close(self) -> None:
+        """Let go of all addresses and files; closing twice is harmless."""
+        for wire in self.wires.values():
+            wire.close()
+        if self.control is not None:
+            self.control.close()
+        self.log.note("", "end", ticks=self.ticks, late=self.late_ticks)
+        self.log.close()
+        self.world.close()
+
+    def _tick(self, due: float, began: float) -> None:
+        self.ticks += 1
+        self.late_ticks += began - due > 1.0 / self.rate
+        for name, robot in self.robots.items():
+            robot.line.flush()
+            if not robot.is_frozen:
+                self.wires[name].tick(robot)
+            robot.settle()
+        self.world.advance()
+        for robot in self.robots.values():
+            robot.log_tick(due, began)
+        self.log.flush(began)
+
+    def _listen(self, until: float) -> None:
+        """Read what comes, at least once, until a moment of the monotonic clock."""
+        assert self.control is not None
+        while True:
+            heard: dict[Any, Wire] = {}
+            for name, wire in self.wires.items():
+                if not self.robots[name].is_frozen:
+                    heard.update(dict.fromkeys(wire.files(), wire))
+            rest = max(until - time.monotonic(), 0.0)
+            ready, _, _ = select.select([self.control.socket, *heard], [], [], self._wait(rest))
+            for file in ready:
+                if file is self.control.socket:
+                    self.control.answer(self.tell)
+                else:
+                    heard[file].receive(file)
+            for robot in self.robots.values():
+                robot.line.flush()
+            if self._is_ended or time.monotonic() >= until:
+                return
+
+    def _wait(self, rest: float) -> float:
+        due = [one for robot in self.robots.values() if (one := robot.line.next_due) is not None]
+        return min([rest, *(max(one - time.monotonic(), 0.0) for one in due)])
+
+
+def usual_setup(robot: str) -> Setup:
+    """Return the setup of a virtual robot when no other is given: the first of these tasks that suits it.
+
+    Raises:
+        UnknownName: There is no such robot.
+    """
+    lab = lab_of(robot)
+    if lab.end_effector is None:
+        return Setup(task="Free", robot=robot)
+    if len(lab.stands) > 1:
+        return Setup(task="LiftBar", robot=robot)
+    return Setup(task="PickCuboid" if lab.end_effector in lookup.names("gripper") else "PickToy", robot=robot)
+
+
+def _wire_of(arm: str, wires: Mapping[str, type[Wire]]) -> type[Wire]:
+    if arm in wires:
+        return wires[arm]
+    found = lookup.find("wire", arm)
+    if not (isinstance(found, type) and issubclass(found, Wire)):
+        raise InvalidSetup(f"The wire of {arm!r} is {found!r}; valid is a subclass of rcs.virtual.Wire.")
+    return found
