@@ -1,6 +1,7 @@
 // StreamedArm: the thread that leads an arm from command to command, with a vendor's functions in Python.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/set.h>
 #include <nanobind/stl/shared_ptr.h>
 
 #include "overrides.hpp"
@@ -18,6 +19,10 @@ struct PyStreamedArm : PyCalls<rcs::StreamedArm> {
   void read(rcs::ArmState& state) override { state = call<rcs::ArmState>("_read", "an ArmState"); }
   void start() override { call_if_there("_start"); }
   void write(const rcs::StreamPoint& point) override { call<void>("_write", "None", point); }
+  void write_other(rcs::CommandKind kind, std::span<const double> values) override {
+    call<void>("_write_other", "None", kind, values);
+  }
+  bool brake_other() override { return call_or("_brake_other", "a bool", true); }
   void stop() override { call<void>("_stop", "None"); }
   void clear() override { call_if_there("_clear"); }
   void give_way() override { call_if_there("_guide"); }
@@ -55,18 +60,29 @@ void bind_streamed_arm(nb::module_& m) {
       .def(
           "__init__",
           [](StreamOptions* self, double rate, double period, bool is_paced_by_read, double margin, double first_step,
-             double tracking_error, double arrival, double silence, int missed_ticks, std::optional<TcpBox> box) {
-            new (self) StreamOptions{rate,           period,  is_paced_by_read, margin,       first_step,
-                                     tracking_error, arrival, silence,          missed_ticks, std::move(box)};
+             double tracking_error, double arrival, double silence, int missed_ticks, std::optional<TcpBox> box,
+             std::set<rcs::CommandKind> more_commands) {
+            new (self) StreamOptions{rate,
+                                     period,
+                                     is_paced_by_read,
+                                     margin,
+                                     first_step,
+                                     tracking_error,
+                                     arrival,
+                                     silence,
+                                     missed_ticks,
+                                     std::move(box),
+                                     std::move(more_commands)};
           },
           nb::kw_only(), "rate"_a = 1000.0, "period"_a = 1.0 / 30.0, "is_paced_by_read"_a = false, "margin"_a = 0.0,
           "first_step"_a = 0.2, "tracking_error"_a = 0.3, "arrival"_a = 0.01, "silence"_a = 0.25, "missed_ticks"_a = 20,
-          "box"_a = nb::none(),
+          "box"_a = nb::none(), "more_commands"_a = std::set<rcs::CommandKind>(),
           "Points per second, and the time between commands [s].\n\nWith `is_paced_by_read`, `_read` returns once per "
           "tick and is waited for. Targets keep the `margin` [rad] from the ends of\nthe joints' ranges; the first one "
           "is within `first_step` [rad] of the measured joints. A joint that is farther than\n`tracking_error` [rad] "
           "from where it is led, calls that do not return for longer than `silence` [s] and more than\n`missed_ticks` "
-          "in a row are faults. A joint has arrived within `arrival` [rad].")
+          "in a row are faults. A joint has arrived within `arrival` [rad]. `more_commands` are "
+          "what the arm takes besides joints.")
       .def_ro("rate", &StreamOptions::rate)
       .def_ro("period", &StreamOptions::period)
       .def_ro("is_paced_by_read", &StreamOptions::is_paced_by_read)
@@ -88,7 +104,9 @@ void bind_streamed_arm(nb::module_& m) {
       "brake the arm within these limits,\nand it is led where it stands. What `_read` or `_write` raises, a joint "
       "that "
       "is not where it is led, and too many missed\nticks are faults that call `_stop` at once; after `recover`, the "
-      "next command starts the arm again.\n\nAll of the vendor's functions run on the arm's thread but `_open`, "
+      "next command starts the arm again. An arm that names "
+      "`more_commands` overrides\n`_write_other(kind, values)` and `_brake_other`; the controller keeps the limits "
+      "then.\n\nAll of the vendor's functions run on the arm's thread but `_open`, "
       "`_close` "
       "and, while another one does not return, `_stop`.")
       .def(nb::init<std::string, rcs::ArmLimits, StreamOptions>(), "name"_a, "limits"_a, "options"_a = StreamOptions(),
@@ -99,6 +117,10 @@ void bind_streamed_arm(nb::module_& m) {
       .def(
           "_clear", [](StreamedArm&) {},
           "Leave the controller's fault state, without a motion; nothing unless overridden.")
+      .def(
+          "_brake_other", [](StreamedArm&) { return true; },
+          "Send what brings the arm to rest from another command than joints, a tick at a time, and return whether it "
+          "stands.")
       .def_prop_ro("options", &StreamedArm::options)
       .def_prop_rw("period", &StreamedArm::period, &StreamedArm::set_period,
                    "Time between commands [s], for which they are planned. Set it before the first one.")

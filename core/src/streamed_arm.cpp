@@ -81,13 +81,15 @@ struct StreamedArm::Loop {
   struct Order {
     std::uint64_t number = 0;
     double deadline = kForever;
-    std::vector<double> joints;
+    CommandKind kind = CommandKind::joints;
+    std::vector<double> values;
   };
   struct Seen {
     ArmState state;
     std::uint64_t done = 0;
     std::uint64_t holds = 0;
     bool is_still = true;
+    CommandKind kind = CommandKind::joints;
   };
   enum class Request : std::uint8_t { none, clear, give_way };
 
@@ -108,7 +110,8 @@ struct StreamedArm::Loop {
       *count = 0;
     is_led = is_closing = is_abandoned = has_priority = has_locked = false;
     is_reading = true;
-    gave_way = is_asked = false;
+    gave_way = is_asked = is_braking = false;
+    kind = CommandKind::joints;
     done = taken_holds = 0;
     last_tick = kForever;
     arm.connect();
@@ -199,21 +202,39 @@ struct StreamedArm::Loop {
                  (advice.empty() ? "" : "; ") + advice);
     }
     answer();
-    if (is_led) check_tracking();
+    if (is_led && kind == CommandKind::joints) check_tracking();
     take_orders();
-    if (is_led && try_to("box", [this] { advance(); }))
+    if (is_led && kind != CommandKind::joints)
+      lead_otherwise();
+    else if (is_led && try_to("box", [this] { advance(); }))
       try_to("write", [this] {
         arm.write(point);
         ++ticks;
       });
     publish();
-    if (!is_led || trajectory->is_still(memory.data())) rested = taken_holds;
+    if (stands()) rested = taken_holds;
     if (!is_closing) return true;
-    if (is_led && trajectory->is_still(memory.data())) {
+    if (is_led && stands()) {
       is_led = false;
       try_to("stop", [this] { arm.stop(); });
     }
     return is_led;
+  }
+
+  bool stands() const { return !is_led || (kind == CommandKind::joints && trajectory->is_still(memory.data())); }
+
+  void lead_otherwise() {
+    bool has_come_to_rest = false;
+    const bool is_done = try_to("write", [&] {
+      if (is_braking)
+        has_come_to_rest = arm.brake_other();
+      else
+        arm.write_other(kind, values);
+      ++ticks;
+    });
+    if (!is_done || !has_come_to_rest) return;
+    kind = CommandKind::joints;
+    stand();
   }
 
   // Have the vendor do something that may take long, of which no deadline is kept.
@@ -330,13 +351,21 @@ struct StreamedArm::Loop {
       done = order.number;
       if (!arm.fault().empty()) return;  // it came between the check of this command and its sending
       deadline = order.deadline;
-      if (now < deadline && (is_led || try_to("start", [this] { stand_up(); }))) return follow_new(order.joints);
+      if (now < deadline && (is_led || try_to("start", [this] { stand_up(); }))) {
+        if (order.kind != kind && !stands()) return brake();  // it came before this one was seen
+        kind = order.kind;
+        if (kind == CommandKind::joints) return follow_new(order.values);
+        values = order.values;
+        is_asked = true;
+        is_braking = false;
+      }
+      return;
     }
     if (!is_asked) return;
     if (now >= deadline) {
       ++lapses;
       brake();
-    } else if (++since > kPatience * period * arm.options_.rate) {
+    } else if (kind == CommandKind::joints && ++since > kPatience * period * arm.options_.rate) {
       follow();
     }
   }
@@ -347,11 +376,18 @@ struct StreamedArm::Loop {
       arm.start();
       read();
     });
+    kind = CommandKind::joints;
+    stand();
+    is_led = true;
+  }
+
+  // Led to where it is.
+  void stand() {
     Trajectory::stand(memory, measured.joints);
     is_wide = true;
+    is_braking = false;
     set_range(measured.joints);
     forget_asked();
-    is_led = true;
   }
 
   // The range of each joint is as long as it takes to have it where it is. How the rest of a plan goes on does not
@@ -378,6 +414,11 @@ struct StreamedArm::Loop {
 
   void brake() {
     if (!is_led) return;
+    if (kind != CommandKind::joints) {
+      is_braking = true;
+      is_asked = false;
+      return;
+    }
     trajectory->brake(memory.data(), 1.0);
     forget_asked();
   }
@@ -457,11 +498,12 @@ struct StreamedArm::Loop {
   void publish() {
     Seen& now = seen.next();
     now.state = measured;
-    if (now.state.commanded_joints.empty() && is_led)
+    if (now.state.commanded_joints.empty() && is_led && kind == CommandKind::joints)
       now.state.commanded_joints.assign(memory.begin(), memory.begin() + arm.dof());
     now.done = done;
     now.holds = taken_holds;
-    now.is_still = !is_led || trajectory->is_still(memory.data());
+    now.is_still = stands();
+    now.kind = kind;
     seen.publish();
   }
 
@@ -513,11 +555,14 @@ struct StreamedArm::Loop {
   bool is_asked = false;  // there is a goal
   bool was_cut = false;   // on the way to the goal is the end of the box
   bool gave_way = false;
-  bool is_wide = false;  // a joint is outside of its range
+  CommandKind kind = CommandKind::joints;  // what the arm is led by
+  std::vector<double> values;              // of the last command, where that was another kind than joints
+  bool is_braking = false;                 // from another kind than joints
+  bool is_wide = false;                    // a joint is outside of its range
 };
 
 StreamedArm::StreamedArm(std::string name, ArmLimits limits, StreamOptions options, int built_for)
-    : Arm(std::move(name), std::move(limits), {}, built_for), options_(std::move(options)) {
+    : Arm(std::move(name), std::move(limits), options.more_commands, built_for), options_(std::move(options)) {
   check_options(this->name(), this->limits(), options_);
   loop_ = std::make_unique<Loop>(*this);
 }
@@ -552,26 +597,50 @@ ArmState StreamedArm::do_state() {
 }
 
 void StreamedArm::do_command_joints(std::span<const double> joints) {
+  if (!loop_->is_led) require_near(joints);
+  send(CommandKind::joints, joints);
+}
+
+void StreamedArm::require_near(std::span<const double> joints) {
+  const std::lock_guard lock(loop_->user);
+  const auto& measured = loop_->seen.take().state.joints;
+  for (std::size_t i = 0; i < joints.size(); ++i) {
+    const double distance = std::abs(joints[i] - measured[i]);
+    if (distance <= options_.first_step) continue;
+    std::ostringstream text;
+    text << name() << ": the first target must be near the arm: joint " << i << " is at " << measured[i]
+         << " rad and its target " << joints[i] << " rad is " << distance << " rad away, valid is at most "
+         << options_.first_step << " rad; lead the arm from where it is";
+    throw InvalidCommand(text.str());
+  }
+}
+
+void StreamedArm::do_command_pose(const Pose& pose) { send(CommandKind::pose, pose.tquat()); }
+void StreamedArm::do_command_twist(std::span<const double> twist) { send(CommandKind::twist, twist); }
+void StreamedArm::do_command_velocities(std::span<const double> velocities) {
+  send(CommandKind::velocities, velocities);
+}
+void StreamedArm::do_command_torques(std::span<const double> torques) { send(CommandKind::torques, torques); }
+
+void StreamedArm::send(CommandKind kind, std::span<const double> values) {
   Loop& loop = *loop_;
   if (loop.silence() > options_.silence) fail(loop.silent_text());
   const std::lock_guard lock(loop.user);
-  if (!loop.is_led) {
-    const auto& measured = loop.seen.take().state.joints;
-    for (std::size_t i = 0; i < joints.size(); ++i) {
-      const double distance = std::abs(joints[i] - measured[i]);
-      if (distance <= options_.first_step) continue;
-      std::ostringstream text;
-      text << name() << ": the first target must be near the arm: joint " << i << " is at " << measured[i]
-           << " rad and its target " << joints[i] << " rad is " << distance << " rad away, valid is at most "
-           << options_.first_step << " rad; lead the arm from where it is";
-      throw InvalidCommand(text.str());
-    }
-  }
+  const Loop::Seen& seen = loop.seen.take();
+  if (loop.is_led && kind != seen.kind && !seen.is_still)
+    throw InvalidCommand(name() +
+                         ": another kind of command than the last one is refused while the arm moves; call hold(), and "
+                         "wait until it has arrived");
   Loop::Order& order = loop.orders.next();
   order.number = ++loop.sent;
   order.deadline = deadline();
-  order.joints.assign(joints.begin(), joints.end());
+  order.kind = kind;
+  order.values.assign(values.begin(), values.end());
   loop.orders.publish();
+}
+
+void StreamedArm::write_other(CommandKind, std::span<const double>) {
+  throw DeviceFault("the class of this arm names more commands than joints and does not override write_other");
 }
 
 bool StreamedArm::do_has_arrived() {

@@ -13,11 +13,13 @@ import pytest
 from numpy.typing import NDArray
 
 import rcs
-from rcs.devices import Arm
+from rcs.devices import Arm, CommandKind
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.hardware.ur import UrDriver
 from rcs.hardware.ur_controller import Dashboard
+from rcs.kinematics import kinematics_of
 from rcs.robots import FRANKA_HAND, ROBOTIQ_2F85, UR5E
+from rcs.spatial import Pose
 from rcs.testing import ArmContract
 from rcs.virtual import VirtualProcess
 
@@ -237,10 +239,75 @@ def test_an_environment_of_a_virtual_robot_moves_arm_and_gripper(virtual: Virtua
         assert seen["gripper"][0] < 0.3
 
 
+TCP = (0.0, 0.0, 0.15, 0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.fixture
+def tcp_arm(virtual: VirtualProcess) -> Iterator[Arm]:
+    """Give an arm that takes poses, too, and bring it home in the end."""
+    with UrDriver().arm(ADDRESS, UR5E, {**CALM, "tcp": TCP}) as arm:
+        arm.recover()
+        yield arm
+        rest(arm)
+        lead(arm, arm.state().joints)
+        lead(arm, np.array(UR5E.home))
+
+
+def tcp_of(arm: Arm) -> Pose:
+    return kinematics_of(UR5E).forward(arm.state().joints) * Pose.from_tquat(TCP)
+
+
+def rest(arm: Arm) -> None:
+    arm.hold()
+    wait_until(arm.has_arrived)
+
+
+def test_a_pose_is_reached_by_the_controller(tcp_arm: Arm) -> None:
+    start = tcp_of(tcp_arm)
+    goal = Pose(start.translation + [0.03, 0.04, -0.05], start.quaternion)
+    tcp_arm.command_pose(goal)
+    wait_until(lambda: tcp_of(tcp_arm).is_close(goal, 2e-3, 1e-2), 5.0)
+    assert not tcp_arm.has_arrived()  # a pose is led until something else is said
+    rest(tcp_arm)
+    assert tcp_of(tcp_arm).is_close(goal, 3e-3, 1e-2)
+
+
+def test_a_twist_moves_the_tcp_until_its_time_is_over(tcp_arm: Arm) -> None:
+    start = tcp_of(tcp_arm)
+    for _ in range(20):
+        tcp_arm.command_twist([0.0, 0.0, 0.05, 0.0, 0.0, 0.0], valid_for=0.4)
+        time.sleep(0.02)
+    wait_until(tcp_arm.has_arrived)
+    moved = tcp_of(tcp_arm).translation - start.translation
+    assert 0.01 < moved[2] < 0.08
+    assert moved[:2] == pytest.approx(0.0, abs=3e-3)
+    assert tcp_arm.fault == ""
+
+
+def test_kinds_of_commands_change_at_rest_only(tcp_arm: Arm) -> None:
+    start = tcp_arm.state().joints
+    tcp_arm.command_velocities([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    wait_until(lambda: tcp_arm.state().joints[0] - start[0] > 0.02)
+    with pytest.raises(InvalidAction, match="another kind of command"):
+        tcp_arm.command_joints(start)
+    rest(tcp_arm)
+    tcp_arm.command_joints(tcp_arm.state().joints)
+    tcp_arm.command_pose(tcp_of(tcp_arm))
+    time.sleep(0.2)
+    assert tcp_arm.fault == ""
+
+
+def test_without_a_tcp_poses_are_not_taken(arm: Arm) -> None:
+    assert arm.commands() == {CommandKind.joints, CommandKind.velocities}
+    with pytest.raises(InvalidAction, match="takes no pose"):
+        arm.command_pose(Pose())
+
+
 def test_what_a_driver_cannot_do_it_refuses() -> None:
     for options, match in (
         ({"rate": 1000}, "50 to 500"),
         ({"speed": 0}, "0.01 to 1"),
+        ({"tcp": [0, 0, 1]}, "7 numbers"),
         ({"rat": 100}, "Did you mean 'rate'"),
     ):
         with pytest.raises(InvalidSetup, match=match):

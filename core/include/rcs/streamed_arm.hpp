@@ -7,6 +7,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <set>
 #include <span>
 #include <string>
 #include <vector>
@@ -42,6 +43,7 @@ struct StreamOptions {
   double silence = 0.25;          ///< s, for which `read` and `write` may not return; more is a fault
   int missed_ticks = 20;          ///< in a row; more are a fault
   std::optional<TcpBox> box = std::nullopt;
+  std::set<CommandKind> more_commands = {};  ///< what the arm takes besides joints, by `write_other`
 };
 
 /// How many commands asked for more than is allowed, by what was too much. The arm did what is allowed.
@@ -66,6 +68,9 @@ struct Clamped {
 /// Threads: all these functions of the vendor run on the arm's thread, but for `connect` and `disconnect`, which run
 /// before it starts and after it ends; and for `stop`, which may run on another thread beside a `read` or `write` that
 /// does not return. `command_joints` and `state` never wait for the arm's thread, nor it for them.
+///
+/// An arm that names `more_commands` takes them where it stands, and gives them to its controller as they are: these
+/// limits do not count for them. Another kind of command than the last one is refused while the arm moves.
 ///
 /// A class of a vendor calls `close()` in its destructor, as its functions are gone afterwards.
 class RCS_API StreamedArm : public Arm {
@@ -99,6 +104,11 @@ class RCS_API StreamedArm : public Arm {
   virtual void start() {}
   /// Send the point of this tick.
   virtual void write(const StreamPoint& point) = 0;
+  /// Send what one of `more_commands` asks for, in every tick until the next command: the controller keeps its limits.
+  /// The values are those of the command; of a pose, translation [m] and quaternion xyzw.
+  virtual void write_other(CommandKind kind, std::span<const double> values);
+  /// Send what brings the arm to rest from there, a tick at a time, and return whether it stands: then joints lead it.
+  virtual bool brake_other() { return true; }
   /// Stop at once by the controller's own means and hold, whatever state it is in.
   virtual void stop() = 0;
   /// Leave the controller's fault state. Nothing moves.
@@ -113,6 +123,12 @@ class RCS_API StreamedArm : public Arm {
   void do_open() final;
   ArmState do_state() final;
   void do_command_joints(std::span<const double> joints) final;
+  void do_command_pose(const Pose& pose_tcp_in_base) final;
+  void do_command_twist(std::span<const double> twist) final;
+  void do_command_velocities(std::span<const double> velocities) final;
+  void do_command_torques(std::span<const double> torques) final;
+  void require_near(std::span<const double> joints);
+  void send(CommandKind kind, std::span<const double> values);
   bool do_has_arrived() final;
   void do_hold() final;
   void do_await_rest() final;

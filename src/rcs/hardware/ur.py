@@ -1,8 +1,9 @@
 """Arms of Universal Robots: the e-series, over the vendor's RTDE, with the library ur-rtde.
 
 `open` reads and sends nothing. The first command uploads the library's control script, which takes 0.1 s; from then on
-joints are streamed to it (servoj), up to 500 times a second. A watchdog on the controller ends the script when nothing
-comes any more: the arm then brakes, whatever has become of this program.
+joints are streamed to it (servoj), up to 500 times a second; poses, twists and joint velocities go to the controller's
+own laws. A watchdog on the controller ends the script when nothing comes any more: the arm then brakes, whatever has
+become of this program.
 """
 
 from __future__ import annotations
@@ -12,11 +13,15 @@ import time
 from collections.abc import Mapping
 from typing import Any, Final
 
-from rcs.devices import Arm, ArmLimits, ArmState, Gripper, StreamedArm, StreamOptions, StreamPoint
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.devices import Arm, ArmLimits, ArmState, CommandKind, Gripper, StreamedArm, StreamOptions, StreamPoint
 from rcs.errors import DeviceFault, InvalidSetup, require_fields
 from rcs.extras import package_of
 from rcs.hardware.driver import Driver
 from rcs.hardware.robotiq import RobotiqGripper
+from rcs.hardware.tcp_ramp import TcpRamp
 from rcs.hardware.ur_controller import (
     MODE_WORDS,
     SAFETY_WORDS,
@@ -26,8 +31,18 @@ from rcs.hardware.ur_controller import (
     unlock,
 )
 from rcs.robots.description import ArmDescription, GripperDescription
+from rcs.spatial import Pose
 
-OPTIONS: Final = ("rate", "watchdog", "lookahead", "gain", "speed")
+OPTIONS: Final = ("rate", "watchdog", "lookahead", "gain", "speed", "tcp", "tcp_speed")
+
+TCP_SPEED: Final = 0.25
+"""Of the TCP, when the site says nothing [m/s]: what ISO 10218-1 allows beside people who teach."""
+TURN_PER_METRE: Final = 4.0
+"""How many radians the TCP may turn in the time of a metre [rad/m]; ours."""
+TCP_ACCELERATION: Final = 1.2
+"""Of the TCP [m/s²]; the usual one of the vendor's linear moves."""
+AT_REST: Final = 1e-3
+"""Slower joints stand still [rad/s]."""
 
 SILENCE: Final = 0.2
 """For how long the controller's clock may stand still before that is a fault [s]."""
@@ -39,7 +54,8 @@ CLOCK_DRIFT: Final = 1e-4
 """By how much the controller's clock may run slower than the host's [1]."""
 
 OUTPUTS: Final = (
-    "timestamp", "actual_q", "actual_qd", "target_q", "robot_mode", "safety_mode", "joint_mode", "runtime_state",
+    "timestamp", "actual_q", "actual_qd", "target_q", "target_TCP_pose", "robot_mode", "safety_mode", "joint_mode",
+    "runtime_state",
 )  # fmt: skip
 """What is read, by the names of RTDE."""
 
@@ -58,7 +74,7 @@ _IS_PLAYING = 2
 
 
 class UrArm(StreamedArm):
-    """A UR arm that follows joints."""
+    """A UR arm: joints by servoj, their velocities by speedj and, with a TCP, poses by servol and twists by speedl."""
 
     def __init__(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> None:
         """Describe the arm; `open` connects.
@@ -67,7 +83,9 @@ class UrArm(StreamedArm):
             address: IP address of the controller.
             about: Its figures.
             options: `rate` of points [Hz]; `watchdog`, how often the controller must hear of us at least [Hz];
-                `lookahead` [s] and `gain` of servoj; `speed`, a share of the description's joint speeds.
+                `lookahead` [s] and `gain` of servoj; `speed`, a share of the description's joint speeds; `tcp`, its
+                pose in the flange as translation [m] and quaternion xyzw, without which poses and twists are not taken,
+                and its largest `tcp_speed` on the way to a pose [m/s].
 
         Raises:
             InvalidSetup: There is no such option, or it makes no sense.
@@ -88,14 +106,22 @@ class UrArm(StreamedArm):
             joint_jerk=list(about.jerk_limit),
             joint_effort=list(about.effort_limit),
         )
+        self._tcp = _pose(options)
+        self._tcp_speed = _number(options, "tcp_speed", TCP_SPEED, 0.001, 1.0)
+        self._acceleration = min(about.acceleration_limit)
+        more = {CommandKind.velocities} | ({CommandKind.pose, CommandKind.twist} if self._tcp else set())
         missed = max(math.ceil(rate / self._watchdog), 2)
-        super().__init__(f"{about.name} at {address}", limits, StreamOptions(rate=rate, missed_ticks=missed))
+        super().__init__(
+            f"{about.name} at {address}", limits, StreamOptions(rate=rate, missed_ticks=missed, more_commands=more)
+        )
         self._address = address
         self._about = about
         self._period = 1.0 / rate
         self._receive: Any = None
         self._control: Any = None
         self._trouble = ""
+        self._ramp: TcpRamp | None = None
+        self._kind = CommandKind.joints
         self._is_led = False
         self._is_given_way = False
         self._device_time = math.nan
@@ -202,14 +228,67 @@ class UrArm(StreamedArm):
             if time.monotonic() > until:
                 raise DeviceFault(f"{self._address}: the control script does not start; look at the log of the pendant")
             time.sleep(0.002)
+        if self._tcp is not None:
+            self._control.setTcp([*self._tcp.translation, *self._tcp.rotvec])
         if not self._control.setWatchdog(self._watchdog):
             raise DeviceFault(f"{self._address}: the controller refuses the watchdog")
 
     def _write(self, point: StreamPoint) -> None:
+        self._ramp = None
+        joints = point.position.tolist()
+        self._send("servoJ", joints, 0.0, 0.0, self._period, self._lookahead, self._gain)
+
+    def _write_other(self, kind: CommandKind, values: NDArray[np.float64]) -> None:
+        self._kind = kind
+        if kind == CommandKind.pose:
+            self._servo_to(Pose.from_tquat(values))
+        elif kind == CommandKind.twist:
+            self._send("speedL", values.tolist(), TCP_ACCELERATION, 0.0)
+        else:
+            self._send("speedJ", values.tolist(), self._acceleration, 0.0)
+
+    def _brake_other(self) -> bool:
+        if self._kind == CommandKind.pose:
+            self._servo_to(None)
+            assert self._ramp is not None
+            return self._ramp.is_still and self._is_at_rest
+        zero = [0.0] * 6
+        if self._kind == CommandKind.twist:
+            self._send("speedL", zero, TCP_ACCELERATION, 0.0)
+        else:
+            self._send("speedJ", zero, self._acceleration, 0.0)
+        if not self._is_at_rest:
+            return False
+        self._send("speedStop", self._acceleration)  # else servoj and speedj would both have the joints
+        return True
+
+    @property
+    def _is_at_rest(self) -> bool:
+        return max(map(abs, self._receive.getActualQd())) < AT_REST
+
+    def _servo_to(self, goal: Pose | None) -> None:
+        """Lead the TCP on by a tick."""
+        if self._ramp is None:
+            start = self._receive.getTargetTCPPose()
+            turn = TURN_PER_METRE
+            self._ramp = TcpRamp(
+                Pose.from_rotvec(start[:3], start[3:]),
+                (self._tcp_speed, turn * self._tcp_speed),
+                (TCP_ACCELERATION, turn * TCP_ACCELERATION),
+            )
+        pose = self._ramp.advance(goal, self._period)
+        target = [*pose.translation, *pose.rotvec]
+        self._send("servoL", target, 0.0, 0.0, self._period, self._lookahead, self._gain)
+
+    def _send(self, call: str, *values: Any) -> None:
+        """Give the control script a command.
+
+        Raises:
+            DeviceFault: It takes none any more; says why.
+        """
         if self._trouble:
             raise DeviceFault(self._trouble)
-        joints = point.position.tolist()
-        if not self._control.servoJ(joints, 0.0, 0.0, self._period, self._lookahead, self._gain):
+        if not getattr(self._control, call)(*values):
             # The reason comes with one of the next outputs.
             until = time.monotonic() + REASON_TIME
             while not self._trouble and time.monotonic() < until:
@@ -282,3 +361,16 @@ def _number(options: Mapping[str, Any], name: str, usual: float, least: float, m
     if not is_number or not least <= value <= most:
         raise InvalidSetup(f"{name} of a UR arm is {value!r}; valid is a number from {least:g} to {most:g}.")
     return float(value)
+
+
+def _pose(options: Mapping[str, Any]) -> Pose | None:
+    """Return the option `tcp`."""
+    if "tcp" not in options:
+        return None
+    try:
+        return Pose.from_tquat(options["tcp"])
+    except (TypeError, ValueError) as err:
+        raise InvalidSetup(
+            f"tcp of a UR arm is {options['tcp']!r}; valid is its pose in the flange, translation [m] and quaternion "
+            f"xyzw in 7 numbers ({err})."
+        ) from err
