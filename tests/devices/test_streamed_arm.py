@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rcs._core import MotionLimits, Trajectory
-from rcs.devices import ArmLimits, ArmState, StreamedArm, StreamOptions, StreamPoint, TcpBox
+from rcs.devices import ArmLimits, ArmState, CommandKind, StreamedArm, StreamOptions, StreamPoint, TcpBox
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup
 from rcs.kinematics import kinematics_of
 from rcs.robots import FR3
@@ -232,3 +232,81 @@ print(arm.ticks > 5, flush=True)
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "True\n", "")
+
+
+class Mover(Servo):
+    """A servo that takes velocities, too, and comes to rest from them in ten ticks."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(is_paced_by_read=True, more_commands={CommandKind.velocities}, **options)
+        self.braked = 0
+
+    def _write_other(self, kind: CommandKind, values: Any) -> None:
+        assert kind == CommandKind.velocities
+        self.joints, self.velocities, self.braked = self.joints + values / 250.0, values, 0
+
+    def _brake_other(self) -> bool:
+        self.braked += 1
+        self.velocities = self.velocities * 0.0 if self.braked >= 10 else self.velocities * 0.5
+        self.joints = self.joints + self.velocities / 250.0
+        return self.braked >= 10
+
+
+def test_other_commands_go_to_the_arm_as_they_are_in_every_tick() -> None:
+    with Mover().open_and_wait() as arm:
+        assert arm.commands() == {CommandKind.joints, CommandKind.velocities}
+        arm.command_velocities(np.array([0.5, 0.0, -0.5]))
+        arm.advance(50)
+        assert arm.joints - START == pytest.approx([0.1, 0.0, -0.1], abs=0.005)
+        assert arm.points == []
+        assert not arm.has_arrived()
+        arm.run_freely()
+
+
+def test_other_commands_end_with_a_hold_or_with_their_time_and_joints_lead_from_there() -> None:
+    with Mover().open_and_wait() as arm:
+        arm.command_velocities(np.array([0.5, 0.0, 0.0]))
+        arm.advance(10)
+        arm.hold()
+        arm.advance(12)
+        assert arm.has_arrived()
+        at_rest = arm.joints.copy()
+        arm.advance(5)
+        assert (arm.joints == at_rest).all()
+        arm.command_velocities(np.array([0.5, 0.0, 0.0]), valid_for=0.02)
+        time.sleep(0.03)
+        arm.advance(15)
+        assert arm.has_arrived()
+        arm.command_joints(arm.joints + 0.01)
+        arm.advance(100)
+        assert arm.joints == pytest.approx(at_rest + 0.01, abs=0.02)
+        arm.run_freely()
+
+
+def test_another_kind_of_command_is_refused_while_the_arm_moves() -> None:
+    with Mover().open_and_wait() as arm:
+        arm.command_velocities(np.array([0.5, 0.0, 0.0]))
+        arm.advance(5)
+        with pytest.raises(InvalidAction, match="another kind of command"):
+            arm.command_joints(arm.joints)
+        arm.command_velocities(np.array([0.2, 0.0, 0.0]))
+        arm.hold()
+        arm.advance(12)
+        arm.command_joints(arm.joints + 0.1)
+        arm.advance(5)
+        with pytest.raises(InvalidAction, match="another kind of command"):
+            arm.command_velocities(np.array([0.1, 0.0, 0.0]))
+        arm.run_freely()
+
+
+def test_other_commands_that_fail_are_a_fault() -> None:
+    class Broken(Mover):
+        def _write_other(self, kind: CommandKind, values: Any) -> None:
+            raise DeviceFault("the motor of joint 2 is off")
+
+    with Broken().open_and_wait() as arm:
+        arm.command_velocities(np.array([0.5, 0.0, 0.0]))
+        arm.run_freely()
+        await_fault(arm)
+        assert "joint 2 is off" in arm.fault
+        assert "stop" in arm.calls

@@ -38,6 +38,9 @@ class RobotiqContract(GripperContract):
         wait_for_fault(device)
         time.sleep(0.5)  # until what was measured is too old to be given
 
+    def restore_link(self, device: Gripper) -> None:
+        self.virtual.tell("clear")
+
     @pytest.fixture(autouse=True)
     def _opened(self, served: VirtualProcess) -> None:
         """Begin each test with an activated gripper that is open."""

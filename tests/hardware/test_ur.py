@@ -72,7 +72,12 @@ class TestContract(ArmContract):
 
     def lose_link(self, device: Arm) -> None:
         self.virtual.tell("cut")
-        wait_for_fault(device)
+        if device.is_open:
+            wait_for_fault(device)
+
+    def restore_link(self, device: Arm) -> None:
+        self.virtual.tell("clear")
+        time.sleep(0.1)
 
 
 def wait_for_fault(arm: Arm, seconds: float = 3.0) -> str:
@@ -275,7 +280,7 @@ def test_a_pose_is_reached_by_the_controller(tcp_arm: Arm) -> None:
 def test_a_twist_moves_the_tcp_until_its_time_is_over(tcp_arm: Arm) -> None:
     start = tcp_of(tcp_arm)
     for _ in range(20):
-        tcp_arm.command_twist([0.0, 0.0, 0.05, 0.0, 0.0, 0.0], valid_for=0.4)
+        tcp_arm.command_twist(np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0]), valid_for=0.4)
         time.sleep(0.02)
     wait_until(tcp_arm.has_arrived)
     moved = tcp_of(tcp_arm).translation - start.translation
@@ -286,7 +291,7 @@ def test_a_twist_moves_the_tcp_until_its_time_is_over(tcp_arm: Arm) -> None:
 
 def test_kinds_of_commands_change_at_rest_only(tcp_arm: Arm) -> None:
     start = tcp_arm.state().joints
-    tcp_arm.command_velocities([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    tcp_arm.command_velocities(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))
     wait_until(lambda: tcp_arm.state().joints[0] - start[0] > 0.02)
     with pytest.raises(InvalidAction, match="another kind of command"):
         tcp_arm.command_joints(start)
