@@ -829,14 +829,14 @@ class TcpBox:
 class StreamOptions:
     """How an arm is streamed to."""
 
-    def __init__(self, *, rate: float = 1000.0, period: float = 0.03333333333333333, is_paced_by_read: bool = False, margin: float = 0.0, first_step: float = 0.2, tracking_error: float = 0.3, arrival: float = 0.01, silence: float = 0.25, missed_ticks: int = 20, box: TcpBox | None = None) -> None:
+    def __init__(self, *, rate: float = 1000.0, period: float = 0.03333333333333333, is_paced_by_read: bool = False, margin: float = 0.0, first_step: float = 0.2, tracking_error: float = 0.3, arrival: float = 0.01, silence: float = 0.25, missed_ticks: int = 20, box: TcpBox | None = None, more_commands: Set[CommandKind] = ...) -> None:
         """
         Points per second, and the time between commands [s].
 
         With `is_paced_by_read`, `_read` returns once per tick and is waited for. Targets keep the `margin` [rad] from the ends of
         the joints' ranges; the first one is within `first_step` [rad] of the measured joints. A joint that is farther than
         `tracking_error` [rad] from where it is led, calls that do not return for longer than `silence` [s] and more than
-        `missed_ticks` in a row are faults. A joint has arrived within `arrival` [rad].
+        `missed_ticks` in a row are faults. A joint has arrived within `arrival` [rad]. `more_commands` are what the arm takes besides joints.
         """
 
     @property
@@ -875,7 +875,8 @@ class StreamedArm(Arm):
     measured joints, starts the arm. From then on each tick writes a point, within the limits of position, speed,
     acceleration and jerk. A command whose time is over, `hold` and faults from outside brake the arm within these limits,
     and it is led where it stands. What `_read` or `_write` raises, a joint that is not where it is led, and too many missed
-    ticks are faults that call `_stop` at once; after `recover`, the next command starts the arm again.
+    ticks are faults that call `_stop` at once; after `recover`, the next command starts the arm again. An arm that names `more_commands` overrides
+    `_write_other(kind, values)` and `_brake_other`; the controller keeps the limits then.
 
     All of the vendor's functions run on the arm's thread but `_open`, `_close` and, while another one does not return, `_stop`.
     """
