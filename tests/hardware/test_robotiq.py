@@ -120,6 +120,7 @@ def test_the_first_command_activates_a_gripper_and_open_does_not(gripper: Grippe
     wait_for_fault(gripper)
     gripper.close()
     gripper.open()
+    gripper.recover()
     before = gripper.state().opening
     time.sleep(0.3)
     assert gripper.state().opening == pytest.approx(before, abs=0.01)

@@ -72,12 +72,20 @@ class TestContract(ArmContract):
 
     def lose_link(self, device: Arm) -> None:
         self.virtual.tell("cut")
-        if device.is_open:
-            wait_for_fault(device)
+        wait_for_fault(device)
+        wait_until(lambda: not is_measured(device))
 
     def restore_link(self, device: Arm) -> None:
         self.virtual.tell("clear")
         time.sleep(0.1)
+
+
+def is_measured(arm: Arm) -> bool:
+    try:
+        arm.state()
+    except DeviceFault:
+        return False
+    return True
 
 
 def wait_for_fault(arm: Arm, seconds: float = 3.0) -> str:
@@ -89,8 +97,7 @@ def wait_for_fault(arm: Arm, seconds: float = 3.0) -> str:
 
 
 def test_joints_and_times_are_those_of_the_robot(arm: Arm) -> None:
-    arm.command_joints(arm.state().joints)
-    target = np.array(UR5E.home) + np.array([0.1, -0.05, 0.08, 0.02, -0.1, 0.15])
+    target = arm.state().joints + np.array([0.1, -0.05, 0.08, 0.02, -0.1, 0.15])
     lead(arm, target)
     state = arm.state()
     assert state.joints == pytest.approx(target, abs=4e-3)
@@ -99,7 +106,6 @@ def test_joints_and_times_are_those_of_the_robot(arm: Arm) -> None:
     assert time.monotonic() - state.time < 0.3
     later = arm.state()
     assert later.device_time >= state.device_time > 0.0
-    lead(arm, np.array(UR5E.home))
 
 
 def test_opening_energises_nothing_and_the_first_command_starts_the_script(virtual: VirtualProcess) -> None:
@@ -204,13 +210,13 @@ ORPHAN = """
 import sys, time
 from rcs.hardware.ur import UrDriver
 from rcs.robots import UR5E
-arm = UrDriver().arm(sys.argv[1], UR5E, {"rate": 125})
+arm = UrDriver().arm(sys.argv[1], UR5E, {"rate": 125, "watchdog": 5})
 arm.open()
 arm.command_joints(arm.state().joints + 0.19)
 start = arm.state().joints
-while abs(arm.state().joints[0] - start[0]) < 0.03:
+while abs(arm.state().joints[0] - start[0]) < 0.03 and not arm.fault:
     time.sleep(0.002)
-print("moves", flush=True)
+print(arm.fault or "moves", flush=True)
 time.sleep(60)
 """
 
@@ -227,8 +233,6 @@ def test_an_arm_whose_program_is_killed_stops_by_itself(virtual: VirtualProcess)
         before = arm.state().joints
         time.sleep(0.2)
         assert arm.state().joints == pytest.approx(before, abs=1e-3)
-        arm.command_joints(before)
-        lead(arm, np.array(UR5E.home))
 
 
 def test_an_environment_of_a_virtual_robot_moves_arm_and_gripper(virtual: VirtualProcess) -> None:
@@ -244,6 +248,7 @@ def test_an_environment_of_a_virtual_robot_moves_arm_and_gripper(virtual: Virtua
         assert seen["gripper"][0] < 0.3
 
 
+HOME = np.array(UR5E.home)
 TCP = (0.0, 0.0, 0.15, 0.0, 0.0, 0.0, 1.0)
 
 
@@ -252,10 +257,12 @@ def tcp_arm(virtual: VirtualProcess) -> Iterator[Arm]:
     """Give an arm that takes poses, too, and bring it home in the end."""
     with UrDriver().arm(ADDRESS, UR5E, {**CALM, "tcp": TCP}) as arm:
         arm.recover()
+        lead(arm, arm.state().joints)
+        lead(arm, HOME)
         yield arm
         rest(arm)
         lead(arm, arm.state().joints)
-        lead(arm, np.array(UR5E.home))
+        lead(arm, HOME)
 
 
 def tcp_of(arm: Arm) -> Pose:

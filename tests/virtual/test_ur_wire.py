@@ -31,9 +31,12 @@ class Robot:
         wire = self.world.wires["ur5e"]
         assert isinstance(wire, UrWire)
         self.wire = wire
+        self.ticks = 0
+        wire.clock = lambda: self.ticks / RATE
 
     def pass_time(self, seconds: float) -> None:
         for _ in range(round(seconds * RATE)):
+            self.ticks += 1
             self.body.line.flush()
             self.wire.tick(self.body)
             self.body.settle()
@@ -150,7 +153,7 @@ def dashboard(robot: Robot, *lines: str) -> list[str]:
 def test_outputs_are_what_the_world_has(robot: Robot) -> None:
     client = Client(robot, "timestamp", "actual_q", "actual_TCP_pose", "robot_mode", "safety_mode", "joint_mode")
     before, after = client.outputs(), client.outputs()
-    assert 0.0 < before["timestamp"] < after["timestamp"]
+    assert after["timestamp"] - before["timestamp"] == pytest.approx(1 / RATE)
     assert after["actual_q"] == pytest.approx(robot.body.joints, abs=1e-9)
     assert after["actual_TCP_pose"][:3] == pytest.approx(robot.body.pose_tcp_in_base[:3], abs=1e-6)
     assert (after["robot_mode"], after["safety_mode"]) == (7, 1)

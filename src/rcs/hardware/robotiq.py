@@ -276,7 +276,7 @@ class RobotiqGripper(Gripper):
         except BaseException:
             self._close()
             raise
-        self._is_ending = False
+        self._is_ending = self._was_active = False
         self._order = self._sent = None
         self._thread = threading.Thread(target=self._serve, name=f"rcs-robotiq-{self._address}", daemon=True)
         self._thread.start()
@@ -294,10 +294,13 @@ class RobotiqGripper(Gripper):
     def _state(self) -> GripperState:
         status = self._status
         assert status is not None, "a call before `open` is refused by the interface"
-        if (age := time.monotonic() - status.time) > 2 * SILENCE:
-            raise DeviceFault(f"{self.name}: nothing was heard of it for {age:.1f} s")
+        self._require_fresh(status)
         opening = (self._closed_at - status.position) / (self._closed_at - self._open_at)
         return GripperState(min(max(opening, 0.0), 1.0), time=status.time)
+
+    def _require_fresh(self, status: RobotiqStatus) -> None:
+        if (age := time.monotonic() - status.time) > 2 * SILENCE:
+            raise DeviceFault(f"nothing was heard of the gripper for {age:.1f} s; look at its cable and its power")
 
     def _command_opening(self, opening: float, force: float | None) -> None:
         wanted = self._force if force is None else force
@@ -320,6 +323,8 @@ class RobotiqGripper(Gripper):
         with self._lock:
             transport, status = self._transport, self._status
             self._order = None
+            if status is not None:
+                self._require_fresh(status)
             if self._sent is None or transport is None or status is None:
                 return  # nothing was ever commanded
             # An activation does not stop for less than a reset.

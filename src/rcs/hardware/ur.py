@@ -122,6 +122,7 @@ class UrArm(StreamedArm):
         self._trouble = ""
         self._ramp: TcpRamp | None = None
         self._kind = CommandKind.joints
+        self._end = ""  # how the thread of the script is ended that has the joints
         self._is_led = False
         self._is_given_way = False
         self._device_time = math.nan
@@ -223,6 +224,7 @@ class UrArm(StreamedArm):
                 raise DeviceFault(f"{self._address}: the control script cannot be uploaded again")
         except RuntimeError as err:
             raise DeviceFault(f"{self._address}: {err}") from err
+        self._end = ""
         until = time.monotonic() + 2.0
         while self._receive.getRuntimeState() != _IS_PLAYING or not self._control.isProgramRunning():
             if time.monotonic() > until:
@@ -257,10 +259,7 @@ class UrArm(StreamedArm):
             self._send("speedL", zero, TCP_ACCELERATION, 0.0)
         else:
             self._send("speedJ", zero, self._acceleration, 0.0)
-        if not self._is_at_rest:
-            return False
-        self._send("speedStop", self._acceleration)  # else servoj and speedj would both have the joints
-        return True
+        return self._is_at_rest
 
     @property
     def _is_at_rest(self) -> bool:
@@ -288,7 +287,11 @@ class UrArm(StreamedArm):
         """
         if self._trouble:
             raise DeviceFault(self._trouble)
-        if not getattr(self._control, call)(*values):
+        # The script has a thread for servoing and one for speeds. Both at once would end it. They change at rest only.
+        end = "servoStop" if call.startswith("servo") else "speedStop"
+        is_taken = self._end in ("", end) or getattr(self._control, self._end)()
+        self._end = end
+        if not (is_taken and getattr(self._control, call)(*values)):
             # The reason comes with one of the next outputs.
             until = time.monotonic() + REASON_TIME
             while not self._trouble and time.monotonic() < until:
@@ -306,7 +309,9 @@ class UrArm(StreamedArm):
 
     def _guide(self) -> None:
         if self._is_led:
-            self._control.servoStop()
+            if self._end:
+                getattr(self._control, self._end)()
+            self._end = ""
             self._is_led = False
         else:
             self._start_program()
@@ -315,6 +320,7 @@ class UrArm(StreamedArm):
         self._is_given_way = True
 
     def _clear(self) -> None:
+        self._is_led = self._is_given_way = False
         if self._control is not None:
             stop_program(self._address)  # what it was told before the fault does not count
         unlock(self._address)

@@ -157,7 +157,8 @@ class UrWire(Wire):
         home = np.array(robot.about.home)
         self._chain = Chain(flange, flange.forward(home).inverse() * tcp.forward(home))
         self._ticks = 0
-        self._began = time.monotonic()
+        self.clock: Callable[[], float] = time.monotonic
+        """The controller's clock [s]."""
         self._thawed = 0.0
         self._reference = Reference(robot.joints)
         self._robot_mode = RobotMode.RUNNING
@@ -188,11 +189,6 @@ class UrWire(Wire):
         except OSError as err:
             raise taken("A virtual UR", f"{self._address}:{port}", err) from err
         return self._ports[-1]
-
-    @property
-    def ticked(self) -> float:
-        """The time of the ticks so far [s]."""
-        return self._ticks / RATE
 
     @property
     def is_running(self) -> bool:
@@ -286,7 +282,7 @@ class UrWire(Wire):
             reason = reason if joint is None else f"{self._about.joints[joint]} {reason}"
             self._robot.note("protective_stop", reason=reason)
             self._safety_mode = SafetyMode.PROTECTIVE_STOP
-            self._stopped_at = self.ticked
+            self._stopped_at = self.clock()
             self._end_program(f"protective stop: {reason}")
 
     def _switch_off(self, safety_mode: SafetyMode) -> None:
@@ -365,8 +361,8 @@ class UrWire(Wire):
         if program is None:
             return
         if "input_int_register_0" in self._rtde.was_set:
-            program.heard = self.ticked
-        elif 0 < program.watchdog < self.ticked - program.heard:
+            program.heard = self.clock()
+        elif 0 < program.watchdog < self.clock() - program.heard:
             self._end_program("watchdog")
             return
         integers = self._registers.integers
@@ -445,7 +441,7 @@ class UrWire(Wire):
             case 31:
                 self._protect("asked for by the program")
             case 35:
-                program.watchdog, program.heard = 1 / values[0], self.ticked
+                program.watchdog, program.heard = 1 / values[0], self.clock()
             case 36 | 37:
                 joints = values[:6] if command == 37 else self._chain.inverse(pose_of(values), now)
                 is_inside = (joints >= self._lower).all() and (joints <= self._upper).all()
@@ -481,7 +477,7 @@ class UrWire(Wire):
         if "def rtde_control" not in text:
             self._robot.note("script_refused", reason="not the control script of ur_rtde", text=text[:200])
         elif self._safety_mode == SafetyMode.NORMAL and self._robot_mode == RobotMode.RUNNING:
-            self._program = _Program(heard=self.ticked)
+            self._program = _Program(heard=self.clock())
             self._registers = _Registers()
 
     # --- Dashboard and outputs ---
@@ -543,7 +539,7 @@ class UrWire(Wire):
 
     def _unlock(self) -> str:
         if self._safety_mode == SafetyMode.PROTECTIVE_STOP:
-            if self.ticked - self._stopped_at < UNLOCK_AFTER:
+            if self.clock() - self._stopped_at < UNLOCK_AFTER:
                 return (
                     "Cannot unlock protective stop until 5s after occurrence. "
                     "Always inspect cause of protective stop before unlocking"
@@ -570,7 +566,7 @@ class UrWire(Wire):
             return int(self._robot_mode > RobotMode.POWER_OFF) | int(self.is_running) << 1
 
         found = {
-            "timestamp": Output("DOUBLE", lambda: time.monotonic() - self._began),
+            "timestamp": Output("DOUBLE", lambda: self.clock()),
             "target_q": Output("VECTOR6D", lambda: self._reference.joints.tolist()),
             "target_qd": Output("VECTOR6D", lambda: self._reference.velocities.tolist()),
             "actual_q": Output("VECTOR6D", lambda: self._robot.joints.tolist()),
