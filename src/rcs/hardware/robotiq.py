@@ -1,0 +1,435 @@
+"""Robotiq 2F grippers: over the socket of the URCap on a UR controller, or over Modbus RTU on a serial line.
+
+Reading takes from 2 to 20 ms, so a thread does it, and sends what is commanded; `state` gives what was read last, with
+its time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import socket
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+from rcs.devices import Gripper, GripperState
+from rcs.errors import DeviceFault, InvalidSetup, require_fields
+from rcs.extras import package_of
+from rcs.hardware.driver import Driver
+from rcs.robots.description import GripperDescription
+
+PORT: Final = 63352
+"""Of the URCap's socket."""
+MODBUS_DEVICE: Final = 9
+FIRST_OUTPUT: Final = 0x03E8
+FIRST_INPUT: Final = 0x07D0
+BAUD_RATE: Final = 115200
+
+PERIOD: Final = 0.02
+"""Time between two readings [s]."""
+SILENCE: Final = 0.4
+"""For how long readings may fail before that is a fault [s]."""
+ACTIVATION_TIME: Final = 10.0
+"""How long an activation may take [s]; the vendor says 3 s or so."""
+
+SLOWEST, FASTEST = 0.020, 0.150
+"""Speeds of the width [m/s] of the registers' ends; vendor's data sheet of the 2F-85."""
+WEAKEST, STRONGEST = 20.0, 235.0
+"""Forces [N] of the registers' ends; likewise."""
+
+OPTIONS: Final = ("speed", "force", "open", "closed")
+
+_ACTIVE = 3
+_IS_MOVING = 0
+
+FAULTS: Final = {
+    0x05: "it waits for the end of its activation",
+    0x07: "it is not activated any more; its power may have failed",
+    0x08: "it is hotter than 85 °C; let it cool down",
+    0x09: "it has heard nothing for 1 s",
+    0x0A: "its supply is below 21.6 V; look at its power and the cable",
+    0x0B: "it releases automatically, since somebody pressed for it",
+    0x0C: "its processor has a fault; switch it off and on",
+    0x0D: "its activation failed; see whether something blocks the fingers",
+    0x0E: "its current is too high; see whether something blocks the fingers",
+    0x0F: "it has released automatically; it must be activated anew",
+}
+"""Codes of register FLT; vendor's instruction manual."""
+_HARMLESS = (0, 0x05, 0x09)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotiqStatus:
+    """What the gripper says of itself, by the names of its manual."""
+
+    activation: int
+    """STA: 0 reset, 1 under way, 3 activated."""
+    goes: int
+    """GTO: whether it goes to the position that is requested."""
+    object: int
+    """OBJ: 0 moving, 1 and 2 stopped by something while opening and closing, 3 there."""
+    fault: int
+    """FLT."""
+    request: int
+    """PRE: the position that is requested."""
+    position: int
+    """POS: 0 open … 255 closed."""
+    time: float
+    """When it was read, on the host's monotonic clock [s]."""
+
+
+class Transport(Protocol):
+    """A way to reach the gripper's registers; one call at a time. Calls raise `DeviceFault`."""
+
+    def read(self) -> RobotiqStatus:
+        """Read all input registers."""
+        ...
+
+    def write(self, *, activate: bool, go: bool, position: int, speed: int, force: int) -> None:
+        """Write all output registers."""
+        ...
+
+    def close(self) -> None:
+        """Let go."""
+        ...
+
+
+class UrcapSocket:
+    """The socket of Robotiq's URCap."""
+
+    _NAMES = ("STA", "GTO", "OBJ", "FLT", "PRE", "POS")
+
+    def __init__(self, address: str) -> None:
+        """Connect.
+
+        Raises:
+            DeviceFault: Nobody is there; says what to look at.
+        """
+        self._address = address
+        self._socket: socket.socket | None = self._connect()
+
+    def _connect(self) -> socket.socket:
+        try:
+            return socket.create_connection((self._address, PORT), SILENCE)
+        except OSError as err:
+            raise DeviceFault(
+                f"{self._address}: no gripper on port {PORT} ({err}); is this the address of the UR controller, is the "
+                "URCap Robotiq Grippers installed, and does its page on the pendant see the gripper?"
+            ) from err
+
+    def read(self) -> RobotiqStatus:
+        """Read all registers at once."""
+        begin = time.monotonic()
+        words = self._ask("".join(f"GET {name}\n" for name in self._NAMES), 2 * len(self._NAMES))
+        try:
+            values = {name: int(value) for name, value in zip(words[::2], words[1::2], strict=True)}
+            activation, goes, found, fault, request, position = (values[name] for name in self._NAMES)
+        except (ValueError, KeyError) as err:
+            raise DeviceFault(
+                f"{self._address}: port {PORT} answers {' '.join(words)!r}; is this the URCap Robotiq Grippers, and is "
+                "the gripper connected?"
+            ) from err
+        return RobotiqStatus(
+            activation=activation, goes=goes, object=found, fault=fault, request=request, position=position, time=begin
+        )
+
+    def write(self, *, activate: bool, go: bool, position: int, speed: int, force: int) -> None:
+        """Write all registers at once."""
+        values = f"ACT {activate:d} POS {position} SPE {speed} FOR {force} GTO {go:d}" if activate else "ACT 0 GTO 0"
+        if (words := self._ask(f"SET {values}\n", 1)) != ["ack"]:
+            raise DeviceFault(f"{self._address}: the gripper answers {' '.join(words)!r} to SET {values}")
+
+    def close(self) -> None:
+        """Hang up."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _ask(self, request: str, count: int) -> list[str]:
+        """Send something and return the words of the answer; `ack` comes without an end of line."""
+        peer = self._socket = self._socket or self._connect()
+        received, is_whole = b"", False
+        try:
+            peer.sendall(request.encode())
+            while not is_whole:
+                if not (data := peer.recv(1024)):
+                    raise DeviceFault(f"{self._address}: the URCap closed the connection to port {PORT}")
+                received += data
+                is_whole = received.startswith(b"?") or (
+                    len(received.split()) >= count and received.endswith((b"\n", b"ack"))
+                )
+        except OSError as err:
+            raise DeviceFault(f"{self._address}: the gripper does not answer on port {PORT} ({err})") from err
+        finally:
+            if not is_whole:
+                self.close()  # an answer that comes late must not be taken for that to the next question
+        return [word.decode("ascii", "replace") for word in received.split()]
+
+
+class ModbusLine:
+    """Modbus RTU on a serial line, 115200 baud, device 9."""
+
+    def __init__(self, path: str) -> None:
+        """Open the line.
+
+        Raises:
+            MissingDependency: pymodbus is not installed.
+            DeviceFault: The line cannot be opened.
+        """
+        self._path = path
+        modbus = package_of("robotiq", "pymodbus.client", "A gripper on a serial line needs")
+        self._error = package_of("robotiq", "pymodbus", "A gripper on a serial line needs").ModbusException
+        self._client = modbus.ModbusSerialClient(path, baudrate=BAUD_RATE, timeout=0.1, retries=0)
+        if not self._client.connect():
+            raise DeviceFault(
+                f"{path}: the serial line cannot be opened; is the adapter plugged in (ls -l {path}), and may you use "
+                "it (sudo usermod -aG dialout $USER, then log in anew)?"
+            )
+
+    def read(self) -> RobotiqStatus:
+        """Read the three input registers."""
+        begin = time.monotonic()
+        answer = self._call("read_holding_registers", FIRST_INPUT, count=3)
+        status, fault, position = answer.registers
+        return RobotiqStatus(
+            activation=status >> 12 & 3, goes=status >> 11 & 1, object=status >> 14 & 3, fault=fault >> 8 & 15,
+            request=fault & 255, position=position >> 8, time=begin,
+        )  # fmt: skip
+
+    def write(self, *, activate: bool, go: bool, position: int, speed: int, force: int) -> None:
+        """Write the three output registers."""
+        request = (activate | go << 3) << 8
+        self._call("write_registers", FIRST_OUTPUT, [request, position, speed << 8 | force])
+
+    def close(self) -> None:
+        """Close the line."""
+        self._client.close()
+
+    def _call(self, name: str, *values: Any, **more: Any) -> Any:
+        try:
+            self._client.socket.reset_input_buffer()  # an answer that came late is not that to the next question
+            answer = getattr(self._client, name)(*values, device_id=MODBUS_DEVICE, **more)
+        except (self._error, OSError) as err:
+            raise DeviceFault(
+                f"{self._path}: no gripper answers ({err}); has it 24 V, and are the wires of RS-485 in their places?"
+            ) from err
+        if answer.isError():
+            raise DeviceFault(f"{self._path}: the gripper refuses: {answer}")
+        return answer
+
+
+@dataclass(frozen=True)
+class _Order:
+    """What the fingers shall do, in the units of the registers."""
+
+    position: int
+    force: int
+
+
+class RobotiqGripper(Gripper):
+    """A 2F-85 or 2F-140. The first command activates it where it is not activated: its fingers open and close fully."""
+
+    def __init__(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> None:
+        """Describe the gripper; `open` connects.
+
+        Args:
+            address: IP address of the UR controller, or path of a serial line such as /dev/ttyUSB0.
+            about: Its figures.
+            options: `speed` of the width [m/s], `force` [N] of commands without one, and the positions at which the
+                fingers are `open` and `closed`, 0 to 255.
+
+        Raises:
+            InvalidSetup: There is no such option, or it makes no sense.
+        """
+        require_fields("option of a Robotiq gripper", options, OPTIONS)
+        super().__init__(f"{about.name} at {address}", about.max_width, about.max_force)
+        self._address = address
+        speed = _number(options, "speed", FASTEST, SLOWEST, FASTEST)
+        self._force = _number(options, "force", about.grasp_force, WEAKEST, STRONGEST)
+        self._open_at = _number(options, "open", 3, 0, 255)
+        self._closed_at = _number(options, "closed", 230, 0, 255)
+        if not self._open_at < self._closed_at:
+            raise InvalidSetup(
+                f"The gripper is open at {self._open_at} and closed at {self._closed_at}; valid is less."
+            )
+        self._speed = round(255 * (speed - SLOWEST) / (FASTEST - SLOWEST))
+        self._transport: Transport | None = None
+        self._lock = threading.RLock()  # of the transport, the order and the status
+        self._wake = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._is_ending = False
+        self._order: _Order | None = None
+        self._sent: _Order | None = None
+        self._was_active = False
+        self._activation_began = -math.inf
+        self._moved = 0.0
+        self._status: RobotiqStatus | None = None
+
+    def _open(self) -> None:
+        is_serial = self._address.startswith("/")
+        self._transport = ModbusLine(self._address) if is_serial else UrcapSocket(self._address)
+        try:
+            self._take(self._transport.read())
+        except BaseException:
+            self._close()
+            raise
+        self._is_ending = self._was_active = False
+        self._order = self._sent = None
+        self._thread = threading.Thread(target=self._serve, name=f"rcs-robotiq-{self._address}", daemon=True)
+        self._thread.start()
+
+    def _close(self) -> None:
+        self._is_ending = True
+        self._wake.set()
+        if self._thread is not None:
+            self._thread.join(2.0)
+            self._thread = None
+        if self._transport is not None:
+            self._transport.close()
+            self._transport = None
+
+    def _state(self) -> GripperState:
+        status = self._status
+        assert status is not None, "a call before `open` is refused by the interface"
+        self._require_fresh(status)
+        opening = (self._closed_at - status.position) / (self._closed_at - self._open_at)
+        return GripperState(min(max(opening, 0.0), 1.0), time=status.time)
+
+    def _require_fresh(self, status: RobotiqStatus) -> None:
+        if (age := time.monotonic() - status.time) > 2 * SILENCE:
+            raise DeviceFault(f"nothing was heard of the gripper for {age:.1f} s; look at its cable and its power")
+
+    def _command_opening(self, opening: float, force: float | None) -> None:
+        wanted = self._force if force is None else force
+        share = min(max((wanted - WEAKEST) / (STRONGEST - WEAKEST), 0.0), 1.0)
+        position = round(self._closed_at + opening * (self._open_at - self._closed_at))
+        with self._lock:
+            self._order = _Order(position, round(255 * share))
+        self._wake.set()
+
+    def _has_arrived(self) -> bool:
+        with self._lock:
+            status, order = self._status, self._order
+            assert status is not None, "a call before `open` is refused by the interface"
+            if order is None:  # held, or never told anything
+                return status.time - self._moved > 2 * PERIOD
+            is_told = self._sent == order and status.request == order.position
+            return is_told and status.activation == _ACTIVE and status.object != _IS_MOVING
+
+    def _hold(self) -> None:
+        with self._lock:
+            transport, status = self._transport, self._status
+            self._order = None
+            if status is not None:
+                self._require_fresh(status)
+            if self._sent is None or transport is None or status is None:
+                return  # nothing was ever commanded
+            # An activation does not stop for less than a reset.
+            activate = status.activation == _ACTIVE
+            transport.write(activate=activate, go=False, position=status.position, speed=0, force=0)
+            self._sent = None
+
+    def _recover(self) -> None:
+        with self._lock:
+            transport = self._transport
+            assert transport is not None, "a call before `open` is refused by the interface"
+            self._order = None
+            status = transport.read()
+            if status.activation != _ACTIVE or status.fault not in _HARMLESS:
+                # Nothing moves: the next command activates it anew.
+                transport.write(activate=False, go=False, position=0, speed=0, force=0)
+                status = transport.read()
+                if status.fault not in (*_HARMLESS, 0x07, 0x0F):
+                    raise DeviceFault(f"the gripper keeps its fault: {FAULTS.get(status.fault, status.fault)}")
+            self._was_active = False
+            self._take(status)
+
+    # --- The thread ---
+
+    def _serve(self) -> None:
+        """Read the gripper and send it what is commanded, until the end."""
+        while not self._is_ending:
+            self._wake.wait(PERIOD)
+            self._wake.clear()
+            if self._is_ending or (self.fault and not self._revives()):
+                continue
+            try:
+                self._exchange()
+            except DeviceFault as err:
+                assert self._status is not None
+                if time.monotonic() - self._status.time > SILENCE:
+                    self.set_fault(str(err))
+
+    def _revives(self) -> bool:
+        """Read on in a fault, so that what is measured stays fresh; errors were told."""
+        with contextlib.suppress(DeviceFault), self._lock:
+            assert self._transport is not None
+            self._take(self._transport.read())
+        return False
+
+    def _exchange(self) -> None:
+        with self._lock:
+            transport, order = self._transport, self._order
+            if transport is None:
+                return
+            if order is not None and order != self._sent:
+                assert self._status is not None
+                if self._status.activation == _ACTIVE:
+                    transport.write(
+                        activate=True, go=True, position=order.position, speed=self._speed, force=order.force
+                    )
+                    self._sent = order
+                else:
+                    self._activate(transport)
+            status = transport.read()
+            self._take(status)
+        self._judge(status)
+
+    def _activate(self, transport: Transport) -> None:
+        """Begin an activation, unless one is under way; the order waits for its end."""
+        assert self._status is not None
+        since = time.monotonic() - self._activation_began
+        if self._status.activation == 0 and since > 1.0:  # it takes a moment to say that it has begun
+            self._sent = _Order(-1, 0)  # so that `_hold` stops it
+            transport.write(activate=False, go=False, position=0, speed=0, force=0)
+            transport.write(activate=True, go=False, position=0, speed=0, force=0)
+            self._activation_began = time.monotonic()
+        elif ACTIVATION_TIME < since < math.inf:
+            self.set_fault(
+                f"its activation has not ended after {ACTIVATION_TIME:g} s; does something block the fingers?"
+            )
+
+    def _take(self, status: RobotiqStatus) -> None:
+        if self._status is None or status.position != self._status.position:
+            self._moved = status.time
+        self._status = status
+
+    def _judge(self, status: RobotiqStatus) -> None:
+        """Enter the fault state for what the gripper reports."""
+        if status.fault not in (*_HARMLESS, 0x07):
+            self.set_fault(f"the gripper reports {status.fault:#x}: {FAULTS.get(status.fault, 'see its manual')}")
+        elif self._was_active and status.activation == 0:
+            self.set_fault(
+                "the gripper has lost its activation, as when its power fails; after recover(), the next command "
+                "activates it: its fingers then open and close fully"
+            )
+        self._was_active = self._was_active or status.activation == _ACTIVE
+
+
+class RobotiqDriver(Driver):
+    """Reaches Robotiq grippers by the IP address of a UR controller, or by the path of a serial line."""
+
+    def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> RobotiqGripper:
+        """Return a gripper; nothing is connected."""
+        return RobotiqGripper(address, about, options)
+
+
+def _number(options: Mapping[str, Any], name: str, usual: float, least: float, most: float) -> float:
+    value = options.get(name, usual)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not is_number or not least <= value <= most:
+        raise InvalidSetup(f"{name} of a Robotiq gripper is {value!r}; valid is a number from {least:g} to {most:g}.")
+    return float(value)

@@ -1,0 +1,382 @@
+"""Arms of Universal Robots: the e-series, over the vendor's RTDE, with the library ur-rtde.
+
+`open` reads and sends nothing. The first command uploads the library's control script, which takes 0.1 s; from then on
+joints are streamed to it (servoj), up to 500 times a second; poses, twists and joint velocities go to the controller's
+own laws. A watchdog on the controller ends the script when nothing comes any more: the arm then brakes, whatever has
+become of this program.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.devices import Arm, ArmLimits, ArmState, CommandKind, Gripper, StreamedArm, StreamOptions, StreamPoint
+from rcs.errors import DeviceFault, InvalidSetup, require_fields
+from rcs.extras import package_of
+from rcs.hardware.driver import Driver
+from rcs.hardware.robotiq import RobotiqGripper
+from rcs.hardware.tcp_ramp import TcpRamp
+from rcs.hardware.ur_controller import (
+    MODE_WORDS,
+    SAFETY_WORDS,
+    require_controller,
+    require_ready_for_program,
+    stop_program,
+    unlock,
+)
+from rcs.robots.description import ArmDescription, GripperDescription
+from rcs.spatial import Pose
+
+OPTIONS: Final = ("rate", "watchdog", "lookahead", "gain", "speed", "tcp", "tcp_speed")
+
+TCP_SPEED: Final = 0.25
+"""Of the TCP, when the site says nothing [m/s]: what ISO 10218-1 allows beside people who teach."""
+TURN_PER_METRE: Final = 4.0
+"""How many radians the TCP may turn in the time of a metre [rad/m]; ours."""
+TCP_ACCELERATION: Final = 1.2
+"""Of the TCP [m/s²]; the usual one of the vendor's linear moves."""
+AT_REST: Final = 1e-3
+"""Slower joints stand still [rad/s]."""
+
+SILENCE: Final = 0.2
+"""For how long the controller's clock may stand still before that is a fault [s]."""
+REASON_TIME: Final = 0.05
+"""For how long the reason is waited for why the controller takes no commands [s]."""
+PATIENCE: Final = 1.0
+"""How long the controller may take to send new values after it was unlocked [s]."""
+CLOCK_DRIFT: Final = 1e-4
+"""By how much the controller's clock may run slower than the host's [1]."""
+
+OUTPUTS: Final = (
+    "timestamp", "actual_q", "actual_qd", "target_q", "target_TCP_pose", "robot_mode", "safety_mode", "joint_mode",
+    "runtime_state",
+)  # fmt: skip
+"""What is read, by the names of RTDE."""
+
+# RTDE's numbers for what the dashboard has names of; vendor's guide "Real-Time Data Exchange".
+_SAFETY_MODES = {
+    3: "PROTECTIVE_STOP", 4: "RECOVERY", 5: "SAFEGUARD_STOP", 6: "SYSTEM_EMERGENCY_STOP", 7: "ROBOT_EMERGENCY_STOP",
+    8: "VIOLATION", 9: "FAULT",
+}  # fmt: skip
+_ROBOT_MODES = {
+    -1: "NO_CONTROLLER", 0: "DISCONNECTED", 1: "CONFIRM_SAFETY", 2: "BOOTING", 3: "POWER_OFF", 4: "POWER_ON",
+    5: "IDLE", 6: "BACKDRIVE", 7: "RUNNING",
+}  # fmt: skip
+_JOINT_FAULTS = {245: "does not respond", 251: "is in violation", 252: "has a fault"}
+_IS_RUNNING = 7
+_IS_PLAYING = 2
+
+
+class UrArm(StreamedArm):
+    """A UR arm: joints by servoj, their velocities by speedj and, with a TCP, poses by servol and twists by speedl."""
+
+    def __init__(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> None:
+        """Describe the arm; `open` connects.
+
+        Args:
+            address: IP address of the controller.
+            about: Its figures.
+            options: `rate` of points [Hz]; `watchdog`, how often the controller must hear of us at least [Hz];
+                `lookahead` [s] and `gain` of servoj; `speed`, a share of the description's joint speeds; `tcp`, its
+                pose in the flange as translation [m] and quaternion xyzw, without which poses and twists are not taken,
+                and its largest `tcp_speed` on the way to a pose [m/s].
+
+        Raises:
+            InvalidSetup: There is no such option, or it makes no sense.
+        """
+        require_fields("option of a UR arm", options, OPTIONS)
+        rate = _number(options, "rate", 500.0, 50.0, 500.0)
+        self._watchdog = _number(options, "watchdog", 20.0, 1.0, 100.0)
+        # On a controller whose acceleration is gain * (error - lookahead * speed), nothing overshoots from
+        # gain = 4 / lookahead² on.
+        self._lookahead = _number(options, "lookahead", 0.05, 0.03, 0.2)
+        self._gain = _number(options, "gain", 1600.0, 100.0, 2000.0)
+        speed = _number(options, "speed", 1.0, 0.01, 1.0)
+        limits = ArmLimits(
+            list(about.joint_lower),
+            list(about.joint_upper),
+            [speed * value for value in about.velocity_limit],
+            joint_acceleration=list(about.acceleration_limit),
+            joint_jerk=list(about.jerk_limit),
+            joint_effort=list(about.effort_limit),
+        )
+        self._tcp = _pose(options)
+        self._tcp_speed = _number(options, "tcp_speed", TCP_SPEED, 0.001, 1.0)
+        self._acceleration = min(about.acceleration_limit)
+        more = {CommandKind.velocities} | ({CommandKind.pose, CommandKind.twist} if self._tcp else set())
+        missed = max(math.ceil(rate / self._watchdog), 2)
+        super().__init__(
+            f"{about.name} at {address}", limits, StreamOptions(rate=rate, missed_ticks=missed, more_commands=more)
+        )
+        self._address = address
+        self._about = about
+        self._period = 1.0 / rate
+        self._receive: Any = None
+        self._control: Any = None
+        self._trouble = ""
+        self._ramp: TcpRamp | None = None
+        self._kind = CommandKind.joints
+        self._end = ""  # how the thread of the script is ended that has the joints
+        self._is_led = False
+        self._is_given_way = False
+        self._device_time = math.nan
+        self._heard = 0.0
+        self._offset = 0.0
+
+    def _open(self) -> None:
+        require_controller(self._address)
+        receive = package_of("ur", "rtde_receive", "The driver `ur` needs")
+        try:
+            self._receive = receive.RTDEReceiveInterface(self._address, 500.0, list(OUTPUTS))
+        except RuntimeError as err:
+            raise DeviceFault(f"{self._address}: {err}") from err
+        self._device_time, self._offset = math.nan, math.inf
+        self._heard = time.monotonic()
+        self._trouble = ""
+        until = self._heard + SILENCE
+        while self._receive.getTimestamp() == 0.0 and time.monotonic() < until:
+            time.sleep(0.002)
+
+    def _read(self) -> ArmState:
+        receive, now = self._receive, time.monotonic()
+        device_time = receive.getTimestamp()
+        if device_time != self._device_time:
+            # The least delay that was seen is that of the line; the clocks may drift apart.
+            drifted = self._offset + CLOCK_DRIFT * (now - self._heard)
+            self._offset = min(drifted, now - device_time)
+            self._device_time, self._heard = device_time, now
+        elif self._is_silent:
+            raise DeviceFault(
+                f"the controller has sent nothing new for {now - self._heard:.2f} s; it hangs, or the cable is out. "
+                "The watchdog on the controller stops the arm"
+            )
+        self._look()
+        if self._is_given_way:
+            self._control.kickWatchdog()
+        return ArmState(
+            receive.getActualQ(),
+            receive.getActualQd(),
+            time=device_time + self._offset,
+            device_time=device_time,
+            commanded_joints=receive.getTargetQ(),
+            mode=_ROBOT_MODES.get(receive.getRobotMode(), "unknown").lower(),
+        )
+
+    @property
+    def _is_silent(self) -> bool:
+        return time.monotonic() - self._heard > SILENCE
+
+    def _look(self) -> None:
+        """Enter the fault state for what the controller reports; what is measured stays readable."""
+        receive = self._receive
+        safety = receive.getSafetyMode()
+        if safety in _SAFETY_MODES:
+            name = _SAFETY_MODES[safety]
+            joints = [
+                f"{self._about.joints[index]} {_JOINT_FAULTS[mode]}"
+                for index, mode in enumerate(receive.getJointMode())
+                if mode in _JOINT_FAULTS
+            ]
+            trouble = "; ".join([SAFETY_WORDS[name], *joints])
+        elif not self._is_led and not self._is_given_way:
+            trouble = ""
+        elif (mode := receive.getRobotMode()) != _IS_RUNNING:
+            trouble = MODE_WORDS.get(_ROBOT_MODES.get(mode, ""), f"the robot mode is {mode}")
+        elif receive.getRuntimeState() != _IS_PLAYING:
+            trouble = (
+                "the control script on the controller has ended: somebody stopped it or took local control, or nothing "
+                f"was heard of this program for {1 / self._watchdog:.3f} s (watchdog)"
+            )
+        else:
+            trouble = ""
+        self._trouble = trouble
+        if trouble and not self._is_led and not self.fault:  # else `_write` tells
+            self.set_fault(trouble)
+
+    def _start(self) -> None:
+        if self._is_given_way:
+            self._is_given_way = False
+            self._control.endFreedriveMode()
+        else:
+            self._start_program()
+        self._is_led = True
+
+    def _start_program(self) -> None:
+        """Upload the control script, and have it watched over.
+
+        Raises:
+            DeviceFault: The arm is not ready for it, or another program has it.
+        """
+        if self._control is not None:
+            stop_program(self._address)  # a script of our own may be left
+        require_ready_for_program(self._address)
+        control = package_of("ur", "rtde_control", "The driver `ur` needs")
+        try:
+            if self._control is None:
+                self._control = control.RTDEControlInterface(self._address, 500.0)
+            elif not self._control.reuploadScript():
+                raise DeviceFault(f"{self._address}: the control script cannot be uploaded again")
+        except RuntimeError as err:
+            raise DeviceFault(f"{self._address}: {err}") from err
+        self._end = ""
+        until = time.monotonic() + 2.0
+        while self._receive.getRuntimeState() != _IS_PLAYING or not self._control.isProgramRunning():
+            if time.monotonic() > until:
+                raise DeviceFault(f"{self._address}: the control script does not start; look at the log of the pendant")
+            time.sleep(0.002)
+        if self._tcp is not None:
+            self._control.setTcp([*self._tcp.translation, *self._tcp.rotvec])
+        if not self._control.setWatchdog(self._watchdog):
+            raise DeviceFault(f"{self._address}: the controller refuses the watchdog")
+
+    def _write(self, point: StreamPoint) -> None:
+        self._ramp = None
+        joints = point.position.tolist()
+        self._send("servoJ", joints, 0.0, 0.0, self._period, self._lookahead, self._gain)
+
+    def _write_other(self, kind: CommandKind, values: NDArray[np.float64]) -> None:
+        self._kind = kind
+        if kind == CommandKind.pose:
+            self._servo_to(Pose.from_tquat(values))
+        elif kind == CommandKind.twist:
+            self._send("speedL", values.tolist(), TCP_ACCELERATION, 0.0)
+        else:
+            self._send("speedJ", values.tolist(), self._acceleration, 0.0)
+
+    def _brake_other(self) -> bool:
+        if self._kind == CommandKind.pose:
+            self._servo_to(None)
+            assert self._ramp is not None
+            return self._ramp.is_still and self._is_at_rest
+        zero = [0.0] * 6
+        if self._kind == CommandKind.twist:
+            self._send("speedL", zero, TCP_ACCELERATION, 0.0)
+        else:
+            self._send("speedJ", zero, self._acceleration, 0.0)
+        return self._is_at_rest
+
+    @property
+    def _is_at_rest(self) -> bool:
+        return max(map(abs, self._receive.getActualQd())) < AT_REST
+
+    def _servo_to(self, goal: Pose | None) -> None:
+        """Lead the TCP on by a tick."""
+        if self._ramp is None:
+            start = self._receive.getTargetTCPPose()
+            turn = TURN_PER_METRE
+            self._ramp = TcpRamp(
+                Pose.from_rotvec(start[:3], start[3:]),
+                (self._tcp_speed, turn * self._tcp_speed),
+                (TCP_ACCELERATION, turn * TCP_ACCELERATION),
+            )
+        pose = self._ramp.advance(goal, self._period)
+        target = [*pose.translation, *pose.rotvec]
+        self._send("servoL", target, 0.0, 0.0, self._period, self._lookahead, self._gain)
+
+    def _send(self, call: str, *values: Any) -> None:
+        """Give the control script a command.
+
+        Raises:
+            DeviceFault: It takes none any more; says why.
+        """
+        if self._trouble:
+            raise DeviceFault(self._trouble)
+        # The script has a thread for servoing and one for speeds. Both at once would end it. They change at rest only.
+        end = "servoStop" if call.startswith("servo") else "speedStop"
+        is_taken = self._end in ("", end) or getattr(self._control, self._end)()
+        self._end = end
+        if not (is_taken and getattr(self._control, call)(*values)):
+            # The reason comes with one of the next outputs.
+            until = time.monotonic() + REASON_TIME
+            while not self._trouble and time.monotonic() < until:
+                time.sleep(0.002)
+                self._look()
+            raise DeviceFault(self._trouble or "the control script on the controller takes no commands any more")
+
+    def _stop(self) -> None:
+        self._is_led = self._is_given_way = False
+        if not self._is_silent:  # else the watchdog does it
+            stop_program(self._address)
+
+    def _can_guide(self) -> bool:
+        return True
+
+    def _guide(self) -> None:
+        if self._is_led:
+            if self._end:
+                getattr(self._control, self._end)()
+            self._end = ""
+            self._is_led = False
+        else:
+            self._start_program()
+        if not self._control.freedriveMode():
+            raise DeviceFault(f"{self._address}: the controller refuses freedrive")
+        self._is_given_way = True
+
+    def _clear(self) -> None:
+        self._is_led = self._is_given_way = False
+        if self._control is not None:
+            stop_program(self._address)  # what it was told before the fault does not count
+        unlock(self._address)
+        # What comes next was measured after that, over the old connections where they have survived.
+        self._offset = math.inf
+        before, until = self._receive.getTimestamp(), time.monotonic() + PATIENCE
+        while self._receive.getTimestamp() == before or self._receive.getSafetyMode() in _SAFETY_MODES:
+            if time.monotonic() > until:
+                self._let_go()
+                return self._open()
+            time.sleep(0.002)
+        self._heard = time.monotonic()
+        self._trouble = ""
+        return None
+
+    def _close(self) -> None:
+        self._let_go()
+
+    def _let_go(self) -> None:
+        self._is_led = self._is_given_way = False
+        for interface in (self._control, self._receive):
+            if interface is not None:
+                interface.disconnect()
+        self._control = self._receive = None
+
+
+class UrDriver(Driver):
+    """Reaches UR arms, and Robotiq grippers that are connected to them, by the IP address of the controller."""
+
+    def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
+        """Return an arm; nothing is connected."""
+        return UrArm(address, about, options)
+
+    def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> Gripper:
+        """Return a Robotiq gripper at the controller's URCap; nothing is connected."""
+        if not about.name.startswith("robotiq"):
+            raise InvalidSetup(f"The driver ur reaches grippers of Robotiq, not {about.name!r}; name another driver.")
+        return RobotiqGripper(address, about, options)
+
+
+def _number(options: Mapping[str, Any], name: str, usual: float, least: float, most: float) -> float:
+    value = options.get(name, usual)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not least <= value <= most:
+        raise InvalidSetup(f"{name} of a UR arm is {value!r}; valid is a number from {least:g} to {most:g}.")
+    return float(value)
+
+
+def _pose(options: Mapping[str, Any]) -> Pose | None:
+    """Return the option `tcp`."""
+    if "tcp" not in options:
+        return None
+    try:
+        return Pose.from_tquat(options["tcp"])
+    except (TypeError, ValueError) as err:
+        raise InvalidSetup(
+            f"tcp of a UR arm is {options['tcp']!r}; valid is its pose in the flange, translation [m] and quaternion "
+            f"xyzw in 7 numbers ({err})."
+        ) from err

@@ -1,0 +1,217 @@
+"""What the controller of a UR makes of its motion commands: where the joints shall be, tick by tick.
+
+Each motion is a function of time that is told `dt` [s] and leads a `Reference`. The laws are simpler than the vendor's,
+which are not published, and keep what they promise: speeds, accelerations, straight lines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rcs.errors import RcsError
+from rcs.kinematics import IkOptions, IkStatus, Kinematics
+from rcs.spatial import Pose
+
+Vector = NDArray[np.float64]
+
+_ONE_BRANCH = IkOptions(translation_tolerance=1e-6, rotation_tolerance=1e-6, restarts=0)
+
+
+class ProgramError(RcsError):
+    """What ends a program on the controller, such as a pose that it cannot reach."""
+
+
+@dataclass
+class Reference:
+    """Where the servos are led: positions [rad], velocities [rad/s] and accelerations [rad/s²] of the joints."""
+
+    joints: Vector
+    velocities: Vector = field(default_factory=lambda: np.zeros(6))
+    accelerations: Vector = field(default_factory=lambda: np.zeros(6))
+
+    def move(self, joints: Vector, dt: float) -> None:
+        """Go to positions within a tick."""
+        self._change((joints - self.joints) / dt, dt)
+        self.joints = joints
+
+    def coast(self, velocities: Vector, dt: float) -> None:
+        """Go on at velocities for a tick."""
+        self._change(velocities, dt)
+        self.joints = self.joints + velocities * dt
+
+    def rest(self) -> None:
+        """Stand still."""
+        self.velocities = self.accelerations = np.zeros(6)
+
+    def _change(self, velocities: Vector, dt: float) -> None:
+        self.accelerations = (velocities - self.velocities) / dt
+        self.velocities = velocities
+
+
+class Motion(Protocol):
+    """Leads a reference until it is over."""
+
+    def step(self, reference: Reference, dt: float) -> bool:
+        """Move the reference by one tick and return whether the motion is over."""
+        ...
+
+
+class Chain:
+    """The arm's kinematics with a tool: poses of the TCP in the base as the controller takes and gives them."""
+
+    def __init__(self, kinematics: Kinematics, tcp_in_flange: Pose) -> None:
+        """Take the kinematics of the flange."""
+        self._kinematics = kinematics
+        self.tcp_in_flange = tcp_in_flange
+
+    def forward(self, joints: Vector) -> Pose:
+        """Return the pose of the TCP."""
+        return self._kinematics.forward(joints) * self.tcp_in_flange
+
+    def inverse(self, pose: Pose, near: Vector) -> Vector:
+        """Return the joints for a pose of the TCP on the branch of `near`.
+
+        Raises:
+            ProgramError: There are none.
+        """
+        found = self._kinematics.inverse(pose * self.tcp_in_flange.inverse(), near, _ONE_BRANCH)
+        if found.status != IkStatus.ok:
+            raise ProgramError(f"get_inverse_kin: no solution for {np.round(vector_of(pose), 4).tolist()}")
+        return found.joints
+
+    def velocities(self, joints: Vector, twist: Vector) -> Vector:
+        """Return joint velocities for a twist of the TCP in the base."""
+        lever = self.forward(joints).translation - self._kinematics.forward(joints).translation
+        at_flange = np.concatenate([twist[:3] - np.cross(twist[3:], lever), twist[3:]])
+        return self._kinematics.velocities(joints, at_flange).joints
+
+
+def pose_of(vector: ArrayLike) -> Pose:
+    """Return the pose that six numbers of the controller stand for: position [m] and rotation vector [rad]."""
+    values = np.asarray(vector, np.float64)
+    return Pose.from_rotvec(values[:3], values[3:6])
+
+
+def vector_of(pose: Pose) -> Vector:
+    """Return a pose as the controller writes it."""
+    return np.concatenate([pose.translation, pose.rotvec])
+
+
+@dataclass
+class Servo:
+    """servoj and servol: joints follow a target, `lookahead` seconds behind one that moves.
+
+    The acceleration is `gain` times the error, projected by the present velocity over `lookahead`. From
+    gain >= 4 / lookahead² on, it overshoots nothing.
+    """
+
+    target: Vector
+    lookahead: float
+    gain: float
+
+    def step(self, reference: Reference, dt: float) -> bool:
+        """Move by one tick."""
+        error = self.target - reference.joints - self.lookahead * reference.velocities
+        reference.coast(reference.velocities + self.gain * dt * error, dt)
+        return False
+
+
+@dataclass
+class SpeedJoints:
+    """speedj: joint velocities, reached at an acceleration [rad/s²] of the leading axis."""
+
+    velocities: Vector
+    acceleration: float
+
+    def step(self, reference: Reference, dt: float) -> bool:
+        """Move by one tick."""
+        reference.coast(_towards(reference.velocities, self.velocities, self.acceleration * dt), dt)
+        return False
+
+
+@dataclass
+class SpeedTcp:
+    """speedl: a twist of the TCP [m/s, rad/s], reached at an acceleration [m/s², rad/s²]."""
+
+    twist: Vector
+    acceleration: float
+    chain: Chain
+    present: Vector = field(default_factory=lambda: np.zeros(6))
+
+    def step(self, reference: Reference, dt: float) -> bool:
+        """Move by one tick."""
+        self.present = _towards(self.present, self.twist, self.acceleration * dt)
+        reference.coast(self.chain.velocities(reference.joints, self.present), dt)
+        return False
+
+
+@dataclass
+class Stop:
+    """stopj, stopl, servo and speed stops: brake on the way on which the joints are [rad/s²]."""
+
+    deceleration: float
+
+    def step(self, reference: Reference, dt: float) -> bool:
+        """Move by one tick."""
+        reference.coast(_towards(reference.velocities, np.zeros(6), self.deceleration * dt), dt)
+        return not reference.velocities.any()
+
+
+class Move:
+    """movej and movel: from rest to rest in the least time, at a speed and an acceleration along the way."""
+
+    def __init__(self, start: Vector, goal: Vector | Pose, speed: float, acceleration: float, chain: Chain) -> None:
+        """Go to joints in joint space [rad/s, rad/s²], or to a pose on a straight line [m/s, m/s²]."""
+        if isinstance(goal, Pose):
+            first = chain.forward(start)
+            length = first.distance_to(goal) or first.angle_to(goal)
+        else:
+            first, length = start, float(np.abs(goal - start).max())
+        self._first, self._goal, self._chain = first, goal, chain
+        self._length = length
+        self._acceleration = acceleration
+        self._speed = min(speed, float(np.sqrt(length * acceleration)))
+        self._time = 0.0
+
+    def step(self, reference: Reference, dt: float) -> bool:
+        """Move by one tick."""
+        self._time += dt
+        share = self._share()
+        if isinstance(self._goal, Pose):
+            assert isinstance(self._first, Pose)
+            reference.move(self._chain.inverse(self._first.interpolate(self._goal, share), reference.joints), dt)
+        else:
+            assert not isinstance(self._first, Pose)
+            reference.move(self._first + share * (self._goal - self._first), dt)
+        if share < 1.0:
+            return False
+        reference.rest()
+        return True
+
+    def _share(self) -> float:
+        """Return the share of the way at the present time: speed up, go on, slow down."""
+        if self._length < 1e-9:
+            return 1.0
+        ramp = self._speed / self._acceleration
+        total = self._length / self._speed + ramp
+        left = total - self._time
+        if left <= 0:
+            return 1.0
+        if self._time < ramp:
+            way = self._acceleration * self._time**2 / 2
+        elif left < ramp:
+            way = self._length - self._acceleration * left**2 / 2
+        else:
+            way = self._speed * (self._time - ramp / 2)
+        return way / self._length
+
+
+def _towards(present: Vector, target: Vector, most: float) -> Vector:
+    """Go straight from present to target velocities by no more than this in the leading axis."""
+    gap = target - present
+    largest = float(np.abs(gap).max())
+    return target if largest <= most else present + gap * (most / largest)

@@ -1,0 +1,185 @@
+"""A Robotiq 2F-85 over both of its transports, against a virtual UR5e that carries one."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Generator, Iterator
+from typing import Any
+
+import pytest
+
+from rcs.devices import Gripper
+from rcs.errors import DeviceFault, InvalidSetup
+from rcs.hardware.robotiq import RobotiqDriver
+from rcs.robots import ROBOTIQ_2F85
+from rcs.testing import GripperContract
+from rcs.virtual import VirtualProcess
+
+ADDRESS = f"127.{64 + (os.getpid() >> 8) % 64}.{os.getpid() % 250 + 1}.1"
+
+
+class RobotiqContract(GripperContract):
+    """The contract, with the virtual robot of a test class."""
+
+    max_age = 0.3
+    address: str
+    virtual: VirtualProcess
+
+    def make_gripper(self) -> Gripper:
+        return RobotiqDriver().gripper(self.address, ROBOTIQ_2F85, {})
+
+    def provoke_fault(self, device: Gripper) -> None:
+        self.virtual.tell("gripper", 14)
+        wait_for_fault(device)
+
+    def lose_link(self, device: Gripper) -> None:
+        self.virtual.tell("cut")
+        wait_for_fault(device)
+        time.sleep(0.5)  # until what was measured is too old to be given
+
+    def restore_link(self, device: Gripper) -> None:
+        self.virtual.tell("clear")
+
+    @pytest.fixture(autouse=True)
+    def _opened(self, served: VirtualProcess) -> None:
+        """Begin each test with an activated gripper that is open."""
+        type(self).virtual = served
+        type(self).address = str(served.site.grippers["ur5e"].address)  # type: ignore[union-attr]
+        served.tell("clear")
+        with self.make_gripper() as gripper:
+            gripper.recover()
+            gripper.command_opening(1.0)
+            self.move(gripper)
+
+
+@pytest.mark.hardware
+class TestOverTheSocket(RobotiqContract):
+    """The URCap's socket on port 63352."""
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def served() -> Generator[VirtualProcess]:
+        with VirtualProcess("ur5e", address=ADDRESS) as virtual:
+            yield virtual
+
+
+@pytest.mark.hardware
+class TestOverModbus(RobotiqContract):
+    """Modbus RTU on a pseudo-terminal."""
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def served(tmp_path_factory: pytest.TempPathFactory) -> Generator[VirtualProcess]:
+        pytest.importorskip("pymodbus", reason="the extra `robotiq` is not installed")
+        pytest.importorskip("serial", reason="the extra `robotiq` is not installed")
+        line = tmp_path_factory.mktemp("serial") / "gripper"
+        with VirtualProcess("ur5e", address=f"{ADDRESS[:-1]}2,{line}") as virtual:
+            yield virtual
+
+
+@pytest.fixture(scope="module")
+def virtual() -> Generator[VirtualProcess]:
+    with VirtualProcess("ur5e", address=f"{ADDRESS[:-1]}3") as virtual:
+        yield virtual
+
+
+@pytest.fixture
+def gripper(virtual: VirtualProcess) -> Iterator[Gripper]:
+    """Give a gripper that is open and activated."""
+    virtual.tell("clear")
+    with RobotiqDriver().gripper(f"{ADDRESS[:-1]}3", ROBOTIQ_2F85, {}) as gripper:
+        gripper.recover()
+        go(gripper, 1.0)
+        yield gripper
+
+
+@pytest.mark.hardware
+@pytest.mark.parametrize(("code", "word"), [(8, "85"), (10, "supply"), (14, "current"), (0, "lost its activation")])
+def test_codes_become_words_and_recover_moves_nothing(
+    code: int, word: str, gripper: Gripper, virtual: VirtualProcess
+) -> None:
+    go(gripper, 0.5)
+    time.sleep(0.1)
+    before = gripper.state().opening
+    virtual.tell("gripper", code)
+    assert word in wait_for_fault(gripper)
+    with pytest.raises(DeviceFault, match=word):
+        gripper.command_opening(1.0)
+    virtual.tell("clear")
+    gripper.recover()
+    time.sleep(0.3)
+    assert gripper.state().opening == pytest.approx(before, abs=0.02)
+    go(gripper, 1.0)
+    assert gripper.state().opening > 0.97
+
+
+@pytest.mark.hardware
+def test_the_first_command_activates_a_gripper_and_open_does_not(gripper: Gripper, virtual: VirtualProcess) -> None:
+    virtual.tell("gripper", 0)
+    wait_for_fault(gripper)
+    gripper.close()
+    gripper.open()
+    gripper.recover()
+    before = gripper.state().opening
+    time.sleep(0.3)
+    assert gripper.state().opening == pytest.approx(before, abs=0.01)
+    gripper.command_opening(0.9)
+    least = 1.0
+    until = time.monotonic() + 10.0
+    while not gripper.has_arrived():
+        assert time.monotonic() < until
+        least = min(least, gripper.state().opening)
+        time.sleep(0.01)
+    assert least < 0.1  # an activation closes and opens the fingers
+    assert gripper.state().opening == pytest.approx(0.9, abs=0.02)
+
+
+@pytest.mark.hardware
+def test_an_answer_that_is_late_or_lost_is_no_wrong_value(gripper: Gripper, virtual: VirtualProcess) -> None:
+    go(gripper, 0.5)
+    virtual.tell("late", "50/10")
+    for _ in range(30):
+        assert gripper.state().opening == pytest.approx(0.5, abs=0.03)
+        time.sleep(0.02)
+    assert gripper.fault == ""
+
+
+def test_a_wrong_address_is_a_fault_with_what_to_look_at() -> None:
+    for address, word in (("127.1.1.1", "URCap"), ("/dev/nothing", "dialout")):
+        if word == "dialout":
+            pytest.importorskip("pymodbus", reason="the extra `robotiq` is not installed")
+            pytest.importorskip("serial", reason="the extra `robotiq` is not installed")
+        with pytest.raises(DeviceFault, match=word):
+            RobotiqDriver().gripper(address, ROBOTIQ_2F85, {}).open()
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"speed": 1.0}, "0.02 to 0.15"),
+        ({"force": True}, "20 to 235"),
+        ({"open": 200, "closed": 100}, "open at 200"),
+        ({"widht": 1}, "widht"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(options: dict[str, Any], match: str) -> None:
+    with pytest.raises(InvalidSetup, match=match):
+        RobotiqDriver().gripper("192.0.2.1", ROBOTIQ_2F85, options)
+
+
+def go(gripper: Gripper, opening: float) -> None:
+    gripper.command_opening(opening)
+    until = time.monotonic() + 15.0
+    while not gripper.has_arrived():
+        assert time.monotonic() < until, gripper.fault
+        time.sleep(0.01)
+
+
+def wait_for_fault(gripper: Gripper, seconds: float = 3.0) -> str:
+    """Wait until a thread of the gripper has found a fault, and return it."""
+    until = time.monotonic() + seconds
+    while not gripper.fault:
+        assert time.monotonic() < until, "no fault was found"
+        time.sleep(0.005)
+    return gripper.fault
