@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rcs
-from rcs.devices import ArmState, GripperState, HandState
+from rcs.devices import ArmState, GripperState, HandState, StreamedArm, StreamOptions, StreamPoint
 from rcs.devices.fakes import FakeArm, FakeGripper, FakeHand
 from rcs.envs.env import Env
 from rcs.errors import DeviceFault
@@ -324,3 +324,33 @@ def test_a_slow_gripper_that_no_longer_answers_grows_stale_and_keeps_nobody_from
     env.close()
     env.close()
     assert "fake gripper has not returned" in caplog.text
+
+
+class Servo(StreamedArm):
+    """An FR3 whose joints are where the points say."""
+
+    def __init__(self) -> None:
+        super().__init__("servo", limits_of(FR3), StreamOptions(rate=100.0, missed_ticks=1000, silence=5.0))
+        self.joints, self.velocities = np.array(FR3.home), np.zeros(FR3.dof)
+
+    def _read(self) -> ArmState:
+        return ArmState(list(self.joints), list(self.velocities))
+
+    def _write(self, point: StreamPoint) -> None:
+        self.joints, self.velocities = point.position, point.velocity
+
+    def _stop(self) -> None:
+        pass
+
+    def _clear(self) -> None:
+        pass
+
+
+def test_a_streamed_arm_knows_the_rate_of_its_commands_and_tells_what_it_clamps() -> None:
+    arm = Servo()
+    with rcs.make("Free", robot="fr3", frequency=20.0, hardware=Site(arms={"fr3": arm})) as env:
+        assert arm.period == pytest.approx(0.05)
+        env.reset()
+        *_, info = env.step({"joints": np.zeros(7), "gripper": np.ones(1, np.float32)})
+        assert info["clamped"] == {"servo": arm.clamped()}
+        assert not any(arm.clamped().values())

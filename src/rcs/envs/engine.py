@@ -317,6 +317,8 @@ class Engine:
             now = self._clock.now()
             info["late"] = self._clock.late
             info["ages"] = {name: now - captured for name, captured in self.stack.capture_times().items()}
+            if clamped := self.stack.clamped():
+                info["clamped"] = clamped
         if faults:
             info.update(end=FAULT, faults=faults)
             terminated, truncated = np.False_, np.True_

@@ -213,7 +213,8 @@ class Env(gymnasium.Env[Observation, dict[str, Any]]):
         observation. `info["target"]` has what the action came to, as absolute targets; `info["refused"]` is there when
         a gate let nothing through.
         `info["time"]` is the time of the observation [s], and in real time `info["late"]` how late the step ended [s]
-        and `info["ages"]` how old each sensor's reading is [s].
+        and `info["ages"]` how old each sensor's reading is [s]. `info["clamped"]` counts, by arm and by what was too
+        much, the commands since `open` of which a streamed arm has carried out less.
 
         Args:
             action: One array per key of `action_space`.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from rcs.devices import StreamedArm
 from rcs.envs.chain import Chain
 from rcs.envs.gate import Gate
 from rcs.envs.layers.layer import Layer, Where
@@ -236,6 +237,10 @@ class Stack:
             for port in chain.ports
             for key, when in port.capture_times().items()
         }
+
+    def clamped(self) -> dict[str, Mapping[str, int]]:
+        """Return how many commands asked streamed arms for more than is allowed since `open`, by arm and by what."""
+        return {port.device.name: port.device.clamped() for port in self.ports if isinstance(port.device, StreamedArm)}
 
     def open(self) -> None:
         """Connect all devices; where one fails, none stays open."""
