@@ -11,7 +11,7 @@ import math
 import socket
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
@@ -169,6 +169,20 @@ class UrcapSocket:
         return [word.decode("ascii", "replace") for word in received.split()]
 
 
+def status_of(registers: Sequence[int], read_at: float) -> RobotiqStatus:
+    """Return what the three input registers of Modbus say, read at a time on the monotonic clock [s]."""
+    status, fault, position = registers
+    return RobotiqStatus(
+        activation=status >> 12 & 3, goes=status >> 11 & 1, object=status >> 14 & 3, fault=fault >> 8 & 15,
+        request=fault & 255, position=position >> 8, time=read_at,
+    )  # fmt: skip
+
+
+def registers_of(activate: bool, go: bool, position: int, speed: int, force: int) -> list[int]:
+    """Return the three output registers of Modbus."""
+    return [(activate | go << 3) << 8, position, speed << 8 | force]
+
+
 class ModbusLine:
     """Modbus RTU on a serial line, 115200 baud, device 9."""
 
@@ -192,17 +206,11 @@ class ModbusLine:
     def read(self) -> RobotiqStatus:
         """Read the three input registers."""
         begin = time.monotonic()
-        answer = self._call("read_holding_registers", FIRST_INPUT, count=3)
-        status, fault, position = answer.registers
-        return RobotiqStatus(
-            activation=status >> 12 & 3, goes=status >> 11 & 1, object=status >> 14 & 3, fault=fault >> 8 & 15,
-            request=fault & 255, position=position >> 8, time=begin,
-        )  # fmt: skip
+        return status_of(self._call("read_holding_registers", FIRST_INPUT, count=3).registers, begin)
 
     def write(self, *, activate: bool, go: bool, position: int, speed: int, force: int) -> None:
         """Write the three output registers."""
-        request = (activate | go << 3) << 8
-        self._call("write_registers", FIRST_OUTPUT, [request, position, speed << 8 | force])
+        self._call("write_registers", FIRST_OUTPUT, registers_of(activate, go, position, speed, force))
 
     def close(self) -> None:
         """Close the line."""
@@ -232,7 +240,13 @@ class _Order:
 class RobotiqGripper(Gripper):
     """A 2F-85 or 2F-140. The first command activates it where it is not activated: its fingers open and close fully."""
 
-    def __init__(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        address: str,
+        about: GripperDescription,
+        options: Mapping[str, Any],
+        transport: Callable[[str], Transport] | None = None,
+    ) -> None:
         """Describe the gripper; `open` connects.
 
         Args:
@@ -240,6 +254,7 @@ class RobotiqGripper(Gripper):
             about: Its figures.
             options: `speed` of the width [m/s], `force` [N] of commands without one, and the positions at which the
                 fingers are `open` and `closed`, 0 to 255.
+            transport: How the address is reached; None for a serial line where it is a path, else the URCap's socket.
 
         Raises:
             InvalidSetup: There is no such option, or it makes no sense.
@@ -256,6 +271,7 @@ class RobotiqGripper(Gripper):
                 f"The gripper is open at {self._open_at} and closed at {self._closed_at}; valid is less."
             )
         self._speed = round(255 * (speed - SLOWEST) / (FASTEST - SLOWEST))
+        self._connect = transport or (ModbusLine if address.startswith("/") else UrcapSocket)
         self._transport: Transport | None = None
         self._lock = threading.RLock()  # of the transport, the order and the status
         self._wake = threading.Event()
@@ -269,8 +285,7 @@ class RobotiqGripper(Gripper):
         self._status: RobotiqStatus | None = None
 
     def _open(self) -> None:
-        is_serial = self._address.startswith("/")
-        self._transport = ModbusLine(self._address) if is_serial else UrcapSocket(self._address)
+        self._transport = self._connect(self._address)
         try:
             self._take(self._transport.read())
         except BaseException:

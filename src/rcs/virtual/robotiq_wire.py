@@ -183,18 +183,23 @@ class RobotiqWire:
 
     # --- Modbus RTU ---
 
+    def answer_frame(self, frame: bytes) -> bytes:
+        """Return the answer to a frame without its checksum, b"" if it is for another device."""
+        if len(frame) < 2 or frame[0] != DEVICE:
+            return b""
+        return bytes([DEVICE]) + self._modbus(frame[1], frame[2:])
+
     def _serve_modbus(self) -> None:
         with contextlib.suppress(BlockingIOError):
             self._received += os.read(self._line, 4096)
         while (size := _size_of(self._received)) and len(self._received) >= size:
             frame, self._received = self._received[:size], self._received[size:]
             frame = self._robot.line.receive(frame) or b""
-            if len(frame) < 4 or crc(frame[:-2]) != frame[-2:] or frame[0] != DEVICE:
+            answer = self.answer_frame(frame[:-2]) if crc(frame[:-2]) == frame[-2:] else b""
+            if not answer:
                 self._received = b""  # a damaged frame: wait for the next one, as after a pause on the line
                 return
-            answer = self._modbus(frame[1], frame[2:-2])
-            whole = bytes([DEVICE]) + answer
-            self._robot.line.send(whole + crc(whole), self._write)
+            self._robot.line.send(answer + crc(answer), self._write)
 
     def _write(self, data: bytes) -> None:
         with contextlib.suppress(BlockingIOError):  # nobody reads

@@ -22,6 +22,10 @@ class TcpConnection:
         self.received = bytearray()
         self.is_open = True
 
+    def fileno(self) -> int:
+        """Return the number by which the system knows the socket."""
+        return self._socket.fileno()
+
     def send(self, data: bytes) -> None:
         """Send now what the client takes, the rest later."""
         self._waiting += data

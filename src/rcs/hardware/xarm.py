@@ -1,0 +1,324 @@
+"""Arms of UFACTORY: the xArm7, with the vendor's library xarm-python-sdk.
+
+`open` reads and switches nothing on. The first command enables the motors and enters servo mode, where the controller
+leads the joints to each point as soon as it comes; the limits of speed, acceleration and jerk are those of this side.
+A program that ends without a word leaves the arm at its last point.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.devices import Arm, ArmLimits, ArmState, CommandKind, Gripper, StreamedArm, StreamOptions, StreamPoint
+from rcs.errors import DeviceFault, InvalidSetup, require_fields
+from rcs.hardware.driver import Driver
+from rcs.hardware.robotiq import RobotiqGripper
+from rcs.hardware.tcp_ramp import TcpRamp
+from rcs.hardware.xarm_controller import CODE_WORDS, STATE_WORDS, XarmTool, connect, others_on, require_controller
+from rcs.kinematics import kinematics_of
+from rcs.robots.description import ArmDescription, GripperDescription
+from rcs.spatial import Pose
+
+OPTIONS: Final = ("rate", "speed", "tcp", "tcp_speed")
+
+SPEED: Final = 0.12
+"""Share of the joint speeds, when the site says nothing: with it, no pose has the TCP faster than `FASTEST_TCP`, were
+all joints at full speed in the worst directions; the most of 10⁵ random poses with a tool of 0.2 m is 2.48 m/rad."""
+FASTEST_TCP: Final = 0.95
+"""Of the TCP in servo mode [m/s]: the controller stops the arm at 1 to 1.2 m/s, by its firmware."""
+TCP_SPEED: Final = 0.25
+"""Of the TCP on the way to a pose, when the site says nothing [m/s]: what ISO 10218-1 allows beside people."""
+TURN_PER_METRE: Final = 4.0
+"""How many radians the TCP may turn in the time of a metre [rad/m]; ours."""
+TCP_ACCELERATION: Final = 1.2
+"""Of the TCP [m/s²]; ours."""
+AT_REST: Final = 1e-2
+"""Slower joints stand still [rad/s]."""
+
+SILENCE: Final = 0.2
+"""For how long the controller may not answer before that is a fault [s]."""
+SETTLING: Final = 0.1
+"""What the vendor's examples wait for after a change of the mode [s]."""
+PATIENCE: Final = 1.0
+"""How long a change of the state may take [s]."""
+
+_STOPPED, _MOVING, _SERVO, _MANUAL = 4, 1, 1, 2
+_HAS_ERROR, _HAS_WARNING, _NO_ANSWER, _NOT_READY, _REFUSED = 1, 2, 3, 9, 10  # what the library's calls return
+
+
+class XarmArm(StreamedArm):
+    """An xArm7 in servo mode: joints and, with a TCP, poses."""
+
+    def __init__(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> None:
+        """Describe the arm; `open` connects.
+
+        Args:
+            address: IP address of the controller.
+            about: Its figures.
+            options: `rate` of points [Hz]; `speed`, a share of the description's joint speeds; `tcp`, its pose in the
+                flange as translation [m] and quaternion xyzw, without which poses are not taken, and its largest
+                `tcp_speed` on the way to a pose [m/s].
+
+        Raises:
+            InvalidSetup: There is no such option, or it makes no sense.
+        """
+        require_fields("option of an xArm", options, OPTIONS)
+        rate = _number(options, "rate", 250.0, 30.0, 250.0)
+        speed = _number(options, "speed", SPEED, 0.01, 1.0)
+        limits = ArmLimits(
+            list(about.joint_lower),
+            list(about.joint_upper),
+            [speed * value for value in about.velocity_limit],
+            joint_acceleration=list(about.acceleration_limit),
+            joint_jerk=list(about.jerk_limit),
+            joint_effort=list(about.effort_limit),
+        )
+        self._tcp = _pose(options)
+        self._tcp_speed = _number(options, "tcp_speed", TCP_SPEED, 0.001, FASTEST_TCP)
+        more = {CommandKind.pose} if self._tcp else set[CommandKind]()
+        super().__init__(f"{about.name} at {address}", limits, StreamOptions(rate=rate, more_commands=more))
+        self._address = address
+        self._flange = kinematics_of(about)
+        self._period = 1.0 / rate
+        self._api: Any = None
+        self._trouble = ""
+        self._heard = 0.0
+        self._is_led = False
+        self._is_given_way = False
+        self._ramp: TcpRamp | None = None
+        self._place: NDArray[np.float64] | None = None
+        self._sent: NDArray[np.float64] | None = None
+
+    def _open(self) -> None:
+        require_controller(self._address)
+        self._api = connect(self._address)
+        self._api.set_timeout(SILENCE)
+        self._heard = time.monotonic()
+        self._trouble = ""
+
+    def _read(self) -> ArmState:
+        begin = time.monotonic()
+        code, rows = self._api.get_joint_states(is_radian=True, num=3)
+        self._require_answer(code)
+        joints, velocities, efforts = rows
+        self._look()
+        return ArmState(
+            joints,
+            velocities,
+            time=0.5 * (begin + self._heard),
+            commanded_joints=[] if self._sent is None else self._sent.tolist(),
+            efforts=efforts,
+            mode="servo" if self._is_led else "manual" if self._is_given_way else "",
+        )
+
+    def _require_answer(self, code: int) -> None:
+        """Check that there was an answer to a call.
+
+        Raises:
+            DeviceFault: There was none.
+        """
+        if code == _NO_ANSWER:
+            raise DeviceFault(
+                f"the controller has not answered for {time.monotonic() - self._heard:.2f} s; it hangs, or the cable is"
+                " out. The arm stays at the last point that it got"
+            )
+        if code not in (0, _HAS_ERROR, _HAS_WARNING, _NOT_READY, _REFUSED):
+            raise DeviceFault(f"the connection to the controller is lost (the library returns {code})")
+        self._heard = time.monotonic()
+
+    @property
+    def _is_silent(self) -> bool:
+        return self._api is None or time.monotonic() - self._heard > SILENCE
+
+    def _look(self) -> None:
+        """Enter the fault state for what the controller reports; what is measured stays readable."""
+        if self._api.core.has_err_warn:
+            code, (error, _) = self._api.get_err_warn_code()
+            self._require_answer(code)
+            self._trouble = _words(error) if error else ""
+        else:
+            self._trouble = ""
+        if not self._trouble and (self._is_led or self._is_given_way) and not self._api.core.state_is_ready:
+            code, state = self._api.get_state()
+            self._require_answer(code)
+            if not self._api.core.state_is_ready:
+                self._trouble = STATE_WORDS.get(state, f"the state of the controller is {state}")
+        if self._trouble and not self._is_led and not self.fault:  # else `_send` tells
+            self.set_fault(self._trouble)
+
+    def _start(self) -> None:
+        code, state = self._api.get_state()
+        self._require_answer(code)
+        if self._is_given_way:
+            self._is_given_way = False
+        elif state == _MOVING:
+            raise DeviceFault(
+                f"{self._address}: another program already moves the arm{others_on(self._address)}; end it"
+            )
+        self._enter(_SERVO)
+        self._ramp = self._place = self._sent = None
+        self._is_led = True
+
+    def _enter(self, mode: int) -> None:
+        """Enable the motors, and enter a mode.
+
+        Raises:
+            DeviceFault: The controller refuses; says why.
+        """
+        api = self._api
+        self._require_answer(api.motion_enable(True))
+        if self._tcp is not None:
+            tcp = self._tcp.xyzrpy
+            self._require_answer(api.set_tcp_offset([*(1e3 * tcp[:3]), *tcp[3:]], is_radian=True, wait=False))
+        self._require_answer(api.set_mode(mode))
+        self._require_answer(api.set_state(0))
+        until = time.monotonic() + PATIENCE
+        while not api.core.state_is_ready:
+            self._look()
+            if self._trouble or time.monotonic() > until:
+                _, state = api.get_state()
+                raise DeviceFault(
+                    f"{self._address}: the controller does not let the arm move: "
+                    + (self._trouble or STATE_WORDS.get(state, f"its state is {state}"))
+                )
+            time.sleep(0.01)
+            self._require_answer(api.get_state()[0])
+        time.sleep(SETTLING)
+
+    def _write(self, point: StreamPoint) -> None:
+        joints = point.position
+        place = (self._flange.forward(joints) * (self._tcp or Pose())).translation
+        if self._place is not None:
+            speed = float(np.linalg.norm(place - self._place)) / self._period
+            if speed > FASTEST_TCP:
+                raise DeviceFault(
+                    f"the TCP was to move at {speed:.2f} m/s, valid is at most {FASTEST_TCP:g} m/s in servo mode; lower"
+                    " the option `speed`, or lead the arm more slowly"
+                )
+        self._place, self._ramp, self._sent = place, None, joints
+        self._send(self._api.set_servo_angle_j, joints.tolist())
+
+    def _write_other(self, kind: CommandKind, values: NDArray[np.float64]) -> None:
+        self._servo_to(Pose.from_tquat(values))
+
+    def _brake_other(self) -> bool:
+        self._servo_to(None)
+        assert self._ramp is not None
+        code, rows = self._api.get_joint_states(is_radian=True, num=2)
+        self._require_answer(code)
+        return self._ramp.is_still and max(map(abs, rows[1])) < AT_REST
+
+    def _servo_to(self, goal: Pose | None) -> None:
+        """Lead the TCP on by a tick."""
+        if self._ramp is None:
+            code, start = self._api.get_position(is_radian=True)
+            self._require_answer(code)
+            turn = TURN_PER_METRE
+            self._ramp = TcpRamp(
+                Pose.from_xyzrpy([*(1e-3 * np.array(start[:3])), *start[3:]]),
+                (self._tcp_speed, turn * self._tcp_speed),
+                (TCP_ACCELERATION, turn * TCP_ACCELERATION),
+            )
+        pose = self._ramp.advance(goal, self._period).xyzrpy
+        self._place = self._sent = None
+        self._send(self._api.set_servo_cartesian, [*(1e3 * pose[:3]), *pose[3:]])
+
+    def _send(self, call: Any, values: list[float]) -> None:
+        """Give the controller a point.
+
+        Raises:
+            DeviceFault: It takes none any more; says why.
+        """
+        if self._trouble:
+            raise DeviceFault(self._trouble)
+        code = call(values, is_radian=True)
+        if code == 0:
+            return
+        if code in (_HAS_ERROR, _NOT_READY, _REFUSED):
+            self._look()
+            raise DeviceFault(self._trouble or f"the controller refuses a point (the library returns {code})")
+        self._require_answer(code)
+
+    def _stop(self) -> None:
+        self._is_led = self._is_given_way = False
+        if not self._is_silent:  # else it stands at the last point
+            self._require_answer(self._api.set_state(_STOPPED))
+
+    def _can_guide(self) -> bool:
+        return True
+
+    def _guide(self) -> None:
+        self._is_led = False
+        self._enter(_MANUAL)
+        self._is_given_way = True
+
+    def _clear(self) -> None:
+        self._is_led = self._is_given_way = False
+        if self._is_silent or not self._api.connected:
+            self._let_go()
+            self._open()
+        api = self._api
+        self._require_answer(api.clean_error())
+        self._require_answer(api.clean_warn())
+        code, (error, _) = api.get_err_warn_code()
+        self._require_answer(code)
+        if error:
+            raise DeviceFault(f"the error stays: {_words(error)}")
+        self._require_answer(api.set_state(_STOPPED))  # points from before the fault do not count
+        self._trouble = ""
+
+    def _close(self) -> None:
+        self._let_go()
+
+    def _let_go(self) -> None:
+        self._is_led = self._is_given_way = False
+        if self._api is not None:
+            self._api.disconnect()
+        self._api = None
+
+
+class XarmDriver(Driver):
+    """Reaches arms of UFACTORY, and Robotiq grippers at their flange, by the IP address of the controller."""
+
+    hosted = True
+
+    def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
+        """Return an arm; nothing is connected."""
+        return XarmArm(address, about, options)
+
+    def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> Gripper:
+        """Return a Robotiq gripper at the flange; nothing is connected."""
+        if not about.name.startswith("robotiq"):
+            raise InvalidSetup(f"The driver xarm reaches grippers of Robotiq, not {about.name!r}; name another driver.")
+        return RobotiqGripper(address, about, options, XarmTool)
+
+
+def _words(error: int) -> str:
+    """Return what an error of the controller means."""
+    return f"C{error}: {CODE_WORDS.get(error, 'see the manual of the xArm')}"
+
+
+def _number(options: Mapping[str, Any], name: str, usual: float, least: float, most: float) -> float:
+    value = options.get(name, usual)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not least <= value <= most:
+        raise InvalidSetup(f"{name} of an xArm is {value!r}; valid is a number from {least:g} to {most:g}.")
+    return float(value)
+
+
+def _pose(options: Mapping[str, Any]) -> Pose | None:
+    """Return the option `tcp`."""
+    if "tcp" not in options:
+        return None
+    try:
+        return Pose.from_tquat(options["tcp"])
+    except (TypeError, ValueError) as err:
+        raise InvalidSetup(
+            f"tcp of an xArm is {options['tcp']!r}; valid is its pose in the flange, translation [m] and quaternion "
+            f"xyzw in 7 numbers ({err})."
+        ) from err

@@ -1,0 +1,224 @@
+"""What an xArm controller says of itself, and how it is reached: by a plain socket, by the library, up to the flange.
+
+The vendor's library waits for more than three minutes on a peer that says nothing, so port 502 is tried here before it
+is given the address.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import re
+import socket
+import struct
+import time
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any, Final
+
+from rcs.errors import DeviceFault
+from rcs.extras import package_of
+from rcs.hardware.robotiq import FIRST_INPUT, FIRST_OUTPUT, MODBUS_DEVICE, RobotiqStatus, registers_of, status_of
+
+PORT: Final = 502
+PATIENCE: Final = 1.5
+"""How long the controller may take to answer [s]."""
+OLDEST: Final = (1, 9, 0)
+"""The first firmware that tells the speeds of the joints."""
+AXES: Final = 7
+TOOL_PATIENCE: Final = 0.1
+"""How long the line at the flange may take to answer [s]."""
+
+CODE_WORDS: Final = {
+    1: "emergency stop: release the button on the control box, then call recover()",
+    2: "the emergency input of the control box is open: close it, then call recover()",
+    3: "emergency stop of the three-state switch: release it, then call recover()",
+    10: "the servos report an error, as when their supply fails: look at power and cable; then call recover()",
+    **{10 + n: f"joint{n} reports an error: see what loads or blocks it, let it cool down; then call recover()"
+       for n in range(1, 8)},
+    18: "the force sensor does not answer: look at its cable",
+    19: "the end effector does not answer: look at its cable and its baud rate",
+    21: "no joints for a pose: it is out of reach, or the arm is stretched out",
+    22: "the arm would hit itself",
+    23: "a joint is at the end of its range: bring it back in UFACTORY Studio (Live Control), in manual mode",
+    24: "a joint was led too fast; lower the option `speed`, and look whether this machine is too busy",
+    25: "the controller cannot plan a motion",
+    26: "the controller's computer is too late: switch it off and on",
+    27: "the controller got no answer inside of the control box: switch it off and on",
+    28: "the board at the flange does not answer: switch the control box off and on",
+    30: "a joint measured itself as too fast: something pushed it, or its servo is broken",
+    31: "collision: the arm hit something, was pushed, or carries another load than the controller knows; look at the "
+    "cause, at the payload (UFACTORY Studio) and at the collision sensitivity, then call recover()",
+    35: "the arm is at the safety boundary that is set in UFACTORY Studio",
+    37: "the arm moved by itself in manual mode: set payload and mounting in UFACTORY Studio",
+    38: "a joint measures nonsense: switch the control box off, and ask the vendor",
+    60: "the TCP was led faster than servo mode allows; lower the option `speed`",
+}  # fmt: skip
+"""What errors of the controller mean, by their numbers; vendor's manual."""
+
+STATE_WORDS: Final = {
+    3: "somebody has paused the arm (state 3), at UFACTORY Studio or in another program",
+    4: "somebody has stopped the arm (state 4), at UFACTORY Studio or in another program",
+    5: "somebody has changed the mode or a setting (state 5), at UFACTORY Studio or in another program",
+}
+"""What it means that the controller moves nothing any more, by its state; vendor's manual."""
+
+
+def require_controller(address: str) -> None:
+    """Check that the controller of an xArm7 answers, with a firmware that is new enough.
+
+    Raises:
+        DeviceFault: It does not; says what to look at. At most after `PATIENCE`.
+    """
+    until = time.monotonic() + PATIENCE
+    try:
+        with socket.create_connection((address, PORT), PATIENCE) as peer:
+            told = _ask_version(peer, address, until)
+    except TimeoutError as err:
+        raise DeviceFault(
+            f"{address}: no answer on port {PORT}; is the control box on, is its cable in, is this computer in its "
+            f"network (ping {address}), and is this the address of an xArm?"
+        ) from err
+    except ConnectionRefusedError as err:
+        raise DeviceFault(
+            f"{address}: nothing listens on port {PORT}; is this the address of an xArm (it is on a sticker on the "
+            "control box), and has it started (a minute after it is switched on)?"
+        ) from err
+    except OSError as err:
+        raise DeviceFault(f"{address}: port {PORT} cannot be reached: {err}") from err
+    found = re.search(r"(\d+)\.(\d+)\.(\d+)", told)
+    if found is None:
+        raise DeviceFault(f"{address}: port {PORT} answers {told[:60]!r}, which names no firmware: this is no xArm")
+    firmware = tuple(map(int, found.groups()))
+    if firmware < OLDEST:
+        raise DeviceFault(
+            f"{address}: the controller has firmware {found[0]}; the driver needs {'.'.join(map(str, OLDEST))} or"
+            " newer: update it in UFACTORY Studio (Settings, System, Firmware)"
+        )
+    axes = re.match(r"(\d+),", told)
+    if axes is not None and int(axes[1]) != AXES:
+        raise DeviceFault(f"{address}: the arm there has {axes[1]} joints, an xArm7 has {AXES}: is this another arm?")
+
+
+def _ask_version(peer: socket.socket, address: str, until: float) -> str:
+    peer.sendall(struct.pack(">3HB", 1, 2, 1, 1))
+    data = b""
+    while len(data) < 8 or len(data) < 6 + struct.unpack_from(">H", data, 4)[0]:
+        peer.settimeout(max(until - time.monotonic(), 0.01))
+        try:
+            received = peer.recv(4096)
+        except TimeoutError as err:
+            raise DeviceFault(
+                f"{address}: port {PORT} takes the connection and says nothing; the controller hangs or is starting, or"
+                " this is no xArm"
+            ) from err
+        if not received:
+            raise DeviceFault(f"{address}: port {PORT} closed the connection; is this an xArm?")
+        data += received
+        if struct.unpack(">H", data[2:4].ljust(2, b"\0"))[0] != 2 and len(data) >= 4:
+            raise DeviceFault(f"{address}: port {PORT} answers {data[:20]!r}: this is no xArm")
+    return data[8:].rstrip(b"\0").decode("ascii", "replace")
+
+
+def others_on(address: str) -> str:
+    """Return which other programs of this machine are connected to a controller, as the end of a sentence."""
+    wanted = struct.unpack("=I", socket.inet_aton(socket.gethostbyname(address)))[0]
+    sockets = {
+        words[9]
+        for line in Path("/proc/net/tcp").read_text().splitlines()[1:]
+        if (words := line.split())[2] == f"{wanted:08X}:{PORT:04X}"
+    }
+    found: list[str] = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            links = {str(link.readlink()) for link in (process / "fd").iterdir()}
+            if links & {f"socket:[{one}]" for one in sockets} and process.name != str(Path("/proc/self").readlink()):
+                program = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
+                found.append(f"process {process.name} ({program[:80]})")
+        except OSError:  # it has ended, or is another user's
+            continue
+    return f", perhaps {' or '.join(found)}" if found else " or UFACTORY Studio, on another machine"
+
+
+def connect(address: str) -> Any:
+    """Return the library's connection to a controller that answers.
+
+    It has no stream of reports: each answer to a command tells of errors, too.
+
+    Raises:
+        MissingDependency: The library is not installed.
+        DeviceFault: The controller does not answer any more.
+    """
+    with _quietly():
+        library = package_of("xarm", "xarm.wrapper", "The driver `xarm` needs")
+        # It prints to the program's output what its calls return, too, and that the mode is unknown at each point.
+        package_of("xarm", "xarm.core.utils.log", "The driver `xarm` needs").logger.setLevel(logging.CRITICAL)
+        logging.getLogger("origin.print").setLevel(logging.CRITICAL)
+        api = library.XArmAPI(
+            address,
+            is_radian=True,
+            do_not_open=True,
+            enable_report=False,
+            timed_comm=False,
+            check_simulation_mode=False,
+            forbid_uds=True,
+        )
+        try:
+            api.connect()
+        except Exception as err:  # the library raises no other kind
+            raise DeviceFault(f"{address}: {err}") from err
+    return api
+
+
+@contextlib.contextmanager
+def _quietly() -> Generator[None]:
+    """Log what the library prints, and undo that it gives all new sockets of the program a timeout."""
+    timeout, said = socket.getdefaulttimeout(), io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said):
+            yield
+    finally:
+        socket.setdefaulttimeout(timeout)
+        for line in said.getvalue().splitlines():
+            logging.getLogger(__name__).debug(line)
+
+
+class XarmTool:
+    """A Robotiq gripper on the line at the flange, through a connection of its own: no point waits for the gripper."""
+
+    def __init__(self, address: str) -> None:
+        """Connect.
+
+        Raises:
+            DeviceFault: No controller answers; says what to look at.
+        """
+        require_controller(address)
+        self._address = address
+        self._api = connect(address)
+        self._api.set_timeout(TOOL_PATIENCE)
+
+    def read(self) -> RobotiqStatus:
+        """Read the three input registers."""
+        begin = time.monotonic()
+        answer = self._ask(struct.pack(">2B2H", MODBUS_DEVICE, 3, FIRST_INPUT, 3), 9)
+        return status_of(struct.unpack(">3H", answer[3:9]), begin)
+
+    def write(self, *, activate: bool, go: bool, position: int, speed: int, force: int) -> None:
+        """Write the three output registers."""
+        values = registers_of(activate, go, position, speed, force)
+        self._ask(struct.pack(">2B2HB3H", MODBUS_DEVICE, 16, FIRST_OUTPUT, 3, 6, *values), 6)
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._api.disconnect()
+
+    def _ask(self, frame: bytes, size: int) -> bytes:
+        code, answer = self._api.set_rs485_data(list(frame), min_res_len=size)
+        if code != 0 or len(answer) < size or answer[1] != frame[1]:
+            raise DeviceFault(
+                f"{self._address}: the gripper does not answer through the controller (the library returns {code}); has"
+                " it 24 V, is its cable in, and is the line at the flange set to 115200 baud (UFACTORY Studio,"
+                " Settings, Externals)?"
+            )
+        return bytes(answer)
