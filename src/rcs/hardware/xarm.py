@@ -158,7 +158,7 @@ class XarmArm(StreamedArm):
             self._is_given_way = False
         elif state == _MOVING:
             raise DeviceFault(
-                f"{self._address}: another program already moves the arm{others_on(self._address)}; end it"
+                f"{self._address}: another program already moves the arm ({others_on(self._address)}); end it"
             )
         self._enter(_SERVO)
         self._ramp = self._place = self._sent = None

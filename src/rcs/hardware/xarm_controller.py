@@ -122,7 +122,7 @@ def _ask_version(peer: socket.socket, address: str, until: float) -> str:
 
 
 def others_on(address: str) -> str:
-    """Return which other programs of this machine are connected to a controller, as the end of a sentence."""
+    """Return which other programs of this machine are connected to a controller, in words."""
     wanted = struct.unpack("=I", socket.inet_aton(socket.gethostbyname(address)))[0]
     sockets = {
         words[9]
@@ -138,7 +138,7 @@ def others_on(address: str) -> str:
                 found.append(f"process {process.name} ({program[:80]})")
         except OSError:  # it has ended, or is another user's
             continue
-    return f", perhaps {' or '.join(found)}" if found else " or UFACTORY Studio, on another machine"
+    return " or ".join(found) or "on another machine, or UFACTORY Studio"
 
 
 def connect(address: str) -> Any:
