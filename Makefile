@@ -169,7 +169,7 @@ test-extras: test-wheel $(VENV)/.stamp-extras gl
 	@$(PYTEST) -m "extras or browser"
 
 # The extras that bring the vendors' libraries.
-DRIVERS := so101 xarm
+DRIVERS := franka robotiq so101 ur xarm
 
 $(VENV)/.stamp-drivers: $(VENV)/.stamp-built pyproject.toml
 	@echo "==> Installing the vendors' libraries of $(DRIVERS)"

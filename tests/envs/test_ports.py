@@ -135,7 +135,7 @@ def test_a_device_whose_clock_stands_still_is_in_its_fault_state(action: dict[st
         observation, *_, info = env.step(action)
         assert info["ages"]["joints"] > 0.01, "the age is that of the measurement, not of the call"
         info = steps_until_fault(env, action)
-        assert time.monotonic() - begin > 0.1
+        assert time.monotonic() - begin > 0.09  # the last new measurement came a little before
         assert info["end"] == "fault"
         assert "nothing new measured for 0.1" in info["faults"]["fake arm"]
         assert "nothing new measured" in arm.fault

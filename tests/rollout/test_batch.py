@@ -15,7 +15,7 @@ from rcs.rollout.batch import run_batch
 from rcs.rollout.collect import seed_of
 from rcs.rollout.episode import EpisodeResult, run_episode
 
-SETUP = rcs.Setup(task="PickCuboid", control="xyzrpy", max_episode_steps=40, observe=("privileged",))
+SETUP = rcs.Setup(task="PickCuboid", control="xyzrpy", max_episode_steps=34, observe=("privileged",))
 
 
 class Approach(Agent):

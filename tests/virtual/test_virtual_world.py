@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import rcs
+from rcs.devices import lookup
 from rcs.envs.setup import Setup
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.virtual import Fault, VirtualRobot, VirtualWorld, Wire, read_events, read_ticks, running, tell, usual_setup
@@ -237,6 +238,8 @@ def test_the_gripper_moves_at_its_speed_and_grasps_with_its_force():
         assert robot.width == pytest.approx(0.03, abs=3e-3)
 
 
-def test_an_arm_without_a_wire_is_refused():
+def test_an_arm_without_a_wire_is_refused(monkeypatch: pytest.MonkeyPatch):
+    entries = lookup._entries
+    monkeypatch.setattr(lookup, "_entries", lambda kind: {} if kind == "wire" else entries(kind))
     with pytest.raises(UnknownName, match="wire"):
         VirtualWorld(Setup(robot="fr3"), wires={"so101": WaveWire})

@@ -7,6 +7,7 @@ which LeRobot has written, or of the servos themselves.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -41,6 +42,10 @@ RECOVERY = 0.3
 """How long a servo may still tell an overload when it has been switched off [s]."""
 STILL = 20
 """A gripper that is slower than this stands still [positions/s]."""
+THERE = 40
+"""A gripper that is nearer to its goal than this has reached it [positions]."""
+BEGINNING = 0.2
+"""How long it takes a gripper to begin to move [s]."""
 JUMP = 0.15
 """A joint that is farther than this from where its fastest motion may have brought it is read once more [rad]."""
 FASTEST = 10.0
@@ -386,6 +391,7 @@ class So101Gripper(Gripper):
         self.link = link
         self._options = options
         self._is_powered = False
+        self._goal, self._since = 0, -math.inf
 
     def _open(self) -> None:
         self.link.open(self)
@@ -419,11 +425,15 @@ class So101Gripper(Gripper):
             if not self._is_powered:
                 servos.power([GRIPPER])
                 self._is_powered = True
-            servos.bus.write(GRIPPER, *_with(GOAL, servos.calibration[GRIPPER].position_of_opening(opening)))
+            self._goal, self._since = servos.calibration[GRIPPER].position_of_opening(opening), time.monotonic()
+            servos.bus.write(GRIPPER, *_with(GOAL, self._goal))
 
     def _has_arrived(self) -> bool:
         with self.link as servos:
-            return abs(self._newest(servos).speeds[GRIPPER]) < STILL
+            reading = self._newest(servos)
+        is_there = abs(reading.positions[GRIPPER] - self._goal) <= THERE
+        # Fingers that something is between stand still elsewhere, but not before they have begun to move.
+        return abs(reading.speeds[GRIPPER]) < STILL and (is_there or time.monotonic() > self._since + BEGINNING)
 
     def _hold(self) -> None:
         with self.link as servos:

@@ -66,6 +66,7 @@ class So101Wire(Wire):
         if robot.about.dof != 5 or robot.gripper is None:
             raise InvalidSetup(f"The bus of an SO101 is for an arm of five joints with a gripper, not {robot.name!r}.")
         self._robot = robot
+        self._last_opening = float(robot.body.opening[0])
         self._link = Path(address) if address else None
         self._master, self._slave = pty.openpty()  # kept open: a port stays when its user goes
         tty.setraw(self._slave)
@@ -88,6 +89,7 @@ class So101Wire(Wire):
         self._servos = [bytearray(REGISTERS) for _ in range(6)]
         for servo in range(6):
             self._calibrate(servo)
+        self._measure(robot)
 
     @staticmethod
     def next_address(address: str) -> str:
@@ -220,7 +222,9 @@ class So101Wire(Wire):
                 steps = self._middle(servo) + robot.joints[servo] * STEPS / tau
                 speed = robot.velocities[servo] * STEPS / tau
             else:
-                steps, speed = lowest + opening * (highest - lowest), 0.0
+                steps = lowest + opening * (highest - lowest)
+                speed = (opening - self._last_opening) * (highest - lowest) / robot.period
+                self._last_opening = opening
             self._set(servo, POSITION, _magnitude(round(steps), 15))
             self._set(servo, SPEED, _magnitude(round(speed), 15))
             load = round(1000 * float(np.clip(loads[servo], -1.0, 1.0)))

@@ -55,7 +55,7 @@ def test_a_free_arm_that_turns_all_the_time_is_nearly_as_fast_as_without(robot: 
         env = make(robot, layers)
         env.reset(seed=0)
         speeds.append(np.abs(np.diff([*heights(env, 1.0, 3), *heights(env, -1.0, 3), *heights(env, 1.0, 3)])).max())
-    assert speeds[0] > 0.7 * speeds[1]
+    assert speeds[0] > 0.5 * speeds[1]
 
 
 def test_copies_act_like_single_environments() -> None:
