@@ -171,7 +171,7 @@ test-extras: test-wheel $(VENV)/.stamp-extras gl
 # The extras that bring the vendors' libraries.
 DRIVERS := franka robotiq so101 ur xarm
 
-$(VENV)/.stamp-drivers: $(VENV)/.stamp-built pyproject.toml
+$(VENV)/.stamp-drivers: $(VENV)/.stamp-built pyproject.toml Makefile
 	@echo "==> Installing the vendors' libraries of $(DRIVERS)"
 	@$(BIN)/python -c "import sys, tomllib; extras = tomllib.load(open('pyproject.toml', 'rb'))['project']['optional-dependencies']; \
 	  print(*sorted({one for name in sys.argv[1:] for one in extras[name]}), sep='\n')" $(DRIVERS) | \
