@@ -169,7 +169,7 @@ test-extras: test-wheel $(VENV)/.stamp-extras gl
 	@$(PYTEST) -m "extras or browser"
 
 # The extras that bring the vendors' libraries.
-DRIVERS := franka robotiq so101 ur xarm
+DRIVERS := so101 xarm
 
 $(VENV)/.stamp-drivers: $(VENV)/.stamp-built pyproject.toml Makefile
 	@echo "==> Installing the vendors' libraries of $(DRIVERS)"

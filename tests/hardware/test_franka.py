@@ -100,6 +100,7 @@ class TestFrankaArm(ArmContract):
     @pytest.fixture(autouse=True)
     def _robot(self, robot: VirtualProcess) -> None:
         self.robot = robot
+        robot.tell("clear")
         an_arm().close()
 
     def make_arm(self) -> FrankaArm:
@@ -109,10 +110,6 @@ class TestFrankaArm(ArmContract):
         self.robot.tell("reflex")
         wait_for(lambda: device.fault)
 
-    def lose_link(self, device) -> None:
-        self.robot.tell("cut")
-        time.sleep(0.4)
-
 
 class TestFrankaHand(GripperContract):
     stopping_time = 0.4
@@ -120,13 +117,10 @@ class TestFrankaHand(GripperContract):
     @pytest.fixture(autouse=True)
     def _robot(self, robot: VirtualProcess) -> None:
         self.robot = robot
+        robot.tell("clear")
 
     def make_gripper(self) -> FrankaHand:
         return FrankaHand(ADDRESS, FRANKA_HAND)
-
-    def lose_link(self, device) -> None:
-        self.robot.tell("cut")
-        time.sleep(0.5)
 
 
 # --- Connecting
