@@ -92,7 +92,7 @@ def wave(arm: FrankaArm, amplitude: float = 0.15, seconds: float = 2.0) -> np.nd
     return joints + amplitude * 0.5 * (1 - np.cos(np.pi * times)) * np.where(joints < FR3.home, 1, -1)
 
 
-class TestFrankaArm(ArmContract):
+class TestFrankaArm(ArmContract):  # without the loss of the link: one that was cut does not answer again
     tolerance = 6e-3  # a spring
     stopping_time = 0.5
     speed_margin = 1.25  # springs pull harder after a delay

@@ -15,6 +15,7 @@ import socket
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
@@ -77,7 +78,10 @@ def folder() -> Path:
         InvalidSetup: Somebody else has made it.
     """
     user = Path(f"/run/user/{os.getuid()}")
-    path = Path(os.environ.get(FOLDER) or (user / "rcs" if user.is_dir() else f"/tmp/rcs-{os.getuid()}"))
+    path = Path(
+        os.environ.get(FOLDER)
+        or (user / "rcs" if user.is_dir() else Path(tempfile.gettempdir()) / f"rcs-{os.getuid()}")
+    )
     path.mkdir(mode=0o700, exist_ok=True)
     about = path.lstat()
     if about.st_uid != os.getuid() or about.st_mode & 0o077:
