@@ -389,7 +389,7 @@ def test_sigterm_to_a_host_holds_its_devices_and_says_so(tmp_path: Path) -> None
         os.kill(arm.host, signal.SIGTERM)
         wait_for(lambda: arm.fault)
         assert arm.fault == "its host was told to end"
-        assert len(holds(tmp_path)) > before
+        wait_for(lambda: len(holds(tmp_path)) > before)
 
 
 # --- Sites, environments, commands ------------------------------------------------------------------------------------
