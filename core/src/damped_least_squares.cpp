@@ -12,6 +12,7 @@ namespace {
 
 constexpr double kMaxJointStep = 0.5;  // rad per iteration; larger steps leave the range where the Jacobian holds
 constexpr double kStandstill = 1e-4;   // rad per iteration; a smaller step changes nothing that matters
+constexpr double kFinest = 0.1;        // of the tolerance [rad] likewise, for what follows: its last steps are short
 constexpr double kFollowStep = 0.2;    // rad per iteration when following, so that the TCP's way there is straight
 constexpr double kBoundedStep = 0.05;  // rad likewise, where the end is bounded and may lie anywhere on the way
 constexpr double kMoreDamping = 8.0;   // factor after a step that came no nearer
@@ -245,13 +246,16 @@ DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std:
   };
   double weight = weight_at(translation);
   double damping = options.damping, largest = kMaxJointStep;
+  const double standstill = options.best_effort && !is_relaxed
+                                ? std::min(kStandstill, kFinest * options.rotation_tolerance)
+                                : kStandstill;
   bool is_new = true;  // there is no Jacobian of q yet
   End end = End::nearest;
   for (int iteration = 0;; ++iteration) {
     const bool is_reached = translation <= options.translation_tolerance && rotation <= options.rotation_tolerance;
     // A relaxed rotation goes on to the nearest one instead of stopping at the first that is near enough.
-    if (is_reached && (!is_relaxed || largest < kStandstill || iteration == options.iterations)) end = End::reached;
-    if (end != End::nearest || largest < kStandstill || iteration == options.iterations) break;
+    if (is_reached && (!is_relaxed || largest < standstill || iteration == options.iterations)) end = End::reached;
+    if (end != End::nearest || largest < standstill || iteration == options.iterations) break;
     ++result.iterations;
     for (std::size_t c = 0; is_new && c < scratch.jacobian.size(); ++c)
       scratch.jacobian[c] = chain_->column(scratch.place, c);

@@ -108,6 +108,22 @@ def test_the_next_pose_of_a_stream_is_found_in_a_few_iterations(arm: Any) -> Non
     assert np.mean(iterations) <= 8
 
 
+def test_a_small_step_well_within_reach_is_met(arm: Any) -> None:
+    description, kinematics = arm
+    if description.dof < 6:
+        pytest.skip("meets the translation to within half a millimetre")
+    random = np.random.default_rng(0)
+    options = freedom_of(kinematics, best_effort=True, preferred=description.home)
+    for _ in range(2000):
+        joints = np.array(description.home) + random.uniform(-0.5, 0.5, description.dof)
+        if np.linalg.svd(kinematics.jacobian(joints))[1][-1] < 0.05:
+            continue  # near a singular posture
+        turn = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, random.uniform(-0.06, 0.06)))
+        now = kinematics.forward(joints)
+        target = Pose(now.translation + random.normal(0.0, 1e-3, 3), (turn * now).quaternion)
+        assert kinematics.inverse(target, joints, options).status == IkStatus.ok, joints
+
+
 def test_a_pose_that_is_reached_moves_nothing_wherever_the_elbow_is() -> None:
     description: Any = lookup.find("arm", "fr3")
     solver = kinematics_of(description)

@@ -37,8 +37,10 @@ TILT_COST = 60.0
 """Largest motion of a joint that is as bad as an angle of 1 rad at which the cuboid is set down [rad]."""
 GOOD = 5.0
 """Cost of a plan that is good enough: no more is sought [rad]."""
-WAYPOINTS = 5
+WAYPOINTS = 10
 """Poses on a straight line that are checked."""
+JUMP = 0.5
+"""Largest change of a joint between two of them [rad]: a turn of the tool by half a turn is 0.3 rad each."""
 SLANT_COST = 20.0
 """The same of an angle of 1 rad between the jaws and the cuboid's sides [rad]."""
 ASIDE = 0.008
@@ -205,9 +207,10 @@ def _way_down(
 
 def _follow(arm: ScriptedArm, tool: Pose, start: NDArray[np.float64]) -> Reach | None:
     """Return how an arm reaches a pose on a straight line, without a jump to another branch; None if it cannot."""
-    first, found = arm.kinematics.forward(start), None
+    first, found = arm.kinematics.forward(start), (np.zeros(0), start)
     for share in np.linspace(0.0, 1.0, WAYPOINTS + 1)[1:]:
-        found = reach(arm, first.interpolate(tool, float(share)), start if found is None else found[1])
-        if found is None:
+        joints = found[1]
+        found = reach(arm, first.interpolate(tool, float(share)), joints)
+        if found is None or np.abs(found[1] - joints).max() > JUMP:
             return None
     return found
