@@ -246,9 +246,8 @@ DampedLeastSquares::End DampedLeastSquares::attempt(Scratch& scratch, const std:
   };
   double weight = weight_at(translation);
   double damping = options.damping, largest = kMaxJointStep;
-  const double standstill = options.best_effort && !is_relaxed
-                                ? std::min(kStandstill, kFinest * options.rotation_tolerance)
-                                : kStandstill;
+  const double standstill =
+      options.best_effort && !is_relaxed ? std::min(kStandstill, kFinest * options.rotation_tolerance) : kStandstill;
   bool is_new = true;  // there is no Jacobian of q yet
   End end = End::nearest;
   for (int iteration = 0;; ++iteration) {

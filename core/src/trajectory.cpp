@@ -416,7 +416,7 @@ void Trajectory::follow(double* memory, const Step& step, double share) {
     }
   };
   aim(0, n);
-  if (numbers[kSpared] == 1.0 - share && numbers[kLeast] >= 0.0 && (numbers[kApart] != 0.0) == is_stream &&
+  if (numbers[kSpared] == 1.0 - share && numbers[kLeast] >= 0.0 && (numbers[kApart] != 0.0 || !is_stream) &&
       std::equal(plan.aim.begin(), plan.aim.end(), memory + kAim * n) &&
       std::equal(plan.speed.begin(), plan.speed.end(), memory + kEnd * n))
     return;
@@ -504,8 +504,8 @@ void Trajectory::advance(double* memory, double time) {
   double& elapsed = memory[kRows * n + kElapsed];
   elapsed += time;
   now.at(elapsed);
-  bool is_over = elapsed >= now.trajectory.get_duration();
-  for (std::size_t i = 0; i < n; ++i) is_over = is_over && now.input.target_velocity[i] == 0.0;
+  bool is_over = elapsed >= now.duration();
+  for (std::size_t i = 0; i < n; ++i) is_over = is_over && std::abs(now.velocity[i]) < kResting * limits_.velocity[i];
   if (!is_over) return;
   // From here on it stands still: where the trajectory was to end, not where rounding has led it.
   for (std::size_t i = 0; i < n; ++i) {
