@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 import time
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -385,3 +389,23 @@ def test_options_that_make_no_sense_are_refused(gates: Any, error: type[Exceptio
 def test_copies_cannot_be_refused_one_by_one() -> None:
     with pytest.raises(InvalidSetup, match="on_hit='clip'"):
         rcs.make_vec("PickCuboid", copies=2, gates=["Guard"])
+
+
+@pytest.mark.slow
+def test_no_stream_of_far_targets_has_two_arms_touch_anything() -> None:
+    """The benchmark judges by the contacts of every physics step; the guard intervenes in half of the episodes."""
+    benchmark = Path(__file__).parents[2] / "benchmarks" / "guard.py"
+    done = subprocess.run(
+        [sys.executable, str(benchmark), "--streams", "40", "--robot", "dual_fr3"],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    found = {one["mode"]: one for one in map(json.loads, done.stdout.splitlines())}
+    assert found.keys() == {"reject", "clip"}
+    for one in found.values():
+        assert one["stopped"] >= 10
+        assert one["touching"] == 0
+        assert one["false_stops"] < 0.01

@@ -251,3 +251,24 @@ def test_simulated_limits_are_those_of_the_description() -> None:
     own = rcs.make("Free").limits().robots["fr3"]
     np.testing.assert_array_equal(own.joint_lower, FR3.joint_lower)
     np.testing.assert_allclose(own.target_velocity, FR3.velocity_limit)
+
+
+@pytest.mark.parametrize("frequency", [10.0, 30.0, 100.0])
+@pytest.mark.parametrize("robot", ["fr3", "ur5e"])
+def test_a_far_target_is_gone_to_at_once_without_turning_back_or_going_past(robot: str, frequency: float) -> None:
+    with rcs.make("Free", robot=robot, relative=False, frequency=frequency, max_episode_steps=None) as env:
+        observation, _ = env.reset(seed=0)
+        body = env.scenario.robots[0]
+        led: list[NDArray[np.float64]] = []
+        env.scenario.world.on_period(lambda view: led.append(np.array(body.motion.state(view))), 0.002)
+        start = np.array(observation["joints"])
+        way = np.zeros_like(start)
+        way[0] = 2.0
+        for _ in range(round(3.0 * frequency)):
+            env.step({"joints": start + way, "gripper": np.ones(1, np.float32)})
+        position, velocity, acceleration = np.array(led).transpose(1, 0, 2)[:, :, 0]
+        assert (start[0] - position).max() < 1e-3
+        assert (position - start[0] - 2.0).max() < 0.03
+        signs = np.sign(acceleration[np.abs(acceleration) > 1e-6])
+        assert np.count_nonzero(np.diff(signs)) <= 3
+        assert velocity.max() > 0.75 * env.robots[robot].arm.velocity_limit[0]

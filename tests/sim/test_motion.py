@@ -121,6 +121,22 @@ def test_a_synchronous_step_ends_at_rest_at_the_target_and_lasts_a_period_at_lea
     assert watched.world.time.item() - before == pytest.approx(1 / 30, abs=2e-3)
 
 
+@pytest.mark.parametrize("name", ARMS)
+def test_a_far_motion_of_the_whole_arm_asks_for_no_more_torque_than_there_is(name: str) -> None:
+    arm = ARMS[name]
+    watched, draws = Watched(arm, stepping="sync"), np.random.default_rng(3)
+    behind: list[float] = []
+    watched.world.on_period(
+        lambda view: behind.append(np.abs(watched.robot.joints - watched.robot.motion.state(view)[0]).max()),
+        watched.world.model.opt.timestep,
+    )
+    for _ in range(8):
+        way = draws.uniform(0.7, 1.8, arm.dof) * draws.choice([-1, 1], arm.dof)
+        watched.go(np.clip(np.array(arm.home) + way, arm.joint_lower, arm.joint_upper))
+        assert watched.world.ends == [StepEnd.converged]
+    assert max(behind) < 0.02
+
+
 def test_a_far_synchronous_step_takes_the_time_it_needs() -> None:
     watched = Watched(UR5E, stepping="sync", max_substeps=100)
     target = np.array(UR5E.home)

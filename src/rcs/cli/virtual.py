@@ -67,7 +67,7 @@ class VirtualCommand:
 def _read(path: Path, robot: str) -> Setup:
     try:
         setup = Setup.from_json(json.loads(path.read_text("utf-8")))
-    except (OSError, ValueError) as err:
+    except (OSError, ValueError, RecursionError) as err:
         raise InvalidSetup(f"The setup {path} cannot be read: {err}.") from err
     if setup.robot != robot:
         raise InvalidSetup(f"The setup {path} is for {setup.robot!r}, not for {robot!r}.")

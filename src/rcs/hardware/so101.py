@@ -488,7 +488,7 @@ def read_calibration(given: str | Path | Mapping[str, Any]) -> dict[str, MotorCa
     if isinstance(given, str | Path):
         try:
             content = json.loads(Path(given).expanduser().read_text("utf-8"))
-        except (OSError, ValueError) as err:
+        except (OSError, ValueError, RecursionError) as err:
             raise InvalidSetup(f"The calibration {given} cannot be read: {err}.") from err
     try:
         found = {name: MotorCalibration(**content[name]) for name in NAMES}

@@ -53,7 +53,7 @@ class Control:
             words = json.loads(packet)
             act([str(word) for word in words])
             reply = ""
-        except (RcsError, ValueError) as err:
+        except (RcsError, ValueError, RecursionError) as err:
             reply = str(err)
         try:
             self.socket.sendto(reply.encode(), sender)
