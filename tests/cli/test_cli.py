@@ -491,10 +491,18 @@ def test_ctrl_c_finishes_cleanly_and_the_same_command_goes_on(tmp_path: Path, wo
     assert len(Dataset.open(out)) == kept + 1
 
 
+def is_worker(pid: str) -> bool:
+    """Return whether a process is a worker; one that has ended since it was listed is none."""
+    try:
+        return b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
 def workers_of(pid: int) -> list[int]:
     """Return the worker processes of a process, from when they are started on."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    return [int(child) for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+    return [int(child) for child in children if is_worker(child)]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="workers are found in /proc")

@@ -35,6 +35,8 @@ def standing(clock: HandClock, **options: Any) -> StandInArm:
 
 
 class TestStandInArm(ArmContract):
+    stopping_time = 0.5  # its targets stop at once, and the wrist with the hand then swings for a while
+
     def make_arm(self) -> StandInArm:
         self.arm = StandInArm(FR3, gripper=FRANKA_HAND, delay=0.02)
         return self.arm
