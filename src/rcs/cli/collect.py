@@ -15,12 +15,12 @@ from rich.console import Console
 
 from rcs.cli.runs import RunOptions, interruptible, results_table, show
 from rcs.envs.approach import SPEED
-from rcs.errors import InvalidSetup
+from rcs.errors import DeviceFault, InvalidSetup
 from rcs.hardware.site import Site
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.evaluate import Summary
 from rcs.rollout.expert_ways import expert_diversity
-from rcs.rollout.operator import VirtualOperator, operator_of
+from rcs.rollout.operator import Operator, TerminalOperator, VirtualOperator, operator_of
 
 
 @dataclass(kw_only=True)
@@ -50,8 +50,8 @@ class CollectCommand(RunOptions):
     report: bool = True
     """Write report.html."""
     hardware: str | None = None
-    """What is real: the JSON file of a site, or `driver:address` for all arms with their end effectors. Cameras are then
-    those of the site, if none are given."""
+    """What is real: the JSON file of a site, or `driver:address` for all arms with their end effectors. Cameras are
+    then those of the site, if none are given."""
     yes: bool = False
     """Do not ask whether real arms may go home: somebody watches them."""
     home_speed: float = SPEED
@@ -90,7 +90,11 @@ class CollectCommand(RunOptions):
         started = time.perf_counter()
         progress = Progress()
         with interruptible(progress, console):
-            self._collect(collection, progress, console)
+            try:
+                self._collect(collection, progress, console)
+            except DeviceFault:
+                console.print(f"{collection.out} has {progress.kept} episodes; the same command goes on from there.")
+                raise
         _summarise(collection, progress, console)
         if self.report and progress.kept:
             scripted = None if progress.is_interrupted else expert_diversity(collection)
@@ -100,19 +104,21 @@ class CollectCommand(RunOptions):
         return INTERRUPTED if progress.is_interrupted else 0
 
     def _collect(self, collection: Collection, progress: Progress, console: Console) -> None:
-        title = f"{collection.setup.task} on {collection.setup.robot}"
-        if self.hardware is None:
-            return show(collect(collection, progress), title, self.episodes, console, progress, lambda: progress.kept)
-        operator = operator_of(collection.setup, self.hardware, agrees=self.yes)
+        operator: Operator | None = None
+        if self.hardware is not None:
+            operator = operator_of(collection.setup, self.hardware, agrees=self.yes)
         attempts = collect(collection, progress, operator=operator)
+        if isinstance(operator, TerminalOperator):
+            if not sys.stdin.isatty():
+                raise InvalidSetup("The input is no terminal, and a person at a terminal places objects and judges.")
+            for attempt in attempts:  # a bar would write over the questions
+                told = {True: "done", False: "not done", None: "not known"}[attempt.result.success]
+                console.print(f"Episode {attempt.number + 1} of {self.episodes}: {told}")
+            return
         if isinstance(operator, VirtualOperator):
             console.print(f"{operator.name} is a virtual robot, which places its objects and judges by itself.")
-            return show(attempts, title, self.episodes, console, progress, lambda: progress.kept)
-        if not sys.stdin.isatty():
-            raise InvalidSetup("The input is no terminal, and a person at a terminal places objects and judges.")
-        for attempt in attempts:  # a bar would write over the questions
-            told = {True: "done", False: "not done", None: "not known"}[attempt.result.success]
-            console.print(f"Episode {attempt.number + 1} of {self.episodes}: {told}")
+        title = f"{collection.setup.task} on {collection.setup.robot}"
+        show(attempts, title, self.episodes, console, progress, lambda: progress.kept)
 
 
 def _summarise(collection: Collection, progress: Progress, console: Console) -> None:

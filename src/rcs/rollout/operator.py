@@ -128,7 +128,7 @@ class VirtualOperator(Operator):
 
 
 def operator_of(setup: Setup, hardware: Any, *, agrees: bool = False) -> Operator:
-    """Return who stands by: the world of the virtual robot that is at a site's addresses, or the person at the terminal.
+    """Return who stands by: the world of the virtual robot at a site's addresses, or else the person at the terminal.
 
     Args:
         setup: What is done.
