@@ -219,10 +219,11 @@ def test_the_virtual_robot_at_a_sites_address_places_its_objects_and_judges(virt
     operator = operator_of(rcs.Setup(robot="so101"), virtual.site)
     assert isinstance(operator, VirtualOperator)
     assert operator.name == virtual.name
-    operator.place(5, {})
-    assert operator.judge({}, {}) is False
     assert operator.may_move("?")
-    assert not operator.may_recover("?")
+    assert operator.may_recover("a fault of yesterday")
+    operator.place(5, {})
+    assert not operator.may_recover("a fault of today")
+    assert operator.judge({}, {}) is False
 
 
 def test_elsewhere_it_is_the_person(virtual: VirtualProcess) -> None:

@@ -84,6 +84,7 @@ class VirtualOperator(Operator):
     def __init__(self, name: str) -> None:
         """Take the name of a virtual robot that runs."""
         self.name = name
+        self._has_begun = False
 
     @staticmethod
     def of(site: Site, setup: Setup) -> VirtualOperator | None:
@@ -115,6 +116,7 @@ class VirtualOperator(Operator):
 
     def place(self, seed: int, poses: Mapping[str, NDArray[np.float64]]) -> None:
         """Have the objects lie where the seed has them."""
+        self._has_begun = True
         tell(self.name, ("reset", str(seed)))
 
     def judge(self, observation: Observation, info: Mapping[str, Any]) -> bool | None:
@@ -123,8 +125,8 @@ class VirtualOperator(Operator):
         return next(verdict for verdict, word in VERDICTS.items() if word == answer)
 
     def may_recover(self, faults: str) -> bool:
-        """Refuse: what went wrong was asked for, or is worth a look."""
-        return False
+        """Clear what was left from before; refuse from the first episode on, for a fault is worth a look."""
+        return not self._has_begun
 
 
 def operator_of(setup: Setup, hardware: Any, *, agrees: bool = False) -> Operator:
