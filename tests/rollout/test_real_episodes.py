@@ -151,6 +151,15 @@ def test_without_leave_nothing_moves(tmp_path: Path, say, answers: tuple[str, ..
     assert not made[-1].is_open
 
 
+@pytest.mark.parametrize("answers", [("yes",), ("yes", "")])
+def test_when_the_person_has_gone_the_collection_ends_with_the_devices_closed(tmp_path: Path, say, answers) -> None:
+    say(*answers)
+    with pytest.raises(Refused, match="nobody can be asked"):
+        run(plan(tmp_path / "data"))
+    assert not Dataset.open(tmp_path / "data").episodes
+    assert not made[-1].is_open
+
+
 def test_after_a_fault_the_person_decides_and_the_episode_is_made_again(tmp_path: Path, say) -> None:
     Nod.trips_in = [0]
     questions = say("yes", "", "y", "yes", "", "y", "", "y")

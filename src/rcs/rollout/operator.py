@@ -20,6 +20,8 @@ from rcs.spatial import Pose
 from rcs.virtual.control import running, tell
 from rcs.virtual.virtual_world import ABOUT, JUDGE, VERDICTS
 
+ENDED = "The input has ended, so nobody can be asked any more."
+
 
 class Operator(ABC):
     """Stands by real robots."""
@@ -70,7 +72,10 @@ class TerminalOperator(Operator):
 
     def judge(self, observation: Observation, info: Mapping[str, Any]) -> bool | None:
         """Ask."""
-        return ask(observation, info)
+        try:
+            return ask(observation, info)
+        except EOFError as err:
+            raise Refused(ENDED) from err
 
     def may_recover(self, faults: str) -> bool:
         """Ask."""
@@ -166,4 +171,4 @@ def _input(question: str) -> str:
     try:
         return input(question)
     except EOFError as err:
-        raise Refused("The input has ended, so nobody can be asked any more.") from err
+        raise Refused(ENDED) from err
