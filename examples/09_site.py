@@ -1,12 +1,14 @@
 """A real setup from end to end: a site file, demonstrations that a person judges, a checked dataset, an export.
 
 A setup says what is done and at what rate; a site says where it is done: which driver reaches which device. Here the
-driver makes fakes, so that the program runs without a robot; a vendor's driver is another word in the file.
+driver makes fakes, so that the program runs without a robot; a vendor's driver is another word in the file. Another
+site's file is an argument of this program, as in example 17.
 """
 
 from __future__ import annotations
 
 import json
+import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -50,7 +52,7 @@ def judge(observation: Observation, info: Mapping[str, Any]) -> bool:
 with tempfile.TemporaryDirectory() as folder:
     file, out = Path(folder) / "lab.json", Path(folder) / "takes"
     file.write_text(json.dumps(SITE))
-    site = rcs.Site.read(file)
+    site = rcs.Site.read(sys.argv[1] if len(sys.argv) > 1 else file)
     setup = rcs.Setup(task="Free", cameras=("wrist",), control="tquat", relative="origin", frequency=90)
     with rcs.make(setup, hardware=site) as env:
         print(env, "Nothing is connected yet, and these are the limits:", env.limits(), sep="\n\n")

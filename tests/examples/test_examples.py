@@ -17,6 +17,8 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 MOST_LINES_IN_README = 12
 NEED_EXTRAS = ("07_train_on_it", "10_ppo", "12_planning", "15_calibrate")
+DRIVES = {"17_virtual_robot": "franky"}
+"""Examples that drive a virtual robot, and the vendor's library that they need."""
 SHORT = {
     "10_ppo": ["--steps", "2048", "--unseen", "4"],
     "16_policy": ["--episodes", "2", "--latencies", "0.1"],
@@ -25,13 +27,16 @@ SHORT = {
 
 
 def to_run(path: Path) -> object:
-    return pytest.param(path, marks=pytest.mark.extras if path.stem in NEED_EXTRAS else (), id=path.stem)
+    marks = [pytest.mark.extras] * (path.stem in NEED_EXTRAS) + [pytest.mark.hardware] * (path.stem in DRIVES)
+    return pytest.param(path, marks=marks, id=path.stem)
 
 
 @pytest.mark.parametrize("path", [to_run(path) for path in EXAMPLES])
 def test_an_example_runs_and_tells_what_it_did(
     path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if (library := DRIVES.get(path.stem)) is not None:
+        pytest.importorskip(library)
     monkeypatch.setenv("EPISODES", "10")  # of the one that clones
     monkeypatch.setattr("sys.argv", [str(path), *SHORT.get(path.stem, [])])
     runpy.run_path(str(path), run_name="__main__")

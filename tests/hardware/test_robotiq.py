@@ -11,7 +11,7 @@ import pytest
 
 from rcs.devices import Gripper
 from rcs.errors import DeviceFault, InvalidSetup
-from rcs.hardware.robotiq import RobotiqDriver
+from rcs.hardware.robotiq import RobotiqDriver, RobotiqGripper
 from rcs.robots import ROBOTIQ_2F85
 from rcs.testing import GripperContract
 from rcs.virtual import VirtualProcess
@@ -143,6 +143,19 @@ def test_an_answer_that_is_late_or_lost_is_no_wrong_value(gripper: Gripper, virt
         assert gripper.state().opening == pytest.approx(0.5, abs=0.03)
         time.sleep(0.02)
     assert gripper.fault == ""
+
+
+@pytest.mark.hardware
+def test_it_holds_though_its_thread_was_kept_from_reading(gripper: Gripper) -> None:
+    assert isinstance(gripper, RobotiqGripper)
+    gripper.command_opening(0.0)
+    time.sleep(0.1)
+    gripper._is_ending = True
+    assert gripper._thread is not None
+    gripper._thread.join()
+    time.sleep(1.1)
+    gripper.hold()
+    assert not gripper.fault
 
 
 def test_a_wrong_address_is_a_fault_with_what_to_look_at() -> None:

@@ -243,3 +243,35 @@ def test_an_arm_without_a_wire_is_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(lookup, "_entries", lambda kind: {} if kind == "wire" else entries(kind))
     with pytest.raises(UnknownName, match="wire"):
         VirtualWorld(Setup(robot="fr3"), wires={"so101": WaveWire})
+
+
+def test_whether_the_task_was_done_stays_known_until_the_objects_are_placed_anew(monkeypatch: pytest.MonkeyPatch):
+    with world_of() as world:
+        assert tell(world.name, ("judge",)) == "not done"
+        evaluate, times = world._scenario.evaluate, []
+
+        def done_once():
+            judgement = evaluate()
+            times.append(world.world.time.item())
+            judgement.success = np.bool_(len(times) == 3)
+            return judgement
+
+        monkeypatch.setattr(world._scenario, "evaluate", done_once)
+        wait_until(lambda: len(times) > 5)
+        assert np.diff(times[:5]) == pytest.approx(1 / world.setup.frequency, abs=0.003)
+        assert tell(f"{world.name}/so101", ("judge",)) == "done"
+        tell(world.name, ("reset", "5"))
+        assert tell(world.name, ("judge",)) == "not done"
+
+
+def test_where_nothing_is_to_be_done_no_verdict_is_known():
+    world = VirtualWorld(Setup(task="Free", robot="so101"), wires=WIRES)
+    assert world.tell(["", "judge"]) == "not known"
+    world.close()
+
+
+def test_a_world_says_where_its_robots_are_and_what_its_scene_is():
+    with world_of() as world:
+        about = json.loads(tell(world.name, ("about",)))
+        assert (about["name"], about["site"]) == (world.name, world.site())
+        assert Setup.from_json(about["setup"]) == world.setup

@@ -128,6 +128,11 @@ class Script(Agent):
         """Name of the present phase; `retreat` between two attempts, and `given up` after the last one."""
         return self._phase.name
 
+    def is_over(self, holding: float) -> bool:
+        """Return whether nothing more will happen: it has given up, or was at its last goal for some seconds."""
+        is_last = self._phase is self.phases[-1] and self._now - self._reached >= holding
+        return is_last or self._phase is GIVEN_UP
+
     def has_arrived(self) -> bool:
         """Return whether all arms are at the goal of the present phase."""
         pairs = [(arm.observation[TQUAT], self._place(arm)) for arm in self.arms]

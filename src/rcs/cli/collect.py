@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,10 +14,13 @@ from rcs_data.view import write_report
 from rich.console import Console
 
 from rcs.cli.runs import RunOptions, interruptible, results_table, show
-from rcs.errors import InvalidSetup
+from rcs.envs.approach import SPEED
+from rcs.errors import DeviceFault, InvalidSetup
+from rcs.hardware.site import Site
 from rcs.rollout.collect import Collection, Progress, collect
 from rcs.rollout.evaluate import Summary
 from rcs.rollout.expert_ways import expert_diversity
+from rcs.rollout.operator import Operator, TerminalOperator, VirtualOperator, operator_of
 
 
 @dataclass(kw_only=True)
@@ -25,6 +29,9 @@ class CollectCommand(RunOptions):
 
     Episode i depends only on the seed and on i, so the same command resumes an interrupted collection, and neither the
     number of workers nor a cluster changes the data. Ctrl-C ends after the running episodes; a second one ends at once.
+
+    With `--hardware`, arms are real. Before each episode they go home, slowly, and somebody puts the objects where the
+    terminal says; after it, they say whether the task was done. A virtual robot does both by itself.
     """
 
     episodes: int = 20
@@ -42,6 +49,13 @@ class CollectCommand(RunOptions):
     """JPEG quality of colour frames."""
     report: bool = True
     """Write report.html."""
+    hardware: str | None = None
+    """What is real: the JSON file of a site, or `driver:address` for all arms with their end effectors. Cameras are
+    then those of the site, if none are given."""
+    yes: bool = False
+    """Do not ask whether real arms may go home: somebody watches them."""
+    home_speed: float = SPEED
+    """Largest speed of a joint of real arms on their way home, as a share of its limit."""
     viewer: bool = False
     """Watch in a window, in real time; needs a display."""
 
@@ -50,6 +64,10 @@ class CollectCommand(RunOptions):
         console = plain_console(soft_wrap=False)
         if self.viewer and self.cluster:
             raise InvalidSetup("One watches in this process; use --viewer without --ray and --ray-address.")
+        if self.viewer and self.hardware:
+            raise InvalidSetup("A real robot has no simulated scene to watch; use --viewer without --hardware.")
+        if self.hardware and self.cameras is None:
+            self.cameras = tuple(Site.read(self.hardware).cameras) if self.hardware.endswith(".json") else ()
         collection = Collection(
             setup=self.setup("realtime" if self.viewer else "async"),
             out=self.out,
@@ -58,10 +76,12 @@ class CollectCommand(RunOptions):
             only_success=self.only_success,
             most_attempts=self.most_attempts,
             agent=self.actor,
-            workers=1 if self.viewer else self.processes,
+            workers=1 if self.viewer or (self.hardware and not self.workers) else self.processes,
             ray=self.cluster,
             colour=self.colour,
             jpeg_quality=self.jpeg_quality,
+            hardware=self.hardware,
+            home_speed=self.home_speed,
         )
         if self.viewer:
             from rcs.cli.watch import watch_collection
@@ -70,8 +90,11 @@ class CollectCommand(RunOptions):
         started = time.perf_counter()
         progress = Progress()
         with interruptible(progress, console):
-            title = f"{collection.setup.task} on {collection.setup.robot}"
-            show(collect(collection, progress), title, self.episodes, console, progress, lambda: progress.kept)
+            try:
+                self._collect(collection, progress, console)
+            except DeviceFault:
+                console.print(f"{collection.out} has {progress.kept} episodes; the same command goes on from there.")
+                raise
         _summarise(collection, progress, console)
         if self.report and progress.kept:
             scripted = None if progress.is_interrupted else expert_diversity(collection)
@@ -79,6 +102,23 @@ class CollectCommand(RunOptions):
             console.print(f"Report: {page}", soft_wrap=True)
         console.print(f"Dataset: {collection.out}   ({time.perf_counter() - started:.1f} s in all)", soft_wrap=True)
         return INTERRUPTED if progress.is_interrupted else 0
+
+    def _collect(self, collection: Collection, progress: Progress, console: Console) -> None:
+        operator: Operator | None = None
+        if self.hardware is not None:
+            operator = operator_of(collection.setup, self.hardware, agrees=self.yes)
+        attempts = collect(collection, progress, operator=operator)
+        if isinstance(operator, TerminalOperator):
+            if not sys.stdin.isatty():
+                raise InvalidSetup("The input is no terminal, and a person at a terminal places objects and judges.")
+            for attempt in attempts:  # a bar would write over the questions
+                told = {True: "done", False: "not done", None: "not known"}[attempt.result.success]
+                console.print(f"Episode {attempt.number + 1} of {self.episodes}: {told}")
+            return
+        if isinstance(operator, VirtualOperator):
+            console.print(f"{operator.name} is a virtual robot, which places its objects and judges by itself.")
+        title = f"{collection.setup.task} on {collection.setup.robot}"
+        show(attempts, title, self.episodes, console, progress, lambda: progress.kept)
 
 
 def _summarise(collection: Collection, progress: Progress, console: Console) -> None:

@@ -20,7 +20,7 @@ class VirtualCommand:
     `rcs virtual so101` prints one line of JSON when it is ready: its name, and the site at which drivers find it.
     `rcs virtual tell NAME FAULT` has something go wrong with one that runs, such as `freeze 2`, `cut`, `late 60/100`
     (one packet in 100 comes 60 ms late), `lose 3` or `corrupt 3`; `reset SEED` places the objects anew, and `clear`
-    mends everything.
+    mends everything. `judge` answers whether the task was done since then, `about` with name, site and setup.
     """
 
     words: tyro.conf.Positional[tuple[str, ...]]
@@ -43,7 +43,8 @@ class VirtualCommand:
 
             if len(rest) < 2:
                 raise InvalidSetup("`rcs virtual tell` takes the name of a running robot and a fault, such as: cut.")
-            tell(rest[0], rest[1:])
+            if answer := tell(rest[0], rest[1:]):
+                print(answer)
             return 0
         if rest or not verb:
             raise InvalidSetup(f"The words are {' '.join(self.words)!r}; valid is one robot, or: tell NAME FAULT.")

@@ -338,9 +338,11 @@ class RobotiqGripper(Gripper):
         with self._lock:
             transport, status = self._transport, self._status
             self._order = None
-            if status is not None:
-                self._require_fresh(status)
-            if self._sent is None or transport is None or status is None:
+            if transport is None or status is None:
+                return
+            if time.monotonic() - status.time > 2 * SILENCE:
+                status = transport.read()  # the thread may have been kept from it, as by a library that ends
+            if self._sent is None:
                 return  # nothing was ever commanded
             # An activation does not stop for less than a reset.
             activate = status.activation == _ACTIVE

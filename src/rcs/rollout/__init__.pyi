@@ -13,4 +13,7 @@ from rcs.rollout.evaluate import Evaluation as Evaluation
 from rcs.rollout.evaluate import Summary as Summary
 from rcs.rollout.evaluate import evaluate as evaluate
 from rcs.rollout.free_path import FreePath as FreePath
+from rcs.rollout.operator import Operator as Operator
+from rcs.rollout.operator import TerminalOperator as TerminalOperator
+from rcs.rollout.operator import VirtualOperator as VirtualOperator
 from rcs.rollout.replay import replay as replay

@@ -1,7 +1,7 @@
-"""Collects a dataset of scripted episodes, in one process, several, or on the machines of a cluster.
+"""Collects a dataset of scripted episodes, in one process, several, on the machines of a cluster, or on real robots.
 
 Episode i depends only on the seed of the collection and on i, so the number of workers, where they are, interruption
-and resumption do not change the data.
+and resumption do not change the data. On real robots, it is where the objects lie that depends on them.
 """
 
 from __future__ import annotations
@@ -22,15 +22,21 @@ from rcs_data.layout import EPISODES_FOLDER
 from rcs.agents import agent_for
 from rcs.agents.choice import is_path
 from rcs.devices import lookup
+from rcs.envs.approach import SPEED
+from rcs.envs.engine import FAULT
 from rcs.envs.env import Env
-from rcs.envs.observers.recorder import Recorder, dataset_info, require_recordable
+from rcs.envs.observers.record import recorder_of
+from rcs.envs.observers.recorder import OBJECTS, Recorder, dataset_info, require_recordable
 from rcs.envs.setup import Setup
+from rcs.envs.stack import for_all
 from rcs.errors import InvalidSetup, RcsError
 from rcs.rollout.cluster import LOCAL
 from rcs.rollout.episode import EpisodeResult, run_episode
+from rcs.rollout.operator import Operator, operator_of
 from rcs.rollout.parcel import Courier, Luggage
 from rcs.rollout.pool import WorkerPool
 from rcs.rollout.ray_pool import RayPool, Tally
+from rcs.rollout.real_episodes import RealEpisodes, has_real_arms
 from rcs.setups.make import make
 
 _log = logging.getLogger(__name__)
@@ -69,6 +75,10 @@ class Collection:
     """JPEG quality of colour frames, 1 to 100."""
     agent: Any = None
     """An agent's class or name, `module:Class`; None for the expert of the task."""
+    hardware: Any = None
+    """What is real, as in `rcs.make`; None for simulation alone. Real robots have one process, and an operator."""
+    home_speed: float = SPEED
+    """Largest speed of a joint of real arms on their way home, as a share of its limit."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -83,6 +93,11 @@ class Collection:
                 continue
             if not isinstance(value, int) or value < least:
                 raise InvalidSetup(f"{name} is {value}; valid is {least} and more.")
+        if self.hardware is not None and (self.workers != 1 or self.ray is not None):
+            raise InvalidSetup(
+                f"Real robots are driven by one process of this machine; workers is {self.workers} and ray is "
+                f"{self.ray!r}. Use workers=1 and no ray with hardware."
+            )
         require_recordable(self.setup)
 
     def attempts_before_giving_up(self, kept: int) -> int:
@@ -141,25 +156,53 @@ def episode_id(number: int) -> str:
 class Collector:
     """Makes attempts and keeps episodes: one process of a collection."""
 
-    def __init__(self, collection: Collection, writer: DatasetWriter, env: Env | None = None) -> None:
-        """Make the environment and the expert."""
+    def __init__(
+        self,
+        collection: Collection,
+        writer: DatasetWriter,
+        env: Env | None = None,
+        operator: Operator | None = None,
+    ) -> None:
+        """Make the environment and the expert; with real arms, there is an operator."""
         self._collection = collection
         self._env = env or make(collection.setup)
-        self._recorder = Recorder(writer)
+        self._writer = writer
+        self._recorder = Recorder(writer) if operator is None else recorder_of(self._env, writer)
         self._env.add_observer(self._recorder)
         self._agent = agent_for(self._env, collection.agent)
+        speed = collection.home_speed
+        self._real = None if operator is None else RealEpisodes(self._env, self._agent, operator, speed=speed)
 
     def attempt(self, number: int) -> Attempt:
-        """Make one attempt, and keep it if the collection wants it."""
-        self._recorder.name_next(episode_id(number))
-        with self._recorder.discard_on_error():
-            return self._attempt(number)
+        """Make one attempt, and keep it if the collection wants it.
+
+        Raises:
+            DeviceFault: A device failed and stays so; what was recorded until then is kept, without a verdict.
+        """
+        while True:
+            if self._real is not None:
+                self._real.prepare(self._collection.seed_of(number))
+                self._remove_fragment(number)
+            self._recorder.name_next(episode_id(number))
+            with self._recorder.discard_on_error():
+                attempt = self._attempt(number)
+            if self._real is None or attempt.result.failure != FAULT:
+                return attempt
+
+    def _remove_fragment(self, number: int) -> None:
+        """Remove what there is of an attempt in which a device has failed."""
+        if episode_id(number) in Dataset.open(self._writer.path):
+            self._writer.remove_episode(episode_id(number))
 
     def _attempt(self, number: int) -> Attempt:
-        result = run_episode(self._env, self._agent, seed=self._collection.seed_of(number))
+        seed = self._collection.seed_of(number)
+        result = run_episode(self._env, self._agent, seed=seed) if self._real is None else self._real.run(seed)
         if result.success or not self._collection.only_success:
-            drawn = {field: values.tolist() for field, values in self._env.scenario.randomisation.items()}
-            outcome = {"attempt": number, **result.outcome(), **({"randomisation": drawn} if drawn else {})}
+            drawn = self._env.scenario.randomisation if self._real is None else {}
+            more: dict[str, Any] = {"randomisation": {field: values.tolist() for field, values in drawn.items()}}
+            outcome = {"attempt": number, **result.outcome(), **(more if drawn else {})}
+            if self._real is not None:
+                outcome[OBJECTS] = self._real.objects
             self._recorder.finish(result.success, outcome)
         else:
             self._recorder.discard()
@@ -167,13 +210,12 @@ class Collector:
 
     def close(self) -> None:
         """Close agent and environment."""
-        try:
-            self._agent.close()
-        finally:
-            self._env.close()
+        for_all([self._agent.close, *([] if self._real is None else [self._real.close]), self._env.close])
 
 
-def collect(collection: Collection, progress: Progress, env: Env | None = None) -> Iterator[Attempt]:
+def collect(
+    collection: Collection, progress: Progress, env: Env | None = None, operator: Operator | None = None
+) -> Iterator[Attempt]:
     """Collect until the dataset is complete, yielding every attempt as it ends.
 
     Attempts that an earlier collection left unfinished, recovered or not, are made again from the start. Closing the
@@ -185,14 +227,22 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
         progress: Updated while it runs.
         env: An environment of the collection's setup to use in this process; None for a new one. It is closed at the
             end.
+        operator: Stands by real arms; None for the world of the virtual robot that is at their address, or else the
+            person at the terminal.
 
     Raises:
+        DeviceFault: A real device failed. The episode has no verdict, and is made again when the collection is resumed.
+        Refused: Nobody agrees that real arms go home.
         DatasetError: The dataset cannot be written, is locked, or belongs to another setup.
         InvalidSetup: The setup is not valid.
         RcsError: Too many attempts were no success, a worker process died, or the cluster cannot be reached.
     """
-    env = env or make(collection.setup)
+    env = env or make(collection.setup, hardware=collection.hardware)
     try:
+        if not has_real_arms(env):
+            operator = None
+        elif operator is None:
+            operator = operator_of(collection.setup, collection.hardware)
         agent_for(env, collection.agent).close()
         info = dataset_info(env, colour=collection.colour, jpeg_quality=collection.jpeg_quality)
         # Two collections are the same only if they number and seed episodes alike.
@@ -206,7 +256,7 @@ def collect(collection: Collection, progress: Progress, env: Env | None = None) 
             numbers = _numbers(collection, progress, taken)
             try:
                 if collection.workers == 1 and collection.ray is None:
-                    yield from _collect_here(collection, writer, env, numbers, progress)
+                    yield from _collect_here(collection, writer, env, operator, numbers, progress)
                 else:
                     env.close()
                     yield from _collect_in_pool(collection, writer, numbers, progress)
@@ -255,13 +305,21 @@ def _require_enough(collection: Collection, progress: Progress) -> None:
 
 
 def _collect_here(
-    collection: Collection, writer: DatasetWriter, env: Env, numbers: Iterator[int], progress: Progress
+    collection: Collection,
+    writer: DatasetWriter,
+    env: Env,
+    operator: Operator | None,
+    numbers: Iterator[int],
+    progress: Progress,
 ) -> Iterator[Attempt]:
-    collector = Collector(collection, writer, env)
-    for number in numbers:
-        attempt = collector.attempt(number)
-        _count(attempt, collection, progress)
-        yield attempt
+    collector = Collector(collection, writer, env, operator)
+    try:
+        for number in numbers:
+            attempt = collector.attempt(number)
+            _count(attempt, collection, progress)
+            yield attempt
+    finally:
+        collector.close()
 
 
 def _collect_in_pool(
@@ -297,7 +355,7 @@ def _attempts(
 
 def _count(attempt: Attempt, collection: Collection, progress: Progress) -> None:
     progress.attempts.append(attempt)
-    progress.kept += bool(attempt.result.success) or not collection.only_success
+    progress.kept += bool(attempt.result.success) or (attempt.result.success is False and not collection.only_success)
 
 
 @dataclass(frozen=True)

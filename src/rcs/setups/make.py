@@ -215,13 +215,28 @@ def _gate(name: str, options: Mapping[str, Any]) -> Gate:
         raise InvalidSetup(f"The gate {name!r} does not take {sorted(options)}; valid options: {valid}.") from err
 
 
+def site_of(setup: Setup, hardware: Any) -> Site:
+    """Return the site that `hardware` of `make` stands for in a setup; nothing is connected.
+
+    Raises:
+        InvalidSetup: It is none of what is valid there.
+        UnknownName: A name in it, or in the setup, does not exist.
+    """
+    return _site(hardware, resolve(setup))
+
+
+def _site(hardware: Any, parts: Parts) -> Site:
+    robots = {robot.name: (robot.arm, robot.end_effector) for robot in parts.robots}
+    return Site.of(hardware, robots, [one.name for one in parts.cameras], [one.name for one in parts.tactile])
+
+
 def _devices(hardware: Any, parts: Parts) -> Devices:
     if hardware is None:
         return Devices()
     robots = {robot.name: (robot.arm, robot.end_effector) for robot in parts.robots}
     cameras = {camera.name: (camera.camera, _mode(parts.setup, camera)) for camera in parts.cameras}
     tactile = {sensor.name: sensor.sensor for sensor in parts.tactile}
-    return Site.of(hardware, robots, cameras, tactile).devices(robots, cameras, tactile)
+    return _site(hardware, parts).devices(robots, cameras, tactile)
 
 
 def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:

@@ -1,4 +1,4 @@
-"""How a virtual robot is told of faults: a datagram on a socket of this machine, open to its user alone.
+"""How a virtual robot is told of faults, and asked: a datagram on a socket of this machine, open to its user alone.
 
 The socket has a name without a file (Linux's abstract names), which ends with the process.
 """
@@ -11,12 +11,13 @@ import socket
 import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from rcs.errors import InvalidSetup, RcsError, UnknownName
 
 PATIENCE = 3.0
 """How long a robot that is told something may take to answer [s]."""
-_MOST = 4096
+_MOST = 65536
 _CREDENTIALS = struct.Struct("3i")
 
 
@@ -36,11 +37,11 @@ class Control:
             except OSError:  # the name is taken
                 number += 1
 
-    def answer(self, act: Callable[[list[str]], object]) -> None:
-        """Do what has been asked for, if anything, and tell whether it was done.
+    def answer(self, act: Callable[[list[str]], str]) -> None:
+        """Do what has been asked for, if anything, and send what there is to say.
 
         Args:
-            act: Takes the words; its `RcsError` goes back to who asked.
+            act: Takes the words, and returns the answer; its `RcsError` goes back in the answer's place.
         """
         try:
             packet, extra, _, sender = self.socket.recvmsg(_MOST, socket.CMSG_SPACE(_CREDENTIALS.size))
@@ -51,12 +52,11 @@ class Control:
             return
         try:
             words = json.loads(packet)
-            act([str(word) for word in words])
-            reply = ""
+            reply = {"answer": act([str(word) for word in words])}
         except (RcsError, ValueError, RecursionError) as err:
-            reply = str(err)
+            reply = {"error": str(err)}
         try:
-            self.socket.sendto(reply.encode(), sender)
+            self.socket.sendto(json.dumps(reply).encode(), sender)
         except OSError:  # who asked is gone
             return
 
@@ -65,12 +65,12 @@ class Control:
         self.socket.close()
 
 
-def tell(name: str, words: Sequence[str]) -> None:
-    """Tell a virtual robot something, and wait until it is done.
+def tell(name: str, words: Sequence[str]) -> str:
+    """Tell a virtual robot something, wait until it is done, and return the answer, which is empty for most.
 
     Args:
         name: Name of the robot, as `rcs virtual` prints it; of one of several, `name/robot`.
-        words: A fault and its value, such as `("lose", "3")`.
+        words: A fault and its value, such as `("lose", "3")`, or a question, such as `("judge",)`.
 
     Raises:
         UnknownName: No such virtual robot runs, or it has no such fault; the message has the valid ones.
@@ -86,11 +86,12 @@ def tell(name: str, words: Sequence[str]) -> None:
             raise UnknownName("running virtual robot", process, running()) from err
         own.send(json.dumps([robot, *words]).encode())
         try:
-            reply = own.recv(_MOST).decode()
+            reply: dict[str, Any] = json.loads(own.recv(_MOST))
         except TimeoutError as err:
             raise InvalidSetup(f"The virtual robot {process!r} has not answered for {PATIENCE:g} s.") from err
-    if reply:
-        raise InvalidSetup(reply)
+    if "error" in reply:
+        raise InvalidSetup(reply["error"])
+    return reply["answer"]
 
 
 def running() -> list[str]:

@@ -80,10 +80,14 @@ class VirtualProcess:
         assert self._process is not None, "it has not been started"
         return self._process.pid
 
-    def tell(self, *words: object) -> None:
-        """Have something go wrong, such as `tell("lose", 3)`; of one of several robots, `tell("left/lose", 3)`."""
+    def tell(self, *words: object) -> str:
+        """Have something go wrong, such as `tell("lose", 3)`; of one of several robots, `tell("left/lose", 3)`.
+
+        Returns:
+            The answer to a question such as `judge`; empty for a fault.
+        """
         robot, slash, fault = str(words[0]).rpartition("/")
-        tell(f"{self.name}{slash}{robot}", [fault, *map(str, words[1:])])
+        return tell(f"{self.name}{slash}{robot}", [fault, *map(str, words[1:])])
 
     def close(self) -> None:
         """End it and wait until it is gone; closing twice is harmless.

@@ -8,6 +8,7 @@ wires.
 from __future__ import annotations
 
 import gc
+import json
 import select
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -34,6 +35,11 @@ from rcs.virtual.wire import Wire
 
 LONGEST_GAP = 0.25
 """A gap in time that is longer than this is left out, as if the world had stood still [s]."""
+
+ABOUT, JUDGE = "about", "judge"
+"""Questions: for its name, site and setup as JSON; whether the task was done since the objects were placed last."""
+VERDICTS: Mapping[bool | None, str] = {True: "done", False: "not done", None: "not known"}
+"""Answers to `judge`; not known where nothing is to be done."""
 
 AnyWire = Callable[[VirtualRobot, str], Wire]
 
@@ -80,6 +86,9 @@ class VirtualWorld:
         self.robots = {robot.name: VirtualRobot(self.world, robot, self.log) for robot in parts.robots}
         """The robots by name."""
         self._scenario = Scenario(self.world, [robot.body for robot in self.robots.values()], parts.task)
+        self._judged_every = max(1, round(self.rate / parts.setup.frequency))
+        self.success: bool | None = None
+        """Whether the task was done since the objects were placed; None where nothing is to be done."""
         self._is_ended = False
         self.wires: dict[str, Wire] = {}
         """The wires by robot."""
@@ -138,9 +147,22 @@ class VirtualWorld:
             array[at] = values
         self.world.ctrl[...] = controls
         self.world.refresh()
+        self.success = None
 
-    def tell(self, words: Sequence[str]) -> None:
-        """Have something go wrong: the name of the robot or "" for all of them, a fault, and its value.
+    def _judge(self) -> None:
+        """Look whether the task is done, as an environment does after each step."""
+        success = self._scenario.evaluate().success
+        if success is not None:
+            self.success = bool(self.success) or bool(success)
+
+    def tell(self, words: Sequence[str]) -> str:
+        """Have something go wrong, or answer a question.
+
+        Args:
+            words: The name of the robot, or "" for all of them; a fault and its value, or a question.
+
+        Returns:
+            The answer; empty for a fault.
 
         Raises:
             UnknownName: There is no such robot, or it has no such fault.
@@ -149,11 +171,17 @@ class VirtualWorld:
         name, *rest = words
         if name and name not in self.robots:
             raise UnknownName("robot of this world", name, self.robots)
+        if rest == [JUDGE]:
+            self._judge()
+            return VERDICTS[self.success]
+        if rest == [ABOUT]:
+            return json.dumps({"name": self.name, "site": self.site(), "setup": self.setup.to_json()})
         names = [name] if name else list(self.robots)
         faults = {one: Fault.parse(rest, {**GENERIC, **self.wires[one].faults}) for one in names}
         for one, fault in faults.items():
             self._befall(self.robots[one], self.wires[one], fault)
             self.robots[one].note("told", fault=fault.name, value=fault.value)
+        return ""
 
     def _befall(self, robot: VirtualRobot, wire: Wire, fault: Fault) -> None:
         if fault.name in wire.faults:
@@ -210,6 +238,8 @@ class VirtualWorld:
                 self.wires[name].tick(robot)
             robot.settle()
         self.world.advance()
+        if self.ticks % self._judged_every == 0:
+            self._judge()
         for robot in self.robots.values():
             robot.log_tick(due, began)
         self.log.flush(began)

@@ -43,7 +43,7 @@ def record(
     """
     info = dataset_info(env, colour=colour, jpeg_quality=jpeg_quality, notes=notes)
     with DatasetWriter.open(Path(out), info, resume=True) as writer:
-        recorder = _recorder(env, writer)
+        recorder = recorder_of(env, writer)
         env.add_observer(recorder)
         try:
             yield Takes(recorder, writer)
@@ -78,7 +78,7 @@ def record_all(
     with DatasetWriter.open(Path(out), info, resume=True) as writer:
         taken = {episode.id for episode in Dataset.open(out)}
         names = (name for i in itertools.count() if (name := f"{i:06d}") not in taken)
-        recorders = [_recorder(env, writer, names) for _ in range(env.num_envs if isinstance(env, VecEnv) else 1)]
+        recorders = [recorder_of(env, writer, names) for _ in range(env.num_envs if isinstance(env, VecEnv) else 1)]
         for copy, recorder in enumerate(recorders):
             if isinstance(env, VecEnv):
                 env.add_observer(recorder, copy=copy)
@@ -92,7 +92,7 @@ def record_all(
             for_all([recorder.close for recorder in recorders])
 
 
-def _recorder(env: Env | VecEnv, writer: DatasetWriter, names: Iterator[str] | None = None) -> Recorder:
+def recorder_of(env: Env | VecEnv, writer: DatasetWriter, names: Iterator[str] | None = None) -> Recorder:
     """Return what records an environment, or one copy of a batch: beside its loop where steps take real time."""
     ages = [port.stale_after for port in env.stack.ports if port.stale_after is not None]
     is_real = isinstance(env, Env) and env.is_real

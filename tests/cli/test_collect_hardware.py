@@ -1,0 +1,106 @@
+"""`rcs collect --hardware`: a person at a terminal stands by, and what makes no sense is refused."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rcs_data import Dataset
+
+from rcs.agents import Agent
+from rcs.cli.main import main
+from rcs.envs import Action, Env, Observation
+from rcs.hardware import Site
+
+
+class Stay(Agent):
+    """Stays for a few steps."""
+
+    def __init__(self, env: Env) -> None:
+        self._steps = 0
+
+    def reset(self, observation: Observation, info: Mapping[str, Any]) -> None:
+        self._steps = 0
+
+    def act(self, observation: Observation, info: Mapping[str, Any]) -> Action:
+        self._steps += 1
+        return {"joints": np.zeros(7), "gripper": np.ones(1)}
+
+    def events(self):
+        return ("stop",) if self._steps >= 5 else ()
+
+
+class Terminal(io.StringIO):
+    """A person at a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def call(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    folder: Path,
+    *arguments: str,
+    answers: str | None = None,
+) -> tuple[int, str]:
+    """Run `rcs collect` on fakes, with answers for its questions; None for no terminal."""
+    site = {"arms": {"fr3": "fake:a"}, "grippers": {"fr3": "fake:a"}, "cameras": {"wrist": "fake:b"}}
+    Site(**site, arm_stale_after=60.0).write(folder / "site.json")
+    monkeypatch.setattr("sys.stdin", io.StringIO() if answers is None else Terminal(answers))
+    words = ["PickCuboid", "--hardware", str(folder / "site.json"), "--episodes", "2", "--agent", f"{__name__}:Stay"]
+    with pytest.raises(SystemExit) as stopped:
+        main(["collect", *words, "--out", str(folder / "data"), "--no-report", *arguments])
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out + captured.err
+
+
+@pytest.mark.parametrize(("words", "first"), [((), "y\n"), (("--yes",), "")])
+def test_a_person_at_the_terminal_makes_a_dataset_with_the_cameras_of_the_site(
+    words: tuple[str, ...],
+    first: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    code, text = call(capsys, monkeypatch, tmp_path, "--home-speed", "1", *words, answers=f"{first}\ny\n\nmaybe\nn\n")
+    assert code == 0, text
+    assert ("Is the way free?" in text) is bool(first)
+    assert len(re.findall(r"Put the cuboid at x 0\.\d{3} m", text)) == 2
+    assert "Episode 1 of 2: done" in text
+    assert "Episode 2 of 2: not done" in text
+    assert "1 of 2 = 50.0 %" in text
+    data = Dataset.open(tmp_path / "data")
+    assert [episode.success for episode in data.episodes] == [True, False]
+    assert [feature.key for feature in data.info.features if feature.is_image] == ["observation/frames/wrist/rgb"]
+    assert data.info.origin["platform"] == dict.fromkeys(("fr3", "fr3/franka_hand", "wrist"), "fake")
+
+
+@pytest.mark.parametrize(
+    ("words", "answers", "match"),
+    [
+        ((), None, "The input is no terminal"),
+        ((), "n\n", "nobody agreed"),
+        (("--workers", "2"), "y\n", "one process of this machine; workers is 2"),
+        (("--ray",), "y\n", "ray is 'local'"),
+        (("--viewer",), "y\n", "use --viewer without --hardware"),
+        (("--home-speed", "2"), "y\n", "'speed' is 2"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_and_nothing_is_recorded(
+    words: tuple[str, ...],
+    answers: str | None,
+    match: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    code, text = call(capsys, monkeypatch, tmp_path, *words, answers=answers)
+    assert code == 1
+    assert match in " ".join(text.split())
+    assert not (tmp_path / "data").exists() or not Dataset.open(tmp_path / "data").episodes
