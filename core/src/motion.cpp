@@ -125,11 +125,7 @@ double Motion::share_of_acceleration(const mjModel* model, mjData* data, const d
     for (std::size_t i = 0; i < n; ++i)
       copy.wanted[static_cast<std::size_t>(model->jnt_dofadr[joints_[i]])] = copy.trajectory.acceleration()[i];
     if (is_far) {
-      for (std::size_t i = 0; i < n; ++i) {
-        data->qpos[model->jnt_qposadr[joints_[i]]] = copy.trajectory.position()[i];
-        data->qvel[model->jnt_dofadr[joints_[i]]] = copy.trajectory.velocity()[i];
-      }
-      look_at_inertia(model, data);
+      put_joints(model, data, copy.trajectory);
       is_known = false;
     }
     mj_mulM(model, data, copy.force.data(), copy.wanted.data());
@@ -151,6 +147,15 @@ double Motion::share_of_acceleration(const mjModel* model, mjData* data, const d
     look_at_inertia(model, data);
   }
   return std::max(share, kLeastShare);
+}
+
+// Put the joints where a trajectory is that has been looked at.
+void Motion::put_joints(const mjModel* model, mjData* data, const Trajectory& trajectory) {
+  for (std::size_t i = 0; i < joints_.size(); ++i) {
+    data->qpos[model->jnt_qposadr[joints_[i]]] = trajectory.position()[i];
+    data->qvel[model->jnt_dofadr[joints_[i]]] = trajectory.velocity()[i];
+  }
+  look_at_inertia(model, data);
 }
 
 // The inertia matrix that is there may be of another copy.
@@ -274,8 +279,15 @@ std::vector<double> Motion::preview(const mjModel* model, mjData* data, int copy
   const double pace = step.duration / std::ceil(step.duration / tick);  // the same for all motions
   add(0, step.duration, pace);
   trajectory.advance(tried.data(), step.duration);
-  look_at_inertia(model, data);
+  // What braking may ask of the motors depends on where, and how fast, the arm will be then.
+  now.qpos.assign(data->qpos, data->qpos + model->nq);
+  now.qvel.assign(data->qvel, data->qvel + model->nv);
+  trajectory.look(tried.data(), 0.0);
+  put_joints(model, data, trajectory);
   brake(model, data, tried.data(), now);
+  std::ranges::copy(now.qpos, data->qpos);
+  std::ranges::copy(now.qvel, data->qvel);
+  look_at_inertia(model, data);
   add(1, trajectory.remaining(tried.data()), pace);
   return positions;
 }

@@ -69,6 +69,7 @@ class Motion final : public StepCallback {
   double share_of_acceleration(const mjModel* model, mjData* data, const double* memory, Copy& copy, bool is_far);
   static void know_bias(const mjModel* model, mjData* data, Copy& copy);
   static void look_at_inertia(const mjModel* model, mjData* data);
+  void put_joints(const mjModel* model, mjData* data, const Trajectory& trajectory);
 
   std::vector<int> joints_;
   std::vector<int> actuators_;
