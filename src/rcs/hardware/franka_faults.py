@@ -102,8 +102,8 @@ def connected(make: Callable[[], T], address: str, what: str) -> T:
         text = str(err).strip()
         if "ncompatible" in f"{type(err).__name__} {text}":
             hint = (
-                "Install the release of franky-control or pylibfranka for the robot's system version, or update the robot's system "
-                "(docs/franka.md)"
+                "Install the release of franky-control or pylibfranka for the robot's system version, or update the "
+                "robot's system (docs/franka.md)"
             )
         else:
             hint = advice_for(address)
