@@ -168,7 +168,7 @@ test-extras: test-wheel $(VENV)/.stamp-extras gl
 	@echo "==> Testing what needs extras"
 	@$(PYTEST) -m "extras or browser"
 
-# The extras that bring the vendors' libraries; `make test-hardware DRIVERS="franka robotiq so101 ur xarm"` has all of them.
+# The extras that bring the vendors' libraries; `make test-hardware DRIVERS="franka pylibfranka robotiq so101 ur xarm"` has all of them.
 DRIVERS := so101 xarm
 
 $(VENV)/.stamp-drivers: $(VENV)/.stamp-built pyproject.toml Makefile

@@ -20,6 +20,7 @@ import pytest
 from rcs.devices import ArmLimits
 
 CPP_DEVICE = Path(__file__).parents[1] / "cpp_device"
+CPP_DRIVER = Path(__file__).parents[2] / "core" / "examples" / "03_driver"
 
 
 class HandClock:
@@ -67,15 +68,26 @@ def wheel_python(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathF
 
 
 @pytest.fixture(scope="session")
-def cpp_devices(pytestconfig: pytest.Config, wheel_python: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the extension modules of `tests/cpp_device`, built from a copy against the wheel alone."""
+def cpp_devices(wheel_python: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the extension modules of `tests/cpp_device`."""
+    return _built(CPP_DEVICE, wheel_python, tmp_path_factory.mktemp("cpp_device"))
+
+
+@pytest.fixture(scope="session")
+def cpp_driver(wheel_python: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the extension module of the example of a driver, with its Python beside it."""
+    built = _built(CPP_DRIVER, wheel_python, tmp_path_factory.mktemp("cpp_driver"))
+    return Path(shutil.copy(CPP_DRIVER / "my_driver.py", built)).parent
+
+
+def _built(source: Path, wheel_python: Path, folder: Path) -> Path:
+    """Return the folder of extension modules that were built from a copy of their source against the wheel alone."""
     if "RCS_SANITIZED_CORE" in os.environ:
         pytest.skip("devices in C++ are built against the wheel, whose extension no sanitizer watches")
     cmake = _tool("cmake")
     if cmake is None or not (shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")):
         pytest.skip("building an arm in C++ needs cmake and a C++ compiler")
-    folder = tmp_path_factory.mktemp("cpp_device")
-    shutil.copytree(CPP_DEVICE, folder / "source")
+    shutil.copytree(source, folder / "source")
     ninja = _tool("ninja")
     generator = ["-G", "Ninja", f"-DCMAKE_MAKE_PROGRAM={ninja}"] if ninja else []
     options = ["-DCMAKE_BUILD_TYPE=Release", f"-DPython_EXECUTABLE={wheel_python}"]

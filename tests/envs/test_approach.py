@@ -61,6 +61,15 @@ def test_an_arm_goes_where_it_is_wanted_and_no_faster_than_it_may() -> None:
         np.testing.assert_allclose(observation["joints"], THERE["joints"], atol=1e-6)
 
 
+@pytest.mark.parametrize("control", ["tquat", "xyzrpy", "twist"])
+def test_an_arm_goes_there_whatever_its_actions_are(control: Any) -> None:
+    with make(TracedArm(), control=control) as env:
+        observation, _ = env.reset(seed=0, options={"robot": THERE, "may_move": True, "speed": 1.0})
+        np.testing.assert_allclose(observation["joints"], THERE["joints"], atol=1e-6)
+        observation, *_ = env.step({control: np.eye(7)[6] if control == "tquat" else np.zeros(6), "gripper": [0.0]})
+        np.testing.assert_allclose(observation["joints"], THERE["joints"], atol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("options", "error", "match"),
     [

@@ -15,11 +15,13 @@ from collections.abc import Callable, Generator
 
 import numpy as np
 import pytest
+from franka_troubles import TROUBLES
 
 import rcs
 from rcs.agents import PickExpert
 from rcs.errors import DeviceFault, InvalidAction, InvalidSetup, MissingDependency
 from rcs.hardware.franka import FrankaArm, FrankaDriver, FrankaOptions
+from rcs.hardware.franka_faults import _WORDS  # pyright: ignore[reportPrivateUsage]
 from rcs.hardware.franka_hand import FrankaHand
 from rcs.kinematics import kinematics_of
 from rcs.robots import FR3, FRANKA_HAND
@@ -269,18 +271,7 @@ def test_a_person_guides_the_arm_which_then_stays(arm: FrankaArm):
 # --- Faults
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (("reflex",), r"Reflex.*joint_reflex.*joint4.*something pushed"),
-        (("user_stop",), r"user stop.*release"),
-        (("brakes",), r"locked.*Desk"),
-        (("code", 26), r"power_limit_violation.*too much power"),
-        (("lose", 40), r"communication_constraints_violation.*came late"),
-        (("freeze", 1.5), r"not answered|no state"),
-        (("cut",), r"not answered|no state|link"),
-    ],
-)
+@pytest.mark.parametrize(("words", "told"), TROUBLES)
 def test_what_goes_wrong_is_told_in_words_at_once_and_recover_moves_nothing(
     robot: VirtualProcess, arm: FrankaArm, words, told
 ):
@@ -346,6 +337,12 @@ def test_an_arm_whose_program_is_killed_brakes(robot: VirtualProcess, tmp_path):
         time.sleep(0.2)
         assert arm.state().joints == pytest.approx(before, abs=1e-3)
         arm.recover()
+
+
+def test_the_errors_that_have_words_are_those_of_the_library():
+    import franky
+
+    assert set(_WORDS) <= set(dir(franky.Errors))
 
 
 # --- The hand

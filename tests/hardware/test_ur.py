@@ -296,6 +296,23 @@ def test_a_twist_moves_the_tcp_until_its_time_is_over(tcp_arm: Arm) -> None:
     assert tcp_arm.fault == ""
 
 
+def test_a_twist_is_slowed_down_to_the_speed_of_the_tcp(virtual: VirtualProcess) -> None:
+    with UrDriver().arm(ADDRESS, UR5E, {**CALM, "tcp": TCP, "tcp_speed": 0.02}) as arm:
+        arm.recover()
+        speeds: list[float] = []
+        for _ in range(60):
+            arm.command_twist(np.array([0.0, 0.3, 0.4, 0.0, 0.0, 0.0]), valid_for=0.4)
+            time.sleep(0.02)
+            state = arm.state()
+            jacobian = kinematics_of(UR5E, ROBOTIQ_2F85).jacobian(state.joints)
+            speeds.append(float(np.linalg.norm((jacobian @ state.joint_velocities)[:3])))
+        rest(arm)
+        assert np.median(speeds) == pytest.approx(0.02, rel=0.02)
+        assert max(speeds) < 0.021
+        lead(arm, arm.state().joints)
+        lead(arm, HOME)
+
+
 def test_kinds_of_commands_change_at_rest_only(tcp_arm: Arm) -> None:
     start = tcp_arm.state().joints
     tcp_arm.command_velocities(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))

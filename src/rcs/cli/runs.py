@@ -110,6 +110,8 @@ class SetupOptions:
     """What actions say of the arm."""
     absolute: bool = False
     """Absolute actions instead of differences to the last step."""
+    native: bool = False
+    """Poses and twists go to the controllers of real arms, which lead the TCP by their own laws."""
     frequency: float = 30.0
     """Control steps per second [Hz]."""
     collision_reaction: bool = True
@@ -169,7 +171,7 @@ class SetupOptions:
 
 _AS_THEY_ARE = (
     "reward", "discount", "robot", "end_effector", "layers", "observe", "gates", "camera_mode", "camera_fps",
-    "camera_noise", "depth", "segmentation", "tactile", "control", "frequency", "assets",
+    "camera_noise", "depth", "segmentation", "tactile", "control", "native", "frequency", "assets",
     "collision_reaction", "at_end",
 )  # fmt: skip
 """Options that are fields of a setup."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rcs.devices import Arm
 from rcs.envs import spaces as keys
 from rcs.envs.clock import Clock
+from rcs.envs.spaces import ARM_KEYS, Observation
 from rcs.envs.stack import NAMELESS, Nested, Stack
 from rcs.errors import DeviceFault, InvalidSetup, Refused
 from rcs.planning.interpolation import PEAK_SPEED, minimum_jerk
@@ -22,6 +23,8 @@ SPEED = 0.05
 """Share of the joints' largest speeds, when nothing else is said: 5 % is slow enough to stop the arm by hand."""
 SETTLING = 0.5
 """How long the last target is repeated, for arms that lag [s]."""
+RESTING = 2.0
+"""How long an arm that its controller leads to a pose may take to stand [s]."""
 APART = 0.1
 """A joint that is farther from its target then has not arrived [rad]; servos without integrators sag by half of it."""
 
@@ -84,10 +87,14 @@ class Approach:
         question = self._question(self._ways(stack, placements))
         if self.may_move is False or (callable(self.may_move) and self.may_move(question) is not True):
             raise Refused(f"Nothing has moved, because nobody agreed to this: {question}")
-        ways = self._ways(stack, placements)  # anew: somebody may have moved an arm while the question was open
-        stay = _measured(stack)
-        end = stay
         clock.reset()
+        self._come_to_rest(stack, clock)
+        ways = self._ways(stack, placements)  # anew: somebody may have moved an arm while the question was open
+        stay = _stay(stack)
+        for way in ways:
+            for key in ARM_KEYS:
+                stay[way.chain].pop(key, None)
+        end: Mapping[str, Observation] = {}
         steps = math.ceil(self._duration(ways) * clock.frequency)
         settling = math.ceil(SETTLING * clock.frequency)
         for step in range(1, steps + settling + 1):
@@ -98,7 +105,7 @@ class Approach:
                 )
                 if step > steps:
                     targets[way.chain].update(way.effector)
-            stack.send(stack.admit(targets))
+            stack.lead(stack.admit(targets))
             if is_held():
                 stack.hold()  # anew: it may have been said before the targets were sent
                 raise Refused("The arms were told to hold on their way, and stay where they are.")
@@ -118,12 +125,13 @@ class Approach:
 
     def _ways(self, stack: Stack, placements: Sequence[RobotPlacement]) -> list[_Way]:
         """Return the way of every robot that has one, from where it is measured now."""
-        now, ways = _measured(stack), list[_Way]()
+        ways = list[_Way]()
         for one in placements:
             if (goal := self.robots.get(one.name)) is None:
                 continue
             chain = NAMELESS if len(placements) == 1 else one.name
-            box = stack.chains[chain].executed_spaces[keys.JOINTS]
+            box = stack.chains[chain].joint_space
+            assert box is not None, "a robot has an arm"
             if not box.contains(goal[keys.JOINTS]):
                 raise InvalidSetup(
                     f"{one.name} cannot go to the joints {np.round(goal[keys.JOINTS], 3)}; the device has the range "
@@ -136,13 +144,26 @@ class Approach:
                     name=one.name,
                     chain=chain,
                     joints=one.arm.joints,
-                    start=now[chain][keys.JOINTS],
+                    start=np.clip(stack.chains[chain].measure_devices()[keys.JOINTS], box.low, box.high),
                     goal=goal[keys.JOINTS],
                     effector={key: value for key, value in goal.items() if key != keys.JOINTS},
                     speed=np.min([np.array(one.arm.velocity_limit), *speeds], axis=0),
                 )
             )
         return ways
+
+    def _come_to_rest(self, stack: Stack, clock: Clock) -> None:
+        """Have arms stand that their controllers may still lead to a pose: only then are they led by joints."""
+        ports = [
+            port for chain in stack.chains.values() if keys.JOINTS not in chain.executed_spaces for port in chain.ports
+        ]
+        arms = [port for port in ports if port.joint_space is not None]
+        for port in arms:
+            port.hold()
+        for _ in range(math.ceil(RESTING * clock.frequency)):
+            if all(port.has_arrived() for port in arms):
+                return
+            clock.advance()
 
     def _duration(self, ways: Sequence[_Way]) -> float:
         """Return how long the longest way takes [s]; all robots arrive together."""
@@ -173,13 +194,11 @@ class _Way:
     speed: NDArray[np.float64]
 
 
-def _measured(stack: Stack) -> Nested:
-    """Return what is measured as targets that all robots stay at."""
+def _stay(stack: Stack) -> Nested:
+    """Return targets with which all robots stay where they are measured."""
     stay: Nested = {}
     for name, chain in stack.chains.items():
-        measured = chain.measure_devices()
-        stay[name] = {
-            key: np.clip(np.asarray(measured[key], box.dtype), box.low, box.high)
-            for key, box in chain.executed_spaces.items()
-        }
+        boxes = chain.executed_spaces
+        found = chain.at_rest(chain.measure_devices())
+        stay[name] = {key: np.clip(value, boxes[key].low, boxes[key].high) for key, value in found.items()}
     return stay

@@ -23,6 +23,7 @@ from rcs.envs.layers import (
     WristCamera,
 )
 from rcs.envs.load_ports import PrivilegedPort, SimContactPort, SimLoadPort
+from rcs.envs.native import native_space, require_native
 from rcs.envs.parts import Parts
 from rcs.envs.pixel_port import PixelPort
 from rcs.envs.ports import ArmPort, GripperPort, HandPort, Port
@@ -166,6 +167,7 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
     setup, devices = parts.setup, parts.devices
     if "privileged" in setup.observe and devices:
         raise InvalidSetup("Poses of objects are known in simulation only; leave 'privileged' out of observe.")
+    require_native(parts)
     leading = () if world is None else world.leading
     simulated = [camera for camera in cameras if camera.name not in devices.cameras]
     real = [camera for camera in cameras if camera.name in devices.cameras]
@@ -212,7 +214,8 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
     for placement in parts.robots:
         name = placement.name
         ports = _ports_of(parts, placement, bodies.get(name))
-        layers = layers_of(setup, placement, threads=1 if world is None else world.core.threads)
+        threads = 1 if world is None else world.core.threads
+        layers = layers_of(setup, placement, threads=threads, is_native=setup.native and name in devices.arms)
         if randomiser is not None and not devices:
             layers = [*_late_actions(randomiser, setup, leading), *layers]
         if len(parts.robots) == 1:
@@ -247,7 +250,8 @@ def _ports_of(parts: Parts, placement: RobotPlacement, body: SimRobot | None) ->
         times = _times(parts, devices.arm_stale_after)
         if isinstance(arm, StreamedArm):
             arm.period = 1.0 / parts.setup.frequency
-        ports.append(ArmPort(arm, kinematics, observed=observed, effort=effort, limit=limit, **times))
+        native = native_space(parts.setup, placement.arm) if parts.setup.native else None
+        ports.append(ArmPort(arm, kinematics, native=native, observed=observed, effort=effort, limit=limit, **times))
     elif body is not None:
         ports.append(SimArmPort(body))
         if keys.LOADS.keys() & set(observed):

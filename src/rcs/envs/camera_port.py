@@ -296,6 +296,8 @@ class CameraPort(Port):
 class FreshFrames(Gate):
     """Refuses actions while a camera is stale."""
 
+    needs_joints = False
+
     def __init__(self, port: CameraPort) -> None:
         """Watch the cameras of a port."""
         self._port = port

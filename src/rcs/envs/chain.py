@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rcs.envs.layers.layer import Layer, Where
 from rcs.envs.ports import Port
-from rcs.envs.spaces import Action, ActionCheck, Observation
+from rcs.envs.spaces import ARM_KEYS, JOINTS, TWIST, Action, ActionCheck, Observation
 from rcs.errors import InvalidSetup, RcsError
 
 
@@ -60,8 +60,10 @@ class Chain:
         """Whether what the layers return was compared with their spaces: the first time is enough."""
         self.check = ActionCheck(boxes, leading)
         """Checks an action of the highest level; raises InvalidAction."""
-        self.check_executed = ActionCheck(self.executed_spaces, leading)
-        """Checks an action of the lowest level; raises InvalidAction."""
+        self.joint_space = next((port.joint_space for port in ports if port.joint_space is not None), boxes.get(JOINTS))
+        """Space of the joint targets of the robot's arm, which it also takes where its actions are poses or twists."""
+        self._check_executed = ActionCheck(self.executed_spaces, leading)
+        self._check_led = ActionCheck(_led_by_joints(self.executed_spaces, self.joint_space), leading)
         self.action_spaces = dict(boxes)
         self.observation_spaces = dict(observations)
         self.executed: dict[str, NDArray[Any]] = {}
@@ -91,18 +93,40 @@ class Chain:
         self._is_mapped = True
         return mapped
 
+    def check_executed(self, action: Any, *places: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Check an action of the lowest level, as `ActionCheck` does, or one that `lead` takes.
+
+        Raises:
+            InvalidAction: The action is not valid.
+        """
+        is_led = isinstance(action, Mapping) and JOINTS in action
+        return (self._check_led if is_led else self._check_executed)(action, *places)
+
     def send(self, mapped: Action) -> None:
         """Set the devices' targets, and tell the layers from the lowest up what they came to; nothing moves yet."""
         for port in self.ports:
             port.command(mapped)
         self._commit(mapped)
 
+    def lead(self, targets: Action) -> None:
+        """Set the devices' targets past the layers, which are to be reset after it; an arm's may always be `joints`."""
+        for port in self.ports:
+            port.command(targets)
+        self.executed = targets
+
+    def at_rest(self, measured: Observation) -> Action:
+        """Return the action of the lowest level with which all stay where they are measured."""
+        return {
+            key: np.zeros(box.shape, box.dtype) if key == TWIST else np.asarray(measured[key], box.dtype)
+            for key, box in self.executed_spaces.items()
+        }
+
     def stay(self) -> None:
         """Hold all devices, and tell the layers that the measured state is what the last action came to."""
         measured = self.measure_devices()
         for port in self.ports:
             port.hold()
-        self._commit({key: np.asarray(measured[key], box.dtype) for key, box in self.executed_spaces.items()})
+        self._commit(self.at_rest(measured))
 
     def _commit(self, executed: Action) -> None:
         self.executed = executed
@@ -184,6 +208,13 @@ class Chain:
             lines.append((f"{type(port).__name__}: {taken} -> {given}", _purpose(port)))
         width = max((len(name) for name, _ in lines), default=0)
         return "\n".join(f"  {name:{width}}  # {purpose}" for name, purpose in lines)
+
+
+def _led_by_joints(boxes: Mapping[str, spaces.Box], joints: spaces.Box | None) -> dict[str, spaces.Box]:
+    """Return spaces in which the arm's is that of joints, whatever else its actions are."""
+    if joints is None:
+        return dict(boxes)
+    return {JOINTS: joints, **{key: box for key, box in boxes.items() if key not in ARM_KEYS}}
 
 
 def _require_spaces(who: str, found: Any, kind: type[spaces.Space[Any]]) -> None:

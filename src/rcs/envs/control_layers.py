@@ -9,7 +9,9 @@ from rcs.envs.layers import (
     CartesianControl,
     GraspHand,
     Layer,
+    LimitPose,
     LimitStep,
+    NativeTwist,
     Relative,
     TwistControl,
     XyzrpyControl,
@@ -27,22 +29,26 @@ RETURN_SPEED = 0.1
 """Largest speed of a joint that comes back into its range from where it was found [rad/s]: slow enough to step in."""
 
 
-def layers_of(setup: Setup, robot: RobotPlacement, *, threads: int = 1) -> list[Layer]:
+def layers_of(setup: Setup, robot: RobotPlacement, *, threads: int = 1, is_native: bool = False) -> list[Layer]:
     """Return the layers that a setup asks for, from the lowest to the highest.
 
     Args:
         setup: The setup.
         robot: The robot.
         threads: Threads that solve for the joints of many copies.
+        is_native: Whether the arm's controller takes poses or twists, so that nothing is solved for.
     """
     # A synchronous step lasts as long as it needs, so its target is not bounded; a device's port bounds the way there.
     control = setup.control
-    layers: list[Layer] = [] if setup.stepping == "sync" else [limit_step(robot.arm, setup.frequency)]
-    if control in (TQUAT, XYZRPY):
+    is_bounded = setup.stepping != "sync" and not is_native
+    layers: list[Layer] = [limit_step(robot.arm, setup.frequency)] if is_bounded else []
+    if is_native:
+        layers += [NativeTwist(setup.frequency)] if control == TWIST else [limit_pose(robot.arm, setup.frequency)]
+    elif control in (TQUAT, XYZRPY):
         kinematics = kinematics_of(robot.arm, robot.end_effector)
         bound = None if setup.stepping == "sync" else np.array(robot.arm.velocity_limit) / setup.frequency
         layers.append(CartesianControl(kinematics, preferred=robot.arm.home, max_step=bound, threads=threads))
-    if control == TWIST:
+    elif control == TWIST:
         layers.append(
             TwistControl(
                 kinematics_of(robot.arm, robot.end_effector),
@@ -54,6 +60,8 @@ def layers_of(setup: Setup, robot: RobotPlacement, *, threads: int = 1) -> list[
                 threads=threads,
             )
         )
+    if control == TWIST:
+        pass  # a velocity has no reference
     elif setup.relative != "absolute":
         layers.append(
             Relative(
@@ -83,3 +91,9 @@ def limit_step(arm: ArmDescription, frequency: float) -> LimitStep:
         upper=arm.joint_upper,
         max_return=RETURN_SPEED / frequency,
     )
+
+
+def limit_pose(arm: ArmDescription, frequency: float) -> LimitPose:
+    """Return what bounds targets of the TCP to what relative actions ask for at a control frequency [Hz]."""
+    along_all_axes = np.sqrt(3.0) * arm.tcp_speed
+    return LimitPose(along_all_axes, arm.tcp_turn_speed, frequency=frequency)

@@ -21,6 +21,7 @@ class FollowPort(Port):
         self._port = port
         self.device = port.device
         self.timed = port.timed
+        self.joint_space = port.joint_space
         self.action_spaces = port.action_spaces
         self.observation_spaces = port.observation_spaces
 

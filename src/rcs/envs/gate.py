@@ -26,6 +26,9 @@ class Gate(ABC):
 
     deadline: float = float("inf")
     """Longest time that `admit` may take [s]; a later answer counts as a refusal."""
+    needs_joints: bool = True
+    """Whether it looks at the joints in targets: it is refused where controllers take poses or twists, with `native` in
+    the setup."""
     memory: tuple[str, ...] = ()
     """Attributes that decide what follows; see `Layer.memory`."""
 
@@ -46,7 +49,8 @@ class Gate(ABC):
 
         Args:
             targets: Targets on the lowest level by robot, absolute: `joints` [rad], `gripper`, `hand`. A single robot
-                without a name is "". Of a batch, arrays (copies, ...).
+                without a name is "". Of a batch, arrays (copies, ...). On its slow way to the start of an episode, and
+                always unless `native` is set, an arm has `joints`; else `tquat` or `twist`.
             measured: What the robots measure at this moment, by the same names.
 
         Raises:

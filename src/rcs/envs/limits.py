@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from rcs.envs.layers.limit_step import LimitStep
 from rcs.envs.ports import ArmPort
-from rcs.envs.spaces import JOINTS
 from rcs.envs.stack import NAMELESS, Stack
 from rcs.sim.scene import RobotPlacement
 
@@ -58,8 +56,8 @@ def limits_of(robots: Mapping[str, RobotPlacement], stack: Stack, frequency: flo
     found: dict[str, RobotLimits] = {}
     for name, robot in robots.items():
         chain = stack.chains.get(name) or stack.chains[NAMELESS]
-        box = chain.executed_spaces[JOINTS]
-        assert isinstance(box, spaces.Box)
+        box = chain.joint_space
+        assert box is not None, "a robot has an arm"
         bounds = [*chain.layers, *(port.limit for port in chain.ports if isinstance(port, ArmPort))]
         steps = [bound.max_step for bound in bounds if isinstance(bound, LimitStep)]
         slowest = np.min(steps, axis=0) * frequency if steps else np.full(box.shape, np.inf)

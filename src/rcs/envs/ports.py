@@ -23,6 +23,7 @@ from rcs.envs.layers.limit_step import LimitStep
 from rcs.envs.spaces import Arrays, Observation
 from rcs.errors import InvalidSetup
 from rcs.kinematics import Kinematics
+from rcs.spatial import Pose
 
 OVERSHOOT = 0.1
 """How far a joint may be measured outside its command limits [rad]: servos overshoot and collisions push."""
@@ -35,6 +36,8 @@ class Port(ABC):
     """Space of every key that the port takes."""
     observation_spaces: Mapping[str, spaces.Space[Any]]
     """Space of every key that the port gives."""
+    joint_space: spaces.Box | None = None
+    """Space of the joint targets of an arm."""
     timed: tuple[str, ...] = ()
     """What `capture_times` has an entry for, such as `joints` or `frames/wrist`."""
     memory: tuple[str, ...] = ()
@@ -131,6 +134,7 @@ class ArmPort(Port):
         arm: Arm,
         kinematics: Kinematics,
         *,
+        native: Mapping[str, spaces.Box] | None = None,
         observed: Collection[keys.Observed] = (),
         effort: ArrayLike = (),
         limit: LimitStep | None = None,
@@ -142,6 +146,8 @@ class ArmPort(Port):
         Args:
             arm: The device.
             kinematics: Gives the TCP pose from the measured joints; its range bounds targets beside the device's.
+            native: Space of what its controller does with the TCP, `tquat` or `twist`, in the place of `joints`, which
+                it takes all the same; None for joints.
             observed: `torques` and `wrench` are observed too, as the device measures them.
             effort: Largest joint torques [Nm], (dof,), where torques are observed.
             limit: Bounds how far each `command` goes of the way to its target; None for all of it.
@@ -160,14 +166,21 @@ class ArmPort(Port):
         self._valid_for = valid_for
         self._freshness = Freshness(arm, stale_after)
         self._target: NDArray[np.float64] | None = None
-        self.action_spaces = {keys.JOINTS: box}
+        self.joint_space = box
+        self.action_spaces = {keys.JOINTS: box} if native is None else dict(native)
         self._loads = [key for name, key in keys.LOADS.items() if name in observed]
         loads = keys.load_spaces(effort)
         self.observation_spaces = {**arm_observation_spaces(box), **{key: loads[key] for key in self._loads}}
 
     def command(self, action: Arrays) -> None:
-        """Send the joint target, or the next part of the way to it."""
-        self._target = action[keys.JOINTS]
+        """Send the joint target, or the next part of the way to it; or what the controller is to do with the TCP."""
+        self._target = action.get(keys.JOINTS)
+        if self._target is None:
+            if keys.TWIST in action:
+                self._arm.command_twist(action[keys.TWIST], self._valid_for)
+            else:
+                self._arm.command_pose(Pose.from_tquat(action[keys.TQUAT]), self._valid_for)
+            return
         if self.limit is None:
             self._arm.command_joints(action[keys.JOINTS], self._valid_for)
             return

@@ -92,6 +92,10 @@ class Setup:
     relative: RelativeTo = "last_step"
     """Reference of an arm's action: the last target, an origin set by the user, or none. A twist always moves the last
     target."""
+    native: bool = False
+    """Whether the controllers of real arms lead the TCP to poses, or at twists, by their own laws, in place of our
+    inverse kinematics and joint trajectories; for arms that can (`Arm.commands`), and without gates that look at
+    joints. A simulated arm has no such controller and takes the usual way, so that one setup serves both."""
     binary_gripper: bool = True
     """Whether the gripper only opens and closes fully."""
     at_end: AtEnd = "hold"
@@ -133,7 +137,9 @@ class Setup:
             raise InvalidSetup(f"tactile is {self.tactile!r}; it must be the name of a sensor, or None.")
         if not isinstance(self.calibration, str | None):
             raise InvalidSetup(f"calibration is {self.calibration!r}; it must be the path of a file as text, or None.")
-        for name in ("depth", "segmentation", "points", "camera_noise", "binary_gripper", "collision_reaction"):
+        for name in (
+            "depth", "segmentation", "points", "camera_noise", "binary_gripper", "collision_reaction", "native",
+        ):  # fmt: skip
             if not isinstance(getattr(self, name), bool):
                 raise InvalidSetup(f"{name} is {getattr(self, name)!r}; valid: True, False.")
         if self.points and not self.depth:
@@ -178,6 +184,13 @@ class Setup:
             raise InvalidSetup(
                 f"relative is {self.relative!r} and control is {TWIST!r}, a velocity, which always moves the last "
                 "target; leave relative out."
+            )
+        if self.native and self.control == "joints":
+            raise InvalidSetup("native is True and control is 'joints'; valid with it: 'tquat', 'xyzrpy', 'twist'.")
+        if self.native and self.stepping == "sync":
+            raise InvalidSetup(
+                "native is True and stepping is 'sync', which waits for arrival; a controller that leads the TCP does "
+                "not tell it. Use stepping='async' or 'realtime'."
             )
         if not (_is_number(self.physics_step) and 0 < self.physics_step <= 0.01):
             raise InvalidSetup(f"physics_step is {self.physics_step!r} s; valid is above 0 and up to 0.01 s.")
@@ -255,6 +268,7 @@ class Options(TypedDict, total=False):
     collision_reaction: bool
     control: Control
     relative: RelativeTo | bool
+    native: bool
     binary_gripper: bool
     at_end: AtEnd
     frequency: float

@@ -32,6 +32,7 @@ class SimArmPort(Port):
         arm = robot.placement.arm
         box = keys.joints_space(arm.joint_lower, arm.joint_upper)
         self._robot = robot
+        self.joint_space = box
         self.action_spaces = {keys.JOINTS: box}
         self.observation_spaces = arm_observation_spaces(box)
 

@@ -83,6 +83,9 @@ PRIVILEGED = "privileged"
 TARGET = "target"
 VELOCITY = "velocity"
 
+ARM_KEYS = (JOINTS, TQUAT, TWIST)
+"""What an arm can be sent: joints, or where its controller leads the TCP, a pose or a twist."""
+
 LOADS: Mapping[Observed, str] = {"torques": JOINT_TORQUES, "wrench": TCP_WRENCH}
 """Keys of what measures forces on an arm."""
 

@@ -172,6 +172,13 @@ class Stack:
         for gate in self.gates:
             gate.sent(mapped)
 
+    def lead(self, targets: Nested) -> None:
+        """Set the targets of all devices past the layers, which are to be reset after it; see `Chain.lead`."""
+        for name, chain in self.chains.items():
+            chain.lead(targets[name])
+        for gate in self.gates:
+            gate.sent(targets)
+
     def repeat(self) -> None:
         """Tell all devices once more what was sent last; the layers need not know."""
         for chain in self.chains.values():

@@ -1,5 +1,7 @@
 """The Franka Research 3 and the Franka Hand, on the vendor's network interface (FCI) through `franky-control`.
 
+`franka_pylibfranka` leads the same arm through the vendor's own Python library.
+
 Time: franky's own thread answers the robot 1000 times a second, in C++ and without Python. It makes torques, from a
 reference that the arm's thread gives it `RATE` times a second; a reference that comes late is one that stands still,
 and not a packet that is missing. So the arm needs no kernel for real time where the computer is otherwise idle.
@@ -53,6 +55,7 @@ POSTURE_STIFFNESS: Final = 5.0
 _log = logging.getLogger(__name__)
 
 Compliance = Literal["joints", "tcp"]
+Backend = Literal["franky", "pylibfranka"]
 Vector = NDArray[np.float64]
 
 
@@ -60,6 +63,8 @@ Vector = NDArray[np.float64]
 class FrankaOptions:
     """What a site may say of an arm."""
 
+    backend: Backend = "franky"
+    """Library that leads the arm; `pylibfranka`, the vendor's own, in a process of its own and by joints only."""
     compliance: Compliance = "joints"
     """What a push moves, as a spring does: each joint, or the TCP as a whole (operational space)."""
     stiffness: tuple[float, ...] | None = None
@@ -84,6 +89,10 @@ class FrankaOptions:
         """
         if self.compliance not in get_args(Compliance):
             raise InvalidSetup(f"compliance is {self.compliance!r}; valid: {', '.join(get_args(Compliance))}.")
+        if self.backend not in get_args(Backend):
+            raise InvalidSetup(f"backend is {self.backend!r}; valid: {', '.join(get_args(Backend))}.")
+        if self.backend == "pylibfranka" and self.compliance != "joints":
+            raise InvalidSetup("compliance 'tcp' is of the backend 'franky'; the backend 'pylibfranka' has 'joints'.")
         if not _is_amount(self.speed) or not 0 < self.speed <= 1:
             raise InvalidSetup(f"speed is {self.speed!r}; valid is a share above 0 and at most 1.")
         if not isinstance(self.whole_range, bool):
@@ -99,6 +108,13 @@ class FrankaOptions:
         if self.collision_force is not None and not _is_amount(self.collision_force):
             raise InvalidSetup(f"collision_force is {self.collision_force!r}; valid is a finite number from 0.")
 
+    def thresholds(self, about: ArmDescription) -> tuple[list[float], list[float]]:
+        """Return the torques [N·m], seven, and forces [N, N·m], six, from which an arm takes a push for a collision."""
+        limits = about.collision
+        assert limits is not None, "the description of an FR3 has them"
+        force = [limits.force] * 3 + [limits.moment] * 3 if self.collision_force is None else [self.collision_force] * 6
+        return list(limits.joint_torque if self.collision_torque is None else self.collision_torque), force
+
 
 def _is_amount(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value >= 0
@@ -106,6 +122,10 @@ def _is_amount(value: Any) -> bool:
 
 class FrankaDriver(Driver):
     """Makes arms and hands; the address is that of the control box. Options of an arm: those of `FrankaOptions`."""
+
+    def needs_host(self, options: Mapping[str, Any]) -> bool:
+        """Return whether the library keeps the interpreter to itself, or cannot be with the hand's in one process."""
+        return options.get("backend") == "pylibfranka"
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
         """Return an arm.
@@ -115,7 +135,12 @@ class FrankaDriver(Driver):
             InvalidSetup: An option makes no sense, or the description is that of another arm.
         """
         require_fields("option of a Franka arm", options, [field.name for field in fields(FrankaOptions)])
-        return FrankaArm(address, about, FrankaOptions(**options))
+        given = FrankaOptions(**options)
+        if given.backend == "pylibfranka":
+            from rcs.hardware.franka_pylibfranka import PylibfrankaArm
+
+            return PylibfrankaArm(address, about, given)
+        return FrankaArm(address, about, given)
 
     def gripper(self, address: str, about: GripperDescription, options: Mapping[str, Any]) -> FrankaHand:
         """Return a hand, which has no options."""
@@ -164,12 +189,7 @@ class FrankaArm(StreamedArm):
             lambda: franky.Robot(self._address, realtime_config=ignore), self._address, "the arm"
         )
         self._has_link, self._led, self._problem, self._seen = True, None, "", (math.nan, 0.0)
-        limits, given = self._about.collision, self._options
-        assert limits is not None, "the description of an FR3 has them"
-        torque = list(limits.joint_torque if given.collision_torque is None else given.collision_torque)
-        force = [limits.force] * 3 + [limits.moment] * 3
-        force = force if given.collision_force is None else [given.collision_force] * 6
-        robot.set_collision_behavior(torque, force)
+        robot.set_collision_behavior(*self._options.thresholds(self._about))
 
     def _read(self) -> ArmState:
         state = self._fresh_state()

@@ -27,7 +27,7 @@ _WORDS = {
     "joint_position_limits_violation": "a joint is at the end of its range: move the arm back by hand (Desk)",
     "self_collision_avoidance_violation": "the arm came too close to itself",
     "controller_torque_discontinuity": "the commanded torques jumped, as when commands are lost: " + _LATE,
-    "tau_J_range_violation": "the commanded torques were too large: use less stiffness, or a lighter load",
+    "tau_j_range_violation": "the commanded torques were too large: use less stiffness, or a lighter load",
     "power_limit_violation": "the motors took too much power: move more slowly, or with a lighter load",
     "instability_detected": "the arm began to swing: use less stiffness, or more damping",
 }
@@ -38,7 +38,7 @@ def fault_of(state: Any, joints: Sequence[str], *, is_recoverable: bool = True) 
     """Return what is wrong with an arm, empty when nothing is.
 
     Args:
-        state: franky's `RobotState`.
+        state: franky's `RobotState`, or that of pylibfranka.
         joints: Names of the joints.
         is_recoverable: Whether what `recover` mends counts, too.
     """
@@ -100,10 +100,10 @@ def connected(make: Callable[[], T], address: str, what: str) -> T:
         ) from err
     except Exception as err:  # the library's own, which have no common class
         text = str(err).strip()
-        if type(err).__name__ == "IncompatibleVersionException":
+        if "ncompatible" in f"{type(err).__name__} {text}":
             hint = (
-                "Install the release of franky-control for the robot's system version, or update the robot's system "
-                "(docs/franka.md)"
+                "Install the release of franky-control or pylibfranka for the robot's system version, or update the "
+                "robot's system (docs/franka.md)"
             )
         else:
             hint = advice_for(address)

@@ -96,6 +96,9 @@ class Devices:
     """By camera."""
     tactile: Mapping[str, Camera] = field(default_factory=dict[str, Camera])
     """Cameras of tactile sensors, by sensor."""
+    tcp: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """The option `tcp` of arms by robot, where a site has it: the pose that it gives the controller for that of the TCP
+    in the flange, translation [m] and quaternion xyzw."""
     platform: Mapping[str, str] = field(default_factory=dict[str, str])
     """Name of the driver of every real part: a robot, `robot/end effector`, a camera or a sensor."""
     valid_for: float | None = None
@@ -291,6 +294,11 @@ class Site:
                 platform[name] = _platform(given)
         return Devices(
             arms=arms,
+            tcp={
+                name: given.options["tcp"]
+                for name, given in self.arms.items()
+                if isinstance(given, DeviceAddress) and "tcp" in given.options
+            },
             effectors=effectors,
             cameras=views,
             tactile=skins,

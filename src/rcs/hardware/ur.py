@@ -85,7 +85,7 @@ class UrArm(StreamedArm):
             options: `rate` of points [Hz]; `watchdog`, how often the controller must hear of us at least [Hz];
                 `lookahead` [s] and `gain` of servoj; `speed`, a share of the description's joint speeds; `tcp`, its
                 pose in the flange as translation [m] and quaternion xyzw, without which poses and twists are not taken,
-                and its largest `tcp_speed` on the way to a pose [m/s].
+                and its largest `tcp_speed` on the way to a pose and at a twist [m/s].
 
         Raises:
             InvalidSetup: There is no such option, or it makes no sense.
@@ -245,7 +245,9 @@ class UrArm(StreamedArm):
         if kind == CommandKind.pose:
             self._servo_to(Pose.from_tquat(values))
         elif kind == CommandKind.twist:
-            self._send("speedL", values.tolist(), TCP_ACCELERATION, 0.0)
+            fastest = self._tcp_speed * np.array([1.0, TURN_PER_METRE])
+            excess = max(1.0, *(np.linalg.norm(values.reshape(2, 3), axis=1) / fastest))
+            self._send("speedL", (values / excess).tolist(), TCP_ACCELERATION, 0.0)
         else:
             self._send("speedJ", values.tolist(), self._acceleration, 0.0)
 

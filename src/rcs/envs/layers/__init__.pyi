@@ -10,7 +10,9 @@ from rcs.envs.layers.layer import Layer as Layer
 from rcs.envs.layers.layer import Where as Where
 from rcs.envs.layers.layer import everywhere as everywhere
 from rcs.envs.layers.layer import renew as renew
+from rcs.envs.layers.limit_pose import LimitPose as LimitPose
 from rcs.envs.layers.limit_step import LimitStep as LimitStep
+from rcs.envs.layers.native_twist import NativeTwist as NativeTwist
 from rcs.envs.layers.observe_target import ObserveTarget as ObserveTarget
 from rcs.envs.layers.point_clouds import PointClouds as PointClouds
 from rcs.envs.layers.relative import Relative as Relative

@@ -232,6 +232,12 @@ def attach_twin(
     """
     if not env.is_real:
         raise InvalidSetup("A twin follows robots in real time; use hardware=..., or stepping='realtime'.")
+    if any(
+        chain.joint_space is not None and JOINTS not in chain.executed_spaces for chain in env.stack.chains.values()
+    ):
+        raise InvalidSetup(
+            "A twin follows joint targets, and native=True leaves them to controllers; use native=False."
+        )
     if isinstance(on_alarm, str) and on_alarm not in ("info", "hold"):
         raise InvalidSetup(f"on_alarm is {on_alarm!r}; valid: 'info', 'hold', or a function.")
     call = _hold_all(env) if on_alarm == "hold" else None if on_alarm == "info" else on_alarm

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from rcs.agents.action_writer import ActionWriter
@@ -62,7 +61,8 @@ class Guide:
         self._is_jointwise = env.setup.control == JOINTS
         self._period = 1.0 / env.frequency
         self._joint_step = JOINT_SPEED * np.array(robot.arm.velocity_limit) * self._period
-        box: spaces.Box = env.stack.chains[self._key or ""].executed_spaces[JOINTS]  # type: ignore[assignment]
+        box = env.stack.chains[self._key or ""].joint_space
+        assert box is not None, "a robot has an arm"
         self.lower, self.upper = box.low.astype(np.float64), box.high.astype(np.float64)
         """Limits of the joints [rad], (dof,)."""
         base = robot.base_in_scene

@@ -1,0 +1,170 @@
+"""The Franka Research 3 through `pylibfranka`, the vendor's own Python library, by torques a thousand times a second.
+
+The library reads and writes a packet at a time, and keeps the interpreter while it waits for one: up to a millisecond,
+and a second where the controller is silent. So the arm lives in a host, a process of its own (`FrankaDriver`), and its
+thread is paced by the robot. Here a late torque is a missing packet.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rcs.devices import ArmState, StreamedArm, StreamOptions, StreamPoint
+from rcs.errors import DeviceFault, InvalidSetup
+from rcs.extras import package_of
+from rcs.hardware.franka import (
+    GUIDING_DAMPING,
+    JOINT_DAMPING,
+    JOINT_STIFFNESS,
+    RECOVERING,
+    TORQUE_STEP,
+    FrankaOptions,
+)
+from rcs.hardware.franka_faults import advice_for, connected, fault_of, mode_of
+from rcs.hardware.franka_limits import limits_of_fr3
+from rcs.robots.description import ArmDescription
+
+RATE: Final = 1000.0
+"""Packets per second [Hz]; the robot's."""
+SWITCHING: Final = 1e-4
+"""Time after which other threads of Python get their turn [s], at the next packet. With Python's own 5 ms, each of them
+waits for five packets whenever it has let the interpreter go."""
+
+
+class PylibfrankaArm(StreamedArm):
+    """An FR3 whose joints are led by torques, as springs and dampers pull them towards where they are led."""
+
+    def __init__(self, address: str, about: ArmDescription, options: FrankaOptions) -> None:
+        """Describe the arm; nothing is connected.
+
+        Args:
+            address: Address of the control box.
+            about: The arm's figures.
+            options: What else is to be said.
+
+        Raises:
+            InvalidSetup: The description has not the FR3's seven joints.
+        """
+        if about.dof != 7:
+            raise InvalidSetup(f"The driver franka leads arms of seven joints; {about.name!r} has {about.dof}.")
+        super().__init__(
+            f"{about.name} at {address}",
+            limits_of_fr3(about, speed=options.speed, whole_range=options.whole_range),
+            StreamOptions(rate=RATE, is_paced_by_read=True, arrival=0.005),
+        )
+        self._address, self._about, self._options = address, about, options
+        self._stiffness = np.array(options.stiffness or JOINT_STIFFNESS)
+        usual = JOINT_DAMPING if options.stiffness is None else 2.0 * np.sqrt(self._stiffness)
+        self._damping = np.array(usual if options.damping is None else options.damping)
+        self._library: Any = None
+        self._robot: Any = None
+        self._model: Any = None
+        self._control: Any = None  # while torques are sent
+        self._state: Any = None  # the newest one
+        self._led: NDArray[np.float64] | None = None
+        self._is_led = self._is_given_way = self._has_link = False
+        self._problem = ""
+        self._interval = sys.getswitchinterval()
+
+    def _open(self) -> None:
+        self._library = library = package_of("pylibfranka", "pylibfranka", "The backend pylibfranka needs")
+        ignore = library.RealtimeConfig.kIgnore
+        self._robot = robot = connected(lambda: library.Robot(self._address, ignore), self._address, "the arm")
+        self._has_link, self._problem = True, ""
+        torque, force = self._options.thresholds(self._about)
+        robot.set_collision_behavior(torque, torque, force, force)
+        self._model = robot.load_model()
+        sys.setswitchinterval(SWITCHING)
+
+    def _read(self) -> ArmState:
+        state = self._next_state()
+        self._problem = fault_of(state, self._about.joints) or self._problem
+        if self._problem and not self._is_led and not self.fault:
+            self.set_fault(self._problem)
+        if self._is_given_way and self._control is not None:
+            self._send(-np.array(GUIDING_DAMPING) * state.dq)
+        return ArmState(
+            list(state.q),
+            list(state.dq),
+            time=time.monotonic(),
+            device_time=state.time.to_sec(),
+            commanded_joints=list(state.q if self._led is None else self._led),
+            efforts=list(state.tau_J),
+            wrench=[-one for one in state.O_F_ext_hat_K],  # the controller tells what the arm does to others
+            mode=mode_of(state),
+        )
+
+    def _next_state(self) -> Any:
+        """Wait for the robot's next packet."""
+        try:
+            if self._control is not None:
+                try:
+                    self._state, _ = self._control.readOnce()
+                    return self._state
+                except self._library.ControlException as err:
+                    self._problem, self._control = str(err), None  # the motion is over; the robot goes on telling
+            self._state = self._robot.read_once()
+        except RuntimeError as err:
+            self._has_link, self._control = False, None
+            raise DeviceFault(f"the controller has sent no state: {err}. {advice_for(self._address)}") from err
+        return self._state
+
+    def _start(self) -> None:
+        self._is_given_way = False
+        self._take_control()
+        self._is_led = True
+
+    def _take_control(self) -> None:
+        if self._control is None:
+            self._control = self._robot.start_torque_control()
+
+    def _write(self, point: StreamPoint) -> None:
+        if self._problem:
+            raise DeviceFault(self._problem)
+        state, self._led = self._state, np.array(point.position)
+        mass = np.array(self._model.mass(state)).reshape(7, 7)
+        pull = self._stiffness * (self._led - state.q) + self._damping * (np.array(point.velocity) - state.dq)
+        self._send(pull + mass @ np.array(point.acceleration))
+
+    def _send(self, torques: NDArray[np.float64]) -> None:
+        """Send torques [N·m], (7,), besides those that hold the arm against its weight."""
+        last = np.array(self._state.tau_J_d)
+        torques = torques + self._model.coriolis(self._state)
+        bounded = np.clip(torques, last - TORQUE_STEP, last + TORQUE_STEP)
+        self._control.writeOnce(self._library.Torques(bounded.tolist()))
+
+    def _stop(self) -> None:
+        self._is_led = self._is_given_way = False
+        self._led = self._control = None  # which ends the motion
+
+    def _can_guide(self) -> bool:
+        return True
+
+    def _guide(self) -> None:
+        self._is_led, self._led = False, None
+        self._take_control()
+        self._is_given_way = True
+
+    def _clear(self) -> None:
+        self._stop()
+        if not self._has_link:  # the library does not connect anew
+            self._close()
+            self._open()
+        if reason := fault_of(self._next_state(), self._about.joints, is_recoverable=False):
+            raise DeviceFault(reason)
+        self._robot.automatic_error_recovery()
+        until = time.monotonic() + RECOVERING
+        while mode_of(self._next_state()) != "Idle":
+            if time.monotonic() > until:
+                raise DeviceFault(f"the robot is in mode {mode_of(self._state)} {RECOVERING:g} s after its recovery")
+        self._problem = ""
+
+    def _close(self) -> None:
+        self._stop()
+        self._robot = self._model = self._state = None
+        sys.setswitchinterval(self._interval)
