@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcs._core import ArmLimits, GripperMap, JointsAtRest, Motion, SimArm, SimGripper, Trajectory
+from rcs._core import ArmLimits, GripperMap, JointsAtRest, Motion, SimArm, SimGripper, Springs, Trajectory
 from rcs.errors import InvalidSetup
+from rcs.kinematics.damping import damped
 from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.layout import Index, RobotLayout
 from rcs.sim.scene import LOAD, LOAD_MASS, RobotPlacement
@@ -36,7 +37,7 @@ class SimRobot:
         self.layout = RobotLayout.of(robot, world.model)
         arm = robot.arm
         ids, first = self.layout, self.layout.motion
-        motion = Motion(ids.joint_ids, ids.actuator_ids, first, arm.motion_limits, world.copies)
+        motion = Motion(ids.joint_ids, ids.actuator_ids, first, arm.motion_limits, world.copies, self._springs())
         self.motion = world.core.add_motion(motion) if is_led else motion
         """Leads the arm to its targets."""
         assert world.userdata is not None, "the scene has given every arm its user data"
@@ -51,6 +52,16 @@ class SimRobot:
             self._opening = world.core.read_opening(self.layout.finger_joint_ids, closed, opened)
             self._closed = robot.gripper.ctrl_closed
             self._span = robot.gripper.ctrl_open - robot.gripper.ctrl_closed
+
+    def _springs(self) -> Springs | None:
+        compliance, robot = self.placement.compliance, self.placement
+        if compliance is None:
+            return None
+        if not compliance.is_of_tcp:
+            return Springs()
+        own = damped(compliance, robot.arm, robot.end_effector)
+        assert own.damping is not None, "it has been completed"
+        return Springs(own.stiffness, own.damping, self.layout.tcp_site, self.layout.base_body)
 
     @property
     def joints(self) -> NDArray[np.float64]:
@@ -142,7 +153,8 @@ class SimRobot:
         world, layout = self.world, self.layout
         world.qpos[_at(layout.qpos, copies)] = joints
         world.qvel[_at(layout.qvel, copies)] = 0.0
-        world.ctrl[_at(np.array(layout.actuator_ids), copies)] = joints
+        is_motor = self.placement.compliance is not None and self.placement.compliance.is_of_tcp
+        world.ctrl[_at(np.array(layout.actuator_ids), copies)] = 0.0 if is_motor else joints
         self._stand(joints, copies)
 
     def command_opening(self, opening: NDArray[np.floating]) -> None:

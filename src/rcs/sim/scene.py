@@ -14,7 +14,9 @@ import numpy as np
 from rcs._core import Trajectory
 from rcs.errors import InvalidSetup
 from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, compiled, flange_frame, load, mount_frame
+from rcs.kinematics.damping import damped
 from rcs.robots.calibration import CameraCalibration
+from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
 from rcs.sim.detail import Assets, exchange_visuals
 from rcs.sim.robot_check import check_robot
@@ -55,6 +57,8 @@ class RobotPlacement:
     """The hand, instead of a gripper."""
     base_in_scene: Mount = Mount()
     """Pose of the robot's base frame in the scene."""
+    compliance: Compliance | None = None
+    """How the arm gives way to a push; None for stiff servos."""
 
     def __post_init__(self) -> None:
         """Check that there is one end effector at most.
@@ -276,12 +280,31 @@ class Scene:
         _add_load(arm, robot.arm)
         self.spec.attach(arm, frame=mount_frame(self.spec.worldbody, robot.base_in_scene), prefix=robot.prefix)
         self._aim_overview([*self.robots, robot])
+        if robot.compliance is not None:
+            self._give_way(robot, damped(robot.compliance, robot.arm, robot.end_effector))
         for actuator in robot.arm.actuators:
             # The control of a moving servo leads its target, even where that is a limit; the motion keeps the limits.
             self.spec.actuator(robot.prefix + actuator).ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
         self.spec.add_numeric(name=robot.motion, data=[self.spec.nuserdata])
         self.spec.nuserdata += Trajectory.size(robot.arm.dof)
         self.robots.append(robot)
+
+    def _give_way(self, robot: RobotPlacement, springs: Compliance) -> None:
+        """Make a robot's servos springs and dampers of its joints, or motors for those of its TCP.
+
+        Controllers that lead an arm by torques measure them behind the gears, and make up for friction.
+        """
+        assert springs.damping is not None, "it has been completed"
+        gains = zip(springs.stiffness, springs.damping, strict=True)
+        for joint_name, actuator_name in zip(robot.arm.joints, robot.arm.actuators, strict=True):
+            joint = self.spec.joint(robot.prefix + joint_name)
+            joint.frictionloss, joint.damping = 0.0, np.zeros_like(joint.damping)
+            servo = self.spec.actuator(robot.prefix + actuator_name)
+            if springs.is_of_tcp:
+                servo.set_to_motor()
+            else:
+                stiffness, damping = next(gains)
+                servo.set_to_position(kp=stiffness, kv=damping)
 
     def add_camera(self, camera: CameraPlacement) -> None:
         """Mount a camera on a body of the scene.
