@@ -312,7 +312,15 @@ void Motion::give_way(const mjModel* model, mjData* data, Copy& copy, bool was_s
     const auto dof = static_cast<std::size_t>(model->jnt_dofadr[joints_[i]]);
     copy.torques[i] = copy.force[dof] + copy.bias[dof];
   }
-  if (copy.springs) copy.springs->add(copy.measured, copy.led, copy.torques);
+  if (copy.springs) {
+    // Where the joints are led to is where they are to be a physics step after the place that is measured.
+    const double step = model->opt.timestep;
+    for (std::size_t i = 0; i < n; ++i) {
+      copy.led[i] -= step * copy.led[n + i];
+      copy.led[n + i] -= step * trajectory.acceleration()[i];
+    }
+    copy.springs->add(copy.measured, copy.led, copy.torques);
+  }
   for (std::size_t i = 0; i < n; ++i)
     data->ctrl[actuators_[i]] = copy.springs ? copy.torques[i]
                                              : copy.led[i] + copy.lag[i] * copy.led[n + i] + copy.torques[i] / copy.gain[i];

@@ -144,6 +144,7 @@ def test_nothing_drifts_without_a_push_and_what_was_pushed_comes_back(name: str,
 @pytest.mark.parametrize("kind", ["joints", "tcp"])
 @pytest.mark.parametrize("name", ROBOTS)
 def test_free_motion_is_that_of_stiff_servos(name: str, kind: str) -> None:
+    """It is apart by no more than 8 ms of the way, at the 1.25 rad/s of these targets."""
     stiff, soft = Pushed(name, None), Pushed(name, springs(name, kind))
     apart = []
     for k in range(150):
@@ -152,7 +153,7 @@ def test_free_motion_is_that_of_stiff_servos(name: str, kind: str) -> None:
             one.robot.command_joints(target)
             one.world.advance()
         apart.append(np.abs(stiff.robot.joints - soft.robot.joints).max())
-    assert max(apart) < 5e-3
+    assert max(apart) < 10e-3
 
 
 @pytest.mark.parametrize("kind", ["joints", "tcp"])
