@@ -51,7 +51,7 @@ struct Motion::Copy {
   std::vector<double> measured;  // positions, then velocities, of the joints
   std::vector<double> memory;    // of a plan that is tried
   std::vector<double> qpos, qvel, speed, bias, still;  // of the model, while a motion is looked at
-  std::vector<double> led, torques;  // as `measured`, and of the joints [Nm]
+  std::vector<double> led, torques;                    // as `measured`, and of the joints [Nm]
   std::unique_ptr<TcpSprings> springs;
 };
 
@@ -322,8 +322,8 @@ void Motion::give_way(const mjModel* model, mjData* data, Copy& copy, bool was_s
     copy.springs->add(copy.measured, copy.led, copy.torques);
   }
   for (std::size_t i = 0; i < n; ++i)
-    data->ctrl[actuators_[i]] = copy.springs ? copy.torques[i]
-                                             : copy.led[i] + copy.lag[i] * copy.led[n + i] + copy.torques[i] / copy.gain[i];
+    data->ctrl[actuators_[i]] =
+        copy.springs ? copy.torques[i] : copy.led[i] + copy.lag[i] * copy.led[n + i] + copy.torques[i] / copy.gain[i];
 }
 
 std::vector<double> Motion::preview(const mjModel* model, mjData* data, int copy, const Step& step,

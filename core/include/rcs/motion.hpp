@@ -32,9 +32,9 @@ struct Springs {
 /// velocity and the force of the acceleration, so that it does not lag behind. An arm that is kept from following is
 /// not run away from: its trajectory begins anew at most 0.2 rad from it.
 ///
-/// An arm with springs gives way: its servos, or the motors that are moved by the springs of its TCP, have the forces of
-/// acceleration and speed besides. It has arrived when it stands where its springs let it, however far it is pushed, and
-/// its trajectory begins anew 1 rad from it.
+/// An arm with springs gives way: its servos, or the motors that are moved by the springs of its TCP, have the forces
+/// of acceleration and speed besides. It has arrived when it stands where its springs let it, however far it is pushed,
+/// and its trajectory begins anew 1 rad from it.
 ///
 /// All that the motion remembers is in the copy's `mjData.userdata`: a state that is saved and restored goes on with
 /// the same bits.

@@ -187,17 +187,16 @@ class FrankaArm(StreamedArm):
     def _start(self) -> None:
         self._end_motion()
         franky, springs = self._franky, self._springs
+        stiffness, damping = (JOINT_STIFFNESS, JOINT_DAMPING) if springs is None else springs.gains
         if springs is None or not springs.is_of_tcp:
             motion = franky.JointImpedanceTrackingMotion(
-                stiffness=JOINT_STIFFNESS if springs is None else springs.stiffness,
-                damping=JOINT_DAMPING if springs is None else springs.damping,
-                max_delta_tau=TORQUE_STEP,
+                stiffness=stiffness, damping=damping, max_delta_tau=TORQUE_STEP
             )
             motion.set_reference(franky.JointReference(q=self._robot.current_joint_positions))
         else:
             posture = franky.PostureTask(self._robot.current_joint_positions, stiffness=POSTURE_STIFFNESS)
             motion = franky.CartesianImpedanceTrackingMotion(posture_task=posture, max_delta_tau=TORQUE_STEP)
-            motion.set_gains(franky.CartesianImpedanceGains.diagonal(springs.stiffness, springs.damping))
+            motion.set_gains(franky.CartesianImpedanceGains.diagonal(stiffness, damping))
             motion.set_reference(franky.CartesianReference(target=self._robot.current_pose.end_effector_pose))
         self._begin_motion(motion)
         self._is_led = True

@@ -330,9 +330,7 @@ def _made(drivers: dict[str, Driver], given: AnyDevice, kind: str, *about: Any) 
     return device
 
 
-def _giving_way(
-    drivers: dict[str, Driver], given: AnyDevice, robot: str, compliance: Compliance | None
-) -> AnyDevice:
+def _giving_way(drivers: dict[str, Driver], given: AnyDevice, robot: str, compliance: Compliance | None) -> AnyDevice:
     """Return the device of an arm, with how it gives way to a push in its options."""
     if not isinstance(given, DeviceAddress):
         if compliance is not None:

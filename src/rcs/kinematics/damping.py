@@ -39,13 +39,11 @@ def damped(compliance: Compliance, arm: ArmDescription, effector: EndEffector | 
         mobility = jacobian @ np.linalg.solve(inertia, jacobian.T)
         # Where an arm cannot move in all directions, what the others hold is not defined.
         felt = np.maximum(np.diag(np.linalg.pinv(mobility, rcond=RANK, hermitian=True)), 1.0 / np.diag(mobility))
-    damping = 2.0 * np.sqrt(np.array(given.stiffness) * felt)
+    damping = 2.0 * np.sqrt(np.array(given.gains[0]) * felt)
     return replace(given, damping=tuple(damping.tolist()))
 
 
-def _at_home(
-    arm: ArmDescription, effector: EndEffector | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _at_home(arm: ArmDescription, effector: EndEffector | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the inertia of an arm at home, (dof, dof), and the Jacobian of its TCP, (6, dof)."""
     spec, tcp = load(arm), arm.flange_site
     if effector is not None:

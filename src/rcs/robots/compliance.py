@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,7 +43,7 @@ class Compliance:
             if value is None:
                 continue
             value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-            values = tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else (value,)
+            values: tuple[Any, ...] = tuple(value) if isinstance(value, list | tuple) else (value,)
             least = "from 0" if name == "damping" else "above 0"
             if not values or not all(_is_amount(one) and (one > 0 or name == "damping") for one in values):
                 raise InvalidSetup(f"compliance: {name} is {value!r}; valid are finite numbers {least}.")
@@ -72,10 +72,11 @@ class Compliance:
         )  # fmt: skip
 
     @property
-    def stiffness(self) -> tuple[float, ...]:
-        """Stiffness of the joints, or the six of the TCP."""
+    def gains(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Stiffness and damping; no damping where none is given."""
         stiffness: Any = self.tcp or self.joints
-        return stiffness
+        damping: Any = self.damping or ()
+        return stiffness, damping
 
     def to_json(self) -> dict[str, Any]:
         """Return what is given as JSON values."""

@@ -59,9 +59,8 @@ class SimRobot:
             return None
         if not compliance.is_of_tcp:
             return Springs()
-        own = damped(compliance, robot.arm, robot.end_effector)
-        assert own.damping is not None, "it has been completed"
-        return Springs(own.stiffness, own.damping, self.layout.tcp_site, self.layout.base_body)
+        stiffness, damping = damped(compliance, robot.arm, robot.end_effector).gains
+        return Springs(stiffness, damping, self.layout.tcp_site, self.layout.base_body)
 
     @property
     def joints(self) -> NDArray[np.float64]:

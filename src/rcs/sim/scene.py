@@ -281,7 +281,7 @@ class Scene:
         self.spec.attach(arm, frame=mount_frame(self.spec.worldbody, robot.base_in_scene), prefix=robot.prefix)
         self._aim_overview([*self.robots, robot])
         if robot.compliance is not None:
-            self._give_way(robot, damped(robot.compliance, robot.arm, robot.end_effector))
+            self._give_way(robot, robot.compliance)
         for actuator in robot.arm.actuators:
             # The control of a moving servo leads its target, even where that is a limit; the motion keeps the limits.
             self.spec.actuator(robot.prefix + actuator).ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
@@ -289,22 +289,20 @@ class Scene:
         self.spec.nuserdata += Trajectory.size(robot.arm.dof)
         self.robots.append(robot)
 
-    def _give_way(self, robot: RobotPlacement, springs: Compliance) -> None:
+    def _give_way(self, robot: RobotPlacement, compliance: Compliance) -> None:
         """Make a robot's servos springs and dampers of its joints, or motors for those of its TCP.
 
         Controllers that lead an arm by torques measure them behind the gears, and make up for friction.
         """
-        assert springs.damping is not None, "it has been completed"
-        gains = zip(springs.stiffness, springs.damping, strict=True)
-        for joint_name, actuator_name in zip(robot.arm.joints, robot.arm.actuators, strict=True):
+        stiffness, damping = damped(compliance, robot.arm, robot.end_effector).gains
+        for i, (joint_name, actuator_name) in enumerate(zip(robot.arm.joints, robot.arm.actuators, strict=True)):
             joint = self.spec.joint(robot.prefix + joint_name)
             joint.frictionloss, joint.damping = 0.0, np.zeros_like(joint.damping)
             servo = self.spec.actuator(robot.prefix + actuator_name)
-            if springs.is_of_tcp:
+            if compliance.is_of_tcp:
                 servo.set_to_motor()
             else:
-                stiffness, damping = next(gains)
-                servo.set_to_position(kp=stiffness, kv=damping)
+                servo.set_to_position(kp=stiffness[i], kv=damping[i])
 
     def add_camera(self, camera: CameraPlacement) -> None:
         """Mount a camera on a body of the scene.

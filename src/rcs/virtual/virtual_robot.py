@@ -255,7 +255,10 @@ class VirtualRobot:
         if self._pressed is not None:
             site, applied = self._data.site(self.body.layout.tcp_site), self._data.xfrc_applied
             body = self._model.site_bodyid[site.id]
-            applied[body, :3], applied[body, 3:] = self._pressed, np.cross(site.xpos - self._data.xipos[body], self._pressed)
+            applied[body, :3], applied[body, 3:] = (
+                self._pressed,
+                np.cross(site.xpos - self._data.xipos[body], self._pressed),
+            )
             if not self._pressed.any():
                 self._pressed = None
         if self.gripper is not None:
