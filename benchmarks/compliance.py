@@ -1,7 +1,7 @@
 """How far a push on the TCP moves an arm that gives way, against force over stiffness.
 
     python benchmarks/compliance.py            # all simulated arms
-    python benchmarks/compliance.py --virtual  # and a virtual FR3, through its driver: needs the extra franka, two minutes
+    python benchmarks/compliance.py --virtual  # and a virtual FR3, through its driver (extra franka): two minutes
 
 Every push is made at home, until the arm stands. `compliance` is the largest part by which a deflection is off. The
 last line is the result as JSON.

@@ -97,8 +97,6 @@ void Motion::check(const mjModel* model, int copies) const {
   }
 }
 
-double Motion::astray() const { return springs_ ? kPushedAway : kAstray; }
-
 namespace {
 
 // Torque that a joint's motor has [Nm]; infinite where the model has no limit.
@@ -206,13 +204,14 @@ void Motion::plan(const mjModel* model, mjData* data, double* memory, Copy& copy
   copy.force.resize(static_cast<std::size_t>(model->nv));
   if (trajectory.is_told_to_hold(memory)) {
     const std::span<const double> measured(copy.measured);
-    if (is_astray(model, data, memory, copy, kPushed)) trajectory.put(memory, measured.first(n), measured.last(n));
+    const double far = springs_ ? kPushedAway : kPushed;  // springs stay as they are: else a push would go on and on
+    if (is_astray(model, data, memory, copy, far)) trajectory.put(memory, measured.first(n), measured.last(n));
     look_at_inertia(model, data);
     return brake(model, data, memory, copy);
   }
   const bool is_asked = trajectory.is_asked(memory);
   if (is_asked) {
-    if (const double far = astray(); is_astray(model, data, memory, copy, far)) {
+    if (const double far = springs_ ? kPushedAway : kAstray; is_astray(model, data, memory, copy, far)) {
       copy.memory.assign(memory, memory + n);  // the target
       for (std::size_t i = 0; i < n; ++i)      // where the servos go on pressing
         copy.measured[i] = std::clamp(trajectory.position()[i], copy.measured[i] - far, copy.measured[i] + far);

@@ -209,6 +209,18 @@ def test_a_synchronous_step_ends_although_the_arm_is_pushed_away(kind: str) -> N
 
 
 @pytest.mark.parametrize("kind", ["joints", "tcp"])
+def test_an_arm_that_holds_is_pushed_no_farther(kind: str) -> None:
+    pushed, wrench = Pushed("fr3", springs("fr3", kind)), np.array([0.0, 10.0, -20.0, 0.0, 0.0, 0.0])
+    pushed.settle(wrench)
+    before = pushed.robot.joints
+    assert np.abs(before - pushed.home).max() > 0.03
+    for _ in range(50):
+        pushed.robot.stop()
+        pushed.settle(wrench, 0.02)
+    np.testing.assert_allclose(pushed.robot.joints, before, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["joints", "tcp"])
 def test_a_load_that_the_controller_knows_of_moves_nothing(kind: str) -> None:
     pushed, center = Pushed("fr3", springs("fr3", kind)), np.array([0.0, 0.0, 0.1034])  # the TCP
     weight = np.array([0.0, 0.0, -9.81, 0.0, 0.0, 0.0])

@@ -32,9 +32,9 @@ struct Springs {
 /// velocity and the force of the acceleration, so that it does not lag behind. An arm that is kept from following is
 /// not run away from: its trajectory begins anew at most 0.2 rad from it.
 ///
-/// An arm with springs gives way: its servos, or the motors that are moved by the springs of its TCP, have the forces
-/// of acceleration and speed besides. It has arrived when it stands where its springs let it, however far it is pushed,
-/// and its trajectory begins anew 1 rad from it.
+/// An arm with springs gives way, at its joints or at its TCP; the forces that acceleration and speed take come on top.
+/// It has arrived when it stands where its springs let it, however far it is pushed. It goes on from where it was led,
+/// not from where it is, unless they are more than 1 rad apart.
 ///
 /// All that the motion remembers is in the copy's `mjData.userdata`: a state that is saved and restored goes on with
 /// the same bits.
@@ -88,7 +88,6 @@ class Motion final : public StepCallback {
   void brake(const mjModel* model, mjData* data, double* memory, Copy& copy);
   bool is_astray(const mjModel* model, const mjData* data, const double* memory, Copy& copy, double tolerance) const;
   double share_of_acceleration(const mjModel* model, mjData* data, const double* memory, Copy& copy, bool is_far);
-  double astray() const;
   bool is_of_tcp() const { return springs_ && !springs_->stiffness.empty(); }
   void give_way(const mjModel* model, mjData* data, Copy& copy, bool was_still);
   static void know_bias(const mjModel* model, mjData* data, Copy& copy);
