@@ -153,8 +153,7 @@ class Setup:
         is_late = self.randomisation is not None and self.randomisation.varies("action_latency")
         if is_late and self.compliance is not None and self.compliance.is_of_tcp:
             raise InvalidSetup(
-                "randomisation varies action_latency, and compliance has springs of the TCP, which act without one; "
-                "give Randomisation(action_latency=(0, 0), ...), or springs of the joints."
+                "randomisation varies action_latency; with compliance=Compliance(tcp=…), set it to (0, 0)."
             )
         object.__setattr__(self, "pixels", _pixels(self.pixels))
         taken = [name for name in ("depth", "segmentation", "points", "camera_noise") if getattr(self, name)]

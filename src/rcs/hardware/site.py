@@ -334,10 +334,7 @@ def _giving_way(drivers: dict[str, Driver], given: AnyDevice, robot: str, compli
     """Return the device of an arm, with how it gives way to a push in its options."""
     if not isinstance(given, DeviceAddress):
         if compliance is not None:
-            raise InvalidSetup(
-                f"The setup has a compliance, and the arm of {robot!r} is given as a device; give its address, or "
-                "leave compliance out."
-            )
+            raise InvalidSetup(f"The arm of {robot!r} is a device; give its address, or leave compliance out.")
         return given
     can_give_way = _driver(drivers, given.driver).gives_way
     if can_give_way and "compliance" in given.options:

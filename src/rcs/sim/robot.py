@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rcs._core import ArmLimits, GripperMap, JointsAtRest, Motion, SimArm, SimGripper, Springs, Trajectory
+from rcs._core import ArmLimits, GripperMap, JointsAtRest, Motion, SimArm, SimGripper, Trajectory
 from rcs.errors import InvalidSetup
-from rcs.kinematics.damping import damped
 from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.layout import Index, RobotLayout
 from rcs.sim.scene import LOAD, LOAD_MASS, RobotPlacement
+from rcs.sim.springs import springs_of
 from rcs.sim.world import Copies, World
 
 STILL_TOLERANCE = 1e-2
@@ -37,7 +37,8 @@ class SimRobot:
         self.layout = RobotLayout.of(robot, world.model)
         arm = robot.arm
         ids, first = self.layout, self.layout.motion
-        motion = Motion(ids.joint_ids, ids.actuator_ids, first, arm.motion_limits, world.copies, self._springs())
+        springs = springs_of(robot, ids.tcp_site, ids.base_body)
+        motion = Motion(ids.joint_ids, ids.actuator_ids, first, arm.motion_limits, world.copies, springs)
         self.motion = world.core.add_motion(motion) if is_led else motion
         """Leads the arm to its targets."""
         assert world.userdata is not None, "the scene has given every arm its user data"
@@ -52,15 +53,6 @@ class SimRobot:
             self._opening = world.core.read_opening(self.layout.finger_joint_ids, closed, opened)
             self._closed = robot.gripper.ctrl_closed
             self._span = robot.gripper.ctrl_open - robot.gripper.ctrl_closed
-
-    def _springs(self) -> Springs | None:
-        compliance, robot = self.placement.compliance, self.placement
-        if compliance is None:
-            return None
-        if not compliance.is_of_tcp:
-            return Springs()
-        stiffness, damping = damped(compliance, robot.arm, robot.end_effector).gains
-        return Springs(stiffness, damping, self.layout.tcp_site, self.layout.base_body)
 
     @property
     def joints(self) -> NDArray[np.float64]:

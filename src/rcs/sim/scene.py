@@ -14,12 +14,12 @@ import numpy as np
 from rcs._core import Trajectory
 from rcs.errors import InvalidSetup
 from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, compiled, flange_frame, load, mount_frame
-from rcs.kinematics.damping import damped
 from rcs.robots.calibration import CameraCalibration
 from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
 from rcs.sim.detail import Assets, exchange_visuals
 from rcs.sim.robot_check import check_robot
+from rcs.sim.springs import give_way
 from rcs.sim.tactile_placement import TactilePlacement, attach_tactile
 from rcs.sim.textures import add_wood
 
@@ -280,29 +280,13 @@ class Scene:
         _add_load(arm, robot.arm)
         self.spec.attach(arm, frame=mount_frame(self.spec.worldbody, robot.base_in_scene), prefix=robot.prefix)
         self._aim_overview([*self.robots, robot])
-        if robot.compliance is not None:
-            self._give_way(robot, robot.compliance)
+        give_way(self.spec, robot)
         for actuator in robot.arm.actuators:
             # The control of a moving servo leads its target, even where that is a limit; the motion keeps the limits.
             self.spec.actuator(robot.prefix + actuator).ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
         self.spec.add_numeric(name=robot.motion, data=[self.spec.nuserdata])
         self.spec.nuserdata += Trajectory.size(robot.arm.dof)
         self.robots.append(robot)
-
-    def _give_way(self, robot: RobotPlacement, compliance: Compliance) -> None:
-        """Make a robot's servos springs and dampers of its joints, or motors for those of its TCP.
-
-        Controllers that lead an arm by torques measure them behind the gears, and make up for friction.
-        """
-        stiffness, damping = damped(compliance, robot.arm, robot.end_effector).gains
-        for i, (joint_name, actuator_name) in enumerate(zip(robot.arm.joints, robot.arm.actuators, strict=True)):
-            joint = self.spec.joint(robot.prefix + joint_name)
-            joint.frictionloss, joint.damping = 0.0, np.zeros_like(joint.damping)
-            servo = self.spec.actuator(robot.prefix + actuator_name)
-            if compliance.is_of_tcp:
-                servo.set_to_motor()
-            else:
-                servo.set_to_position(kp=stiffness[i], kv=damping[i])
 
     def add_camera(self, camera: CameraPlacement) -> None:
         """Mount a camera on a body of the scene.
