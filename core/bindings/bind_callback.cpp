@@ -1,5 +1,6 @@
 // What a world calls while it steps: callbacks, and the view that they are given.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/vector.h>
 
@@ -172,13 +173,25 @@ void bind_callback(nb::module_& m) {
       .def("lead", &rcs::MotionLimits::lead, "period"_a,
            "How far a target may lead each joint [rad], when targets come every `period` [s].");
   bind_trajectory(m);
+  nb::class_<rcs::Springs>(m, "Springs",
+                           "What an arm gives way with when it is pushed. Without numbers, the gains of the position "
+                           "servos are the springs and dampers of the joints.")
+      .def(
+          "__init__",
+          [](rcs::Springs* self, std::vector<double> stiffness, std::vector<double> damping, int site, int body) {
+            new (self) rcs::Springs{std::move(stiffness), std::move(damping), site, body};
+          },
+          "stiffness"_a = std::vector<double>{}, "damping"_a = std::vector<double>{}, "tcp_site"_a = -1,
+          "base_body"_a = -1,
+          "Six numbers each, along and about x, y, z of the base: N/m, N*s/m, then Nm/rad, Nm*s/rad.");
   nb::class_<rcs::Motion, rcs::StepCallback>(
       m, "Motion",
       "Moves position servos of some joints to a target in `mjData.userdata`, within limits of velocity, acceleration "
       "and jerk. As a callback, it is true when the joints stand at their target.")
-      .def(nb::init<std::vector<int>, std::vector<int>, int, rcs::MotionLimits, int>(), "joints"_a, "actuators"_a,
-           "address"_a, "limits"_a, "copies"_a,
-           "Joint and actuator ids, base to tip, and the first of the numbers in the user data.")
+      .def(nb::init<std::vector<int>, std::vector<int>, int, rcs::MotionLimits, int, std::optional<rcs::Springs>>(),
+           "joints"_a, "actuators"_a, "address"_a, "limits"_a, "copies"_a, "springs"_a = nb::none(),
+           "Joint and actuator ids, base to tip, and the first of the numbers in the user data. With springs of the "
+           "TCP, the actuators are motors.")
       .def_prop_ro("dof", &rcs::Motion::dof)
       .def_prop_ro("address", &rcs::Motion::address)
       .def(

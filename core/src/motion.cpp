@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "rcs/result.hpp"
+#include "tcp_springs.hpp"
 
 namespace rcs {
 
@@ -18,6 +19,8 @@ constexpr double kVelocityTolerance = 1e-2;  // rad/s
 // An arm that is farther from where it is led to is kept from following [rad]: a servo of ours lags by less than a
 // tenth.
 constexpr double kAstray = 0.2;
+// The same for an arm that gives way [rad].
+constexpr double kPushedAway = 1.0;
 // An arm that was told to hold and is this far from where it was led to was pushed, or is blocked [rad].
 constexpr double kPushed = 0.03;
 // Places of a motion at which torques are looked at: of one that is to be gone to its end, and of others.
@@ -33,7 +36,12 @@ constexpr double kLeastShare = 0.1;
 
 struct Motion::Copy {
   explicit Copy(const MotionLimits& limits)
-      : trajectory(limits), gain(limits.lower.size()), lag(limits.lower.size()), measured(2 * limits.lower.size()) {}
+      : trajectory(limits),
+        gain(limits.lower.size()),
+        lag(limits.lower.size()),
+        measured(2 * limits.lower.size()),
+        led(2 * limits.lower.size()),
+        torques(limits.lower.size()) {}
 
   Trajectory trajectory;
   std::vector<double> gain;      // of the servo [Nm/rad]
@@ -43,15 +51,24 @@ struct Motion::Copy {
   std::vector<double> measured;  // positions, then velocities, of the joints
   std::vector<double> memory;    // of a plan that is tried
   std::vector<double> qpos, qvel, speed, bias, still;  // of the model, while a motion is looked at
+  std::vector<double> led, torques;                    // as `measured`, and of the joints [Nm]
+  std::unique_ptr<TcpSprings> springs;
 };
 
-Motion::Motion(std::vector<int> joints, std::vector<int> actuators, int address, MotionLimits limits, int copies)
-    : joints_(std::move(joints)), actuators_(std::move(actuators)), address_(address), limits_(std::move(limits)) {
+Motion::Motion(std::vector<int> joints, std::vector<int> actuators, int address, MotionLimits limits, int copies,
+               std::optional<Springs> springs)
+    : joints_(std::move(joints)),
+      actuators_(std::move(actuators)),
+      address_(address),
+      limits_(std::move(limits)),
+      springs_(std::move(springs)) {
   if (joints_.empty() || joints_.size() != actuators_.size())
     throw InvalidSetup("motion: each joint needs its actuator; there are " + std::to_string(joints_.size()) +
                        " joints and " + std::to_string(actuators_.size()) + " actuators");
   if (copies < 1) throw InvalidSetup("motion: copies must be at least 1, not " + std::to_string(copies));
   limits_.check(dof());
+  if (springs_ && !TcpSprings::are_valid(*springs_))
+    throw InvalidSetup("motion: the springs of a TCP need six numbers above 0 each, or none");
   for (int copy = 0; copy < copies; ++copy) copies_.push_back(std::make_unique<Copy>(limits_));
 }
 
@@ -65,13 +82,17 @@ void Motion::check(const mjModel* model, int copies) const {
     throw InvalidSetup("motion: it needs the user data " + std::to_string(address_) + " to " +
                        std::to_string(address_ + Trajectory::size(dof())) + ", the model has " +
                        std::to_string(model->nuserdata) + " numbers of it");
+  if (is_of_tcp() && (springs_->tcp_site >= model->nsite || springs_->base_body >= model->nbody))
+    throw InvalidSetup("motion: the TCP or the base is not in the model");
   for (std::size_t i = 0; i < joints_.size(); ++i) {
     if (joints_[i] < 0 || joints_[i] >= model->njnt || actuators_[i] < 0 || actuators_[i] >= model->nu)
       throw InvalidSetup("motion: a joint or an actuator is not in the model");
     const int type = model->jnt_type[joints_[i]];
     if (type != mjJNT_HINGE && type != mjJNT_SLIDE)
       throw InvalidSetup("motion: joint " + std::to_string(joints_[i]) + " is neither a hinge nor a slide");
-    if (!(model->actuator_biasprm[actuators_[i] * mjNBIAS + 1] < 0.0))
+    if (is_of_tcp() && model->actuator_biastype[actuators_[i]] != mjBIAS_NONE)
+      throw InvalidSetup("motion: actuator " + std::to_string(actuators_[i]) + " is no motor");
+    if (!is_of_tcp() && !(model->actuator_biasprm[actuators_[i] * mjNBIAS + 1] < 0.0))
       throw InvalidSetup("motion: actuator " + std::to_string(actuators_[i]) + " is no position servo");
   }
 }
@@ -105,6 +126,21 @@ void Motion::know_bias(const mjModel* model, mjData* data, Copy& copy) {
   mj_passive(model, data);
   std::ranges::copy(copy.speed, data->qvel);
   for (std::size_t k = 0; k < nv; ++k) copy.bias[k] += data->qfrc_gravcomp[k] - copy.still[k];
+}
+
+// Forces of Coriolis and of centrifuges [Nm], of all degrees of freedom, in `bias`.
+void Motion::know_speed_forces(const mjModel* model, mjData* data, Copy& copy) {
+  const auto nv = static_cast<std::size_t>(model->nv);
+  copy.bias.resize(nv);
+  copy.still.resize(nv);
+  copy.speed.assign(data->qvel, data->qvel + nv);
+  mj_comVel(model, data);
+  mj_rne(model, data, 0, copy.bias.data());
+  std::fill_n(data->qvel, nv, 0.0);
+  mj_comVel(model, data);
+  mj_rne(model, data, 0, copy.still.data());
+  std::ranges::copy(copy.speed, data->qvel);
+  for (std::size_t k = 0; k < nv; ++k) copy.bias[k] -= copy.still[k];
 }
 
 // What the planned motion may have of its acceleration, by inverse dynamics. One that goes far before it is planned
@@ -173,16 +209,17 @@ void Motion::plan(const mjModel* model, mjData* data, double* memory, Copy& copy
   copy.force.resize(static_cast<std::size_t>(model->nv));
   if (trajectory.is_told_to_hold(memory)) {
     const std::span<const double> measured(copy.measured);
-    if (is_astray(model, data, memory, copy, kPushed)) trajectory.put(memory, measured.first(n), measured.last(n));
+    const double far = springs_ ? kPushedAway : kPushed;  // springs stay as they are: else a push would go on and on
+    if (is_astray(model, data, memory, copy, far)) trajectory.put(memory, measured.first(n), measured.last(n));
     look_at_inertia(model, data);
     return brake(model, data, memory, copy);
   }
   const bool is_asked = trajectory.is_asked(memory);
   if (is_asked) {
-    if (is_astray(model, data, memory, copy, kAstray)) {
+    if (const double far = springs_ ? kPushedAway : kAstray; is_astray(model, data, memory, copy, far)) {
       copy.memory.assign(memory, memory + n);  // the target
       for (std::size_t i = 0; i < n; ++i)      // where the servos go on pressing
-        copy.measured[i] = std::clamp(trajectory.position()[i], copy.measured[i] - kAstray, copy.measured[i] + kAstray);
+        copy.measured[i] = std::clamp(trajectory.position()[i], copy.measured[i] - far, copy.measured[i] + far);
       const std::span<const double> measured(copy.measured);
       Trajectory::stand({memory, static_cast<std::size_t>(Trajectory::size(dof()))}, measured.first(n));
       std::ranges::copy(copy.memory, memory);
@@ -226,6 +263,11 @@ bool Motion::is_astray(const mjModel* model, const mjData* data, const double* m
 void Motion::begin(const mjModel* model, mjData* data, int copy, const Step& step) {
   Copy& now = *copies_[static_cast<std::size_t>(copy)];
   plan(model, data, data->userdata + address_, now, step);
+  if (springs_) look_at_inertia(model, data);
+  if (is_of_tcp()) {
+    if (!now.springs) now.springs = std::make_unique<TcpSprings>(model, joints_, *springs_);
+    return;
+  }
   for (std::size_t i = 0; i < joints_.size(); ++i) {
     const int actuator = actuators_[i];
     const double* bias = model->actuator_biasprm + actuator * mjNBIAS;
@@ -241,6 +283,7 @@ void Motion::advance(const mjModel* model, mjData* data, int copy) {
   if (trajectory.is_told_to_hold(memory)) plan(model, data, memory, now, {});  // by another thread, during this step
   const bool was_still = trajectory.is_still(memory);
   trajectory.advance(memory, model->opt.timestep);
+  if (springs_) return give_way(model, data, now, was_still);
   const std::size_t n = joints_.size();
   if (was_still) {
     for (std::size_t i = 0; i < n; ++i) data->ctrl[actuators_[i]] = trajectory.position()[i];
@@ -253,6 +296,38 @@ void Motion::advance(const mjModel* model, mjData* data, int copy) {
     const double force = now.force[model->jnt_dofadr[joints_[i]]];
     data->ctrl[actuators_[i]] = position + now.lag[i] * trajectory.velocity()[i] + force / now.gain[i];
   }
+}
+
+// The forces of acceleration and speed, and springs. Inertia and places are those of the last physics step.
+void Motion::give_way(const mjModel* model, mjData* data, Copy& copy, bool was_still) {
+  const std::size_t n = joints_.size();
+  const Trajectory& trajectory = copy.trajectory;
+  for (std::size_t i = 0; i < n; ++i) {
+    copy.wanted[static_cast<std::size_t>(model->jnt_dofadr[joints_[i]])] = trajectory.acceleration()[i];
+    const double led = trajectory.position()[i];
+    copy.led[i] = was_still ? led : std::clamp(led, limits_.lower[i], limits_.upper[i]);
+    copy.led[n + i] = trajectory.velocity()[i];
+    copy.measured[i] = data->qpos[model->jnt_qposadr[joints_[i]]];
+    copy.measured[n + i] = data->qvel[model->jnt_dofadr[joints_[i]]];
+  }
+  mj_mulM(model, data, copy.force.data(), copy.wanted.data());
+  know_speed_forces(model, data, copy);
+  for (std::size_t i = 0; i < n; ++i) {
+    const auto dof = static_cast<std::size_t>(model->jnt_dofadr[joints_[i]]);
+    copy.torques[i] = copy.force[dof] + copy.bias[dof];
+  }
+  if (copy.springs) {
+    // Where the joints are led to is where they are to be a physics step after the place that is measured.
+    const double step = model->opt.timestep;
+    for (std::size_t i = 0; i < n; ++i) {
+      copy.led[i] -= step * copy.led[n + i];
+      copy.led[n + i] -= step * trajectory.acceleration()[i];
+    }
+    copy.springs->add(copy.measured, copy.led, copy.torques);
+  }
+  for (std::size_t i = 0; i < n; ++i)
+    data->ctrl[actuators_[i]] =
+        copy.springs ? copy.torques[i] : copy.led[i] + copy.lag[i] * copy.led[n + i] + copy.torques[i] / copy.gain[i];
 }
 
 std::vector<double> Motion::preview(const mjModel* model, mjData* data, int copy, const Step& step,
@@ -278,7 +353,9 @@ std::vector<double> Motion::preview(const mjModel* model, mjData* data, int copy
   }
   const double pace = step.duration / std::ceil(step.duration / tick);  // the same for all motions
   add(0, step.duration, pace);
-  trajectory.advance(tried.data(), step.duration);
+  // In the same physics steps: rounding decides whether joints that go straight can brake straight.
+  for (double left = step.duration; left > 0.5 * model->opt.timestep; left -= model->opt.timestep)
+    trajectory.advance(tried.data(), model->opt.timestep);
   // What braking may ask of the motors depends on where, and how fast, the arm will be then.
   now.qpos.assign(data->qpos, data->qpos + model->nq);
   now.qvel.assign(data->qvel, data->qvel + model->nv);
@@ -305,13 +382,18 @@ double Motion::remaining(const mjData* data, int copy) {
   return copies_[static_cast<std::size_t>(copy)]->trajectory.remaining(data->userdata + address_);
 }
 
+bool Motion::has_ended(const double* memory, int copy) {
+  Trajectory& trajectory = copies_[static_cast<std::size_t>(copy)]->trajectory;
+  return trajectory.is_still(memory) && !trajectory.is_asked(memory);
+}
+
 bool Motion::call(const StepView& view) {
   const double* memory = view.data->userdata + address_;
   if (!copies_[static_cast<std::size_t>(view.copy)]->trajectory.is_still(memory)) return false;
   for (std::size_t i = 0; i < joints_.size(); ++i) {
     const double position = view.data->qpos[view.model->jnt_qposadr[joints_[i]]];
     const double velocity = view.data->qvel[view.model->jnt_dofadr[joints_[i]]];
-    if (!(std::abs(position - memory[i]) <= kPositionTolerance)) return false;
+    if (!springs_ && !(std::abs(position - memory[i]) <= kPositionTolerance)) return false;
     if (std::abs(velocity) > kVelocityTolerance) return false;
   }
   return true;

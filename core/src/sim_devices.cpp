@@ -64,8 +64,10 @@ void SimArm::do_command_joints(std::span<const double> joints) {
 
 bool SimArm::do_has_arrived() {
   const ArmState state = do_state();
+  if (motion_->gives_way() && !motion_->has_ended(target(), copy_)) return false;
+  const double tolerance = motion_->gives_way() ? kForever : kPositionTolerance;
   for (std::size_t i = 0; i < state.joints.size(); ++i)
-    if (std::abs(state.joints[i] - state.commanded_joints[i]) > kPositionTolerance ||
+    if (std::abs(state.joints[i] - state.commanded_joints[i]) > tolerance ||
         std::abs(state.joint_velocities[i]) > kVelocityTolerance)
       return false;
   return true;

@@ -19,6 +19,7 @@ from rcs.envs.observers.record import record_all as record_all
 from rcs.envs.observers.twin import attach_twin as attach_twin
 from rcs.envs.setup import Setup as Setup
 from rcs.hardware.site import Site as Site
+from rcs.robots.compliance import Compliance as Compliance
 from rcs.rollout.episode import run_episode as run_episode
 from rcs.rollout.evaluate import evaluate as evaluate
 from rcs.setups.make import make as make

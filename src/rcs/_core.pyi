@@ -1347,14 +1347,24 @@ class Trajectory:
         Time until the joints stand [s]; of a stream, until the plan is used up.
         """
 
+class Springs:
+    """
+    What an arm gives way with when it is pushed. Without numbers, the gains of the position servos are the springs and dampers of the joints.
+    """
+
+    def __init__(self, stiffness: Sequence[float] = [], damping: Sequence[float] = [], tcp_site: int = -1, base_body: int = -1) -> None:
+        """
+        Six numbers each, along and about x, y, z of the base: N/m, N*s/m, then Nm/rad, Nm*s/rad.
+        """
+
 class Motion(StepCallback):
     """
     Moves position servos of some joints to a target in `mjData.userdata`, within limits of velocity, acceleration and jerk. As a callback, it is true when the joints stand at their target.
     """
 
-    def __init__(self, joints: Sequence[int], actuators: Sequence[int], address: int, limits: MotionLimits, copies: int) -> None:
+    def __init__(self, joints: Sequence[int], actuators: Sequence[int], address: int, limits: MotionLimits, copies: int, springs: Springs | None = None) -> None:
         """
-        Joint and actuator ids, base to tip, and the first of the numbers in the user data.
+        Joint and actuator ids, base to tip, and the first of the numbers in the user data. With springs of the TCP, the actuators are motors.
         """
 
     @property

@@ -24,7 +24,7 @@ from rcs.hardware.franka import FrankaArm, FrankaDriver, FrankaOptions
 from rcs.hardware.franka_faults import _WORDS  # pyright: ignore[reportPrivateUsage]
 from rcs.hardware.franka_hand import FrankaHand
 from rcs.kinematics import kinematics_of
-from rcs.robots import FR3, FRANKA_HAND
+from rcs.robots import FR3, FRANKA_HAND, Compliance
 from rcs.spatial import Pose
 from rcs.testing import ArmContract, GripperContract
 from rcs.virtual import VirtualProcess
@@ -167,16 +167,16 @@ def test_a_robot_of_another_version_is_told_with_both(robot: VirtualProcess):
 
 def test_options_that_make_no_sense_are_refused_by_name():
     driver = FrankaDriver()
-    with pytest.raises(InvalidSetup, match=r"stiffnes.*stiffness"):
-        driver.arm(ADDRESS, FR3, {"stiffnes": [1] * 7})
+    with pytest.raises(InvalidSetup, match=r"sped.*speed"):
+        driver.arm(ADDRESS, FR3, {"sped": 0.5})
     with pytest.raises(InvalidSetup, match="7 finite numbers"):
-        driver.arm(ADDRESS, FR3, {"stiffness": [100] * 6})
-    with pytest.raises(InvalidSetup, match="6 finite numbers"):
-        driver.arm(ADDRESS, FR3, {"compliance": "tcp", "stiffness": [100] * 7})
+        driver.arm(ADDRESS, FR3, {"collision_torque": [100] * 6})
+    with pytest.raises(InvalidSetup, match="valid for Franka Research 3 is one, or 7"):
+        driver.arm(ADDRESS, FR3, {"compliance": Compliance(joints=(100,) * 6)})
     with pytest.raises(InvalidSetup, match="at most 1"):
         driver.arm(ADDRESS, FR3, {"speed": 5})
-    with pytest.raises(InvalidSetup, match="joints, tcp"):
-        driver.arm(ADDRESS, FR3, {"compliance": "soft"})
+    with pytest.raises(InvalidSetup, match="give it to the setup"):
+        rcs.make("Free", hardware={"fr3": {"driver": "franka", "options": {"compliance": "soft"}}})
     with pytest.raises(InvalidSetup, match="force"):
         driver.gripper(ADDRESS, FRANKA_HAND, {"force": 3})
 
@@ -212,7 +212,7 @@ def test_a_first_target_far_away_is_refused_and_nothing_moves(arm: FrankaArm):
     assert arm.state().joints == pytest.approx(before, abs=1e-3)
 
 
-@pytest.mark.parametrize("compliance", ["joints", "tcp"])
+@pytest.mark.parametrize("compliance", [None, Compliance(tcp=(1000, 60))])
 def test_a_stream_of_targets_is_followed(robot: VirtualProcess, compliance):
     """The arm is behind the targets by the same time everywhere."""
     options = FrankaOptions(compliance=compliance, collision_force=400.0, collision_torque=(80.0,) * 7)
@@ -221,7 +221,7 @@ def test_a_stream_of_targets_is_followed(robot: VirtualProcess, compliance):
         measured = stream(arm, np.concatenate([targets, np.repeat(targets[-1:], 30, 0)]))
         assert arm.fault == ""
         assert arm.state().mode == "Move"
-        if compliance == "joints":
+        if compliance is None:
             apart = [np.abs(measured[lag : lag + len(targets)] - targets).max() for lag in range(8)]
             assert min(apart) < 0.03, "half a period of the stream is 0.01"
             assert measured[-1] == pytest.approx(targets[-1], abs=2e-3)
@@ -231,6 +231,36 @@ def test_a_stream_of_targets_is_followed(robot: VirtualProcess, compliance):
         apart = [np.abs(np.array(ways[0][lag : lag + len(targets)]) - ways[1]).max() for lag in range(8)]
         assert min(apart) < 0.015
         assert kinematics.forward(measured[-1]).is_close(kinematics.forward(targets[-1]), 3e-3, 1e-2)
+
+
+SETTLED = 4.0
+"""How long a push takes to be at rest [s]."""
+
+
+@pytest.mark.parametrize("force", [(10.0, 0.0, 0.0), (0.0, -10.0, 0.0), (5.0, 6.0, 8.0)])
+@pytest.mark.parametrize("compliance", [Compliance(joints=200), Compliance(tcp=(1000, 60))], ids=["joints", "tcp"])
+def test_a_push_moves_it_by_force_over_stiffness(robot: VirtualProcess, compliance, force, record_property):
+    kinematics = kinematics_of(FR3, FRANKA_HAND)
+    with an_arm(FrankaOptions(compliance=compliance, collision_force=400.0, collision_torque=(80.0,) * 7)) as arm:
+        led = arm.state().joints
+        arm.command_joints(led)
+        time.sleep(1.0)
+        before = arm.state().joints
+        robot.tell("push", *force)
+        time.sleep(SETTLED)
+        here = arm.state().joints
+        robot.tell("clear")
+        time.sleep(SETTLED)
+        assert arm.state().joints == pytest.approx(before, abs=1e-3)
+        assert arm.fault == ""
+    if compliance.is_of_tcp:
+        moved = np.array(kinematics.forward(here).translation) - kinematics.forward(before).translation
+        expected = np.array(force) / 1000.0
+    else:
+        moved, expected = here - before, kinematics.jacobian(here)[:3].T @ force / 200.0
+    off = np.linalg.norm(moved - expected) / np.linalg.norm(expected)
+    record_property("off", off)
+    assert off < 0.02
 
 
 def test_a_hard_stop_by_something_in_the_way_is_a_fault_with_its_direction(robot: VirtualProcess):

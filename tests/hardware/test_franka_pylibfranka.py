@@ -221,7 +221,10 @@ def test_an_address_where_nobody_is_is_told_with_what_to_look_at() -> None:
 def test_what_this_backend_cannot_do_is_refused() -> None:
     for options, match in (
         ({"backend": "libfranka"}, "valid: franky, pylibfranka"),
-        ({"backend": "pylibfranka", "compliance": "tcp"}, "'tcp' is of the backend 'franky'"),
+        (
+            {"backend": "pylibfranka", "compliance": rcs.Compliance(tcp=(1000, 60))},
+            "compliance of the TCP is of the backend",
+        ),
     ):
         with pytest.raises(InvalidSetup, match=match):
             FrankaDriver().arm("192.0.2.1", FR3, options)

@@ -131,6 +131,20 @@ def test_a_reset_leaves_the_robot_where_it_is():
         assert np.allclose(robot.joints, before, atol=2e-3)
 
 
+def test_a_push_presses_on_the_tcp_until_it_is_cleared():
+    with world_of("fr3") as world:
+        robot = world.robots["fr3"]
+        applied = robot._data.xfrc_applied
+        tell(world.name, ("push", "3", "-4", "0.5"))
+        wait_until(lambda: applied.any())
+        assert np.allclose(applied.sum(axis=0)[:3], [3.0, -4.0, 0.5])
+        tell(world.name, ("clear",))
+        wait_until(lambda: not applied.any())
+        for words in (("push", "3"), ("push", "1", "2", "x"), ("push", "1", "2", "inf"), ("push", "1", "2", "3", "4")):
+            with pytest.raises(InvalidSetup, match="FX FY FZ"):
+                tell(world.name, words)
+
+
 def test_a_frozen_controller_answers_nothing_until_it_goes_on():
     with world_of() as world:
         assert ask(world) == "1"

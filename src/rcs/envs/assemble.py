@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 from gymnasium.vector import AutoresetMode
@@ -134,7 +135,7 @@ def compose(parts: Parts) -> Scene:
     parts.task.furnish(scene)
     if parts.clutter is not None:
         parts.clutter.furnish(scene)
-    for robot in parts.robots:
+    for robot in _bodies(parts):
         scene.add_robot(robot, assets=parts.setup.assets)
     parts.task.equip(scene, parts.robots)
     for camera in parts.cameras:
@@ -146,6 +147,12 @@ def compose(parts: Parts) -> Scene:
         if parts.setup.randomisation.varies("action_latency"):
             keep_history(scene.spec, parts.robots, _longest_latency(parts.setup))
     return scene
+
+
+def _bodies(parts: Parts) -> list[RobotPlacement]:
+    """Return the robots of the scene; the body of a real arm follows it, and does not give way itself."""
+    real = parts.devices.arms
+    return [replace(robot, compliance=None) if robot.name in real else robot for robot in parts.robots]
 
 
 def _longest_latency(setup: Setup) -> float:
@@ -176,7 +183,7 @@ def _populate(parts: Parts, world: World | None, cameras: Sequence[CameraPlaceme
     bodies: dict[str, SimRobot] = {}
     randomiser: Randomiser | None = None
     if world is not None:
-        bodies = {placement.name: SimRobot(world, placement) for placement in parts.robots}
+        bodies = {placement.name: SimRobot(world, placement) for placement in _bodies(parts)}
         if setup.stepping == "sync":
             for robot in bodies.values():
                 robot.wait_for_arrival(_longest_latency(setup))

@@ -14,6 +14,7 @@ from rcs.envs.reward import RewardKind
 from rcs.envs.spaces import TWIST, Control, Observed
 from rcs.errors import InvalidSetup, require_fields
 from rcs.robots.camera_mode import parse_mode
+from rcs.robots.compliance import Compliance
 from rcs.sim.camera import MAX_SIZE, Quality
 from rcs.sim.detail import Assets
 from rcs.sim.pixels import Pixels
@@ -86,6 +87,9 @@ class Setup:
     collision_reaction: bool = True
     """Whether a simulated arm that collides goes into its fault state, as the real one does, at its own limits: the
     episode ends as `fault`. Turn it off for learning by trial and error."""
+    compliance: Compliance | None = None
+    """How arms give way to a push, as springs and dampers of their joints or of the TCP, such as
+    `Compliance(tcp=(500, 30))`; None for stiff ones. Of real arms, those of the driver `franka` have it."""
     control: Control = "joints"
     """An arm's action: joint positions; the TCP pose with a quaternion or with roll, pitch, yaw; or a twist, the TCP's
     linear [m/s] and angular velocity [rad/s]."""
@@ -151,6 +155,12 @@ class Setup:
         if self.reward == "dense" and self.discount == 1:
             raise InvalidSetup("discount is 1; the dense reward needs one below 1, such as 0.99.")
         object.__setattr__(self, "randomisation", _ranges(self.randomisation))
+        object.__setattr__(self, "compliance", _compliance(self.compliance))
+        is_late = self.randomisation is not None and self.randomisation.varies("action_latency")
+        if is_late and self.compliance is not None and self.compliance.is_of_tcp:
+            raise InvalidSetup(
+                "randomisation varies action_latency; with compliance=Compliance(tcp=…), set it to (0, 0)."
+            )
         object.__setattr__(self, "pixels", _pixels(self.pixels))
         taken = [name for name in ("depth", "segmentation", "points", "camera_noise") if getattr(self, name)]
         if self.pixels is not None and taken:
@@ -224,6 +234,8 @@ class Setup:
         values = {own.name: getattr(self, own.name) for own in dataclasses.fields(self)}
         if self.randomisation is not None:
             values["randomisation"] = self.randomisation.to_json()
+        if self.compliance is not None:
+            values["compliance"] = self.compliance.to_json()
         if self.pixels is not None:
             values["pixels"] = self.pixels.to_json()
         values["camera_sizes"] = {name: list(size) for name, size in self.camera_sizes.items()}
@@ -266,6 +278,7 @@ class Options(TypedDict, total=False):
     assets: Assets
     observe: Sequence[Observed]
     collision_reaction: bool
+    compliance: Compliance | None
     control: Control
     relative: RelativeTo | bool
     native: bool
@@ -311,6 +324,14 @@ def _ranges(value: Any) -> Randomisation | None:
         raise InvalidSetup(
             f"randomisation is {value!r}; valid: a Randomisation, the name of one, True for its defaults, or None."
         )
+    return value
+
+
+def _compliance(value: Any) -> Compliance | None:
+    if isinstance(value, dict):
+        return Compliance.from_json(value)
+    if not isinstance(value, Compliance | None):
+        raise InvalidSetup(f"compliance is {value!r}; valid: rcs.Compliance(joints=...), (tcp=...), or None.")
     return value
 
 

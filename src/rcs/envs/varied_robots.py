@@ -26,7 +26,8 @@ def add_drives(vary: Variation, robots: Sequence[RobotPlacement]) -> None:
         dampings = ModelRows(world, "dof_damping", dofs)
         vary.write_with(lambda drawn, copies: dampings.scale(drawn["joint_damping"], copies))
     layouts = [RobotLayout.of(robot, model) for robot in robots]
-    _add_servos(vary, [i for layout in layouts for i in layout.actuator_ids])
+    servos = [i for layout in layouts for i in layout.actuator_ids]
+    _add_servos(vary, [i for i in servos if model.actuator_biastype[i] != mujoco.mjtBias.mjBIAS_NONE])
     _add_grippers(vary, [robot.name for robot in robots], layouts)
 
 

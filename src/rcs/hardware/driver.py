@@ -44,6 +44,9 @@ class Driver:
     `host` overrides it."""
     host_times: ClassVar[HostTimes] = HostTimes()
     """How long its calls may take there."""
+    gives_way: ClassVar[bool] = False
+    """Whether its arms can give way to a push as springs do. The options of `arm` then have `compliance`, a
+    `rcs.Compliance` with all its numbers, where the setup has one; else such a setup is refused."""
 
     def __init__(self) -> None:
         """Connect nothing."""

@@ -14,7 +14,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,10 @@ from rcs.hardware.franka_faults import advice_for, connected, fault_of, mode_of,
 from rcs.hardware.franka_hand import FrankaHand
 from rcs.hardware.franka_limits import limits_of_fr3
 from rcs.kinematics import kinematics_of
+from rcs.kinematics.damping import damped
+from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, GripperDescription
+from rcs.robots.franka_hand.description import FRANKA_HAND
 
 RATE: Final = 500.0
 """References per second [Hz]."""
@@ -46,7 +49,6 @@ SILENCE: Final = 0.2
 # more stiffness and less damping than there, so that it follows within 0.1 s instead of 0.3 s.
 JOINT_STIFFNESS: Final = (600.0, 600.0, 600.0, 600.0, 300.0, 200.0, 100.0)
 JOINT_DAMPING: Final = (50.0, 50.0, 50.0, 50.0, 20.0, 12.0, 6.0)
-TCP_STIFFNESS: Final = (1000.0, 1000.0, 1000.0, 60.0, 60.0, 60.0)
 GUIDING_DAMPING: Final = (2.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5)
 """With which a hand that guides the arm is resisted [N·m·s/rad]; ours."""
 POSTURE_STIFFNESS: Final = 5.0
@@ -54,7 +56,6 @@ POSTURE_STIFFNESS: Final = 5.0
 
 _log = logging.getLogger(__name__)
 
-Compliance = Literal["joints", "tcp"]
 Backend = Literal["franky", "pylibfranka"]
 Vector = NDArray[np.float64]
 
@@ -65,13 +66,8 @@ class FrankaOptions:
 
     backend: Backend = "franky"
     """Library that leads the arm; `pylibfranka`, the vendor's own, in a process of its own and by joints only."""
-    compliance: Compliance = "joints"
-    """What a push moves, as a spring does: each joint, or the TCP as a whole (operational space)."""
-    stiffness: tuple[float, ...] | None = None
-    """Of the joints [N·m/rad], seven, or of the TCP, six: x, y, z [N/m] and about x, y, z [N·m/rad], in the frame of
-    the base. Lower ones push less and come less close to where the arm is led."""
-    damping: tuple[float, ...] | None = None
-    """As many, [N·m·s/rad] or [N·s/m]; None for what suits the stiffness."""
+    compliance: Compliance | None = None
+    """How the arm gives way to a push, from the setup; None for joints as stiff as they can well be."""
     collision_torque: tuple[float, ...] | None = None
     """Torque at each joint from which the arm takes a push for a collision [N·m], seven; None for the description's."""
     collision_force: float | None = None
@@ -87,24 +83,19 @@ class FrankaOptions:
         Raises:
             InvalidSetup: A value makes no sense.
         """
-        if self.compliance not in get_args(Compliance):
-            raise InvalidSetup(f"compliance is {self.compliance!r}; valid: {', '.join(get_args(Compliance))}.")
         if self.backend not in get_args(Backend):
             raise InvalidSetup(f"backend is {self.backend!r}; valid: {', '.join(get_args(Backend))}.")
-        if self.backend == "pylibfranka" and self.compliance != "joints":
-            raise InvalidSetup("compliance 'tcp' is of the backend 'franky'; the backend 'pylibfranka' has 'joints'.")
+        if self.backend == "pylibfranka" and self.compliance is not None and self.compliance.is_of_tcp:
+            raise InvalidSetup("compliance of the TCP is of the backend 'franky'; 'pylibfranka' has that of joints.")
         if not _is_amount(self.speed) or not 0 < self.speed <= 1:
             raise InvalidSetup(f"speed is {self.speed!r}; valid is a share above 0 and at most 1.")
         if not isinstance(self.whole_range, bool):
             raise InvalidSetup(f"whole_range is {self.whole_range!r}; valid: true, false.")
-        count = 7 if self.compliance == "joints" else 6
-        for name, wanted in (("stiffness", count), ("damping", count), ("collision_torque", 7)):
-            given = getattr(self, name)
-            if given is None:
-                continue
-            if not isinstance(given, list | tuple) or len(given) != wanted or not all(map(_is_amount, given)):
-                raise InvalidSetup(f"{name} is {given!r}; valid are {wanted} finite numbers from 0.")
-            object.__setattr__(self, name, tuple(map(float, given)))
+        given: Any = self.collision_torque
+        if given is not None:
+            if not isinstance(given, list | tuple) or len(given) != 7 or not all(map(_is_amount, given)):
+                raise InvalidSetup(f"collision_torque is {given!r}; valid are 7 finite numbers from 0.")
+            object.__setattr__(self, "collision_torque", tuple(map(float, given)))
         if self.collision_force is not None and not _is_amount(self.collision_force):
             raise InvalidSetup(f"collision_force is {self.collision_force!r}; valid is a finite number from 0.")
 
@@ -122,6 +113,8 @@ def _is_amount(value: Any) -> bool:
 
 class FrankaDriver(Driver):
     """Makes arms and hands; the address is that of the control box. Options of an arm: those of `FrankaOptions`."""
+
+    gives_way = True
 
     def needs_host(self, options: Mapping[str, Any]) -> bool:
         """Return whether the library keeps the interpreter to itself, or cannot be with the hand's in one process."""
@@ -165,7 +158,9 @@ class FrankaArm(StreamedArm):
         if about.dof != 7:
             raise InvalidSetup(f"The driver franka leads arms of seven joints; {about.name!r} has {about.dof}.")
         self._options = FrankaOptions() if options is None else options
-        is_stiff = self._options.compliance == "joints"
+        given = self._options.compliance
+        self._springs = None if given is None else damped(given, about, FRANKA_HAND)
+        is_stiff = given is None
         super().__init__(
             f"{about.name} at {address}",
             limits_of_fr3(about, speed=self._options.speed, whole_range=self._options.whole_range),
@@ -211,16 +206,14 @@ class FrankaArm(StreamedArm):
 
     def _start(self) -> None:
         self._end_motion()
-        franky, options = self._franky, self._options
-        if options.compliance == "joints":
-            damping = JOINT_DAMPING if options.stiffness is None and options.damping is None else options.damping
+        franky, springs = self._franky, self._springs
+        stiffness, damping = (JOINT_STIFFNESS, JOINT_DAMPING) if springs is None else springs.gains
+        if springs is None or not springs.is_of_tcp:
             motion = franky.JointImpedanceTrackingMotion(
-                stiffness=list(options.stiffness or JOINT_STIFFNESS), damping=damping, max_delta_tau=TORQUE_STEP
+                stiffness=stiffness, damping=damping, max_delta_tau=TORQUE_STEP
             )
             motion.set_reference(franky.JointReference(q=self._robot.current_joint_positions))
         else:
-            stiffness = list(options.stiffness or TCP_STIFFNESS)
-            damping = [2.0 * math.sqrt(one) for one in stiffness] if options.damping is None else list(options.damping)
             posture = franky.PostureTask(self._robot.current_joint_positions, stiffness=POSTURE_STIFFNESS)
             motion = franky.CartesianImpedanceTrackingMotion(posture_task=posture, max_delta_tau=TORQUE_STEP)
             motion.set_gains(franky.CartesianImpedanceGains.diagonal(stiffness, damping))
@@ -233,7 +226,7 @@ class FrankaArm(StreamedArm):
             raise DeviceFault(self._problem)
         position, velocity = np.array(point.position), np.array(point.velocity)
         self._led = position
-        if self._options.compliance == "joints":
+        if self._springs is None or not self._springs.is_of_tcp:
             mass = np.array(self._robot.model.mass(self._newest))
             torques = mass @ np.array(point.acceleration)
             self._motion.set_reference(self._franky.JointReference(q=position, dq=velocity, tau_ff=torques))

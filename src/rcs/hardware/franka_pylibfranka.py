@@ -27,7 +27,9 @@ from rcs.hardware.franka import (
 )
 from rcs.hardware.franka_faults import advice_for, connected, fault_of, mode_of
 from rcs.hardware.franka_limits import limits_of_fr3
+from rcs.kinematics.damping import damped
 from rcs.robots.description import ArmDescription
+from rcs.robots.franka_hand.description import FRANKA_HAND
 
 RATE: Final = 1000.0
 """Packets per second [Hz]; the robot's."""
@@ -58,9 +60,9 @@ class PylibfrankaArm(StreamedArm):
             StreamOptions(rate=RATE, is_paced_by_read=True, arrival=0.005),
         )
         self._address, self._about, self._options = address, about, options
-        self._stiffness = np.array(options.stiffness or JOINT_STIFFNESS)
-        usual = JOINT_DAMPING if options.stiffness is None else 2.0 * np.sqrt(self._stiffness)
-        self._damping = np.array(usual if options.damping is None else options.damping)
+        given = None if options.compliance is None else damped(options.compliance, about, FRANKA_HAND)
+        self._stiffness = np.array(JOINT_STIFFNESS if given is None else given.joints)
+        self._damping = np.array(JOINT_DAMPING if given is None else given.damping)
         self._library: Any = None
         self._robot: Any = None
         self._model: Any = None

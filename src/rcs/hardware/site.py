@@ -25,6 +25,7 @@ from rcs.devices import Arm, Camera, CameraMode, Gripper, Hand, lookup
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.hardware.driver import Driver
 from rcs.hardware.hosted import Place, hosted, is_hosted
+from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
 from rcs.robots.tactile import TactileDescription
 
@@ -249,6 +250,7 @@ class Site:
         robots: Mapping[str, tuple[ArmDescription, GripperDescription | HandDescription | None]],
         cameras: Mapping[str, tuple[CameraDescription, CameraMode]],
         tactile: Mapping[str, TactileDescription] | None = None,
+        compliance: Mapping[str, Compliance] | None = None,
     ) -> Devices:
         """Make the devices of a setup; nothing is connected. Those of one driver are made by one object of it.
 
@@ -256,10 +258,12 @@ class Site:
             robots: Arm and end effector of every robot, by name.
             cameras: Description of every camera and the mode that is wanted, by name.
             tactile: Description of every tactile sensor, by name; None for none.
+            compliance: How arms give way to a push, by robot, with all numbers; None for arms that are stiff.
 
         Raises:
             UnknownName: A driver that is not installed, or a robot that the setup does not have.
-            InvalidSetup: A driver does not have such devices, or the robot has no such end effector.
+            InvalidSetup: A driver does not have such devices, or the robot has no such end effector, or its arm cannot
+                give way.
         """
         arms: dict[str, Arm] = {}
         effectors: dict[str, Gripper | Hand] = {}
@@ -273,7 +277,8 @@ class Site:
                     raise UnknownName("robot of this setup", name, robots)
                 arm, effector = robots[name]
                 if kind == "arms":
-                    arms[name] = _made(drivers, given, "arm", arm)
+                    pliant = _giving_way(drivers, given, name, (compliance or {}).get(name))
+                    arms[name] = _made(drivers, pliant, "arm", arm)
                     platform[name] = _platform(given)
                     continue
                 wanted = GripperDescription if kind == "grippers" else HandDescription
@@ -331,6 +336,25 @@ def _made(drivers: dict[str, Driver], given: AnyDevice, kind: str, *about: Any) 
     if not isinstance(device, _CLASSES[kind]):
         raise InvalidSetup(f"Expected a device of rcs.devices.{_CLASSES[kind].__name__}; got {device!r}.")
     return device
+
+
+def _giving_way(drivers: dict[str, Driver], given: AnyDevice, robot: str, compliance: Compliance | None) -> AnyDevice:
+    """Return the device of an arm, with how it gives way to a push in its options."""
+    if not isinstance(given, DeviceAddress):
+        if compliance is not None:
+            raise InvalidSetup(f"The arm of {robot!r} is a device; give its address, or leave compliance out.")
+        return given
+    can_give_way = _driver(drivers, given.driver).gives_way
+    if can_give_way and "compliance" in given.options:
+        raise InvalidSetup(f"The site has the option compliance for {robot!r}; give it to the setup instead.")
+    if compliance is None:
+        return given
+    if not can_give_way:
+        raise InvalidSetup(
+            f"The setup has a compliance, and the arm of {robot!r} has none with the driver {given.driver!r}; valid "
+            "are simulated arms and those of the driver 'franka'. Leave compliance out for a stiff arm."
+        )
+    return dataclasses.replace(given, options={**given.options, "compliance": compliance})
 
 
 def _driver(drivers: dict[str, Driver], name: str) -> Driver:

@@ -1,5 +1,6 @@
 from rcs.robots.camera_mode import ResolutionMode as ResolutionMode
 from rcs.robots.collision_limits import CollisionLimits as CollisionLimits
+from rcs.robots.compliance import Compliance as Compliance
 from rcs.robots.description import ArmDescription as ArmDescription
 from rcs.robots.description import CameraDescription as CameraDescription
 from rcs.robots.description import GripperDescription as GripperDescription

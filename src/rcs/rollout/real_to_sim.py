@@ -102,6 +102,8 @@ class RealToSim(Derivation):
     def setup(self, dataset: Dataset) -> Setup:
         """Return the setup to replay a dataset in: absolute joint targets, and task and robot as given or recorded.
 
+        Its arms are stiff, since what was measured has given way already.
+
         Raises:
             InvalidSetup: The dataset's setup cannot be used, and task or robot is not given.
         """
@@ -120,6 +122,7 @@ class RealToSim(Derivation):
             stepping="async" if setup.stepping == "realtime" else setup.stepping,
             frequency=self.frequency or setup.frequency,
             max_episode_steps=None,
+            compliance=None,
         )
         require_recordable(setup)
         return replace(setup, binary_gripper=setup.binary_gripper if self.gripper is None else self.gripper == "trend")

@@ -23,6 +23,8 @@ from rcs.envs.task import Task
 from rcs.envs.vector import VecEnv
 from rcs.errors import InvalidSetup, UnknownName
 from rcs.hardware.site import DeviceAddress, Devices, Site
+from rcs.kinematics.damping import damped
+from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription
 from rcs.robots.tactile import TactileDescription
 from rcs.setups.calibration import calibrated
@@ -236,7 +238,8 @@ def _devices(hardware: Any, parts: Parts) -> Devices:
     robots = {robot.name: (robot.arm, robot.end_effector) for robot in parts.robots}
     cameras = {camera.name: (camera.camera, _mode(parts.setup, camera)) for camera in parts.cameras}
     tactile = {sensor.name: sensor.sensor for sensor in parts.tactile}
-    return _site(hardware, parts).devices(robots, cameras, tactile)
+    compliance = {robot.name: robot.compliance for robot in parts.robots if robot.compliance is not None}
+    return _site(hardware, parts).devices(robots, cameras, tactile, compliance)
 
 
 def _mode(setup: Setup, camera: CameraPlacement) -> CameraMode:
@@ -283,7 +286,9 @@ def resolve(setup: Setup) -> Parts:
     names = [stand.name for stand in lab.stands]
     if isinstance(setup.end_effector, Mapping) and (unknown := sorted(setup.end_effector.keys() - set(names))):
         raise UnknownName("robot of this setup", unknown[0], names)
-    robots = tuple(_place(one, setup.end_effector_of(one.name) or lab.end_effector) for one in lab.stands)
+    robots = tuple(
+        _place(one, setup.end_effector_of(one.name) or lab.end_effector, setup.compliance) for one in lab.stands
+    )
     cameras = tuple(_mount(name, setup, lab, robots) for name in setup.cameras)
     tactile = tuple(sensor for robot in robots for sensor in _feel(setup.tactile, robot))
     count = 0 if setup.randomisation is None else setup.randomisation.distractors
@@ -313,7 +318,7 @@ def _feel(name: str | None, robot: RobotPlacement) -> tuple[TactilePlacement, ..
     return on_pads(robot, sensor)
 
 
-def _place(stand: Stand, end_effector: str | None) -> RobotPlacement:
+def _place(stand: Stand, end_effector: str | None, compliance: Compliance | None) -> RobotPlacement:
     arm: ArmDescription = lookup.find("arm", stand.arm)
     gripper: GripperDescription | None = None
     hand: HandDescription | None = None
@@ -335,7 +340,14 @@ def _place(stand: Stand, end_effector: str | None) -> RobotPlacement:
         raise InvalidSetup(
             f"{gripper.label} is made for {', '.join(gripper.arms)}; it cannot be mounted on {arm.name!r}."
         )
-    return RobotPlacement(name=stand.name, arm=arm, gripper=gripper, hand=hand, base_in_scene=stand.base_in_scene)
+    return RobotPlacement(
+        name=stand.name,
+        arm=arm,
+        gripper=gripper,
+        hand=hand,
+        base_in_scene=stand.base_in_scene,
+        compliance=None if compliance is None else damped(compliance, arm, gripper or hand),
+    )
 
 
 def _mount(name: str, setup: Setup, lab: Lab, robots: tuple[RobotPlacement, ...]) -> CameraPlacement:

@@ -12,6 +12,7 @@ from rcs.errors import InvalidSetup
 from rcs.robots.description import GripperDescription, HandDescription
 from rcs.sim.layout import Index, RobotLayout
 from rcs.sim.scene import LOAD, LOAD_MASS, RobotPlacement
+from rcs.sim.springs import springs_of
 from rcs.sim.world import Copies, World
 
 STILL_TOLERANCE = 1e-2
@@ -36,7 +37,8 @@ class SimRobot:
         self.layout = RobotLayout.of(robot, world.model)
         arm = robot.arm
         ids, first = self.layout, self.layout.motion
-        motion = Motion(ids.joint_ids, ids.actuator_ids, first, arm.motion_limits, world.copies)
+        springs = springs_of(robot, ids.tcp_site, ids.base_body)
+        motion = Motion(ids.joint_ids, ids.actuator_ids, first, arm.motion_limits, world.copies, springs)
         self.motion = world.core.add_motion(motion) if is_led else motion
         """Leads the arm to its targets."""
         assert world.userdata is not None, "the scene has given every arm its user data"
@@ -142,7 +144,8 @@ class SimRobot:
         world, layout = self.world, self.layout
         world.qpos[_at(layout.qpos, copies)] = joints
         world.qvel[_at(layout.qvel, copies)] = 0.0
-        world.ctrl[_at(np.array(layout.actuator_ids), copies)] = joints
+        is_motor = self.placement.compliance is not None and self.placement.compliance.is_of_tcp
+        world.ctrl[_at(np.array(layout.actuator_ids), copies)] = 0.0 if is_motor else joints
         self._stand(joints, copies)
 
     def command_opening(self, opening: NDArray[np.floating]) -> None:

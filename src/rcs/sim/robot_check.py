@@ -52,7 +52,7 @@ def check_robot(robot: RobotPlacement, model: mujoco.MjModel) -> None:
     data = _at_home(robot, model)
     _require_base(robot, data)
     sag = _sag(robot, model, data)
-    if not sag.is_small:
+    if robot.compliance is None and not sag.is_small:
         worst = int(np.abs(sag.joints).argmax())
         warnings.warn(
             f"Robot {robot.name!r} sags: while holding its home pose, joint {robot.arm.joints[worst]!r} gives way by  "

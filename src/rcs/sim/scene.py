@@ -15,9 +15,11 @@ from rcs._core import Trajectory
 from rcs.errors import InvalidSetup
 from rcs.kinematics.chain import GRIPPER_PREFIX, attach_end_effector, compiled, flange_frame, load, mount_frame
 from rcs.robots.calibration import CameraCalibration
+from rcs.robots.compliance import Compliance
 from rcs.robots.description import ArmDescription, CameraDescription, GripperDescription, HandDescription, Mount
 from rcs.sim.detail import Assets, exchange_visuals
 from rcs.sim.robot_check import check_robot
+from rcs.sim.springs import give_way
 from rcs.sim.tactile_placement import TactilePlacement, attach_tactile
 from rcs.sim.textures import add_wood
 
@@ -55,6 +57,8 @@ class RobotPlacement:
     """The hand, instead of a gripper."""
     base_in_scene: Mount = Mount()
     """Pose of the robot's base frame in the scene."""
+    compliance: Compliance | None = None
+    """How the arm gives way to a push; None for stiff servos."""
 
     def __post_init__(self) -> None:
         """Check that there is one end effector at most.
@@ -276,6 +280,7 @@ class Scene:
         _add_load(arm, robot.arm)
         self.spec.attach(arm, frame=mount_frame(self.spec.worldbody, robot.base_in_scene), prefix=robot.prefix)
         self._aim_overview([*self.robots, robot])
+        give_way(self.spec, robot)
         for actuator in robot.arm.actuators:
             # The control of a moving servo leads its target, even where that is a limit; the motion keeps the limits.
             self.spec.actuator(robot.prefix + actuator).ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE

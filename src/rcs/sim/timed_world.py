@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,7 +144,7 @@ class TimedWorld:
             raise InvalidSetup(f"smoothing is {smoothing!r} s; valid is a time above 0.")
         scene = Scene.empty(physics_step=physics_step)
         for robot in robots:
-            scene.add_robot(robot)
+            scene.add_robot(replace(robot, compliance=None))
         self.world = World(scene.compile(), frequency=1.0 / physics_step)
         self.arms: dict[str, TimedArm] = {robot.name: TimedArm(self.world, robot, smoothing) for robot in robots}
         self.time = 0.0

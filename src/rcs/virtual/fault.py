@@ -14,12 +14,14 @@ GENERIC: Mapping[str, str] = {
     "late": "MS or MS/N",
     "lose": "N or 1/N",
     "corrupt": "N or 1/N",
+    "push": "FX FY FZ",
     "reset": "SEED",
     "clear": "",
 }
 """What every virtual robot knows, and the value of each: `freeze` has the controller hang for S seconds; after `cut`
 nothing passes the cable; `late` delays what is sent by MS milliseconds; `lose` and `corrupt` are for the next N
-packets; with a slash, it is one packet in N, by chance, until `clear`; `reset` places the objects as a seed says;
+packets; with a slash, it is one packet in N, by chance, until `clear`; `push` presses on the TCP with a force [N] along
+the axes of the base, until `clear`; `reset` places the objects as a seed says;
 `clear` mends all."""
 
 
@@ -40,6 +42,21 @@ class Fault:
             InvalidSetup: It is none.
         """
         return self._numbers()[0]
+
+    @property
+    def force(self) -> tuple[float, float, float]:
+        """Three finite numbers.
+
+        Raises:
+            InvalidSetup: They are none.
+        """
+        try:
+            x, y, z = map(float, self.value.split())
+        except ValueError:
+            x = y = z = math.nan
+        if not all(map(math.isfinite, (x, y, z))):
+            raise InvalidSetup(f"{self.name} is told with {self.value!r}; valid is {GENERIC[self.name]}, finite.")
+        return x, y, z
 
     @property
     def share(self) -> float:
@@ -78,6 +95,6 @@ class Fault:
         if name not in known:
             valid = ", ".join(f"{one} {takes}".strip() for one, takes in known.items())
             raise UnknownName("fault of this robot", name, known, f"Valid: {valid}.")
-        if len(values) != (1 if known[name] else 0):
+        if len(values) != len(known[name].split(" or ")[0].split()):
             raise InvalidSetup(f"The fault is {' '.join(words)!r}; valid is {f'{name} {known[name]}'.strip()!r}.")
-        return Fault(name=name, value="".join(values))
+        return Fault(name=name, value=" ".join(values))

@@ -76,6 +76,7 @@ class VirtualRobot:
             limits: list[tuple[Any, Any]] = [(model.actuator_forcerange, finger)]
             limits += [(model.jnt_actfrcrange, joint) for joint in layout.finger_joint_ids]
             self._grip_limits = [(array, at, array[at].copy()) for array, at in limits]
+        self._pressed: NDArray[np.float64] | None = None  # [N], in the world
         self._opening = self._opening_goal = 1.0  # where an episode begins
         self._opening_speed = 0.0
         self.rest()
@@ -187,6 +188,15 @@ class VirtualRobot:
         self._position, self._velocity, self._acceleration = self.joints, np.zeros(self.about.dof), None
         self._data.ctrl[self._actuators] = self._position
 
+    def press(self, force: ArrayLike) -> None:
+        """Have something press on the TCP from the next tick on.
+
+        Args:
+            force: In the frame of the base [N], (3,); 0 for nothing.
+        """
+        body = self._data.body(self.body.layout.base_body)
+        self._pressed = body.xmat.reshape(3, 3) @ np.asarray(force, np.float64)
+
     def move(self, width: float, speed: float | None = None) -> None:
         """Move the gripper to a width [m] with a speed of the width [m/s], None for its largest, with all its force."""
         self.grasp(width, speed, None)
@@ -242,6 +252,15 @@ class VirtualRobot:
                 mujoco.mj_mulM(self._model, self._data, self._force, self._wanted)
                 controls += self._force[self._qvel] / self._stiffness
             self._data.ctrl[self._actuators] = controls
+        if self._pressed is not None:
+            site, applied = self._data.site(self.body.layout.tcp_site), self._data.xfrc_applied
+            body = self._model.site_bodyid[site.id]
+            applied[body, :3], applied[body, 3:] = (
+                self._pressed,
+                np.cross(site.xpos - self._data.xipos[body], self._pressed),
+            )
+            if not self._pressed.any():
+                self._pressed = None
         if self.gripper is not None:
             step = self._opening_speed * self.period
             self._opening += min(max(self._opening_goal - self._opening, -step), step)

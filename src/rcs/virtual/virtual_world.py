@@ -73,7 +73,7 @@ class VirtualWorld:
         kinds = {stand.name: _wire_of(stand.arm, wires or {}) for stand in lab_of(setup.robot).stands}
         self.rate = max(kind.rate for kind in kinds.values())
         """Ticks per second [Hz]."""
-        parts = resolve(replace(setup, cameras=(), randomisation=None, physics_step=1.0 / self.rate))
+        parts = resolve(replace(setup, cameras=(), randomisation=None, compliance=None, physics_step=1.0 / self.rate))
         self.world = World(compose(parts).compile(), frequency=self.rate)
         """The physics."""
         self.setup = parts.setup
@@ -188,10 +188,13 @@ class VirtualWorld:
             wire.tell(fault)
         elif fault.name == "freeze":
             robot.frozen_until = time.monotonic() + fault.number
+        elif fault.name == "push":
+            robot.press(fault.force)
         elif fault.name == "reset":
             self.reset(int(fault.number))
         elif fault.name == "clear":
             robot.frozen_until = 0.0
+            robot.press(np.zeros(3))
             robot.line.clear()
             wire.clear()
         else:
