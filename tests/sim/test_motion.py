@@ -122,6 +122,32 @@ def test_a_synchronous_step_ends_at_rest_at_the_target_and_lasts_a_period_at_lea
 
 
 @pytest.mark.parametrize("name", ARMS)
+def test_a_preview_of_a_step_and_of_braking_after_it_is_what_happens(name: str) -> None:
+    arm, draws = ARMS[name], np.random.default_rng(1)
+    watched = Watched(arm)
+    timestep = watched.world.model.opt.timestep
+    for _ in range(12):
+        watched.robot.go_home()
+        watched.world.refresh()
+        target = draws.uniform(arm.joint_lower, arm.joint_upper)
+        watched.go(target, int(draws.integers(3, 25)))
+        way = watched.world.core.preview(watched.robot.motion, target, 0, 0.01)
+        watched.rows.clear()
+        watched.go(target)
+        duration = len(watched.rows) * timestep
+        watched.robot.stop()
+        for _ in range(40):
+            watched.world.advance()
+        pace = duration / np.ceil(duration / 0.01 - 1e-9)
+        told = pace * np.arange(len(way))
+        happened = timestep * np.arange(1, len(watched.rows) + 1)
+        led = watched.led()[0]
+        for joint in range(arm.dof):
+            there = np.interp(told[1:], happened, led[:, joint])
+            np.testing.assert_allclose(there, way[1:, joint], atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ARMS)
 def test_a_far_motion_of_the_whole_arm_asks_for_no_more_torque_than_there_is(name: str) -> None:
     arm = ARMS[name]
     watched, draws = Watched(arm, stepping="sync"), np.random.default_rng(3)
