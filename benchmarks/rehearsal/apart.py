@@ -20,7 +20,9 @@ def actions_of(dof: int) -> dict[str, Array]:
     """Return relative joint actions (N, dof): waves of all joints, and moves from stand to stand as an expert's."""
     times = np.arange(150) / 30
     phases = 2 * np.pi * 0.4 * times[:, None] * (1 + 0.1 * np.arange(dof))
-    waves = 0.12 * (1 - np.cos(phases)) * np.where(np.arange(dof) % 2, -1.0, 1.0) * np.minimum(times / 1.0, 1.0)[:, None]
+    waves = (
+        0.12 * (1 - np.cos(phases)) * np.where(np.arange(dof) % 2, -1.0, 1.0) * np.minimum(times / 1.0, 1.0)[:, None]
+    )
     random, place, ways = np.random.default_rng(0), np.zeros(dof), [np.zeros((1, dof))]
     for _ in range(5):
         goal = random.uniform(-0.15, 0.15, dof)
@@ -84,5 +86,9 @@ def measure(robot: str) -> dict[str, Any]:
             env.reset(options={"robot": {"joints": start, "gripper": OPEN}})
             _, simulated, _ = play(env, everything[name])
         apart, lag = compare(begins, simulated, ticks["time"], ticks["joints"])
-        found[name] = {"apart_mrad": round(apart, 2), "lag_ms": round(float(lag), 1), "late_max_ms": round(1e3 * late, 1)}
+        found[name] = {
+            "apart_mrad": round(apart, 2),
+            "lag_ms": round(float(lag), 1),
+            "late_max_ms": round(1e3 * late, 1),
+        }
     return {"apart_mrad": max(one["apart_mrad"] for one in found.values()), **found}

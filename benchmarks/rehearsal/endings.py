@@ -37,9 +37,7 @@ def be_program(site: str, robot: str, end: str, way: float) -> None:
     """Lead the robot one way, say when the end comes, and end."""
     import rcs
 
-    env = rcs.make(
-        "Free", robot=robot, hardware=site, end_effector=GRIPPERS.get(robot), max_episode_steps=None
-    )
+    env = rcs.make("Free", robot=robot, hardware=site, end_effector=GRIPPERS.get(robot), max_episode_steps=None)
     env.reset()
     step = np.zeros(env.action_space["joints"].shape)
     step[0] = way * SPEEDS[robot] / 30
@@ -151,4 +149,3 @@ def measure(robot: str, tries: int) -> dict[str, Any]:
         "orphan_ms": max((found[end]["brakes_p99_ms"] or 0.0) for end in ENDS),
         **found,
     }
-

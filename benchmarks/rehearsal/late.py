@@ -1,4 +1,4 @@
-"""Ticks that come late at the robot's rate, beside a loop of 30 Hz that records two robots' worth of work: a camera too."""
+"""Points that come late at the robot's rate, beside a loop of 30 Hz that records the robot and a camera."""
 
 from __future__ import annotations
 

@@ -59,7 +59,10 @@ class Stage:
         lab, address = lab_of(self.robot), self.site.arms[self.robot]
         given = replace(address, options={**address.options, **options})
         site = replace(self.site, arms={self.robot: given})
-        parts = (lookup.find("arm", lab.stands[0].arm), lookup.find("gripper", GRIPPERS.get(self.robot, lab.end_effector)))
+        parts = (
+            lookup.find("arm", lab.stands[0].arm),
+            lookup.find("gripper", GRIPPERS.get(self.robot, lab.end_effector)),
+        )
         made = site.devices({self.robot: parts}, {})
         return made.arms[self.robot], made.effectors[self.robot]
 

@@ -107,6 +107,8 @@ def _is_amount(value: Any) -> bool:
 class FrankaDriver(Driver):
     """Makes arms and hands; the address is that of the control box. Options of an arm: those of `FrankaOptions`."""
 
+    hosted = True
+
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> Arm:
         """Return an arm.
 

@@ -317,7 +317,8 @@ class So101Arm(StreamedArm):
         super().__init__(name, limits, StreamOptions(rate=RATE, silence=silence, missed_ticks=round(RATE * silence)))
         self.link = link
         self._options = options
-        self._is_powered = False
+        self._is_powered = self._is_led = False
+        self._trouble = ""
 
     def _open(self) -> None:
         self.link.open(self)
@@ -333,7 +334,7 @@ class So101Arm(StreamedArm):
             if not self.fault:  # else it is known that they do not answer
                 raise
         finally:
-            self._is_powered = False
+            self._is_powered = self._is_led = False
             self.link.close(self)
 
     def _can_guide(self) -> bool:
@@ -342,13 +343,14 @@ class So101Arm(StreamedArm):
     def _guide(self) -> None:
         with self.link as servos:
             servos.release(ARM)
-        self._is_powered = False
+        self._is_powered = self._is_led = False
 
     def _read(self) -> ArmState:
         with self.link as servos:
             reading, calibrations = servos.read(), servos.calibration
-        if not self.fault and (told := reading.faults(ARM)):  # one that is known is told once, until `recover`
-            raise DeviceFault(told)
+        self._trouble = reading.faults(ARM)
+        if self._trouble and not self._is_led and not self.fault:  # else `_write` tells
+            self.set_fault(self._trouble)
         joints = [calibrations[servo].joint(reading.positions[servo]) for servo in ARM]
         signs = [-1.0 if calibrations[servo].drive_mode else 1.0 for servo in ARM]
         speeds = [sign * reading.speeds[servo] * tau / STEPS for sign, servo in zip(signs, ARM, strict=True)]
@@ -360,14 +362,17 @@ class So101Arm(StreamedArm):
                 for register, value in {**GAINS, ACCELERATION: 0}.items():
                     servos.set(servo, register, value)
             servos.power(ARM)
-        self._is_powered = True
+        self._is_powered = self._is_led = True
 
     def _write(self, point: StreamPoint) -> None:
+        if self._trouble:
+            raise DeviceFault(self._trouble)
         with self.link as servos:
             goals = {servo: servos.calibration[servo].position(q) for servo, q in zip(ARM, point.position, strict=True)}
             servos.bus.write_all(GOAL[0], goals)
 
     def _stop(self) -> None:
+        self._is_led = False
         if self._is_powered:
             with self.link as servos:
                 servos.hold(ARM)
@@ -458,6 +463,8 @@ class So101Gripper(Gripper):
 
 class So101Driver(Driver):
     """Makes SO101 arms and their grippers, at a serial port; options are those of `So101Options`."""
+
+    hosted = True
 
     def arm(self, address: str, about: ArmDescription, options: Mapping[str, Any]) -> So101Arm:
         """Return an arm, at the path of its serial port."""

@@ -68,8 +68,8 @@ def _read(path: Path | str, robot: str, what: str, kind_of: Callable[[int], np.d
         start = json.loads(file.readline())
     dofs: dict[str, int] = start["dof"]
     name = robot or next(iter(dofs))
-    content = _beside(Path(path), name, what).read_bytes()
     kind = kind_of(dofs[name])
+    content = _beside(Path(path), name, what).read_bytes()
     return np.frombuffer(content[: len(content) // kind.itemsize * kind.itemsize], kind)
 
 
